@@ -22,8 +22,7 @@ from eval.replay.settings import HINDSIGHT, Setup
 
 GATE = 0.99
 MAP_SIZES = (66, 300, 1000, 3000)
-PER_METRE = 5
-"""Landmarks per metre along the line of `line_world`."""
+PER_METRE = 5  # landmarks per metre along the line of `line_world`
 
 
 def hard_frame(observations: int, landmarks: int, ambiguous: int) -> Expectation:

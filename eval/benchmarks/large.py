@@ -25,10 +25,8 @@ SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 BARE = "bare isam2"
 BARE_BATCH = "bare batch"
 ESTIMATORS = ("ekf", "batch", BARE_BATCH, "isam2", BARE)
-LOG = "park:0:spacing=3.3+frames={}"
-"""About a landmark for every ten frames, five to seven readings a frame."""
-MEGABYTE = 1024.0
-"""KiB, the unit of `ru_maxrss`."""
+LOG = "park:0:spacing=3.3+frames={}"  # about a landmark for every ten frames, five to seven readings a frame
+MEGABYTE = 1024.0  # KiB, the unit of `ru_maxrss`
 
 
 class Measured(NamedTuple):

@@ -27,8 +27,7 @@ ESTIMATOR = (
 )
 
 
-OWN = {**PLAIN, "jcbb": jcbb, "jcbb-first": jcbb_first}
-"""Our methods as functions."""
+OWN = {**PLAIN, "jcbb": jcbb, "jcbb-first": jcbb_first}  # our methods as functions
 
 
 def estimator_findings(estimator: str | Callable[..., Any]) -> list[Finding]:

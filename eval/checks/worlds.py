@@ -13,8 +13,7 @@ from data.worlds import arena, linear
 
 FRAMES = 16
 SEED = 3
-SILENT = slice(6, 10)
-"""Frames that see nothing, in the log with empty frames."""
+SILENT = slice(6, 10)  # frames that see nothing, in the log with empty frames
 
 
 def linear_log() -> Log:

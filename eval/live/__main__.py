@@ -234,8 +234,8 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
         except UsageError:
             recording.discard()
             raise
-        figure_style = Looking(name, session, lambda: link.exchange.faults, say, feed=feed, speed=wish.speed)
-        tellers.append(figure_style.told)
+        display = Looking(name, session, lambda: link.exchange.faults, say, feed=feed, speed=wish.speed)
+        tellers.append(display.told)
         if feed is not None:
             say(f"page: {server.address}")
         say(f"recording to {wish.out}; Ctrl-C ends the drive")
@@ -245,8 +245,8 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
         def over() -> bool:
             return presses.count > 0 or clock.now() >= end
 
-        drive(link, clock, session, policy, over, figure_style.look, figure_style.latencies)
-        figure_style.say(clock.now())
+        drive(link, clock, session, policy, over, display.look, display.latencies)
+        display.say(clock.now())
     if feed is not None:
         feed.end()
     say(f"{session.frames} frames, {session.observations} walls seen")

@@ -19,8 +19,7 @@ from eval.live.feed import MINUTE, Feed, header
 from eval.live.session import Latencies, Session, Step, Taken, estimator_words, status_line
 
 REST = Command(0, 0)
-SECOND = 1.0
-"""s of real time from line to line."""
+SECOND = 1.0  # s of real time from line to line
 
 Policy = Callable[[Packet], tuple[float, float]]
 
@@ -142,7 +141,6 @@ class Presses:
     """
 
     def __init__(self) -> None:
-        """None yet."""
         self.count, self._heeded = 0, False
         self._before: dict[int, object] = {}
 

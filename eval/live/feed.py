@@ -23,10 +23,8 @@ from eval.player.pack import TIME, Pack, text_of
 from eval.player.scene import Head, RunHead, add_changes, add_path, add_points, dashes
 from eval.player.watch import MapChanges, spread
 
-QUANTUM = 1.0e-3
-"""m, rad: smaller changes of a wall are left out."""
-POSE = 1.0e-4
-"""m."""
+QUANTUM = 1.0e-3  # m, rad: smaller changes of a wall are left out
+POSE = 1.0e-4  # m
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +98,8 @@ def chunk_of(part: Part, header: Mapping[str, object]) -> bytes:
     return text_of(pack.done(header)).encode()
 
 
-MINUTE = 240
-"""Frames, at least, of a large chunk."""
-MOST = 4_000_000
-"""Bytes of large chunks: hours of a drive, as walls and estimators are."""
+MINUTE = 240  # frames, at least, of a large chunk
+MOST = 4_000_000  # bytes of large chunks: hours of a drive, as walls and estimators are
 
 
 @dataclass(frozen=True)
@@ -159,7 +155,6 @@ class Feed:
     """
 
     def __init__(self, estimators: int) -> None:
-        """Nothing to show yet."""
         self.published = Published()
         self._known = [MapChanges(QUANTUM) for _ in range(estimators)]
         self._waiting: list[Taken] = []

@@ -38,8 +38,7 @@ from eval.replay.settings import Beginning, Setup
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 
-ROBOT = Beginning(prior(), SENSOR)
-"""The prior is the origin, there is no map: SLAM."""
+ROBOT = Beginning(prior(), SENSOR)  # the prior is the origin, there is no map: SLAM
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,12 +187,9 @@ class Estimates:
         self._file.close()
 
 
-DRIVEN = 15.0
-"""s of a simulated drive: packets as they are."""
-WALLS = (0.0, 0.5 * math.pi, math.pi)
-"""rad, directions of the walls of made-up frames."""
-PARKED = 1.0
-"""s after which a wall leaves the state there, if it ever shall."""
+DRIVEN = 15.0  # s of a simulated drive: packets as they are
+WALLS = (0.0, 0.5 * math.pi, math.pi)  # rad, directions of the walls of made-up frames
+PARKED = 1.0  # s after which a wall leaves the state there, if it ever shall
 
 
 def rehearse(names: Sequence[str], association: str, setup: Setup) -> None:
@@ -240,7 +236,6 @@ class Latencies:
     """
 
     def __init__(self) -> None:
-        """None yet."""
         self.longest = 0.0
         self._counts = np.zeros(PER_DECADE * DECADES + 1, np.int64)
 

@@ -21,8 +21,7 @@ from eval.referee.score import Trial
 from eval.replay.settings import Setup
 
 FIRST = ("decode", "history", "view", "marks", "state", "map", "walls")
-SCRIPTS = (*FIRST, "controls", "inspect", "matching", "camera", "plots", "main")
-"""In the order of loading."""
+SCRIPTS = (*FIRST, "controls", "inspect", "matching", "camera", "plots", "main")  # in the order of loading
 NOTES = (
     "Candidates, gates and what other methods say are recorded while a run is made: of filters always, of smoothers"
     " where they decide for themselves. Kept are candidates inside 99.999 %, the nearest one and the chosen one; each"

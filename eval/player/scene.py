@@ -29,10 +29,8 @@ from eval.referee.laser import right_closures
 from eval.referee.score import Trial, confusion_of
 from eval.replay.settings import Setup
 
-PIXEL = 0.25
-"""Of the recorded image."""
-FINER = 0.1
-"""Poses and observations, of which there are few numbers, are kept to a tenth of the landmarks' quantum."""
+PIXEL = 0.25  # of the recorded image
+FINER = 0.1  # poses and observations, of which there are few numbers, are kept to a tenth of the landmarks' quantum
 COARSE, ROUGH = 0.01, 0.02
 """Landmarks' sigmas are kept to half a percent of themselves, their correlations to a hundredth."""
 MOST_TIME = 2**31 - 1

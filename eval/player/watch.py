@@ -23,21 +23,16 @@ from eval.replay.frontend import FrontEnd, Pairing
 from graph.incremental import Isam2Smoother
 
 SIGMAS = 3.0
-FINEST, COARSEST = 1.0e-3, 1.0e-1
-"""m."""
+FINEST, COARSEST = 1.0e-3, 1.0e-1  # m
 SHARE = 1.0e-4
 """Of the path's extent: a fifth of a pixel on a large screen that shows all. 1 mm in a corridor, 1 cm in a park."""
-LOOKED_AT = 0.99999
-"""Candidates of an observation inside this gate are kept, ..."""
-MOST = 12
-"""... the nearest so many; the nearest one always, and the one it was paired with."""
+LOOKED_AT = 0.99999  # candidates of an observation inside this gate are kept, ...
+MOST = 12  # ... the nearest so many; the nearest one always, and the one it was paired with
 LARGE, SELDOM = 300, 10
 """Above so many landmarks a map is written down after every so many frames only: writing it down costs as long as
 using it."""
-READ = 30_000
-"""Positions of landmarks that a smoother is asked for in all, each 10 to 20 microseconds."""
-LONG = 2000
-"""Frames. In a longer log no method is asked where labels decide: that would take longer than the run."""
+READ = 30_000  # positions of landmarks that a smoother is asked for in all, each 10 to 20 microseconds
+LONG = 2000  # frames. In a longer log no method is asked where labels decide: that would take longer than the run
 NOT_ASKED, SINGULAR = -3, -4
 """In place of a decision: nobody was asked, or the method had none because a covariance is singular."""
 
@@ -134,7 +129,6 @@ class Watch:
     """
 
     def __init__(self, inputs: Inputs) -> None:
-        """Before the first frame."""
         self.quantum, self.sensor, self.seconds = quantum_of(inputs), inputs.sensor, 0.0
         self._frames, self._seeing = len(inputs), int((np.diff(inputs.start) > 0).sum())
         self._every, self._since, self._looked, self._certain = 0, 0, -1, True

@@ -1,6 +1,6 @@
-"""Drives estimators over a log; sees the inputs only, never the truth.
+"""Runs estimators over a log; sees the inputs only, never the truth.
 
-`compare` runs several of them on one log, `make_estimator` makes one to be stepped by hand.
+`compare` runs several estimators on one log, `make_estimator` makes one to be stepped by hand.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ __all__ = ["compare", "make_estimator"]
 
 
 def __getattr__(name: str) -> Any:
-    """Loaded when asked for: `eval.replay.settings` and `eval.replay.settings` must stay light, for `--help`."""
+    """Load lazily: `--help` needs `eval.replay.settings` without the estimators."""
     if name == "compare":
         from eval.replay.run import compare
 

@@ -1,4 +1,4 @@
-"""Batch smoothers over the decisions that a front end made, started at its path."""
+"""Batch smoothers over the decisions of a front end, started at its path."""
 
 from __future__ import annotations
 
@@ -17,26 +17,30 @@ from graph.optimum import NotConvergedError
 from graph.robust import gnc
 
 LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
-"""Of the batch smoothers by name, `gnc` aside."""
-LOWER = 1e-6
-"""Share of its cost by which another minimum must be lower to be another one."""
+LOWER = 1e-6  # relative difference of cost by which a lower minimum is another one
 
 
 def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None = None) -> Run:
     """A batch smoother over the final decisions of `front`, started at its path.
 
-    Where that leads to no minimum, or to one so high that it may be a wrong one, the path of `other` (a run with the
-    same landmark numbers) is tried as well, and the lowest minimum counts.
-
-    `gnc` chooses among them itself: a pairing that it leaves out is discarded in the end, and so is a landmark of which
-    no observation is left.
+    If this finds no minimum, or one so high that it may be wrong, it also starts from the path of `other` (a run with
+    the same landmark numbers), and the lower minimum counts. `gnc` discards the pairings it rejects, and landmarks
+    without any observation left.
     """
+    begin = time.perf_counter()
+
+    def failed(failure: Failure, seconds: float) -> Run:
+        nothing = Trajectory(np.full((len(inputs), 3), np.nan), np.full((len(inputs), 3, 3), np.nan))
+        return Run(
+            name, front.association, front.task, None, nothing, None, front.decisions, front.final_decisions,
+            front.created, None, None, None, seconds, failure, (), front.removed,
+        )  # fmt: skip
+
     if front.failure is not None or front.online is None:
         at = front.failure.frame if front.failure else 0
         why = notice(Code.FRONT_END_STOPPED, Severity.ERROR, front=front.estimator, at=at)
-        return _failed(name, front, Failure("incomplete", 0, why), len(inputs), 0.0)
-    begin = time.perf_counter()
-    # what was retracted has no landmark; what a filter merely forgot is smoothed like all others
+        return failed(Failure("incomplete", 0, why), 0.0)
+    # retracted landmarks are left out; those that a filter merely forgot are smoothed
     initialized = front.initialized
     start = start_at(inputs, front, initialized)
     final, notes = front.final_decisions, [notice(Code.DECIDED_BY, Severity.INFO, front=front.estimator)]
@@ -50,9 +54,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
         else:
             result = _lowest(inputs, final, initialized, start, LOSSES[name], other)
     except UnderConstrained as stop:
-        return _failed(
-            name, front, Failure("diverged", 0, stopped(str(stop))), len(inputs), time.perf_counter() - begin
-        )
+        return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
     state = None
     if result.map is not None:
@@ -73,7 +75,7 @@ def _lowest(
     loss: str,
     other: Callable[[], Run] | None,
 ) -> Smoothed:
-    """The minimum from `start`, or from the path of another run if that is a lower one."""
+    """The minimum from `start`, or a lower one from the path of another run."""
     result, stop = None, None
     try:
         result = smooth(inputs, final, initialized, start, loss=loss)
@@ -103,7 +105,7 @@ def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -
 
 
 def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
-    """A front end's path, and its map; a landmark that it dropped stands where it was initialized.
+    """The path and map of a front end; a landmark that it dropped is where it was initialized.
 
     `initialized` (M,): number of the landmark that an observation initialized, -1 for none.
     """
@@ -116,15 +118,7 @@ def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
             places[initialized[i]] = inputs.sensor.inverse(pose, o.z[i : i + 1])[0][0]
         held = front.map.number < len(places)
         places[front.map.number[held]] = front.map.xy[held]
-    # the errors as the front end knows them in the end; knots of the drift that it has forgotten are the last one's
+    # the front end's last errors; knots of the drift that it has forgotten are the last one's
     known = front.errors_final or front.errors_online
     errors = None if known is None else np.broadcast_to(known.mean[-1], known.mean.shape)
     return Start(front.online.pose, places, errors)
-
-
-def _failed(name: str, front: Run, failure: Failure, frames: int, seconds: float) -> Run:
-    nothing = Trajectory(np.full((frames, 3), np.nan), np.full((frames, 3, 3), np.nan))
-    return Run(
-        name, front.association, front.task, None, nothing, None, front.decisions, front.final_decisions, front.created,
-        None, None, None, seconds, failure, (), front.removed,
-    )  # fmt: skip

@@ -1,4 +1,4 @@
-"""Step-by-step estimators: the verbs that all of them have, those that some have, and a fresh one by name."""
+"""Step-by-step estimators: their common methods, their capabilities, and a factory by name."""
 
 from __future__ import annotations
 
@@ -30,27 +30,24 @@ OPTIONS = {
     "ekf-fej": FilterOptions(first_estimates=True),
     "ekf-invariant": FilterOptions(invariant=True),
 }
-"""Filters by name: one filter, whose correction is applied in different ways."""
+"""Filters by name: one filter with different corrections."""
 
 
 class Estimator(Protocol):
-    """What every step-by-step estimator has; any association method works with any of them.
+    """Methods of every step-by-step estimator; any association method works with any of them.
 
-    What only some can do are capabilities (`Capabilities`): a front end asks for them once, before the first frame.
+    Capabilities (`Capabilities`) are optional: a front end asks for them once, before the first frame.
     """
 
     @property
     def smooths(self) -> bool:
-        """Whether it revises its past: a smoother does, a filter does not."""
-        ...
+        """Whether it revises its past, as a smoother does."""
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""
-        ...
 
     def expect(self, observations: FrameObservations) -> Expectation:
-        """What it expects to see."""
-        ...
+        """Expected observations."""
 
     def update(
         self,
@@ -63,31 +60,26 @@ class Estimator(Protocol):
     ) -> Updated:
         """Use the pairings below `threshold`, initialize new landmarks.
 
-        `at` (3,): where to linearize first, if not at the prediction, for those that can; `innovations`: form them even
-        if they cost extra.
+        `at` (3,): first linearization point, if not the prediction, for estimators that support it; `innovations`: form
+        them even at extra cost.
         """
-        ...
 
     def estimate(self) -> PoseEstimate:
         """The newest pose."""
-        ...
 
     def landmarks(self) -> MapState:
-        """The map as it is now; a given one without covariance."""
-        ...
+        """The current map; a given one without covariance."""
 
     def finish(self) -> Finished:
-        """The end of the run."""
-        ...
+        """End the run."""
 
 
 @runtime_checkable
 class Timed(Protocol):
-    """It needs to know what time it is, since it keeps poses for a span of time."""
+    """It needs the time, to keep poses for a span of time."""
 
     def stamp(self, time: float) -> None:
         """The present frame's time [s]."""
-        ...
 
 
 @runtime_checkable
@@ -97,39 +89,33 @@ class Stateful(Protocol):
     @property
     def size(self) -> int:
         """Length of the state."""
-        ...
 
 
 @runtime_checkable
 class Calibrating(Protocol):
-    """It may estimate systematic errors along."""
+    """It may estimate systematic errors."""
 
     @property
     def errors(self) -> tuple[Array, Array] | None:
-        """The errors (p,) as they are known now and their covariance (p, p); None: none are estimated."""
-        ...
+        """The current errors (p,) and their covariance (p, p); None: none are estimated."""
 
 
 @runtime_checkable
 class Parkable(Protocol):
-    """Its landmarks can leave the state, stay in the map and come back."""
+    """Its landmarks can leave the state, stay in the map and return."""
 
     @property
     def parked(self) -> IntArray:
-        """Numbers (b,) of landmarks that are in the map but not in the state, ascending."""
-        ...
+        """Numbers (b,) of landmarks in the map but not in the state, ascending."""
 
     def parked_xy(self) -> Array:
         """Positions (b, 2) of the parked landmarks, ordered as `parked`."""
-        ...
 
     def park(self, numbers: IntArray) -> None:
-        """Landmarks leave the state, and stay in the map."""
-        ...
+        """Move landmarks out of the state; they stay in the map."""
 
     def restore(self, numbers: IntArray) -> None:
-        """Parked landmarks come back into the state."""
-        ...
+        """Move parked landmarks into the state."""
 
 
 @runtime_checkable
@@ -138,50 +124,45 @@ class Removable(Protocol):
 
     def remove(self, numbers: IntArray) -> None:
         """Drop landmarks."""
-        ...
 
 
 @runtime_checkable
 class Revisable(Removable, Protocol):
-    """SLAM: its landmarks can turn out to be the same."""
+    """SLAM: its landmarks can be merged."""
 
     def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """Landmarks `merged` are the same as `kept`, and go."""
-        ...
+        """Merge landmarks `merged` into `kept`."""
 
 
 @runtime_checkable
 class Amendable(Protocol):
-    """A smoother whose pairings can be decided otherwise later."""
+    """A smoother whose pairings can be changed later."""
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """What frames (m,) up to now saw (m) was for other landmarks (m,) than decided before, negative: for none.
+        """Change the landmarks (m,) of what frames (m,) saw (m), negative: none.
 
-        In SLAM this is asked once, of all that was seen, after the last frame and before `finish`.
+        In SLAM this is called once, for all observations, after the last frame and before `finish`.
         """
-        ...
 
 
 @runtime_checkable
 class Inflatable(Protocol):
-    """It can believe a motion less than it was told to."""
+    """It can add uncertainty to its last motion."""
 
     def inflate(self, covariance: Array) -> None:
-        """Believe the last motion so much less, by a covariance (3, 3) that is the same in all directions."""
-        ...
+        """Add a covariance (3, 3), equal in all directions, to the last motion."""
 
 
 @runtime_checkable
 class Resettable(Protocol):
-    """Localization: it can be set to another pose."""
+    """Localization: its pose can be reset."""
 
     def reset(self, mean: Array, covariance: Array) -> None:
-        """Be at another pose (3,) with covariance (3, 3), whatever was believed before."""
-        ...
+        """Restart at a pose (3,) with covariance (3, 3)."""
 
 
 class Capabilities(NamedTuple):
-    """An estimator once more, as each of the capabilities that it has; None for those it lacks."""
+    """An estimator as each of its capabilities; None for those it lacks."""
 
     timed: Timed | None
     stateful: Stateful | None
@@ -195,22 +176,15 @@ class Capabilities(NamedTuple):
 
 
 CAPABILITIES: tuple[Any, ...] = (
-    Timed,
-    Stateful,
-    Calibrating,
-    Parkable,
-    Removable,
-    Revisable,
-    Amendable,
-    Inflatable,
-    Resettable,
+    *(Timed, Stateful, Calibrating, Parkable, Removable),
+    *(Revisable, Amendable, Inflatable, Resettable),
 )
 """In the order of the fields of `Capabilities`."""
 
 
 def capabilities(estimator: Estimator) -> Capabilities:
-    """What an estimator can do beside the core; of a foreign one, what it has verbs of its own for."""
-    if isinstance(estimator, Adapter):  # to ask may run its code
+    """The capabilities of an estimator; of a foreign one, those it has methods for."""
+    if isinstance(estimator, Adapter):  # the check may run its code
         has = [call(f"{estimator.name}()", isinstance, estimator.inner, each) for each in CAPABILITIES]
     else:
         has = [isinstance(estimator, each) for each in CAPABILITIES]
@@ -222,7 +196,7 @@ C = TypeVar("C")
 
 
 def needed(capability: C | None, verbs: str, why: str) -> C:
-    """A capability that a run cannot do without. Raises CannotError where it is lacking."""
+    """A required capability. Raises CannotError where it is lacking."""
     if capability is None:
         raise CannotError(f"the estimator has no {verbs}, which {why} needs")
     return capability
@@ -233,9 +207,8 @@ def make_estimator(
 ) -> Estimator:
     """A fresh step-by-step estimator: with a map it localizes, without it does SLAM. `given` may be whole `Inputs`.
 
-    `name`: of ours, or the settled text of a foreign one (`eval.replay.external`).
-    `options` stand in for those that go with the name of a filter; `lag` [s] is that of `fixed-lag`, which counts
-    frames as long as no frame is stamped with its time.
+    `name`: ours, or the settled text of a foreign one (`eval.replay.external`). `options` replace those of a filter's
+    name; `lag` [s] is that of `fixed-lag`, in frames while no frame is stamped.
     """
     if is_foreign(name):
         return foreign_estimator(name, given, options)
@@ -251,17 +224,16 @@ def make_estimator(
     raise UsageError(f"{name!r} does not work step by step; {', '.join(STEPPING[:-1])} and {STEPPING[-1]} do")
 
 
-FOR_WALLS = "jcbb"
-"""The way of association of walls without labels, where nobody says otherwise."""
+FOR_WALLS = "jcbb"  # default association method for walls without labels
 NO_HINDSIGHT_OF_WALLS = f"{HINDSIGHT} knows landmarks as points, walls can be paired by {FOR_WALLS}"
 
 
 def lack_with_walls(
     name: str, task: str, association: str, given: Given, options: FilterOptions | None = None
 ) -> str | None:
-    """Why an estimator with a way of association cannot do with walls, if the sensor sees them; None if it can.
+    """Why an estimator with an association method cannot process walls; None if it can, or the sensor sees points.
 
-    `options` stand in for those that go with the name of a filter.
+    `options` replace those of a filter's name.
     """
     if given.sensor.sees_points:
         return None

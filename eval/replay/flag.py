@@ -1,7 +1,6 @@
-"""A row of a table of flags, and the kinds of values: what serves command line, config files and scenario files alike.
+"""Tables of flags and kinds of values, for command line, config files and scenario files.
 
-A table is a dataclass whose fields carry a `Flag`, or are such tables themselves; it stands this low because `Setup`
-is one.
+A table is a dataclass whose fields carry a `Flag`, or are such tables themselves.
 """
 
 from __future__ import annotations
@@ -21,17 +20,17 @@ Read = Callable[[str, object], Any]
 
 @dataclass(frozen=True)
 class Flag:
-    """What is known about one field of a table.
+    """One field of a table.
 
     Attributes:
         read: the kind of its values.
         metavar: of the value; empty for a switch.
         help: one line for `--help`.
-        numbers: whether the estimators' numbers depend on it, so that it belongs to the command that makes them again.
+        numbers: whether the estimators' numbers depend on it, so that it belongs to the command that reproduces them.
         repeatable: given once for each value.
         short: one letter.
-        bare: the value of a flag that is given without one; empty: a value is needed.
-        name, default: of the field; part: of the field that holds its table, empty where it stands in the table itself.
+        bare: the value of a flag without one; empty: a value is needed.
+        name, default: of the field; part: of the field that holds its table, empty in the table itself.
     """
 
     read: Read
@@ -47,37 +46,36 @@ class Flag:
 
     @property
     def option(self) -> str:
-        """As on the command line; a switch that is on by default is turned off."""
+        """The flag on the command line; a switch that is on by default is turned off."""
         name = self.name.replace("_", "-")
         return f"--no-{name}" if self.default is True else f"--{name}"
 
     def of(self, options: Any) -> Any:
-        """Its value in a table, or in the part of it that it belongs to."""
+        """Its value in a table."""
         return getattr(getattr(options, self.part) if self.part else options, self.name)
 
     def words(self, value: Any) -> list[str]:
-        """The words of a command line that say this value."""
+        """The words of a command line for this value."""
         if isinstance(value, bool):
             return [] if value is self.default else [self.option]
         if self.repeatable:
             texts = list(value)
         else:
             texts = [",".join(value) if isinstance(value, tuple) else "none" if value is None else str(value)]
-        # a value with a dash in front would be taken for a flag
+        # a value that begins with a dash would be taken for a flag
         return [word for t in texts for word in ([f"{self.option}={t}"] if t.startswith("-") else [self.option, t])]
 
 
 def row(default: Any, read: Read, metavar: str = "", help: str = "", **more: Any) -> Any:
-    """What makes a field of a table a row, with the field's default (MISSING: a value is needed); see `Flag`."""
+    """A field of a table with its default (MISSING: a value is needed); see `Flag`."""
     return field(default=default, metadata={"flag": Flag(read, metavar, help, **more)})
 
 
-free_row = partial(row, numbers=False)
-"""A field on which no number depends."""
+free_row = partial(row, numbers=False)  # a field on which no number depends
 
 
 def rows(table: type[Any]) -> dict[str, Flag]:
-    """The rows of a table by name, in its order, with those of the tables that it holds."""
+    """The rows of a table by name, in its order, including those of nested tables."""
     found: dict[str, Flag] = {}
     for f in fields(table):
         if "flag" in f.metadata:
@@ -88,7 +86,7 @@ def rows(table: type[Any]) -> dict[str, Flag]:
 
 
 def filled(table: type[Any], values: Mapping[str, Any]) -> Any:
-    """A table with these values by name, each in the part that it belongs to; defaults for all others."""
+    """A table with these values by name, in nested tables too; defaults for all others."""
     known = rows(table)
     made: dict[str, Any] = {}
     for f in fields(table):
@@ -102,7 +100,7 @@ def filled(table: type[Any], values: Mapping[str, Any]) -> Any:
 
 
 def read_values(table: type[Any], given: Mapping[str, object], label: Callable[[Flag], str]) -> dict[str, Any]:
-    """Checked values of what is given for a table; `label` names a row in messages, as in `--gate` or `gate =`."""
+    """Checked values for a table; `label` names a row in messages, as in `--gate` or `gate =`."""
     known = rows(table)
     return {name: known[name].read(label(known[name]), value) for name, value in given.items()}
 
@@ -118,7 +116,7 @@ def number(label: str, value: object) -> float:
 
 
 def probability(label: str, value: object, what: str = "probability") -> float | None:
-    """A gate: between 0 and 1, or `none`; `what` it is called in messages."""
+    """A probability between 0 and 1, or `none`; `what`: its name in messages."""
     if value == "none":
         return None
     p = number(label, value)
@@ -133,12 +131,12 @@ def share_or_none(label: str, value: object) -> float | None:
 
 
 def probability_or_auto(label: str, value: object) -> float | Literal["auto"] | None:
-    """A gate, `none`, or `auto`: as the log is."""
+    """A probability, `none`, or `auto`."""
     return "auto" if value == "auto" else probability(label, value)
 
 
 def positive(label: str, value: object) -> float:
-    """A span of time and the like."""
+    """A positive number."""
     span = number(label, value)
     if not 0.0 < span < math.inf:
         raise UsageError(f"{label} {span:g}: a positive number is needed")
@@ -146,12 +144,12 @@ def positive(label: str, value: object) -> float:
 
 
 def positive_or_none(label: str, value: object) -> float | None:
-    """The same, or `none`."""
+    """A positive number, or `none`."""
     return None if value == "none" else positive(label, value)
 
 
 def numbers(length: int) -> Read:
-    """A list of so many numbers."""
+    """A list of `length` numbers."""
 
     def read(label: str, value: object) -> tuple[float, ...]:
         if not isinstance(value, (list, tuple)) or len(value) != length:
@@ -179,14 +177,14 @@ def whole(least: int, otherwise: str) -> Read:
 
 
 def switch(label: str, value: object) -> bool:
-    """On or off."""
+    """True or false."""
     if not isinstance(value, bool):
         raise UsageError(f"{label} {value!r}: true or false is needed")
     return value
 
 
 def text(needed: str) -> Read:
-    """One text that is not empty."""
+    """A text that is not empty."""
 
     def read(label: str, value: object) -> str:
         if not isinstance(value, str) or not value:
@@ -197,7 +195,7 @@ def text(needed: str) -> Read:
 
 
 def texts(label: str, value: object) -> tuple[str, ...]:
-    """Texts, each given for itself."""
+    """A list of texts."""
     given = [value] if isinstance(value, str) else value
     if not isinstance(given, (list, tuple)) or not all(isinstance(v, str) for v in given):
         raise UsageError(f"{label} {value!r}: a list of names is needed")
@@ -205,7 +203,7 @@ def texts(label: str, value: object) -> tuple[str, ...]:
 
 
 def one_of(known: Sequence[str]) -> Read:
-    """One name of a few."""
+    """One of the known names."""
 
     def read(label: str, value: object) -> str:
         if value not in known:
@@ -216,7 +214,7 @@ def one_of(known: Sequence[str]) -> Read:
 
 
 def names(known: Sequence[str] | None = None, *, least: int = 0) -> Read:
-    """Names of a few (None: any), none twice, separated by commas or as a list."""
+    """Different names (of `known`, if given), separated by commas or as a list."""
 
     def read(label: str, value: object) -> tuple[str, ...]:
         given = tuple(name.strip() for part in texts(label, value) for name in part.split(",") if name.strip())
@@ -233,7 +231,7 @@ def names(known: Sequence[str] | None = None, *, least: int = 0) -> Read:
 
 
 def folder(label: str, value: object) -> Path:
-    """A folder that may have to be made."""
+    """A folder, which may not exist yet."""
     path = Path(str(value))
     if path.exists() and not path.is_dir():
         raise UsageError(f"{label} {path}: exists and is not a folder")

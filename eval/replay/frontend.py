@@ -1,4 +1,4 @@
-"""One estimator with one way of association, frame by frame: what a replay, a live drive and the step-through share."""
+"""One estimator with one association method, frame by frame, for replay, live drive and step-through."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class KnownAssociation:
     """Decisions by label; in SLAM a label stands for the landmark that it initialized, while that is in the map."""
 
     def __init__(self, known: LandmarkMap | None) -> None:
-        """Before the first frame; `known` is the map of localization."""
+        """`known` is the map of localization."""
         self.map = known
         self._number_of: dict[int, int] = {}
         self._label_of: dict[int, int] = {}
@@ -48,23 +48,23 @@ class KnownAssociation:
         return pair_by_label(frame.label, self._number_of)
 
     def initialized(self, frame: Frame, created: IntArray) -> None:
-        """Landmarks (m,) that the frame's observations initialized, -1 for none."""
-        assert frame.label is not None  # or `decide` would have said so
+        """Note landmarks (m,) that the frame's observations initialized, -1 for none."""
+        assert frame.label is not None  # or `decide` raised
         for i in np.flatnonzero(created >= 0):
             label, number = int(frame.label[i]), int(created[i])
             self._number_of[label], self._label_of[number] = number, label
 
     def removed(self, numbers: IntArray) -> None:
-        """Landmarks (r,) that are no longer in the map: their labels may initialize others."""
+        """Forget landmarks (r,): their labels may initialize others."""
         for n in numbers.tolist():
             self._number_of.pop(self._label_of.pop(n, -1), None)
 
 
 class Pairing(NamedTuple):
-    """What was decided about (a part of) a frame: decisions (m,), and the expectation they were made from, if any.
+    """Decisions (m,) about (a part of) a frame, and the expectation they were made from, if any.
 
-    at: where the frame was placed (3,), if it was: the estimator may linearize there first.
-    S: (2k, 2k) joint covariance of the innovations of its k pairings, which passed the gates; None: not formed.
+    at: pose (3,) of a placed frame, where the estimator may linearize first.
+    S: (2k, 2k) joint covariance of the innovations of its k gated pairings; None: not formed.
     """
 
     decisions: IntArray
@@ -74,29 +74,27 @@ class Pairing(NamedTuple):
 
 
 class FrontEnd:
-    """The verbs of a frame, in this order: move, associate, update, tidy; after the last one close.
+    """Steps of a frame, in this order: move, associate, update, tidy; after the last one close.
 
     Attributes:
         k: number of the frame.
-        association: `known` (labels that come with the frames decide) or a method's name.
-        estimator: what gets the decisions.
-        can: the same as each of the capabilities that it has.
-        foreign: the same if it is somebody else's, else None.
+        association: `known` (labels decide) or a method's name.
+        estimator: gets the decisions.
+        can: its capabilities.
+        foreign: the estimator if it is foreign, else None.
         map_management: which landmarks leave the map; None where all stay.
         incomplete: frames in which the search for a pairing ran out of its budget.
+        gated_final: see `Run`.
     """
 
-    revises_map = False
-    """Whether landmarks leave the map for other reasons than map management's."""
-    asks_for_innovations = False
-    """Whether an estimator is to form its innovations where it would do without."""
+    revises_map = False  # whether landmarks leave the map for other reasons than map management's
+    asks_for_innovations = False  # whether the estimator must form its innovations
     gated_final: tuple[float, float] | None = None
-    """As of a `Run`: what of the squared innovations the gates of the final decisions let a right filter use."""
 
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Before the first frame.
+        """Make the estimator.
 
         Raises:
             UsageError: walls are to be paired in hindsight.
@@ -110,12 +108,12 @@ class FrontEnd:
         self.use(make_estimator(estimator, given, options, lag=setup.lag))
         self.slam = given.map is None
         self.k, self.incomplete = -1, 0
-        # labels and hindsight look at no distance, and nobody knows how far a foreign method looks
+        # labels and hindsight use no distance, and the reach of a foreign method is unknown
         far = association in ("known", HINDSIGHT) or is_foreign(association)
         within = math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=not self.slam)
         if isinstance(self.estimator, EkfLocalizer):
             self.estimator.within = within
-        # a graph need not park, and what leaves it is as if never seen: that is not forgetting
+        # a graph need not park, and leaving it is no forgetting: the landmark was never seen
         kept = replace(setup, forget_after=None, deactivate_after=None) if self.estimator.smooths else setup
         self.map_management: MapManagement | None = None
         self.parking: Parking | AutomaticParking | None = None
@@ -132,12 +130,12 @@ class FrontEnd:
         self._threshold = gate_threshold(setup.label_gate) if gated else math.inf
 
     def use(self, estimator: Estimator) -> None:
-        """Hand the decisions to this estimator; it is before its first frame."""
+        """Give the decisions to this estimator, before its first frame."""
         self.estimator, self.can = estimator, capabilities(estimator)
         self.foreign = estimator if isinstance(estimator, Adapter) else None
 
     def move(self, frame: Frame) -> None:
-        """The next frame comes: predict; the first one has no motion."""
+        """Predict the next frame; the first one has no motion."""
         self.k = frame.number
         if frame.increment is not None:
             self.estimator.predict(frame.increment)
@@ -149,7 +147,7 @@ class FrontEnd:
             self.map_management.begin(frame.number, frame.time)
 
     def associate(self, frame: Frame) -> Pairing:
-        """Expect and decide, about (a part of) this frame's observations; `known` needs no expectation."""
+        """Decide about (a part of) this frame's observations."""
         if self.known is not None:
             return Pairing(self.known.decide(frame))
         expectation = self.expect(frame.observations)
@@ -159,11 +157,11 @@ class FrontEnd:
 
     @property
     def passed(self) -> Acceptance:
-        """The gates that a pairing has passed when it is used."""
+        """The gates that a used pairing has passed."""
         return Acceptance(self._threshold) if self.known is not None else acceptance(self.association, self.setup.gate)
 
     def expect(self, observations: FrameObservations) -> Expectation:
-        """What the estimator expects of its candidates: parked landmarks that may be in view are taken back first."""
+        """The estimator's expectation of its candidates; parked landmarks that may be in view are restored first."""
         if self.parking is not None:
             self.parking.offer(observations)
         e = self.estimator.expect(observations)
@@ -174,17 +172,17 @@ class FrontEnd:
         return e.only(np.flatnonzero(in_view(self.given.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
-        """Decisions by the method of this run, or for comparison by another one."""
+        """Decisions by the method of this run, or by another one for comparison."""
         s = self.setup
         chosen = self._method if method is None else method
         offered = expectation if isinstance(chosen, str) else locked(expectation)
         return decide(chosen, offered, s.gate, s.new_gate, known_map=not self.slam)
 
     def update(self, frame: Frame, pairing: Pairing) -> Updated:
-        """Use what was decided: one update with all pairings, then new landmarks from the updated pose."""
+        """Use the decisions: one update with all pairings, then new landmarks from the updated pose."""
         if self.parking is not None:
             self.parking.restore(pairing.decisions)
-        # a smoother forms no innovations of its own unless asked to; the expectation has them, until the update
+        # a smoother forms no innovations unless asked to; the expectation has them, until the update
         formed = None
         if pairing.expectation is not None and (self.estimator.smooths or self.foreign is not None):
             formed = pairing.expectation.innovation_statistics(*pairing.expectation.paired(pairing.decisions))
@@ -210,7 +208,7 @@ class FrontEnd:
         return done._replace(moments=self._moments(pairing.S, done.dof))
 
     def _moments(self, S: Array | None, dof: int) -> tuple[float, float] | None:
-        """Mean and variance to expect of a frame's NIS; None where innovations are chi-square, or it is not known."""
+        """Expected mean and variance of a frame's NIS; None where innovations are chi-square, or it is not known."""
         if self.passed.everything:
             return None
         if self.known is not None:  # each pairing by itself
@@ -219,27 +217,27 @@ class FrontEnd:
         return None if S is None or len(S) != dof else accepted_moments(S, self.passed, self.k)
 
     def tidy(self) -> None:
-        """The end of a frame: landmarks leave the map by the rules of the setup."""
+        """The end of a frame: remove landmarks by the rules of the setup."""
         if self.parking is not None:
             self.parking.measure()
         if self.map_management is None:
             return
         leaving = self.map_management.leaving()
-        gone = np.concatenate([leaving.retracted, leaving.forgotten])
-        if len(gone):
-            self.leave(gone)
+        removed = np.concatenate([leaving.retracted, leaving.forgotten])
+        if len(removed):
+            self.leave(removed)
             if self.known is not None:
-                self.known.removed(gone)
+                self.known.removed(removed)
         if self.parking is not None:
             self.parking.park(leaving.parked)
 
     def leave(self, numbers: IntArray) -> None:
-        """Landmarks (r,) leave the map by the rules of the setup."""
-        assert self.can.removable is not None  # or these rules had been refused
+        """Remove landmarks (r,) by the rules of the setup."""
+        assert self.can.removable is not None  # or these rules were refused
         self.can.removable.remove(numbers)
 
     def close(self) -> None:
-        """The end of the log."""
+        """End the log."""
 
     @property
     def state_size(self) -> int:
@@ -249,15 +247,15 @@ class FrontEnd:
         return 0 if self.can.stateful is None else self.can.stateful.size
 
     def events(self) -> tuple[Event, ...]:
-        """Decisions that were revised: none, where they are made frame by frame."""
+        """Revised decisions; none if decided frame by frame."""
         return ()
 
     def landmarks(self) -> MapState:
-        """The map as it is now, parked landmarks included; a given one has no covariance."""
+        """The current map, parked landmarks included; a given one has no covariance."""
         return self.estimator.landmarks()
 
     def notes(self) -> list[Notice]:
-        """What a reader of the results should know."""
+        """Messages about the run."""
         notes, s = [] if self.foreign is None else self.foreign.notes(), self.setup
         if self.incomplete:
             notes.append(notice(Code.OUT_OF_NODES, method=self.association, nodes=BUDGET, frames=self.incomplete))

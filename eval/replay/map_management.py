@@ -1,9 +1,8 @@
 """Which landmarks leave the map, and when: map maintenance, forgetting and parking.
 
-Landmarks are parked where a person asks for it, those unseen for a time (`Parking`), or in a large map without being
-asked, as it is faster and nothing else changes (`AutomaticParking`). They come back into a filter's state when they may
-be seen again, or when something is paired with them; a bound on each one's uncertainty says when that may be, so that
-what is parked costs nothing in the meantime.
+Landmarks unseen for a time are parked on request (`Parking`); a large map is parked automatically where that is faster
+and changes nothing (`AutomaticParking`). They return into a filter's state when they may be seen again or are paired. A
+bound on each one's uncertainty says when, so parked landmarks cost nothing meanwhile.
 """
 
 from __future__ import annotations
@@ -24,8 +23,7 @@ from eval.replay.estimators import Capabilities, Estimator, needed
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import HINDSIGHT, Setup
 
-MAINTENANCE_FRAMES = 2
-"""A landmark seen only once is removed when its observation is more frames ago than this."""
+MAINTENANCE_FRAMES = 2  # a landmark seen once is removed after more frames than this
 
 
 class Leaving(NamedTuple):
@@ -37,7 +35,7 @@ class Leaving(NamedTuple):
 
 
 class MapManagement:
-    """When each landmark was seen, and what follows from it: `begin` a frame, `see`, `leaving`.
+    """When each landmark was seen, and the consequences: `begin` a frame, `see`, `leaving`.
 
     Attributes:
         removed: frame after which a landmark was no longer in the map.
@@ -45,59 +43,56 @@ class MapManagement:
     """
 
     def __init__(self, setup: Setup) -> None:
-        """Nothing seen."""
         self.setup = setup
         self.removed: dict[int, int] = {}
         self.retracted: set[int] = set()
         self._frame, self._now = 0, 0.0
-        # by landmark: frame of its first observation, their number, time of the last one, time since which it is
-        # active (seen or restored last)
+        # by landmark: frame of its first observation, number of observations, time of the last one, time since which
+        # it is active (seen or restored last)
         self._first, self._times = np.empty(0, np.int64), np.empty(0, np.int64)
         self._last, self._active = np.empty(0), np.empty(0)
-        self._parked, self._gone = np.empty(0, np.bool_), np.empty(0, np.bool_)
+        self._parked, self._removed = np.empty(0, np.bool_), np.empty(0, np.bool_)
 
     def begin(self, frame: int, time: float) -> None:
-        """The next frame, at a time in the unit of the setup's spans."""
+        """Begin a frame at a time in the unit of the setup's spans."""
         self._frame, self._now = frame, time
 
     def see(self, numbers: IntArray) -> None:
-        """Landmarks paired or initialized in this frame; numbers come in order of creation."""
+        """Note landmarks paired or initialized in this frame; numbers are in order of creation."""
         more = int(numbers.max(initial=-1)) + 1 - len(self._first)
         if more > 0:
-            self._first = np.concatenate([self._first, np.full(more, self._frame)])
-            self._times = np.concatenate([self._times, np.zeros(more, np.int64)])
-            self._last = np.concatenate([self._last, np.full(more, self._now)])
-            self._active = np.concatenate([self._active, np.full(more, self._now)])
-            self._parked = np.concatenate([self._parked, np.zeros(more, np.bool_)])
-            self._gone = np.concatenate([self._gone, np.zeros(more, np.bool_)])
+            new = {"_first": self._frame, "_times": 0, "_last": self._now, "_active": self._now}
+            for name, value in (new | {"_parked": False, "_removed": False}).items():
+                old = getattr(self, name)
+                setattr(self, name, np.concatenate([old, np.full(more, value, old.dtype)]))
         np.add.at(self._times, numbers, 1)
         self._last[numbers] = self._active[numbers] = self._now
 
     def restored(self, numbers: IntArray) -> None:
-        """Parked landmarks came back; the time until they are parked again starts anew."""
+        """Note restored landmarks; their time until parking starts again."""
         self._parked[numbers] = False
         self._active[numbers] = self._now
 
     def leaving(self) -> Leaving:
-        """What leaves after this frame; afterwards it counts as gone."""
-        s, now, nobody = self.setup, self._now, np.empty(0, np.int64)
-        retracted = forgotten = parked = nobody
+        """The landmarks that leave after this frame."""
+        s, now = self.setup, self._now
+        retracted = forgotten = parked = np.empty(0, np.int64)
         if s.maintain:
             old = self._frame - self._first > MAINTENANCE_FRAMES
-            retracted = np.flatnonzero(~self._gone & (self._times == 1) & old)
+            retracted = np.flatnonzero(~self._removed & (self._times == 1) & old)
             self.remove(retracted)
             self.retracted.update(retracted.tolist())
         if s.forget_after is not None:
-            forgotten = np.flatnonzero(~self._gone & (now - self._last > s.forget_after))
+            forgotten = np.flatnonzero(~self._removed & (now - self._last > s.forget_after))
             self.remove(forgotten)
         if s.deactivate_after is not None:
-            parked = np.flatnonzero(~self._gone & ~self._parked & (now - self._active > s.deactivate_after))
+            parked = np.flatnonzero(~self._removed & ~self._parked & (now - self._active > s.deactivate_after))
             self._parked[parked] = True
         return Leaving(retracted, forgotten, parked)
 
     def remove(self, numbers: IntArray) -> None:
-        """Landmarks (r,) that leave the map after this frame, by these rules or for another reason."""
-        self._gone[numbers] = True
+        """Landmarks (r,) leave the map after this frame, by these rules or for another reason."""
+        self._removed[numbers] = True
         self.removed.update((n, self._frame) for n in numbers.tolist())
 
     def removal_frames(self, count: int) -> IntArray:
@@ -108,16 +103,15 @@ class MapManagement:
         return frames
 
 
-KEPT = 10
-"""Frames. A landmark that was paired or taken back so recently stays. Flat: 5 and 20 take as long."""
+KEPT = 10  # frames; a landmark paired or restored within these stays (5 and 20 take as long)
 
 
 class Parking:
     """Parks landmarks of an estimator and restores them.
 
     Attributes:
-        largest: how many states the estimator had at most.
-        restored: how many landmarks came back, counted each time.
+        largest: largest number of states so far.
+        restored: number of restorations.
     """
 
     def __init__(
@@ -128,7 +122,7 @@ class Parking:
         sensor: Sensor,
         within: float = math.inf,
     ) -> None:
-        """Nothing parked. No method looks at landmarks beyond the squared distance `within` of every reading.
+        """No method considers landmarks beyond the squared distance `within` of every observation.
 
         Raises CannotError for an estimator that cannot park.
         """
@@ -145,13 +139,13 @@ class Parking:
 
     @property
     def state_size(self) -> int:
-        """Length of the state; what is parked does not count."""
+        """Length of the state without parked landmarks."""
         return 0 if self._state is None else self._state.size
 
     def offer(self, observations: FrameObservations) -> None:
-        """Restore what may be in view, of walls what some reading might be of, before anything is expected."""
+        """Restore landmarks that may be in view (walls: that an observation may be of), before the expectation."""
         parked = self.parkable.parked
-        if len(parked) and not self.sensor.sees_points:  # where a wall is tells little of whether it is in view
+        if len(parked) and not self.sensor.sees_points:  # the position of a wall hardly says whether it is in view
             self._restore(parked if self._slam is None else self._slam.parked_within(observations, self.within))
         elif len(parked):
             pose, covariance = self.estimator.estimate()
@@ -159,7 +153,7 @@ class Parking:
             self._restore(parked[may_be_in_view(self.sensor, pose, self.parkable.parked_xy(), *bounds)])
 
     def restore(self, numbers: IntArray) -> None:
-        """Restore those of some landmarks (n,) that are parked; decisions that are no landmark are left alone."""
+        """Restore the parked ones of landmarks (n,); other decisions are ignored."""
         if len(parked := self.parkable.parked):
             self._restore(np.intersect1d(numbers, parked))
 
@@ -174,29 +168,29 @@ class Parking:
         self._drift.see(self.sensor, observations, numbers, self.estimator.estimate().covariance)
 
     def measure(self) -> None:
-        """How large the state is now."""
+        """Update the largest state."""
         self.largest = max(self.largest, self.state_size)
 
     def park(self, numbers: IntArray) -> None:
-        """Landmarks (n,) leave the state."""
+        """Move landmarks (n,) out of the state."""
         if len(numbers):
             self.parkable.park(numbers)
 
     def notes(self) -> list[Notice]:
-        """What a reader of the results should know."""
+        """A message about parked landmarks."""
         after = self.management.setup.deactivate_after
         return [notice(Code.PARKED, Severity.INFO, after=after, largest=self.largest, restored=self.restored)]
 
 
 class AutomaticParking:
-    """Parks what is of no use in the next frames, as long as that is faster; decisions and estimates do not change.
+    """Parks landmarks that the next frames do not need, while that is faster; decisions and estimates do not change.
 
-    When to park is weighed as in `ekf.epochs`, but without knowing what comes: whenever the steps since the last time
-    have cost so much more than those of a state without the superfluous landmarks as parking these costs.
+    Costs are compared as in `ekf.epochs`, but without the future: landmarks are parked when the excess cost of the
+    steps since the last time exceeds the cost of parking.
     """
 
     def __init__(self, slam: EkfSlam, within: float) -> None:
-        """Nothing parked. No method looks at landmarks beyond the squared distance `within` of every reading."""
+        """No method considers landmarks beyond the squared distance `within` of every observation."""
         self.slam, self.within = slam, within
         self._frame, self._pairings, self._excess = 0, 0, 0.0
         self._last = np.empty(0, np.int64)
@@ -204,20 +198,20 @@ class AutomaticParking:
 
     @property
     def state_size(self) -> int:
-        """Length of the state, what is parked included: it is a part of the same state."""
+        """Length of the state, parked landmarks included: they belong to the same state."""
         return self.slam.size + 2 * len(self.slam.parked)
 
     def move(self, increment: Increment) -> None:
-        """The robot moved."""
+        """Count a frame."""
         self._frame += 1
 
     def offer(self, observations: FrameObservations) -> None:
-        """Restore what some reading might be of, before anything is expected."""
+        """Restore landmarks that an observation may be of, before the expectation."""
         if len(self.slam.parked):
             self._restore(self.slam.parked_within(observations, self.within))
 
     def restore(self, numbers: IntArray) -> None:
-        """Restore those of some landmarks (n,) that are parked; decisions that are no landmark are left alone."""
+        """Restore the parked ones of landmarks (n,); other decisions are ignored."""
         if len(parked := self.slam.parked):
             self._restore(np.intersect1d(numbers, parked))
 
@@ -235,7 +229,7 @@ class AutomaticParking:
         self._last[numbers] = self._frame
 
     def measure(self) -> None:
-        """What the steps of this frame have cost in excess."""
+        """Add the excess cost of this frame."""
         slam, pairings, self._pairings = self.slam, self._pairings, 0
         if slam.created < LEAST:
             return
@@ -251,29 +245,31 @@ class AutomaticParking:
             self._excess = 0.0
 
     def park(self, numbers: IntArray) -> None:
-        """Nothing has to be parked but for the time it takes."""
+        """Do nothing: only computing time demands parking."""
 
     def notes(self) -> list[Notice]:
-        """Nothing: a reader of the results need not know."""
+        """No messages."""
         return []
 
 
 def automatic_parking(estimator: Estimator, association: str, setup: Setup) -> AutomaticParking | None:
-    """For an estimator whose large map may be parked without changing anything, None for others.
+    """For an estimator whose large map may be parked without changing anything, else None.
 
-    These are others: smoothers and localizers; the invariant filter and the one with first estimates, which cannot
-    park; the iterated one, which ends by how far all landmarks moved; methods of association without a gate, for
-    which every landmark is a candidate.
+    Excluded are smoothers and localizers; the invariant filter and first estimates, which cannot park; the iterated
+    filter, which stops by the motion of all landmarks; methods without a gate, which consider every landmark.
     """
     if not isinstance(estimator, EkfSlam):
         return None
     options = estimator.options
     if options.invariant or options.first_estimates or options.iterations > 1:
         return None
-    if is_foreign(association):  # nobody knows how far it looks
+    if is_foreign(association):  # its reach is unknown
         return None
     within = horizon(association, setup.gate, setup.new_gate)
-    if association in ("known", HINDSIGHT):  # decided without a look at this estimator, but somebody may ask for one
+    if association in (
+        "known",
+        HINDSIGHT,
+    ):  # decided without this estimator, but an observer may ask for an expectation
         within = horizon("jcbb", setup.gate, setup.new_gate)
     elif not np.isfinite(within):
         return None

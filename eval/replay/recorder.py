@@ -1,4 +1,4 @@
-"""What a run leaves behind, collected frame by frame; and who looks on while a log is replayed."""
+"""Collects a run frame by frame; observers of a replay."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from eval.replay.frontend import FrontEnd, Pairing
 def _begun(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> IntArray | None:
     """Landmark (M,) that each observation initialized after all revisions of decisions (M,), -1 for none.
 
-    What turns from a pairing into `NEW` is what its landmark begins with. None: nothing does.
+    A landmark begins with the observation that changes from a pairing into `NEW`. None: there is no such revision.
     """
     if all(e.new != NEW for e in events):
         return None
@@ -41,15 +41,15 @@ def _begun(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> I
 
 
 class Recorder:
-    """Decisions and innovations of every frame and the estimate after it; rows that were not reached stay blank.
+    """Decisions, innovations and estimates of every frame; frames that were not reached stay blank.
 
     Attributes:
-        decisions: (M,) as they were made; pairings that were not used are `DISCARD`.
+        decisions: (M,) as they were made; unused pairings are `DISCARD`.
         created: (M,) landmark that each observation initialized, -1 for none.
     """
 
     def __init__(self, frames: int, observations: int, systematic: Systematic | None = None) -> None:
-        """Before the first of so many frames, with so many observations in all; `systematic`: errors estimated."""
+        """Blank, for numbers of frames and observations; `systematic`: errors that are estimated."""
         n, m = frames, observations
         self._pose, self._covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
         self._nis, self._dof, self._likelihood = np.full(n, np.nan), np.zeros(n, np.int64), np.full(n, np.nan)
@@ -62,7 +62,7 @@ class Recorder:
         self.decisions, self.created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
 
     def update(self, frame: Frame, decisions: IntArray, done: Updated) -> None:
-        """(A part of) a frame was decided about and used."""
+        """Record decisions about (a part of) a frame and the update with them."""
         k, rows = frame.number, slice(frame.first, frame.first + len(decisions))
         self._frame[rows], self.created[rows] = k, done.created
         self.decisions[rows] = np.where((decisions >= 0) & ~done.used, DISCARD, decisions)
@@ -76,7 +76,7 @@ class Recorder:
             self._moments += (done.dof, 2.0 * done.dof) if done.moments is None else done.moments
 
     def estimate(self, front: FrontEnd) -> None:
-        """A frame is over."""
+        """Record the estimate at the end of a frame."""
         self._pose[front.k], self._covariance[front.k] = front.estimator.estimate()
         self._size[front.k] = front.state_size
         errors = None if front.can.calibrating is None else front.can.calibrating.errors
@@ -87,7 +87,7 @@ class Recorder:
     def run(
         self, name: str, task: str, front: FrontEnd, finished: Finished, failure: Failure | None, seconds: float
     ) -> Run:
-        """All of it, after the last frame or where the estimator failed."""
+        """The run, after the last frame or where the estimator failed."""
         final, removed = self.decisions, None
         if front.map_management is not None:
             removed = front.map_management.removal_frames(int(self.created.max(initial=-1)) + 1)
@@ -117,57 +117,52 @@ class Recorder:
         )  # fmt: skip
 
     def _errors_online(self) -> Systematics | None:
-        """Errors by frame, of an estimator that estimates any."""
+        """Systematic errors by frame, if any are estimated."""
         if self._systematic is None or not self._known:
             return None
         return Systematics(self._systematic.names, self._errors, self._errors_sigma)
 
     def _gated(self) -> tuple[float, float]:
-        """Mean and variance per degree of freedom to expect of the NIS."""
+        """Expected mean and variance of the NIS per degree of freedom."""
         dof = int(self._dof.sum())
         return (float(self._moments[0]) / dof, float(self._moments[1]) / dof) if dof else CHI_SQUARE
 
 
 class Observer(Protocol):
-    """Somebody who looks on, frame by frame, and changes nothing."""
+    """Observes a replay frame by frame and changes nothing."""
 
     def moved(self, front: FrontEnd) -> None:
-        """A frame begins; its observations were not looked at yet."""
-        ...
+        """A frame begins; its observations are not processed yet."""
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
-        """The observations of (a part of) the frame were decided about, and not used yet."""
-        ...
+        """The observations of (a part of) the frame are decided about, but not used yet."""
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
         """A frame is over; decisions and initialized landmarks (M,) are those of the whole log so far."""
-        ...
 
 
 class Writing(Observer, Protocol):
-    """An observer who writes something down, which stays with the run as `Run.watched`."""
+    """An observer with a result, which stays with the run as `Run.watched`."""
 
     @property
     def seconds(self) -> float:
-        """Time spent on looking and writing, which is not the estimator's."""
-        ...
+        """Time spent observing, not part of the estimator's."""
 
     def left(self) -> object:
-        """What was written down, after the last frame."""
-        ...
+        """The result, after the last frame."""
 
 
 class NullObserver:
-    """Nobody looks on."""
+    """Null observer."""
 
     def moved(self, front: FrontEnd) -> None:
-        """Not looked at."""
+        """Do nothing."""
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
-        """Not looked at."""
+        """Do nothing."""
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """Not looked at."""
+        """Do nothing."""
 
 
 def no_run(
@@ -180,7 +175,7 @@ def no_run(
     online: bool = True,
     final: bool = False,
 ) -> Run:
-    """Blank trajectories of the phases it would have had; nothing was decided."""
+    """A failed run with blank trajectories and no decisions."""
     n = len(inputs)
     nowhere = Trajectory(np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan))
     nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)

@@ -1,4 +1,4 @@
-"""Replay: one log through an estimator and a way of association, giving a `Run`; `compare` does so for many of them."""
+"""Replay: one log through an estimator and an association method, giving a `Run`; `compare` runs many of them."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ from graph.factors import UnderConstrained
 PLAIN = Setup()
 NULL_OBSERVER = NullObserver()
 DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)
-"""What an estimator of ours raises when it cannot go on."""
+"""Errors of our estimators that cannot continue."""
 
 
 def dead_reckoning(inputs: Inputs, task: str) -> Run:
-    """Prediction alone: the path composed from the increments, its covariance growing."""
+    """Prediction alone: the path composed from the increments."""
     begin = time.perf_counter()
     nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
     run = run_filter(inputs if inputs.systematic is None else replace(inputs, systematic=None), nothing)
@@ -103,10 +103,10 @@ def step_by_step(
     finish: bool = True,
     observer: Observer = NULL_OBSERVER,
 ) -> Run:
-    """Any step-by-step estimator with any way of association; `finish=False` stops without the final phase.
+    """Any step-by-step estimator with any association method; `finish=False` skips the final phase.
 
-    With `options.each` association, too, goes observation by observation, each with its own update. `observer` sees
-    every stage and changes nothing but the time taken.
+    With `options.each` association is observation by observation, each with its own update. `observer` sees every
+    stage.
     """
     begin = time.perf_counter()
     setup = setup.settled(inputs.labels_are_sensed)
@@ -134,7 +134,7 @@ def driven(
     finish: bool = True,
     observer: Observer = NULL_OBSERVER,
 ) -> Run:
-    """A front end before its first frame, driven over a whole log; arguments as of `step_by_step`."""
+    """Run a front end over a whole log; arguments as of `step_by_step`."""
     begin = time.perf_counter()
     record = Recorder(len(inputs), len(inputs.observations.frame), inputs.systematic)
     failure, finished = None, Finished(None, None)
@@ -161,9 +161,9 @@ def through(
     each: bool = False,
     observer: Observer = NULL_OBSERVER,
 ) -> None:
-    """One frame through a front end, from a log or while a robot drives; afterwards the estimator has its estimate.
+    """One frame through a front end, from a log or a driving robot.
 
-    `used` is told of (each part of) the frame with its decisions and what the update did with them.
+    `used` gets (each part of) the frame with its decisions and the result of the update.
     """
     front.move(frame)  # predict
     observer.moved(front)
@@ -178,7 +178,7 @@ def through(
 def front_end(
     name: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
 ) -> FrontEnd:
-    """What decides and updates frame by frame, before the first frame. Raises CannotError for what walls forbid."""
+    """The front end of an estimator and an association method. Raises CannotError for what walls forbid."""
     why = lack_with_walls(name, "slam" if given.map is None else "localization", association, given, options)
     if why is not None:
         raise CannotError(why)
@@ -205,24 +205,21 @@ def compare(
     watch: Callable[[Inputs], Writing] | None = None,
     judge: Callable[[Sequence[Run], Inputs], list[Run]] = lambda runs, _: list(runs),
 ) -> list[Run]:
-    """Estimators with one way of association on identical inputs; the runs come in the order of `estimators`.
+    """Estimators with one association method on identical inputs; runs in the order of `estimators`.
 
-    Beside names of ours stand settled texts of foreign ones (`eval.replay.external`), or classes and functions as they
-    are, which then have their own names.
+    Estimators are names, settled texts of foreign ones (`eval.replay.external`), or classes and functions.
 
-    `batch...` take the decisions of a front end and start from its path: under `known` those of the EKF (and, where
-    that leads to no good end, at the iterated one's), otherwise those of iSAM2, or of the EKF if iSAM2 was not asked
-    for. A front end that was not asked for runs all the same. Where the setup's gate for labels is not for smoothers,
-    they get every pairing and start at the gated EKF's path.
-    With `scan` the scans of a laser log are matched and loops closed; under any other name the corners of walls in them
-    are the landmarks.
-    Labels are withheld from every method but `known`. Labels that a sensor read are gated where the setup does not say
-    otherwise (`Setup.settled`).
-    `watch` makes an observer of each replay of point landmarks; what it writes down is the run's `watched`. `judge`
-    gets the runs with what they had, before either is turned into something else (`eval.compare`: the referee).
+    `batch...` take the decisions of a front end and start from its path: under `known` those of the EKF (if that fails,
+    the iterated one's), otherwise those of iSAM2, or of the EKF if iSAM2 was not asked for. The front end then runs in
+    any case. If the gate for labels excludes smoothers, they get every pairing and start at the gated EKF's path. With
+    `scan` the scans of a laser log are matched and loops closed; with any other method the corners of walls are the
+    landmarks. Labels are withheld from every method but `known`; sensed labels are gated by default (`Setup.settled`).
+
+    `watch` makes an observer of each replay of point landmarks; its result is the run's `watched`. `judge` gets the
+    runs with their inputs, before either is converted (`eval.compare`: the referee).
     """
     names, association = [text_of(e, "estimator") for e in estimators], text_of(association, "association")
-    # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
+    # rounding depends on the number of threads: with one, bytes do not depend on processes and cores
     with threadpool_limits(1):
         if association == SCAN:
             return judge(compare_laser(inputs, names, setup), inputs)
@@ -251,7 +248,7 @@ def _compare(
 
 
 class _Comparison:
-    """The runs of one comparison; each front end runs once, whoever needs it."""
+    """The runs of one comparison; each front end runs once."""
 
     def __init__(
         self,
@@ -267,7 +264,7 @@ class _Comparison:
         self._done: dict[str, Run] = {}
 
     def run(self, name: str) -> Run:
-        """An estimator by its name."""
+        """The run of an estimator by name."""
         if name == "dead-reckoning":
             return dead_reckoning(self.inputs, self.task)
         return self._batch(name) if name in BATCH else self._ahead(name)
@@ -278,7 +275,7 @@ class _Comparison:
         return self._done[name]
 
     def _stepping(self, name: str) -> Run:
-        """In one compiled loop where that can be; what is compiled cannot be watched: the same steps once more."""
+        """In one compiled loop where possible; an observer needs the same steps once more."""
         quick = self._compiled(name)
         if quick is not None and self.watch is None:
             return quick
@@ -301,7 +298,7 @@ class _Comparison:
     def _batch(self, name: str) -> Run:
         if self.association != "known":
             return batch(name, self.inputs, self._ahead("isam2" if "isam2" in self.estimators else "ekf"), None)
-        # whatever else was asked for; the iterated filter's path is better where the plain one gets lost
+        # also where isam2 was asked for; the iterated filter's path is better where the plain one gets lost
         front = self._ahead("ekf")
         if front.failure is not None:
             front = self._ahead("ekf-iterated")
@@ -312,14 +309,15 @@ class _Comparison:
 
 
 MOST_WORK = 3e7
-"""Entries of covariances, frame by frame: beyond (Victoria Park: 2e9) looking again takes longer than a figure may."""
+"""Entries of covariances over all frames, beyond which a second pass takes too long for a figure (Victoria Park: 2e9).
+"""
 
 
 def landmark_sigmas(inputs: Inputs, run: Run) -> Array | None:
     """Standard deviation (N, L) [m] of each landmark along its least certain direction after every frame.
 
-    NaN before a landmark is initialized and after it was removed. None of runs that are no EKF-SLAM of ours from start
-    to end, that parked landmarks, or that are too large to be looked at again.
+    NaN before a landmark is initialized and after it was removed. None unless the run is a complete EKF-SLAM of ours
+    without parking, small enough for a second pass.
     """
     size = run.state_size
     if run.estimator not in FILTERS or run.task != "slam" or run.failure is not None or size is None:

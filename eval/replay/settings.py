@@ -1,7 +1,7 @@
-"""What a person chooses beside the log: the names of tasks, estimators and ways of association, and their settings.
+"""Settings of a run besides the log: names of tasks, estimators and association methods, and their parameters.
 
-Names are listed once, in the order of tables; whoever gives one of them a meaning (filter options, methods, losses) is
-checked against these lists by a test. Imports nothing heavy, so that `--help` answers at once.
+Names are listed once, in the order of tables; a test checks the meanings given to them elsewhere. Imports nothing
+heavy, so that `--help` answers at once.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ if TYPE_CHECKING:
     from data.sensors import Sensor
 
 SENSED_GATE = 0.9999
-"""Gate for labels that a sensor read, where nobody says otherwise: one right reading in 10 000 is lost by it, and a
-misread barcode puts an ungated estimate off by decimetres. Compared with gates from 0.99 to 0.99999 and with robust
-losses on simulated logs with up to 5 % of wrong labels, and on recordings (docs/results.md)."""
+"""Default gate for labels read by a sensor: it loses one right observation in 10 000, and a misread barcode moves an
+ungated estimate by decimetres. Chosen among gates from 0.99 to 0.99999 and robust losses (docs/results.md)."""
 
 
 @dataclass(frozen=True)
@@ -29,20 +28,20 @@ class Setup:
 
     Attributes:
         gate: of the association methods' tests.
-        new_gate: outside which of every landmark an observation may start a new one.
-        gate_known: of pairings by label; `auto`: `SENSED_GATE` where a sensor read the labels, which can be misread,
-            none where they are the truth (see `settled`). In a laser log that of the EKF's loop closures.
-        gate_smoothers: what that gate leaves out is left out for the smoothers, too.
+        new_gate: an observation outside this gate of every landmark may start a new one.
+        gate_known: of pairings by label; `auto`: `SENSED_GATE` where a sensor read the labels, none where they are the
+            truth (see `settled`). In a laser log, of the EKF's loop closures.
+        gate_smoothers: apply that gate to smoothers, too.
         in_view: the EKF offers only landmarks in range and view as candidates, as iSAM2 always does.
         maintain: remove landmarks seen once and more than two frames ago.
-        forget_after: the EKF drops landmarks unseen for so long.
-        deactivate_after: the EKF parks landmarks unseen for so long, and takes them back when they may be seen again.
-        lag: a fixed-lag smoother keeps poses for so long.
+        forget_after: the EKF drops landmarks unseen for this long.
+        deactivate_after: the EKF parks landmarks unseen for this long, and restores them when they may be seen again.
+        lag: a fixed-lag smoother keeps poses for this long.
         keyframe_distance: m between the key poses of a laser log.
-        least_information: share of a key scan in what is known of the places it sees, below which its key pose leaves
+        least_information: share of a key scan in the information on the places it sees, below which its key pose leaves
             the graph.
-        calibrate: systematic errors that are estimated with everything else, `NAME[=SIGMA]`, or `auto`: those that a
-            log's residuals name, else all; empty: none.
+        calibrate: systematic errors to estimate, `NAME[=SIGMA]`, or `auto`: those that a log's residuals name, else
+            all; empty: none.
     """
 
     gate: float | None = row(
@@ -55,24 +54,24 @@ class Setup:
         0.99999,
         probability,
         "P",
-        "an observation starts a landmark only outside this gate of every other, which is not inside --gate (default: "
-        "0.99999; the lab: 0.99; ml-ratio decides by itself)",
+        "an observation starts a landmark only outside this gate of every other; at least --gate (default: 0.99999; "
+        "the lab: 0.99; ml-ratio has its own test)",
     )
     gate_known: float | Literal["auto"] | None = row(
         "auto",
         probability_or_auto,
         "P",
-        f"gate for readings paired by label: a probability, none, or auto (default): {SENSED_GATE} where a sensor read "
-        "the labels, else none; laser logs: of the EKF's loop closures",
+        f"gate for observations paired by label: a probability, none, or auto (default): {SENSED_GATE} where a sensor "
+        "read the labels, else none; laser logs: of the EKF's loop closures",
     )
-    gate_smoothers: bool = row(True, switch, "", "what the gate for labels leaves out, only filters leave out")
+    gate_smoothers: bool = row(True, switch, "", "apply the gate for labels to filters only")
     in_view: bool = row(False, switch, "", "the EKF offers only landmarks in range and view")
     maintain: bool = row(False, switch, "", "SLAM: remove landmarks seen once and more than two frames ago")
     forget_after: float | None = row(
         None, positive_or_none, "S", "EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)"
     )
     deactivate_after: float | None = row(
-        None, positive_or_none, "S", "EKF-SLAM parks such landmarks, and takes them back when seen again"
+        None, positive_or_none, "S", "EKF-SLAM parks such landmarks, and restores them when they may be seen again"
     )
     lag: float = row(30.0, positive, "S", "fixed-lag keeps poses for S seconds (frames without stamps; default: 30)")
     keyframe_distance: float = row(0.4, positive, "M", "laser logs: a key pose every M metres (default: 0.4)")
@@ -80,26 +79,25 @@ class Setup:
         None,
         share_or_none,
         "SHARE",
-        "laser logs: key poses whose scans have less than this share in what is known of the places they see leave the "
-        "graph (default: none)",
+        "laser logs: remove key poses whose scans have less than this share in the information on the places they see "
+        "(default: none)",
     )
     calibrate: tuple[str, ...] = row(
         (),
         read_errors,
         "NAMES",
-        "filters and smoothers estimate systematic errors of odometry and sensor along: NAME[=SIGMA],... of scale, "
-        "curvature, left, right, drift, range, bearing (SIGMA: known so well before); alone or auto: those that the "
-        "log's residuals name, else all with tight priors",
+        "estimate systematic errors of odometry and sensor: NAME[=SIGMA],... of scale, curvature, left, right, drift, "
+        "range, bearing (SIGMA: prior); alone or auto: those that the log's residuals name, else all with tight priors",
         bare=AUTO,
     )
 
     def settled(self, sensed: bool) -> Setup:
-        """The same, `auto` settled for a log whose labels were sensed or not."""
+        """The same with `auto` settled for a log with sensed labels or not."""
         return replace(self, gate_known=SENSED_GATE if sensed else None) if self.gate_known == "auto" else self
 
     @property
     def label_gate(self) -> float | None:
-        """The gate of pairings by label; none as long as `auto` is not settled."""
+        """The gate of pairings by label; None while `auto` is not settled."""
         return None if isinstance(self.gate_known, str) else self.gate_known
 
     @property
@@ -109,9 +107,7 @@ class Setup:
 
 
 def check_gates(gate: float | None, new_gate: float | None, labels: tuple[str, str] = ("--gate", "--new-gate")) -> None:
-    """The two-gate rule: the gate of new landmarks is not inside the one of pairings; equal gates are the lab's.
-
-    None is no gate: the second one is then outside of any, and without a first one there is nothing to be inside of.
+    """The two-gate rule: the gate of new landmarks is not inside the one of pairings; None is no gate.
 
     Raises:
         UsageError: an observation could be compatible with a landmark and start a new one at the same place.
@@ -127,44 +123,39 @@ TASKS = ("localization", "slam")
 FILTERS = ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant")
 INCREMENTAL = ("isam2", "fixed-lag")
 STEPPING = (*FILTERS, *INCREMENTAL)
-HINDSIGHT = "jcbb-hindsight"
-"""The way of association whose decisions may be revised later (`eval.replay.hindsight`)."""
+HINDSIGHT = "jcbb-hindsight"  # decisions may be revised later (`eval.replay.hindsight`)
 BATCH = ("batch", "batch-huber", "batch-cauchy", "gnc")
 ESTIMATORS = ("dead-reckoning", *STEPPING, *BATCH)
 ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", HINDSIGHT, "scan")
 
 
 def steps(name: str) -> bool:
-    """Whether an estimator, ours or not, works frame by frame."""
+    """Whether an estimator, ours or foreign, works frame by frame."""
     return name not in BATCH and name != "dead-reckoning"
 
 
 class Given(Protocol):
-    """Prior, sensor, for localization the map, and errors to estimate. `Inputs` has them, and so has a robot."""
+    """Prior, sensor, map (localization), and errors to estimate, as of `Inputs` or a robot."""
 
     @property
     def prior(self) -> Prior:
         """Belief about the pose at the first frame."""
-        ...
 
     @property
     def sensor(self) -> Sensor:
         """The measurement model."""
-        ...
 
     @property
     def map(self) -> LandmarkMap | None:
         """Known landmarks; None: SLAM."""
-        ...
 
     @property
     def systematic(self) -> Systematic | None:
-        """Errors of odometry and sensor that are estimated along; None: there are none."""
-        ...
+        """Systematic errors to estimate, or None."""
 
 
 class Beginning(NamedTuple):
-    """Just that, without a log; fields as in `Given`."""
+    """The same without a log."""
 
     prior: Prior
     sensor: Sensor

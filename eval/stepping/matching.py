@@ -44,10 +44,8 @@ from eval.stepping.plane import (
 )
 from eval.stepping.problem import Matching, TruthRow
 
-SHARE = 0.42
-"""Of an inset in the side of its panel."""
-LEAST = 0.2
-"""m, half the side of what an inset shows at least."""
+SHARE = 0.42  # of an inset in the side of its panel
+LEAST = 0.2  # m, half the side of what an inset shows at least
 
 
 def draw_decisions(
@@ -262,12 +260,9 @@ def _counted(decisions: IntArray, truth: TruthRow | None) -> str:
     return f"{paired} paired, {new} new, {len(decisions) - paired - new} left out"
 
 
-AROUND = 0.5
-"""m, half the side of what is shown at least: the corridor's points stand 0.25 m apart."""
-TALL, FLAT = 4.4, 3.3
-"""in. Heights of a figure with two panels, and with one per method."""
-SIZE = 7.0
-"""pt, of the numbers."""
+AROUND = 0.5  # m, half the side of what is shown at least: the corridor's points stand 0.25 m apart
+TALL, FLAT = 4.4, 3.3  # in. Heights of a figure with two panels, and with one per method
+SIZE = 7.0  # pt, of the numbers
 DISTANCE: dict[str, Any] = {"fontsize": 5.5, "color": "#303030", "path_effects": HALO, "ha": "center", "va": "center"}
 """How the d² of a pair is written."""
 

@@ -169,8 +169,7 @@ def paint_observations(fig: Figure, sensor: Sensor, z: Array, R: Array, title: s
 
 
 DPI = 110
-WINDOWED = ("macosx", "qt", "tk", "gtk", "wx")
-"""How the names of matplotlib's backends begin that open windows."""
+WINDOWED = ("macosx", "qt", "tk", "gtk", "wx")  # how the names of matplotlib's backends begin that open windows
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 

@@ -20,8 +20,7 @@ from data.se2 import Array, BoolArray
 from eval.figures.plane import ellipses
 from eval.stepping.problem import Matching
 
-ONE, MANY = (7.0, 5.6), (10.5, 6.8)
-"""in. Size of a figure with one picture, and with one per method."""
+ONE, MANY = (7.0, 5.6), (10.5, 6.8)  # in. Size of a figure with one picture, and with one per method
 GOOD, BAD, DULL, FAINT = "#0064A8", "#D55E00", "#606060", "#B0B0B0"
 LANDMARK = "#6A3D9A"
 """Of a landmark's number; a reading's is black, a wrong one's like its mark."""
@@ -32,8 +31,7 @@ TITLES = {name: name.upper() for name in ("nn", "singles", "ml", "jcbb", "gnn")}
     "known": "by labels",
 }
 """The lab's JCBB is `jcbb-first`; where `jcbb` stands beside it the titles have the names as they are."""
-SHOWN_WITHOUT_GATE = 0.99
-"""Without a gate every pair is compatible; only those inside this one are drawn."""
+SHOWN_WITHOUT_GATE = 0.99  # without a gate every pair is compatible; only those inside this one are drawn
 DASHES = (0, (3.0, 1.5))
 HALO = [withStroke(linewidth=1.5, foreground="white")]
 

@@ -20,8 +20,7 @@ from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 
-COMPARED = ("nn", "singles", "ml", "jcbb")
-"""Methods shown side by side."""
+COMPARED = ("nn", "singles", "ml", "jcbb")  # methods shown side by side
 RIGHT = ("tp", "tn")
 
 

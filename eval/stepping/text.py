@@ -24,8 +24,7 @@ from eval.referee.metrics import metric
 from eval.referee.score import confusion_of, metrics_row
 from eval.stepping.problem import TruthRow, row_of
 
-WIDTH = 100
-"""Columns of the terminal that a line never goes beyond."""
+WIDTH = 100  # columns of the terminal that a line never goes beyond
 NONE = "-"
 ERRORS = ("rmse_position_m", "max_position_m", "rmse_heading_deg", "rmse_landmark_m")
 STATISTICS = ("frames", "observations", "landmarks", *ERRORS, "nees_pose", "inside_3sigma", "nis")
@@ -102,8 +101,7 @@ def _table(rows: Sequence[tuple[str, Sequence[str]]]) -> str:
     return "\n".join(lines)
 
 
-Block = Callable[[Step], str]
-"""Text of a step, as `step_block` makes one; empty where nothing is said."""
+Block = Callable[[Step], str]  # text of a step, as `step_block` makes one; empty where nothing is said
 
 
 def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_block) -> str:

@@ -21,8 +21,7 @@ from data.sensors import RELATIVE_POINT
 from eval.studies.scenario import with_wrong_labels
 
 NOISE, ASSOCIATIONS = "noise", "associations"
-NEAREST = 1e-3
-"""m. No fault makes a range shorter than this: none is measured below it (as in the corridor)."""
+NEAREST = 1e-3  # m. No fault makes a range shorter than this: none is measured below it (as in the corridor)
 
 
 @dataclass(frozen=True)

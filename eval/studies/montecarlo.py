@@ -24,12 +24,9 @@ from eval.replay.external.make import able
 from eval.studies.scenario import Scenario
 
 DOF = {**{q: len(c) for q, c in QUANTITIES.items()}, "landmarks": 2, "nis": 1}
-Key = tuple[str, str, str, str]
-"""(task, estimator, association, phase)"""
-Result = dict[Key, "Sample"]
-"""What one run of a scenario gives."""
-COVERED = 0.95
-"""Share of runs whose systematic error is to be inside the interval claimed for it."""
+Key = tuple[str, str, str, str]  # (task, estimator, association, phase)
+Result = dict[Key, "Sample"]  # what one run of a scenario gives
+COVERED = 0.95  # share of runs whose systematic error is to be inside the interval claimed for it
 
 
 @dataclass(frozen=True)
@@ -206,8 +203,7 @@ class Judged:
     quantity: str
     verdict: Verdict
     diverged: int
-    declared: bool = False
-    """Whether the exit status depends on it."""
+    declared: bool = False  # whether the exit status depends on it
 
 
 def judge(study: Study) -> list[Judged]:

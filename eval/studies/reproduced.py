@@ -99,10 +99,8 @@ def _pair(value: object, se: object) -> str:
     return f"{v:.4g} ± {s:.2g}" if np.isfinite(s) else f"{v:.6g}"
 
 
-FIRST_COMPARED = 2
-"""The first step with an update has a singular covariance."""
-FLOOR = 1e-10
-"""m^2, rad^2. Added to the increments for the smoothers, which need the inverse."""
+FIRST_COMPARED = 2  # the first step with an update has a singular covariance
+FLOOR = 1e-10  # m^2, rad^2. Added to the increments for the smoothers, which need the inverse
 
 Rows = list[Mapping[str, object]]
 

@@ -138,8 +138,7 @@ def twin_sample(
     return replace(sample, nees=nees, counts=counts)
 
 
-AS_THEY_ARE = ("failures", "outlying", "typical", "apart")
-"""Fields of a sample that a file has as they are."""
+AS_THEY_ARE = ("failures", "outlying", "typical", "apart")  # fields of a sample that a file has as they are
 
 
 def save(path: Path, sample: Sample) -> None:

@@ -25,8 +25,7 @@ from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
 from eval.studies.shipped import offered, path_of
 
-RECORDED = "esde"
-"""The world that is a recording: one stored run of others, found through `--data`."""
+RECORDED = "esde"  # the world that is a recording: one stored run of others, found through `--data`
 
 
 @dataclass(frozen=True)
@@ -148,8 +147,7 @@ def with_wrong_labels(log: Log, rate: float, seed: int) -> Log:
 
 
 CONSISTENT = "consistent"
-RECORDING = ("sha256", "speed_noise")
-"""What is said of a world that is a recording."""
+RECORDING = ("sha256", "speed_noise")  # what is said of a world that is a recording
 SCENARIO_KEYS = {
     "": (
         *("name", "about", "cite", "runs", "task", "association", "estimators", "world", "setup", "from_frame"),

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
-VALIDATIONS = ("trust",)
-"""Shipped studies of the battery, not of estimators: `all` leaves them out, they take long."""
+VALIDATIONS = ("trust",)  # shipped studies of the battery, not of estimators: `all` leaves them out, they take long
 
 
 def scenarios() -> list[str]:

@@ -26,12 +26,10 @@ from eval.replay.batch import batch
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
 from eval.studies.twins import inputs_of, with_noise
 
-COLUMNS = TRUST.names
-"""Columns of trust.csv."""
+COLUMNS = TRUST.names  # columns of trust.csv
 UNINFORMATIVE = 1e6
 """Factor of the covariance of a reading that is left out: its landmark, if it has no other, stays determined."""
-FEWEST = 19
-"""Twins without which nothing can reach a family-wise level of 5 %."""
+FEWEST = 19  # twins without which nothing can reach a family-wise level of 5 %
 
 
 @dataclass(frozen=True)

@@ -36,10 +36,8 @@ from eval.replay.batch import batch
 from eval.replay.external.load import digests
 from eval.replay.settings import Setup
 
-STREAM = 0x7A17
-"""Sets the twins' random numbers apart from those of simulated logs of the same seed."""
-SHORTEST = 10
-"""Frames: below, a lag-1 correlation or a slope has nothing to stand on."""
+STREAM = 0x7A17  # sets the twins' random numbers apart from those of simulated logs of the same seed
+SHORTEST = 10  # frames: below, a lag-1 correlation or a slope has nothing to stand on
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,10 +158,8 @@ def digest_of(source: Source) -> str:
     return digest.hexdigest()
 
 
-ROUNDS = 3
-"""Corrections one after the other: a noise that the odometry hides comes out in halves."""
-TWINS = 4
-"""Twins a round: their residuals are the reference of the noise, known to some 2 % on a log of 200 frames."""
+ROUNDS = 3  # corrections one after the other: a noise that the odometry hides comes out in halves
+TWINS = 4  # twins a round: their residuals are the reference of the noise, known to some 2 % on a log of 200 frames
 
 
 def with_noise(inputs: Inputs, factors: Mapping[str, float]) -> Inputs:

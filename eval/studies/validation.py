@@ -40,10 +40,8 @@ from eval.studies.shipped import path_of
 from eval.studies.trusted import FEWEST, Blame, judged
 from eval.studies.twins import Source, inputs_of, source_of, twin
 
-STREAM = 0xFA017
-"""Sets the faults' random numbers apart from those of logs and twins of the same seed."""
-SOUND = ""
-"""The fault of a log that has none."""
+STREAM = 0xFA017  # sets the faults' random numbers apart from those of logs and twins of the same seed
+SOUND = ""  # the fault of a log that has none
 KNOWN = "known"
 
 

@@ -98,12 +98,10 @@ def curvature(objective: Objective, theta: Array, moving: IntArray, limit: Array
     return H
 
 
-FACTORS = (1 / 16, 1 / 4, 1.0, 4.0, 16.0)
-"""On the sigmas of motion and of the readings, each with each."""
+FACTORS = (1 / 16, 1 / 4, 1.0, 4.0, 16.0)  # on the sigmas of motion and of the readings, each with each
 LATENCIES = 41
 """Latencies tried, evenly within the parameter's bounds: 0.05 s apart, where robots take longer to change speed."""
-STARTS = 3
-"""The best local maxima over the latencies that a fit is started from."""
+STARTS = 3  # the best local maxima over the latencies that a fit is started from
 
 Cost = Callable[[Array], float]
 
@@ -140,16 +138,12 @@ def _noise(cost: Cost, theta: Array, names: list[str]) -> Array:
 FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"
 HOPELESS = 1e6
 """Added to the start's objective where the filter fails: worse than any likelihood, and finite for the optimizer."""
-ROUNDS = 30
-"""Fits at most: each drops a parameter or improves the optimum."""
-STEPS = 10
-"""Newton's steps after each."""
-APART = 2.0
-"""Standard errors either way over which the slope of the score in the latency is taken."""
+ROUNDS = 30  # fits at most: each drops a parameter or improves the optimum
+STEPS = 10  # newton's steps after each
+APART = 2.0  # standard errors either way over which the slope of the score in the latency is taken
 VAGUE = 2.0
 """Standard error of a latency over that by curvature from which on the odometry's noise, not its motion, tells it."""
-DECREMENT = 1e-3
-"""Gain of log-likelihood that a Newton step may still promise at an optimum: 1/20 of a standard error."""
+DECREMENT = 1e-3  # gain of log-likelihood that a Newton step may still promise at an optimum: 1/20 of a standard error
 
 
 @dataclass(frozen=True, eq=False)

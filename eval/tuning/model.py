@@ -39,8 +39,7 @@ from data.sensors import RangeBearing
 
 HALF_WIDTH = 0.3
 """s. Either side of an instant, for its velocity: many samples, and short against the manoeuvres of a robot."""
-SAMPLES = 3
-"""Odometry samples that the velocity of an instant is averaged over, either side, at least."""
+SAMPLES = 3  # odometry samples that the velocity of an instant is averaged over, either side, at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +101,7 @@ GROUPS = ("motion", "sensor", "bias", "odometry", "latency", "growth")
 """What may be fitted; `growth` only where it is asked for."""
 DEFAULT_GROUPS = GROUPS[:-1]
 LATENCY = "latency"
-CLOSEST = 0.1
-"""m. The noise of nearer readings no longer shrinks with the range."""
+CLOSEST = 0.1  # m. The noise of nearer readings no longer shrinks with the range
 
 
 @dataclass(frozen=True)

@@ -13,11 +13,11 @@ from eval.replay.hindsight.record import (
     INITIALIZED,
     Judgement,
     Visibility,
-    certain,
+    add_miss,
+    add_observation,
+    confirmed,
     detection_rate,
     missing,
-    overlooked,
-    sighted,
     verdict,
 )
 from tests.association.problems import problem
@@ -151,7 +151,7 @@ def life(rng, steps, velocity=(0.0, 0.0), sigma=0.03, turning=0.0):
         G = np.array([[c, -s], [s, c]])
         seen = np.asarray(velocity) * k + rng.normal(0.0, sigma, 2)
         S = P + R
-        known = sighted(known, Judgement(G.T @ (seen - place), np.linalg.inv(G.T @ S @ G), G), True)
+        known = add_observation(known, Judgement(G.T @ (seen - place), np.linalg.inv(G.T @ S @ G), G), True)
         gain = P @ np.linalg.inv(S)
         place, P = place + gain @ (seen - place), P - gain @ P
     return known
@@ -181,7 +181,7 @@ def test_a_walk_of_less_than_a_sigma_a_step_is_found_however_the_robot_turns(tur
 def test_what_jumps_to_and_fro_is_restless_though_its_mean_stays():
     known = INITIALIZED
     for k in range(20):
-        known = sighted(known, Judgement(np.array([0.1 * (-1) ** k, 0.0]), EYE / 0.03**2, EYE), True)
+        known = add_observation(known, Judgement(np.array([0.1 * (-1) ** k, 0.0]), EYE / 0.03**2, EYE), True)
     assert abs(known.pull @ np.linalg.solve(known.information, known.pull)) < 1e-9
     assert verdict(known, usual(0.9)) == "moved"
 
@@ -190,25 +190,25 @@ def test_what_jumps_to_and_fro_is_restless_though_its_mean_stays():
 def test_the_rarer_landmarks_are_seen_the_more_misses_are_needed(rate, misses):
     known = INITIALIZED
     for _ in range(misses - 1):
-        known = overlooked(known)
+        known = add_miss(known)
     assert verdict(known, usual(rate)) == ""
-    assert verdict(overlooked(known), usual(rate)) == "missed"
+    assert verdict(add_miss(known), usual(rate)) == "missed"
 
 
 def test_a_sighting_ends_a_row_of_misses():
-    known = sighted(overlooked(overlooked(INITIALIZED)), None, True)
+    known = add_observation(add_miss(add_miss(INITIALIZED)), None, True)
     assert (known.seen, known.missed, known.row) == (2, 2, 0)
-    assert verdict(overlooked(known), usual(0.9)) == ""
+    assert verdict(add_miss(known), usual(0.9)) == ""
 
 
 def test_a_certain_landmark_that_is_often_overlooked_is_given_more_time():
     known = INITIALIZED
     for _ in range(constants.CONFIRMED):
         for _ in range(3):
-            known = overlooked(known)
-        known = sighted(known, None, True)
+            known = add_miss(known)
+        known = add_observation(known, None, True)
     for _ in range(4):
-        known = overlooked(known)
+        known = add_miss(known)
     assert verdict(known, usual(0.95)) == ""
     assert verdict(known._replace(seen=2), usual(0.95)) == "missed"
 
@@ -242,7 +242,7 @@ def test_misses_come_in_rows_where_landmarks_are_hidden_for_a_while():
     assert hidden.row(6, 0.5) == pytest.approx(0.5 * 0.9**5, rel=0.02)
     known = INITIALIZED
     for _ in range(10):
-        known = overlooked(known)
+        known = add_miss(known)
     assert verdict(known, independent) == "missed"
     assert verdict(known, hidden) == ""
 
@@ -261,33 +261,33 @@ def test_looks_are_counted_by_what_came_before():
 
 
 def test_where_landmarks_are_rarely_seen_two_sightings_make_one_certain():
-    twice = sighted(INITIALIZED, None, True)
-    assert certain(twice, usual(0.3))
-    assert not certain(twice, usual(0.95))
-    assert not certain(INITIALIZED, usual(0.05))
-    assert certain(twice._replace(seen=constants.CONFIRMED), usual(0.95))
+    twice = add_observation(INITIALIZED, None, True)
+    assert confirmed(twice, usual(0.3))
+    assert not confirmed(twice, usual(0.95))
+    assert not confirmed(INITIALIZED, usual(0.05))
+    assert confirmed(twice._replace(seen=constants.CONFIRMED), usual(0.95))
 
 
 def test_against_a_certain_landmark_there_must_be_more():
     v, few = usual(0.8), INITIALIZED
     sure = INITIALIZED._replace(seen=20, opportunities=20)
     for _ in range(5):
-        few, sure = overlooked(few), overlooked(sure)
+        few, sure = add_miss(few), add_miss(sure)
     assert verdict(few, v) == "missed"
     assert verdict(sure, v) == ""
     for _ in range(4):
-        sure = overlooked(sure)
+        sure = add_miss(sure)
     assert verdict(sure, v) == "missed"
 
 
 def test_a_sighting_that_no_other_pairing_judges_says_nothing_about_moving():
     known = INITIALIZED
     for _ in range(30):
-        known = sighted(known, None, True)
+        known = add_observation(known, None, True)
     assert (known.seen, known.judged, known.squares) == (31, 0, 0.0)
     assert verdict(known, usual(0.9)) == ""
 
 
 def test_sightings_from_one_place_are_one_look():
-    assert sighted(INITIALIZED, None, False).opportunities == 1
-    assert sighted(INITIALIZED, None, True).opportunities == 2
+    assert add_observation(INITIALIZED, None, False).opportunities == 1
+    assert add_observation(INITIALIZED, None, True).opportunities == 2

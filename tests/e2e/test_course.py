@@ -57,8 +57,8 @@ def test_there_are_ten_exercises_each_with_its_command():
 @pytest.mark.parametrize("words", COMMANDS, ids=lambda words: " ".join(words[1:6]))
 def test_every_command_is_understood(words):
     name, arguments = words[1], words[2:]
-    if name == "run":
-        read_options(arguments)
+    if name in ("run", "study"):
+        read_options(arguments, positional={"run": "log", "study": "scenario"}[name])
     elif name == "convert":
         convert_parser().parse_args(arguments)
     else:

@@ -1,4 +1,4 @@
-"""Estimators and ways of association that are not ours: where they are, loaded, and given the verbs they lack.
+"""Foreign estimators and association methods: located, loaded, and completed by an adapter.
 
-Everywhere else they are a text, `NAME=FILE:ATTRIBUTE` or `NAME=MODULE:ATTRIBUTE`, which any process can load.
+Elsewhere they are a text, `NAME=FILE:ATTRIBUTE` or `NAME=MODULE:ATTRIBUTE`, which any process can load.
 """

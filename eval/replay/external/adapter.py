@@ -1,6 +1,6 @@
-"""A foreign estimator among ours: what it need not write is supplied, what it returns is checked and in our types.
+"""Adapter of a foreign estimator: supplies optional methods, checks and converts results.
 
-Its pose may also be given by weighted samples, as a particle filter has it (`Samples`).
+Its pose may also be weighted samples, as of a particle filter (`Samples`).
 """
 
 from __future__ import annotations
@@ -22,17 +22,15 @@ from eval.replay.external.guard import ForeignError, array, call, kind, whole
 
 
 class Samples(NamedTuple):
-    """Poses (n, 3), world frame, and their weights (n,), which need not sum to one (None: all alike)."""
+    """Poses (n, 3), world frame, and their weights (n,), which need not sum to one (None: all equal)."""
 
     poses: Array
     weights: Array | None = None
 
     def estimate(self) -> PoseEstimate:
-        """Weighted mean, of the heading the circular one, and unbiased weighted covariance about it.
+        """Weighted mean (circular for the heading) and unbiased weighted covariance, sum w d d' / (1 - sum w^2).
 
-        For weights that sum to one the covariance is sum w d d' / (1 - sum w^2), which is the sample covariance with
-        n - 1 where all weights are alike. Raises ValueError for shapes that do not fit, weights that are negative or
-        not finite, or where a single sample has all of it.
+        Raises ValueError for wrong shapes, negative or infinite weights, or if a single sample has all the weight.
         """
         poses = np.asarray(self.poses, float)
         if poses.ndim != 2 or poses.shape[1] != 3 or len(poses) < 2:
@@ -54,7 +52,7 @@ class Samples(NamedTuple):
 BLANK = np.full((3, 3), np.nan)
 BLANK.setflags(write=False)
 TOLERANCE = 1e-9
-"""Asymmetry of a covariance, and how negative its least eigenvalue may be, as a share of the trace: rounding."""
+"""Largest asymmetry of a covariance and size of a negative eigenvalue, over the trace: rounding."""
 
 
 def pose_of(who: str, given: Any) -> PoseEstimate:
@@ -80,7 +78,7 @@ def pose_of(who: str, given: Any) -> PoseEstimate:
 
 
 def check_covariance(who: str, P: Any) -> None:
-    """Raises ForeignError for a matrix that is no covariance, rounding aside."""
+    """Raises ForeignError for a matrix that is no covariance, except for rounding."""
     size = max(float(np.trace(P)), 0.0)
     off = float(np.abs(P - P.T).max())
     if off > TOLERANCE * size:
@@ -91,7 +89,7 @@ def check_covariance(who: str, P: Any) -> None:
 
 
 def expectation_of(who: str, given: Any, observations: FrameObservations) -> Expectation:
-    """An expectation of the present observations, whose functions are guarded, too."""
+    """An expectation of the present observations, with guarded functions."""
     if not isinstance(given, Expectation):
         raise ForeignError(f"{who} returned {kind(given)}; an association.expectation.Expectation is needed")
     n, m = len(given.number), len(observations.z)
@@ -123,31 +121,31 @@ def expectation_of(who: str, given: Any, observations: FrameObservations) -> Exp
 
 
 def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, created: int) -> Updated:
-    """What an update did. None, or a mapping of some of the fields of `Updated`: all that was decided was done.
+    """The result of an update. None, or a mapping of some of the fields of `Updated`: everything decided was done.
 
     Args:
         who: names it in errors.
         given: what it returned.
-        decisions: (m,) what it was told.
+        decisions: (m,) that it received.
         new: (m,) which of them were to initialize a landmark.
-        created: how many landmarks it had initialized before.
+        created: number of landmarks initialized before.
     """
     m = len(decisions)
     numbers = np.where(new, created + np.cumsum(new) - 1, -1)
-    said = given._asdict() if isinstance(given, Updated) else {} if given is None else given
-    if not isinstance(said, Mapping) or set(said) - set(Updated._fields):
+    stated = given._asdict() if isinstance(given, Updated) else {} if given is None else given
+    if not isinstance(stated, Mapping) or set(stated) - set(Updated._fields):
         raise ForeignError(
             f"{who} returned {kind(given)}; None, a data.result.Updated, or a dict with some of its fields "
             f"({', '.join(Updated._fields)}) is needed"
         )
     used = decisions >= 0
-    if said.get("used") is not None:
-        found = np.asarray(said["used"])
+    if stated.get("used") is not None:
+        found = np.asarray(stated["used"])
         if found.shape != (m,) or found.dtype != np.bool_:
             raise ForeignError(f"{who}: used is {found.dtype} {found.shape}; bool {(m,)} is needed")
         used = found & used
-    if said.get("created") is not None:
-        made = whole(who, said["created"], m, "created")
+    if stated.get("created") is not None:
+        made = whole(who, stated["created"], m, "created")
         wanted = np.where(made >= 0, created + np.cumsum(made >= 0) - 1, -1)
         if (made != wanted).any() or (made >= 0)[~new].any():
             raise ForeignError(
@@ -155,13 +153,13 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
                 f"would be {numbers.tolist()}"
             )
         numbers = made
-    white = said.get("white")
+    white = stated.get("white")
     return Updated(
         used,
         numbers.astype(np.int64),
-        float(said.get("nis", math.nan)),
-        int(said.get("dof", 2 * int(used.sum()))),
-        float(said.get("log_likelihood", math.nan)),
+        float(stated.get("nis", math.nan)),
+        int(stated.get("dof", 2 * int(used.sum()))),
+        float(stated.get("log_likelihood", math.nan)),
         None if white is None else array(who, white, (m, 2), "white", finite=False),
     )
 
@@ -187,31 +185,28 @@ def finished_of(who: str, given: Any) -> Finished:
 
 NONE = np.empty(0, np.int64)
 NONE.setflags(write=False)
-KEYWORDS = ("threshold", "at", "innovations")
-"""What `update` may take besides observations and decisions."""
+KEYWORDS = ("threshold", "at", "innovations")  # optional keywords of `update`
 
 
 class Adapter:
-    """Somebody else's estimator among ours; see `eval.replay.estimators.Estimator` for the verbs.
-
-    It hands all of them on; what it is asked for beyond the core follows from what `inner` has.
+    """A foreign estimator with the methods of `eval.replay.estimators.Estimator`; capabilities follow from `inner`.
 
     Attributes:
         name: in tables.
-        inner: theirs.
+        inner: the foreign object.
         smooths: whether it revises its past.
         lacks_covariance: whether it ever gave a pose without one.
     """
 
     def __init__(self, name: str, inner: Any, known: LandmarkMap | None, frames: int | None = None) -> None:
-        """Around `inner`; `known` is the map of localization."""
+        """Wrap `inner`; `known` is the map of localization."""
         self.name, self.inner, self._known = name, inner, known
         self.smooths = bool(getattr(inner, "smooths", False))
         self.lacks_covariance = False
         self._created, self._takes = 0, _taken(inner)
 
     def has(self, verb: str) -> bool:
-        """Whether it has a verb of its own."""
+        """Whether `inner` has a method."""
         return callable(getattr(self.inner, verb, None))
 
     @property
@@ -221,7 +216,7 @@ class Adapter:
 
     @property
     def errors(self) -> None:
-        """It is not asked to estimate systematic errors."""
+        """None: it estimates no systematic errors."""
         return None
 
     @property
@@ -238,7 +233,7 @@ class Adapter:
         self._call("stamp", time)
 
     def expect(self, observations: FrameObservations) -> Expectation:
-        """What it expects to see."""
+        """Its expectation."""
         return expectation_of(f"{self.name}.expect", self._call("expect", observations), observations)
 
     def update(
@@ -250,7 +245,7 @@ class Adapter:
         at: Array | None = None,
         innovations: bool = False,
     ) -> Updated:
-        """Use the pairings; of the keywords it gets those that it takes."""
+        """Use the pairings; it gets the keywords that it takes."""
         given = {"threshold": threshold, "at": at, "innovations": innovations}
         done = self._call("update", observations, decisions.copy(), **{k: given[k] for k in self._takes})
         new = (decisions == NEW) if self._known is None else np.zeros(len(decisions), np.bool_)
@@ -263,15 +258,15 @@ class Adapter:
         self._call("remove", numbers.copy())
 
     def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """Landmarks `merged` are the same as `kept`."""
+        """Merge landmarks `merged` into `kept`."""
         self._call("merge", merged.copy(), kept.copy())
 
     def park(self, numbers: IntArray) -> None:
-        """Landmarks leave the state."""
+        """Move landmarks out of the state."""
         self._call("park", numbers.copy())
 
     def restore(self, numbers: IntArray) -> None:
-        """They come back."""
+        """Move parked landmarks into the state."""
         self._call("restore", numbers.copy())
 
     def parked_xy(self) -> Array:
@@ -283,25 +278,25 @@ class Adapter:
         return found
 
     def inflate(self, covariance: Array) -> None:
-        """Believe the last motion less."""
+        """Add a covariance to the last motion."""
         self._call("inflate", covariance.copy())
 
     def reset(self, mean: Array, covariance: Array) -> None:
-        """Be at another pose."""
+        """Restart at another pose."""
         self._call("reset", mean.copy(), covariance.copy())
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """What frames saw was for other landmarks."""
+        """Change the landmarks of earlier observations."""
         self._call("amend", frames.copy(), observations, decisions.copy())
 
     def estimate(self) -> PoseEstimate:
-        """The newest pose; NaN for the covariance where it gives none."""
+        """The newest pose; NaN for a covariance that it does not give."""
         found = pose_of(f"{self.name}.estimate", self._call("estimate"))
         self.lacks_covariance |= not np.isfinite(found.covariance).all()
         return found
 
     def landmarks(self) -> MapState:
-        """The map as it is now: the given one in localization, none where it does not say."""
+        """The current map: the given one in localization, empty if it has no `landmarks`."""
         if self.has("landmarks"):
             return map_of(f"{self.name}.landmarks", self._call("landmarks"))
         if self._known is not None:
@@ -309,13 +304,13 @@ class Adapter:
         return MapState(NONE, np.empty((0, 2)), np.empty((0, 2, 2)))
 
     def finish(self) -> Finished:
-        """The end: its own, or the last map."""
+        """Its own `finish`, or the last map."""
         if self.has("finish"):
             return finished_of(f"{self.name}.finish", self._call("finish"))
         return Finished(None, self.landmarks() if self._known is None else None)
 
     def notes(self) -> list[Notice]:
-        """What a reader of its results should know."""
+        """Messages about missing results."""
         found = []
         if self.lacks_covariance:
             found.append(notice(Code.NO_COVARIANCE, name=self.name))

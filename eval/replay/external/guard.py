@@ -1,4 +1,4 @@
-"""Somebody else's code is called here and nowhere else: whatever it raises becomes one error with its traceback."""
+"""Calls foreign code: whatever it raises becomes one error with its traceback."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ import numpy as np
 
 from association.expectation import SingularInnovationError
 from ekf.filter import FilterDivergedError
-from eval.replay.external.load import at_line, said
+from eval.replay.external.load import at_line, in_one_line
 from graph.factors import UnderConstrained
 
 PASSED = (FilterDivergedError, UnderConstrained, SingularInnovationError, MemoryError)
-"""What ours raise, too, and what is caught elsewhere."""
+"""Errors of our own code, caught elsewhere."""
 
 
 class ForeignError(Exception):
-    """Somebody else's code crashed, or returned what cannot be used.
+    """Foreign code crashed, or returned an unusable value.
 
     Attributes:
         trace: its traceback, empty where it did not crash.
@@ -30,7 +30,7 @@ class ForeignError(Exception):
 
 
 def call(who: str, function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
-    """What a foreign function returns; `who` names it in the error."""
+    """The result of a foreign function; `who` names it in the error."""
     try:
         return function(*arguments, **named)
     except PASSED:
@@ -38,11 +38,11 @@ def call(who: str, function: Callable[..., Any], *arguments: Any, **named: Any) 
     except (Exception, SystemExit) as fault:
         below = fault.__traceback__.tb_next if fault.__traceback__ is not None else None
         trace = "".join(traceback.format_exception(type(fault), fault, below))
-        raise ForeignError(f"{who} raised {said(fault)}{at_line(fault)}", trace) from fault
+        raise ForeignError(f"{who} raised {in_one_line(fault)}{at_line(fault)}", trace) from fault
 
 
 def array(who: str, value: Any, shape: tuple[int, ...], meant: str, *, finite: bool = True) -> Any:
-    """A returned array as float64, its own copy; a sentence says what was returned and what is needed."""
+    """A returned array as float64, copied. Raises ForeignError, which says what was returned and what is needed."""
     try:
         found = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -55,7 +55,7 @@ def array(who: str, value: Any, shape: tuple[int, ...], meant: str, *, finite: b
 
 
 def whole(who: str, value: Any, length: int, meant: str) -> Any:
-    """A returned array (length,) of whole numbers as int64, its own copy."""
+    """A returned array (length,) of whole numbers as int64, copied."""
     found = np.asarray(value)
     if found.shape == (0,) == (length,):
         return np.empty(0, np.int64)
@@ -72,6 +72,6 @@ def _brief(value: Any) -> str:
 
 
 def kind(value: Any) -> str:
-    """What a value is, with its article."""
+    """Type of a value with its article."""
     name = type(value).__name__
     return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"

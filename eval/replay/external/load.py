@@ -1,4 +1,4 @@
-"""Loads what a settled text names; whatever is wrong with it is one sentence, before any work is done."""
+"""Loads what a settled text names; errors are reported before any work is done."""
 
 from __future__ import annotations
 
@@ -18,18 +18,17 @@ from typing import Any
 from data.errors import UsageError
 from eval.replay.external.spec import NAME, OURS, Place, is_foreign, place_of, settled
 
-Thing = Callable[..., Any]
-"""A class or a function."""
+Thing = Callable[..., Any]  # a class or a function
 
 
 @dataclass(frozen=True)
 class Loaded:
-    """Something foreign, ready for use.
+    """A loaded class or function.
 
     Attributes:
-        text, name: as carried everywhere, and as in tables.
+        text, name: the settled text, and the name in tables.
         thing: the class or function.
-        sources: the file it is in, and of those beside it what it has imported.
+        sources: its file, and the files beside it that it imports.
     """
 
     text: str
@@ -39,7 +38,7 @@ class Loaded:
 
     @property
     def digest(self) -> str:
-        """SHA-256 over its sources; empty where there are none, as in a notebook."""
+        """SHA-256 of its sources; empty if there are none, as in a notebook."""
         if not self.sources:
             return ""
         digest = hashlib.sha256()
@@ -48,10 +47,9 @@ class Loaded:
         return digest.hexdigest()
 
 
-_LIVE: dict[str, Loaded] = {}
-"""What has no file: objects of this process."""
+_LIVE: dict[str, Loaded] = {}  # objects of this process, without a file
 _FILES: dict[tuple[str, str], ModuleType] = {}
-"""Modules by path and content, so that a file that was changed is loaded again."""
+"""Modules by path and content, so that a changed file is loaded again."""
 
 
 def text_of(what: str | Thing, kind: str) -> str:
@@ -94,7 +92,7 @@ def load(text: str) -> Loaded:
 
 
 def digests(texts: tuple[str, ...]) -> tuple[str, ...]:
-    """Digests of the foreign ones among names: whatever is kept of a run depends on them."""
+    """Digests of the foreign ones among names, on which stored runs depend."""
     return tuple(load(text).digest for text in texts if is_foreign(text))
 
 
@@ -106,7 +104,7 @@ def _of_file(path: Path) -> ModuleType:
     if known is not None:
         return known
     if str(path.parent) not in sys.path:
-        sys.path.append(str(path.parent))  # last: nothing there may shadow what others import
+        sys.path.append(str(path.parent))  # last, so that nothing there shadows other imports
     name = f"slamref_foreign_{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}_{content[:8]}"
     spec = importlib.util.spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
@@ -114,7 +112,7 @@ def _of_file(path: Path) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module  # dataclasses look themselves up there
     try:
-        # not by the loader: it takes bytecode of a file of the same length changed within a second for this one's
+        # not by the loader, which may take stale bytecode of a file of the same length changed within a second
         exec(compile(source, str(path), "exec"), module.__dict__)
     except BaseException:
         del sys.modules[name]
@@ -149,13 +147,13 @@ def _sources(module: ModuleType) -> tuple[Path, ...]:
 
 
 def _import_failure(place: Place, fault: BaseException) -> str:
-    """Why an import failed, with the line of their file, in a sentence."""
+    """Why an import failed, with the line of the file."""
     if isinstance(fault, ModuleNotFoundError) and place.module and (fault.name or "") in _parents(place.module):
         return f"there is no module {fault.name!r}, neither installed nor in {Path.cwd()}"
     if isinstance(fault, SyntaxError):
         file = Path(fault.filename or place.file or place.module).name
         return f"{file}, line {fault.lineno}: {fault.msg}"
-    return f"importing it raised {said(fault)}{at_line(fault)}"
+    return f"importing it raised {in_one_line(fault)}{at_line(fault)}"
 
 
 def _parents(module: str) -> list[str]:
@@ -163,14 +161,14 @@ def _parents(module: str) -> list[str]:
     return [".".join(parts[: i + 1]) for i in range(len(parts))]
 
 
-def said(fault: BaseException) -> str:
+def in_one_line(fault: BaseException) -> str:
     """An exception in one line."""
     text = " ".join(str(fault).split())
     return f"{type(fault).__name__}: {text}" if text else type(fault).__name__
 
 
 def at_line(fault: BaseException) -> str:
-    """` (file.py, line 7)`: the innermost line of an exception that is not a library's; empty if there is none."""
+    """` (file.py, line 7)`: the innermost line of an exception outside libraries; empty if there is none."""
     frames = traceback.extract_tb(fault.__traceback__)
     own = [f for f in frames if not f.filename.startswith("<") and not _elsewhere(f.filename)]
     return f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
@@ -189,7 +187,7 @@ def _elsewhere(file: str) -> bool:
 
 
 def _own(name: str, value: object, module: ModuleType) -> bool:
-    """Whether something of a module may have been meant."""
+    """Whether an attribute of a module may have been meant."""
     return not name.startswith("_") and callable(value) and getattr(value, "__module__", None) == module.__name__
 
 

@@ -1,4 +1,4 @@
-"""Makes a foreign estimator as ours are made, or a way of association; and says beforehand what it lacks for a run."""
+"""Makes foreign estimators and association methods, and reports what they lack for a run."""
 
 from __future__ import annotations
 
@@ -22,26 +22,25 @@ from eval.replay.external.spec import is_foreign
 from eval.replay.settings import HINDSIGHT, TASKS, Given, Setup
 
 SIGNATURES = "one of (prior, sensor, options) does SLAM, of (prior, sensor, map, options) localization"
-VERBS = ("predict", "update", "estimate")
-"""What it must have."""
+VERBS = ("predict", "update", "estimate")  # required methods
 
 
 class CannotError(Exception):
-    """An estimator lacks what this run needs of it; the others go on."""
+    """An estimator lacks what this run needs; the others go on."""
 
 
 def estimator(text: str, given: Given, options: FilterOptions | None = None) -> Adapter:
-    """A fresh one, among ours. Raises ForeignError if its constructor crashes."""
+    """A fresh foreign estimator. Raises ForeignError if its constructor crashes."""
     loaded, options = load(text), options or DEFAULT
     beginning = (given.prior, given.sensor) if given.map is None else (given.prior, given.sensor, given.map)
     return Adapter(loaded.name, call(f"{loaded.name}()", loaded.thing, *beginning, options), given.map)
 
 
 def tasks_of(loaded: Loaded) -> tuple[str, ...]:
-    """What it can do: its attribute `tasks`, or else by how many arguments its constructor takes.
+    """Its tasks, from its attribute `tasks`, or else from the number of arguments of its constructor.
 
     Raises:
-        UsageError: neither says so, or it lacks a verb that every estimator has.
+        UsageError: neither is given, or it lacks a required method.
     """
     missing = [v for v in VERBS if isinstance(loaded.thing, type) and not callable(getattr(loaded.thing, v, None))]
     if missing:
@@ -73,7 +72,7 @@ def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
     loaded = load(text)
     tasks = tasks_of(loaded)
     if task not in tasks:
-        how = "says its attribute tasks" if hasattr(loaded.thing, "tasks") else f"by its constructor: {SIGNATURES}"
+        how = "by its attribute tasks" if hasattr(loaded.thing, "tasks") else f"by its constructor: {SIGNATURES}"
         return f"{loaded.name} does {tasks[0]} only, {how}"
     if not isinstance(loaded.thing, type):
         return None
@@ -95,7 +94,7 @@ def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
 
 
 def able(names: Sequence[str], task: str, association: str, setup: Setup) -> list[str]:
-    """Those of some names, ours among them, that lack nothing."""
+    """Names of estimators, ours or foreign, that lack nothing."""
     return [n for n in names if not is_foreign(n) or lack(n, task, association, setup) is None]
 
 
@@ -110,14 +109,15 @@ T = TypeVar("T", bound=np.generic)
 
 
 class Method:
-    """It pairs; what it leaves at `NEW` founds a landmark only where newness lets it, as with our plain methods.
+    """A foreign association method; `NEW` founds a landmark only outside the gate of new ones, as with our plain
+    methods.
 
     Attributes:
         name: in tables.
     """
 
     def __init__(self, loaded: Loaded) -> None:
-        """Calls `loaded.thing`; a class is made once, without arguments, and then called."""
+        """Use `loaded.thing`; a class is instantiated once, without arguments, and then called."""
         self.name = loaded.name
         thing = loaded.thing
         self._function = call(f"{self.name}()", thing) if isinstance(thing, type) else thing
@@ -126,7 +126,7 @@ class Method:
         """Decisions (m,): landmark number, `NEW` or `DISCARD`.
 
         Raises:
-            ForeignError: it crashed, or returned what is none.
+            ForeignError: it crashed, or returned no decisions.
         """
         m = len(expectation.z)
         found: IntArray = whole(self.name, call(self.name, self._function, expectation, gate), m, "what it returned")
@@ -141,7 +141,7 @@ class Method:
 
 
 def locked(e: Expectation) -> Expectation:
-    """The same expectation with arrays that cannot be changed."""
+    """The same expectation with read-only arrays."""
     return replace(
         e, number=_locked(e.number), z_hat=_locked(e.z_hat), HPHt=_locked(e.HPHt), frame=_locked(e.frame),
         z=_locked(e.z), R=_locked(e.R), observed_frame=_locked(e.observed_frame),

@@ -1,11 +1,11 @@
-"""Where somebody else's estimator or way of association is: `[NAME=]package.module:Class`, `[NAME=]./file.py:Class`.
+"""Where a foreign estimator or association method is: `[NAME=]package.module:Class`, `[NAME=]./file.py:Class`.
 
-Such a text is settled early: with a name, and with a place that another process in another folder finds, too. Nothing
-is imported here, and nothing heavy, so that `--help` and a mistyped name answer at once.
+Such a text is settled early, with a name and a place that other processes in other folders find. Nothing heavy is
+imported here, so that `--help` and a mistyped name answer at once.
 
-A name also settles the look in figures: it follows from its letters, so that it is the same tomorrow and in every
-process; where two names of one run would look the same, the later one (in the order of the alphabet) moves on. That is
-why the names of a run are introduced.
+A name also determines colour and marker in figures, from its letters, so that they are equal in every process. If two
+names of one run would look the same, the later one in the alphabet moves on; therefore the names of a run are
+introduced.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ GROUPS = {"estimator": "slamref.estimators", "association": "slamref.association
 """Entry points by which an installed package adds names."""
 OURS = {"estimator": ESTIMATORS, "association": (*ASSOCIATIONS, "none")}
 NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]{0,38}[A-Za-z0-9_])?")
-"""Names stand in file names: letters, digits, `.`, `_` and `-`, at most 40."""
+"""Names are parts of file names: letters, digits, `.`, `_` and `-`, at most 40."""
 FORM = "[NAME=]package.module:Attribute or [NAME=]./file.py:Attribute"
 
 
@@ -35,11 +35,11 @@ class Place:
     """Where something foreign is.
 
     Attributes:
-        name: stands in tables and file names.
+        name: in tables and file names.
         file: an absolute path, or empty.
         module: its dotted name, or empty.
-        folder: where the module is found if not in the installed packages; absolute, or empty.
-        attribute: what is wanted of it, dotted where it is inside a class.
+        folder: where the module is found if it is not installed; absolute, or empty.
+        attribute: dotted if it is inside a class.
     """
 
     name: str
@@ -56,7 +56,7 @@ class Place:
 
     @property
     def shown(self) -> str:
-        """The same for a person in this folder: what is below it is named from here."""
+        """The text relative to the working directory."""
         here = Path.cwd()
         if self.file and Path(self.file).is_relative_to(here):
             return f"{self.name}=./{Path(self.file).relative_to(here).as_posix()}:{self.attribute}"
@@ -66,27 +66,27 @@ class Place:
 
 
 def is_foreign(text: str) -> bool:
-    """Whether a text names something that is not ours."""
+    """Whether a text names something foreign."""
     return ":" in text
 
 
 def name_of(text: str) -> str:
-    """What an estimator or a way of association is called in tables, files and figures."""
+    """The name of an estimator or an association method in tables, files and figures."""
     return text.partition("=")[0] if is_foreign(text) else text
 
 
 def names_of(given: Sequence[str]) -> tuple[str, ...]:
-    """The same of several."""
+    """The names of several."""
     return tuple(name_of(text) for text in given)
 
 
 def shown(text: str) -> str:
-    """A settled text, or a name of ours, as a person in this folder would write it."""
+    """A settled text relative to the working directory; a name of ours as it is."""
     return place_of(text).shown if is_foreign(text) else text
 
 
 def place_of(text: str) -> Place:
-    """A settled text taken apart."""
+    """Parse a settled text."""
     name, _, rest = text.partition("=")
     where, _, attribute = rest.rpartition(":")
     if where.endswith(".py"):
@@ -96,15 +96,15 @@ def place_of(text: str) -> Place:
 
 
 def settled(label: str, text: str, kind: str) -> str:
-    """A foreign text as any process finds it; relative places are those of the working directory.
+    """A foreign text for any process; relative places are those of the working directory.
 
     Args:
         label: of the flag, for messages.
-        text: as a person wrote it, or settled already.
+        text: as written by a person, or settled already.
         kind: `estimator` or `association`.
 
     Raises:
-        UsageError: it is not of the form, there is no such file, or the name cannot be used.
+        UsageError: wrong form, missing file, or a name that cannot be used.
     """
     given, has_name, rest = text.partition("=")
     if not has_name:
@@ -128,7 +128,7 @@ def settled(label: str, text: str, kind: str) -> str:
 
 
 def _short(where: str, attribute: str, kind: str) -> str:
-    """The attribute's name, with that of its file or module before it where the attribute alone reads like ours."""
+    """The attribute's name, with that of its file or module before it if the attribute alone is a name of ours."""
     name = attribute.rpartition(".")[2]
     if name.lower() not in (ours.lower() for ours in OURS[kind]):
         return name
@@ -137,7 +137,7 @@ def _short(where: str, attribute: str, kind: str) -> str:
 
 
 def check_name(label: str, name: str, kind: str, chosen: bool, rest: str) -> None:
-    """Raises UsageError for a name that cannot stand in file names, or reads like one of ours."""
+    """Raises UsageError for a name that cannot be part of file names, or is one of ours."""
     instead = "" if chosen else f"; put a name before it, as in mine={rest}"
     if not NAME.fullmatch(name):
         raise UsageError(
@@ -151,7 +151,7 @@ def check_name(label: str, name: str, kind: str, chosen: bool, rest: str) -> Non
 
 
 def _folder_of(module: str) -> str:
-    """The working directory if a module is there and not among the installed packages, else empty."""
+    """The working directory if a module is there and not installed, else empty."""
     here, top = Path.cwd(), module.partition(".")[0]
     there = any((here / top / "__init__.py").is_file() or p.exists() for p in (here / f"{top}.py", here / top))
     if not there:
@@ -163,7 +163,7 @@ def _folder_of(module: str) -> str:
 
 
 def own_or_foreign(kind: str, *, least: int = 0) -> Read:
-    """Names of ours and foreign ones, none twice, separated by commas or as a list: a kind of value for a flag."""
+    """A kind of value: different names, ours or foreign, separated by commas or as a list."""
 
     def read(label: str, value: object) -> tuple[str, ...]:
         given = tuple(name.strip() for part in texts(label, value) for name in part.split(",") if name.strip())
@@ -186,7 +186,7 @@ def own_or_foreign(kind: str, *, least: int = 0) -> Read:
 
 
 def one_settled(label: str, text: str, kind: str) -> str:
-    """A name of ours as it is, one that an installed package added as its place, any other text settled."""
+    """A name of ours as it is, a name of an installed package as its place, any other text settled."""
     added = entry_points(kind)
     if text in OURS[kind] and text != "none":
         return text
@@ -223,17 +223,17 @@ _NAMES: list[str] = []
 
 
 def introduce(names: Iterable[str]) -> None:
-    """The foreign names of this run, instead of those of the last one."""
+    """Set the foreign names of this run."""
     _NAMES[:] = sorted(set(names))
 
 
 def introduced() -> tuple[str, ...]:
-    """The names of this run, for other processes."""
+    """The foreign names of this run, for other processes."""
     return tuple(_NAMES)
 
 
 def place(name: str, places: int) -> int:
-    """Which of so many looks; no two introduced names have the same as long as there are enough."""
+    """Index of a name among `places` looks; different for all introduced names as long as there are enough."""
     taken: set[int] = set()
     for known in _NAMES:
         found = _free(known, places, taken)

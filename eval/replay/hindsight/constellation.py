@@ -1,9 +1,9 @@
-"""Constellations: the same landmarks initialized twice, recognized by how they stand to each other.
+"""Constellations: recognize landmarks initialized twice by their relative positions.
 
-With one or two observations a frame a single one says little after a long drive: the pose is uncertain, and several old
-landmarks are inside its gate. What was initialized since the robot came back is a window over the last few dozen
-frames, and together it fits the old map in one way or in none: every pair of new landmarks laid onto a pair of old ones
-gives a place, the others vote for it (geometric consensus), and the places that most agree with are compared.
+After a long drive the pose is uncertain, and several old landmarks are inside the gate of one observation. The window
+of landmarks initialized since the robot returned fits the old map in one way or in none. Every pair of new landmarks
+laid onto a pair of old ones gives an alignment, the others vote for it (geometric consensus), and the alignments with
+most votes are compared.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Landmarks(NamedTuple):
 def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Array, Array]:
     """Squared Mahalanobis distance (m, n) of each new landmark to each old one, and det (m, n) of their difference.
 
-    `cross` (2m, 2n) is the covariance between both.
+    `cross` (2m, 2n): covariance between both.
     """
     here, there, both = diagonal_blocks(new.covariance), diagonal_blocks(old.covariance), blocks_of(cross)
     # a landmark compared with itself has no uncertainty
@@ -45,7 +45,7 @@ def squared_distances(new: Landmarks, old: Landmarks, cross: Array) -> tuple[Arr
 
 
 def spread(landmarks: Landmarks) -> Array:
-    """Standard deviation (n,) [m] of each landmark's distance to the others, the median over these."""
+    """Standard deviation (n,) [m] of each landmark's distance to the others, median over these."""
     sigma = distance_sigmas(*landmarks)
     np.fill_diagonal(sigma, np.nan)
     middle: Array = np.nanmedian(sigma, axis=1)
@@ -61,7 +61,7 @@ def recognize(
     max_turn: float,
     scale: float = 1.0,
 ) -> list[tuple[int, int]]:
-    """New landmarks (indices) that are old ones, [(new, old), ...]; none where no place stands out.
+    """New landmarks (indices) that equal old ones, [(new, old), ...]; none if no alignment stands out.
 
     Args:
         new: m landmarks.
@@ -69,8 +69,8 @@ def recognize(
         cross: (2m, 2n) covariance between both.
         allowed: (m, n) pairs that may be the same by themselves.
         density: landmarks per square metre in the old map.
-        max_turn: rad, by which the new ones may be turned.
-        scale: share of the stated variance that there is in the distances between landmarks.
+        max_turn: rad, largest rotation of the new ones.
+        scale: learned variance scale of distances between landmarks.
     """
     if len(new.xy) < constants.CONSTELLATION_FEWEST:
         return []
@@ -113,8 +113,8 @@ def recognize(
 def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
     """Those of new landmarks i (k,) and old ones j (k,) that can be the same, with all their correlations.
 
-    Worst first, a pair that the others contradict is left out (`CONSTELLATION_ALONE`); the rest must pass the joint
-    test (`CONSTELLATION_GATE`).
+    The worst pair that the others contradict is dropped, one at a time (`CONSTELLATION_ALONE`); the rest must pass the
+    joint test (`CONSTELLATION_GATE`).
     """
     while len(i) >= constants.CONSTELLATION_FEWEST:
         both = cross[np.ix_(coordinates(i), coordinates(j))]
@@ -137,7 +137,7 @@ def _vote(
 ) -> tuple[IntArray, IntArray, Array]:
     """Lay every pair of points x (m, 2) onto every allowed pair of y (n, 2); the other points vote, nearest first.
 
-    Returns the best `kept` assignments (h, m), -1 for none, with their number of pairings and sum of squared misfits.
+    Returns the best `kept` assignments (h, m), -1 for none, with their numbers of pairings and sums of squared misfits.
     """
     m, n = allowed.shape
     best, counts = np.full((kept, m), -1), np.zeros(kept, np.int64)

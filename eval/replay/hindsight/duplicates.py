@@ -1,7 +1,7 @@
-"""Step 9, landmarks of SLAM that were initialized twice: found by their constellation, or alone where one stands.
+"""Step 9: find landmarks of SLAM that were initialized twice, by constellation or singly.
 
-What was initialized since the robot came back is compared with the old map as a whole (`constellation`). Landmarks that
-were seen in one frame cannot be the same.
+Landmarks initialized since the robot returned are compared with the old map as a whole (`constellation`). Landmarks
+seen in one frame cannot be the same.
 """
 
 from __future__ import annotations
@@ -19,26 +19,23 @@ from eval.replay.hindsight.constellation import Landmarks, recognize, squared_di
 from eval.replay.hindsight.gates import density
 from eval.replay.hindsight.ledger import Ledger
 
-Pairs = list[tuple[int, int]]
-"""Landmarks that are to go, each with the one that it is."""
+Pairs = list[tuple[int, int]]  # landmarks to remove, each with the one that it equals
 
 
 class Duplicates:
-    """Looks for them whenever something was initialized, and every few frames."""
+    """Searches when a landmark was initialized, and every few frames."""
 
     def __init__(self, ledger: Ledger) -> None:
-        """Before the first frame."""
         self.ledger = ledger
-        self._looked = (0, 0)
-        """Landmarks initialized, and frames with observations, when the window was looked at last."""
+        self._searched = (0, 0)  # landmarks initialized and frames with observations at the last search
 
     def find(self, slam: EkfSlam, scale: float) -> Pairs:
-        """Landmarks of the window that were initialized before; `scale`: share of the stated variance that there is."""
+        """Landmarks of the window that were initialized before; `scale`: learned variance scale."""
         ledger, records = self.ledger, self.ledger.records
-        created, frames = self._looked
+        created, frames = self._searched
         if ledger.created == created and ledger.frames - frames < constants.WINDOW_EVERY:
             return []
-        self._looked = ledger.created, ledger.frames
+        self._searched = ledger.created, ledger.frames
         span, age = constants.WINDOW_SPAN * ledger.range, constants.WINDOW_AGE * ledger.range
         known = [n for n, r in records.items() if r.times >= constants.WINDOW_OBSERVATIONS]
         window = [n for n in known if ledger.travelled - records[n].last <= span]
@@ -62,7 +59,7 @@ class Duplicates:
 
 
 class Compared(NamedTuple):
-    """New and old landmarks with what is between them; `covisible` (m, n): they cannot be the same."""
+    """New and old landmarks with their joint statistics; `covisible` (m, n): they cannot be the same."""
 
     new: Landmarks
     old: Landmarks
@@ -73,7 +70,7 @@ class Compared(NamedTuple):
 
 
 def compare(slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int]) -> Compared:
-    """How m landmarks and n others stand to each other, by the filter's joint covariance."""
+    """Relations of m landmarks and n others, from the filter's joint covariance."""
     mean, P = slam.position(np.array(young + old))
     m = 2 * len(young)
     new, there = Landmarks(mean[:m].reshape(-1, 2), P[:m, :m]), Landmarks(mean[m:].reshape(-1, 2), P[m:, m:])
@@ -83,10 +80,10 @@ def compare(slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int]) -> 
 
 
 def comparable(slam: EkfSlam, young: list[int], old: list[int], gate: float) -> tuple[list[int], list[int]]:
-    """Those of two groups that have one in the other whose squared Mahalanobis distance may be below the gate.
+    """Members of two groups whose squared Mahalanobis distance to the other group may be below the gate.
 
-    By bounds that need no joint covariance: the largest eigenvalue of that of a difference is at most twice the sum of
-    both traces.
+    Uses bounds without the joint covariance: the largest eigenvalue of the covariance of a difference is at most twice
+    the sum of both traces.
     """
     (here, a), (there, b) = slam.places(np.array(young, np.int64)), slam.places(np.array(old, np.int64))
     off = here[:, None] - there[None]
@@ -101,7 +98,7 @@ def comparable(slam: EkfSlam, young: list[int], old: list[int], gate: float) -> 
 def constellation(
     slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int], density: float, scale: float
 ) -> Pairs:
-    """Young landmarks that are old ones by how they stand to each other, together.
+    """Young landmarks that equal old ones by their relative positions.
 
     Args:
         slam: the filter.
@@ -109,7 +106,7 @@ def constellation(
         young: in the order in which they were last seen.
         old: with which they are compared.
         density: landmarks per square metre.
-        scale: share of the stated variance that there is.
+        scale: learned variance scale.
     """
     if not young or not old:
         return []
@@ -123,9 +120,9 @@ def constellation(
 
 
 def single(slam: EkfSlam, ledger: Ledger, window: list[int], others: list[int], area: float, scale: float) -> Pairs:
-    """At most one pair, of the window and others, that stands where one landmark does, and no other near.
+    """At most one pair of the window and others, at one place with no other landmark near.
 
-    `area` [m^2]: the gate of their difference is smaller; `scale`: share of the stated variance that there is.
+    `area` [m^2]: upper limit of the gate of their difference; `scale`: learned variance scale.
     """
     gate = gate_threshold(constants.SINGLE_GATE)
     young, old = comparable(slam, sorted(window), sorted(others), gate)
@@ -140,7 +137,7 @@ def single(slam: EkfSlam, ledger: Ledger, window: list[int], others: list[int], 
     d2 = np.where(c.covisible, np.inf, c.d2)
     near = d2 < gate
     alone = near & (d2 < scale * gate) & (scale * math.pi * gate * np.sqrt(np.maximum(c.det, 0.0)) < area)
-    # a third one nearby leaves open which of both it is, unless all three may be one
+    # a third landmark nearby makes the pair ambiguous, unless all three may be one
     together = near | np.eye(len(every), dtype=np.bool_)
     apart = together.astype(np.int64) @ (~together).astype(np.int64)
     alone &= apart + apart.T == 0

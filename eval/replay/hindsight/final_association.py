@@ -1,8 +1,7 @@
-"""All readings of a log paired anew with landmarks that are known, seen from poses that are known.
+"""Final re-association: all observations of a log with known landmarks, from known poses.
 
-What is decided frame by frame is decided with the map of that moment, from where the robot was thought to be. Once path
-and map are smoothed, what is left of both is small beside the noise of a reading, and which landmark explains it is
-asked again.
+Online decisions use the map and pose of their moment. After smoothing, the errors of path and map are small against the
+noise of an observation.
 """
 
 from __future__ import annotations
@@ -21,17 +20,17 @@ from eval.replay.hindsight import constants
 
 
 class Reassociation(NamedTuple):
-    """Landmark (m,) of every reading, -1 for none; alone (m,): that no other landmark's gate holds it."""
+    """Landmark (m,) of every observation, -1 for none; alone (m,): inside no other landmark's gate."""
 
     number: IntArray
     alone: BoolArray
 
 
 def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> float:
-    """Which share of the stated variance readings (m) of the landmarks (m,), -1 for none, really have.
+    """Variance of observations (m) of the landmarks (m,), -1 for none, over the stated one; poses (N, 3).
 
-    By the quantile `REASSOCIATION_QUANTILE` of squared distances, of landmarks that were read `REASSOCIATION_OBSERVATIONS` times and more:
-    of the others the reading itself says where they stand. 1 where there are none; at least `LEAST_SCALE`. pose: (N, 3).
+    From the quantile `REASSOCIATION_QUANTILE` of squared distances to often observed landmarks: the position of a
+    landmark observed once follows from that observation. 1 without such landmarks, at least `LEAST_SCALE`.
     """
     times = np.bincount(number[number >= 0], minlength=1)
     rows = np.flatnonzero((number >= 0) & (times[np.maximum(number, 0)] >= constants.REASSOCIATION_OBSERVATIONS))
@@ -44,10 +43,7 @@ def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observati
 
 
 def reassociate(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations) -> Reassociation:
-    """Global nearest neighbour in every frame, from poses (N, 3), of readings (m) ascending by frame.
-
-    Gate: `REASSOCIATION_GATE`. Poses and landmarks are taken as exact.
-    """
+    """Global nearest neighbour in every frame, from exact poses (N, 3), for observations (m) ascending by frame."""
     number, alone = np.full(len(seen.frame), -1, np.int64), np.zeros(len(seen.frame), np.bool_)
     threshold = gate_threshold(constants.REASSOCIATION_GATE)
     begin = np.searchsorted(seen.frame, np.arange(len(pose) + 1))
@@ -60,8 +56,9 @@ def reassociate(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observati
 
 
 def beginnings(found: Reassociation) -> dict[int, int]:
-    """The reading that each landmark begins with: the first one that is of nobody else, or where there is none, the
-    first of all. A landmark is known by it: had it been a neighbour's, all right ones after it would be wrong.
+    """The observation that each landmark begins with: the first unambiguous one, or else the first.
+
+    It names the landmark, so an error there would make all right decisions after it wrong.
     """
     rows = np.lexsort((~found.alone, found.number))
     numbers, first = np.unique(found.number[rows], return_index=True)
@@ -69,7 +66,7 @@ def beginnings(found: Reassociation) -> dict[int, int]:
 
 
 def _expected(sensor: Sensor, pose: Array, known: LandmarkMap, z: Array, R: Array) -> Expectation:
-    """Landmarks within twice the sensor's range, known exactly, and readings (m, 2) of a frame."""
+    """Landmarks within twice the sensor's range, known exactly, and observations (m, 2) of a frame."""
     reach = math.hypot(*sensor.translation) + 2.0 * sensor.max_range
     near = np.flatnonzero(np.hypot(*(known.xy - pose[:2]).T) <= reach)
     n, m = len(near), len(z)

@@ -1,15 +1,14 @@
-"""Steps 3 and 4 of SLAM: a frame is paired, and what only the stated noise explains waits for later observations.
+"""Steps 3 and 4 of SLAM: pair a frame, and postpone what only the stated noise explains.
 
-Stated noise is often several times too wide, and then a new landmark is inside the gate of its neighbour. What is
-believed tells how much of the stated covariances there is (`LearnedGates`, by `noise`): learned apart for the sensor
-and for map and motion, because a landmark seen in every frame tells of the sensor only; what the map and a long drive
-add to its expectation may still be as stated.
+Stated noise is often several times too large, so that a new landmark lies inside the gate of its neighbour.
+`LearnedGates` learns two variance scales, one for the sensor and one for map and motion: a landmark seen in every frame
+informs about the sensor only.
 
-What lies outside a landmark's usual spread but inside what the stated noise allows is a new landmark next to it, or the
-landmark itself after the robot slipped (`Tentative`). Later observations tell: after a slip, no landmark is where it is
-expected until the pose is right again; next to a new landmark, the others stay where they are.
+An observation outside a landmark's usual spread but inside the stated gate is a new landmark next to it, or the
+landmark itself after a slip (`Tentative`). Later observations decide: after a slip no landmark is where it is expected;
+next to a new landmark the others are.
 
-A frame is paired by joint compatibility (`pair`); no single observation chooses among dense landmarks.
+A frame is paired by joint compatibility (`pair`); a single observation never chooses among dense landmarks.
 """
 
 from __future__ import annotations
@@ -34,9 +33,10 @@ from eval.replay.settings import Setup
 
 
 class Scales(NamedTuple):
-    """What is learned of the sensor's noise, and of that of map and motion; of the tails beyond Student's.
+    """Learned variance scales of the sensor, and of map and motion.
 
-    `log_tails` is the logarithm of a factor on variances, `observations` those that it was learned from.
+    log_tails: logarithm of a factor on variances for tails beyond Student's; observations: number from which it was
+    learned.
     """
 
     sensor: NoiseScale
@@ -46,12 +46,12 @@ class Scales(NamedTuple):
 
 
 def as_stated() -> Scales:
-    """Before anything is learned: what was stated, worth as much as a few innovations."""
+    """The scales before anything is learned."""
     return Scales(NoiseScale(1.0, constants.SCALES_PRIOR), NoiseScale(1.0, constants.SCALES_PRIOR))
 
 
 def scaled(e: Expectation, scales: Scales) -> Expectation:
-    """The expectation with the noise that there is."""
+    """The expectation with learned variances."""
     share = widest(scales)
     if share == 1.0:
         return e
@@ -61,20 +61,18 @@ def scaled(e: Expectation, scales: Scales) -> Expectation:
 
 
 def widest(scales: Scales) -> float:
-    """Share of the stated variance that decisions count with: the wider of both, for a gate must hold what either does.
-
-    Never more than was stated.
-    """
+    """Variance scale of all gates: the larger of both, at most 1."""
     return min(1.0, _core(scales) * math.exp(scales.log_tails))
 
 
 def _core(scales: Scales) -> float:
-    """Without the tails."""
+    """The scale without tails."""
     return min(1.0, constants.TAILS * max(scales.sensor.scale, scales.motion.scale))
 
 
 def counted(scales: Scales, inside: int, outside: int) -> Scales:
-    """After observations inside and outside the gate that are not new: the gate goes to where it leaves out its share.
+    """After observations inside and outside the gate that are not new: move the gate to its target false-rejection
+    rate.
 
     (Robbins and Monro, Annals of Mathematical Statistics 22, 1951.)
     """
@@ -88,10 +86,10 @@ def counted(scales: Scales, inside: int, outside: int) -> Scales:
 
 
 def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
-    """After the pairings of a frame, by the expectation as stated.
+    """After the pairings of a frame, under the stated expectation.
 
-    Variance components: each innovation tells of either scale by the square of its share in the covariance, as much as
-    the Fisher information of a scale; Student's weights as in `eval.replay.hindsight.noise`.
+    Variance components: each innovation informs about a scale by the square of its share in the covariance, as the
+    Fisher information does; Student's weights as in `eval.replay.hindsight.noise`.
     """
     rows, chosen = e.paired(decisions)
     if not len(rows):
@@ -106,7 +104,7 @@ def relearned(scales: Scales, e: Expectation, decisions: IntArray) -> Scales:
 
 
 def _toward(before: NoiseScale, part: Array, S: Array, v: Array, weight: Array) -> NoiseScale:
-    """One scale after innovations nu (k, 2), v = S^-1 nu; its part (k, 2, 2) of the covariance S (k, 2, 2)."""
+    """Update one scale by innovations nu (k, 2), v = S^-1 nu; its part (k, 2, 2) of the covariance S (k, 2, 2)."""
     share = 0.5 * np.trace(np.linalg.solve(S, part), axis1=1, axis2=2)
     ratio = 0.5 * weight * np.einsum("ki,kij,kj->k", v, part, v) / np.maximum(share, constants.LEAST_SHARE)
     total = float((share**2).sum())
@@ -116,7 +114,7 @@ def _toward(before: NoiseScale, part: Array, S: Array, v: Array, weight: Array) 
 
 
 class TentativeObservation(NamedTuple):
-    """Place (2,) [m] in the world, its covariance (2, 2) by the sensor alone, the distance travelled [m] until then."""
+    """Place (2,) [m] in the world, its covariance (2, 2) from the sensor alone, distance travelled [m] until then."""
 
     xy: Array
     covariance: Array
@@ -130,7 +128,7 @@ class TentativeObservation(NamedTuple):
 
 @dataclass(eq=False)
 class _Place:
-    """The latest observation, how many there were, and the pairings in the run before the first."""
+    """The latest observation, their number, and the pairings of the run before the first."""
 
     last: TentativeObservation
     times: int
@@ -138,18 +136,17 @@ class _Place:
 
 
 class Tentative:
-    """Places where something was seen that may be new."""
+    """Places of possible new landmarks."""
 
     def __init__(self) -> None:
-        """None yet."""
         self._places: list[_Place] = []
         self._suspects: list[TentativeObservation] = []
 
     def see(self, observation: TentativeObservation, pairings: int, reach: float) -> bool:
-        """Another such observation; whether it is a new landmark by now.
+        """Add a postponed observation; returns whether it is a new landmark by now.
 
-        `pairings` so far in the run: one between the first observation and this one confirms the pose. A place
-        is forgotten after `reach` [m] travelled since its last observation.
+        `pairings` of the run so far: a pairing between the first observation and this one confirms the pose. A place is
+        forgotten `reach` [m] after its last observation.
         """
         self._places = [p for p in self._places if observation.travelled - p.last.travelled <= reach]
         self._suspects = [d for d in self._suspects if observation.travelled - d.travelled <= reach]
@@ -164,42 +161,38 @@ class Tentative:
         return True
 
     def suspect(self, observation: TentativeObservation) -> None:
-        """It was counted as one that a landmark's gate left out."""
+        """Note an observation that was counted as rejected by a landmark's gate."""
         self._suspects.append(observation)
 
     def settle(self, observation: TentativeObservation) -> int:
-        """A landmark was initialized there: how many were counted that are its own; they are forgotten."""
+        """A landmark was initialized there: forget its suspects and return their number."""
         own = [d for d in self._suspects if d.distance(observation) < gate_threshold(constants.AGREE_GATE)]
         self._suspects = [d for d in self._suspects if not any(d is o for o in own)]
         return len(own)
 
 
 class LearnedGates:
-    """How wide gates are in this log.
-
-    Attributes:
-        scales: what was learned.
-    """
+    """The widths of the gates in this log."""
 
     def __init__(self, ledger: Ledger) -> None:
-        """Before the first frame."""
         self.ledger = ledger
         self.scales = as_stated()
         self._tentative = Tentative()
         self._pairings = 0
 
     def learn(self, e: Expectation, decisions: IntArray) -> None:
-        """Take in how well the pairings of a frame fit what was expected, as stated."""
+        """Learn from the innovations of a frame's pairings."""
         self.scales = relearned(self.scales, e, decisions)
 
     def put_off(self, e: Expectation, decisions: IntArray, pose: Array, new_gate: float | None) -> IntArray:
-        """Decisions (m,) with `DISCARD` for what the stated noise allows to be a landmark, until several agree.
+        """Decisions (m,) with `DISCARD` for what may be a landmark under the stated noise, until several observations
+        agree.
 
         Args:
-            e: what is expected, by the stated noise.
-            decisions: (m,) by the noise that there is.
+            e: expectation under the stated noise.
+            decisions: (m,) under the learned noise.
             pose: (3,) of the robot.
-            new_gate: outside which, by the stated noise, an observation is new at once.
+            new_gate: outside of which, under the stated noise, an observation is new at once.
         """
         ledger, sensor, reach = self.ledger, self.ledger.sensor, self.ledger.range
         stated, nearest = settled(e, decisions, new_gate), e.individual_distances()
@@ -215,7 +208,7 @@ class LearnedGates:
             if waiting[i] and self._tentative.see(observation, self._pairings, reach):
                 stated[i] = NEW
             if stated[i] == NEW:
-                # what was in doubt there was not of the landmark next to it
+                # the suspects there did not belong to the landmark next to it
                 outside -= self._tentative.settle(observation)
             elif ledger.gated_elsewhere(int(e.number[np.argmin(nearest[i])]), False):
                 self._tentative.suspect(observation)
@@ -225,7 +218,7 @@ class LearnedGates:
 
 
 class Paired(NamedTuple):
-    """Decisions (m,) among candidates, and whether the search for them was complete."""
+    """Decisions (m,) among candidates, and whether the search was complete."""
 
     among: Expectation
     decisions: IntArray
@@ -233,13 +226,13 @@ class Paired(NamedTuple):
 
 
 def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: Setup) -> Paired:
-    """Joint compatibility; a pairing among several likely ones counts only if the frame as a whole makes it.
+    """Joint compatibility; an ambiguous pairing counts only if its frame as a whole supports it.
 
     Args:
-        e: what is expected of the landmarks in view, by the stated noise.
-        slam: the filter that expects it.
-        ledger: its landmarks; a frame that cannot tell which is which begins an epoch.
-        scales: how much of the stated noise there is.
+        e: expectation of the landmarks in view, under the stated noise.
+        slam: the deciding filter.
+        ledger: its landmarks; an ambiguous frame begins an epoch.
+        scales: learned variance scales.
         setup: its gates.
     """
     real = scaled(e, scales)
@@ -247,7 +240,7 @@ def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: S
     if not len(e.number) or not len(e.z):
         return found
     unclear = dense(e, slam, ledger, setup)
-    # what leaves no doubt was seen on the way here, and does not tell where in the old map the robot is
+    # unambiguous landmarks were seen on the way here, so they do not tell where in the old map the robot is
     if np.isin(found.decisions, e.number[unclear]).sum() >= constants.TOGETHER or not unclear.any():
         return found
     if ledger.travelled - ledger.epoch.begun > constants.WINDOW_SPAN * ledger.range:
@@ -257,16 +250,12 @@ def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: S
 
 
 def clear(e: Expectation, dense: BoolArray, ledger: Ledger) -> IntArray:
-    """Candidates (k,) that a single observation may choose: the others, and what this epoch initialized.
-
-    (None of these is to be initialized once more.)
-    """
-    few: IntArray = np.flatnonzero(~dense | (e.number >= ledger.epoch.first))
-    return few
+    """Candidates (k,) that a single observation may choose: unambiguous ones, and those initialized in this epoch."""
+    return np.flatnonzero(~dense | (e.number >= ledger.epoch.first)).astype(np.int64)
 
 
 def dense(e: Expectation, slam: EkfSlam, ledger: Ledger, setup: Setup) -> BoolArray:
-    """Candidates (n,) into whose gate so many landmarks fall by chance that a single observation tells nothing."""
+    """Candidates (n,) with so many landmarks in their gate by chance that a single observation is ambiguous."""
     sensor, threshold = slam.sensor, gate_threshold(setup.gate or constants.DENSE_GATE)
     area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
     too_many: BoolArray = density(slam, ledger.range) * math.pi * threshold * area > constants.DENSE
@@ -274,6 +263,6 @@ def dense(e: Expectation, slam: EkfSlam, ledger: Ledger, setup: Setup) -> BoolAr
 
 
 def density(slam: EkfSlam, reach: float) -> float:
-    """Landmarks per square metre around the robot, as far as the sensor reaches [m]."""
+    """Landmarks per square metre around the robot, within the sensor's reach [m]."""
     near = np.hypot(*(slam.xy - slam.mean[:2]).T) < reach
     return max(1, int(near.sum())) / (math.pi * reach**2) if reach > 0.0 else 0.0

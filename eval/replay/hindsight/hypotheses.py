@@ -1,8 +1,8 @@
-"""Several pose hypotheses in a known map, each with its own pairings: decisions that later observations may revise.
+"""Pose hypotheses in a known map, each with its own pairings.
 
 Multiple hypothesis tracking (Reid, IEEE TAC 24(6), 1979; of poses: Jensfelt and Kristensen, IEEE TRA 17(5), 2001).
-Three states and a given map make the whole of it affordable: every compatible pairing is followed for as long as what
-comes after does not tell against it. In SLAM each hypothesis would need a map of its own.
+Three states and a given map make it affordable: every compatible pairing is followed until later observations
+contradict it. In SLAM each hypothesis would need its own map.
 """
 
 from __future__ import annotations
@@ -24,34 +24,21 @@ from ekf import kernels, updates
 from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
 from eval.replay.hindsight.noise import learned, log_density, stated
 
-GATE = 0.9999
-"""Chi-square probability of a single pairing; wide, because a wrong one is outweighed later and a missed one is not."""
-LIMIT = 100
-"""Hypotheses kept."""
-DROP = 15.0
-"""A hypothesis is dropped when its likelihood is exp(DROP) times less than the best one's."""
-MERGE = 0.5
-"""Hypotheses whose means differ by less than so many standard deviations in every state are one."""
-ALIKE = 5.0
-"""... if their variances are alike, within this factor."""
-STRAY = 0.01
-"""Expected number of observations in view, in a frame, that come from no landmark of the map."""
-
-
-BINS = 10
-"""Distances up to the sensor's reach, for each of which the probability of seeing a landmark in view is learned, ..."""
-FIRST = (1.0, 10.0)
-"""... beginning with so many seen of so many expected."""
-DEPENDENCE = 0.2
-"""A miss counts as this share of an independent one: what hides a landmark hides it for many frames."""
-SIGMAS = 2.0
-"""A landmark is well in view if so many standard deviations of its expectation are inside the limits, ..."""
-MARGIN = 0.1
-"""rad, ... and this angle."""
+GATE = 0.9999  # gate of a single pairing; wide, because a wrong pairing is outweighed later and a missed one is not
+LIMIT = 100  # hypotheses kept
+DROP = 15.0  # a hypothesis is dropped if its likelihood is exp(DROP) times smaller than the best one's
+MERGE = 0.5  # hypotheses whose means differ by less than this many standard deviations in every state are one, ...
+ALIKE = 5.0  # ... if their variances agree within this factor
+STRAY = 0.01  # expected number of clutter observations in the view of a frame
+BINS = 10  # distances up to the sensor's reach, for each of which the detection probability is learned, ...
+FIRST = (1.0, 10.0)  # ... starting at this many detections of this many opportunities
+DEPENDENCE = 0.2  # weight of a miss against an independent one: occlusions last for many frames
+SIGMAS = 2.0  # a landmark is well in view if this many standard deviations are inside the limits, ...
+MARGIN = 0.1  # rad, ... and this angle
 
 
 class Choice(NamedTuple):
-    """One decision in a hypothesis's past: row of the log, landmark id or `DISCARD`, and what came before."""
+    """One decision in a hypothesis's past: row of the log, landmark id or `DISCARD`, and the decision before."""
 
     row: int
     number: int
@@ -62,7 +49,7 @@ class Choice(NamedTuple):
 class Hypothesis:
     """A pose (3,), its covariance (3, 3), logarithm of its weight, and its past.
 
-    Of the newest frame: the landmarks that were taken, and the squared innovations of its pairings.
+    taken, squares: landmarks paired in the newest frame, and squared innovations of these pairings.
     """
 
     mean: Array
@@ -81,8 +68,7 @@ class Hypothesis:
 class Standing(NamedTuple):
     """A frame seen by the leading hypothesis.
 
-    decisions: (m,) landmark id or `DISCARD`; sure: (m,) weight of all hypotheses that decide so; nis, dof: of its
-    pairings.
+    decisions: (m,) landmark id or `DISCARD`; sure: (m,) weight of all hypotheses that agree; nis, dof: of its pairings.
     """
 
     decisions: IntArray
@@ -92,7 +78,7 @@ class Standing(NamedTuple):
 
 
 class Hypotheses:
-    """A bank of localizers that begins with one and branches wherever an observation may be of several landmarks."""
+    """A bank of localizers that begins with one and branches at every ambiguous observation."""
 
     def __init__(
         self,
@@ -102,7 +88,7 @@ class Hypotheses:
         options: FilterOptions = DEFAULT,
         limit: int | None = None,
     ) -> None:
-        """Start at the prior with a map taken as exact; updates are as `options` say; `limit`: see `LIMIT`."""
+        """Start at the prior with an exact map; `options` of the updates; `limit`: see `LIMIT`."""
         self.sensor, self.map, self.limit = sensor, known, LIMIT if limit is None else limit
         self._how, self._extrinsic = updates.How(math.inf, *options.rule, kernels.NEWEST), sensor.extrinsic
         self._xy = np.array(known.xy)
@@ -136,20 +122,20 @@ class Hypotheses:
         return Standing(decisions, sure, self.members[0].nis, 2 * int((decisions >= 0).sum()))
 
     def opinion(self, newest: int) -> tuple[IntArray, Array]:
-        """The leader's decisions (m,) about the `newest` rows, and weight (m,) of all that decide so; 1: all agree."""
+        """The leader's decisions (m,) about the `newest` rows, and the weight (m,) of all that agree; 1: all agree."""
         chosen = np.array([_last(h.past, newest) for h in self.members], np.int64).reshape(-1, newest)
         same, share = chosen == chosen[0], np.exp([h.weight for h in self.members])
         return chosen[0], np.where(same.all(axis=0), 1.0, np.minimum(share @ same, np.nextafter(1.0, 0.0)))
 
     def _learn(self) -> None:
-        """How well pairings fit, from all hypotheses by their weight."""
+        """Learn the variance scale from all hypotheses by their weight."""
         share = np.repeat(np.exp([h.weight for h in self.members]), [len(h.squares) for h in self.members])
         self.noise = learned(self.noise, np.array([d2 for h in self.members for d2 in h.squares]), share)
 
     def _miss(self) -> None:
-        """Weigh each hypothesis by the landmarks that it expects well in view and that were not seen.
+        """Weigh each hypothesis by its missed detections.
 
-        How often a landmark in view is seen is learned by distance, from all hypotheses by their weight.
+        The detection probability is learned by distance, from all hypotheses by their weight.
         """
         log_miss = DEPENDENCE * np.log1p(-self._seen / self._expected)
         for h in self.members:
@@ -168,7 +154,7 @@ class Hypotheses:
         _normalize(self.members)
 
     def _edge(self, sigma: Array) -> Array | float:
-        """How far inside the limits of its view (n,) [rad] the sensor certainly sees a landmark; no limit, no edge."""
+        """Margin (n,) [rad] inside the limits of the view; 0 without limits."""
         if self.sensor.max_angle - self.sensor.min_angle >= 2.0 * math.pi:
             return 0.0
         across = sigma[:, 1] if self.sensor.kind == RANGE_BEARING else sigma.max(axis=1)
@@ -184,7 +170,7 @@ class Hypotheses:
         return z_hat, HPHt
 
     def _branches(self, h: Hypothesis, z: Array, R: Array, row: int) -> list[Hypothesis]:
-        """The hypothesis with its observation unpaired, and paired with each landmark in the gate that is free."""
+        """The hypothesis with its observation unpaired, and paired with each free landmark in the gate."""
         z_hat, S = self._expect(h)
         S += R[0]
         nu = self.sensor.residual(z, z_hat)
@@ -211,7 +197,7 @@ class Hypotheses:
         return found
 
     def _keep(self, children: list[Hypothesis]) -> None:
-        """The best of them, those in one place merged into the likelier; weights sum to one."""
+        """Keep the best ones, merge those in one place into the likelier; weights sum to one."""
         children.sort(key=lambda h: -h.weight)
         kept: list[Hypothesis] = []
         for child in children:
@@ -229,7 +215,7 @@ class Hypotheses:
         self.members = kept
 
     def estimate(self) -> PoseEstimate:
-        """Mean and covariance of the whole mixture; of the one hypothesis where there is one."""
+        """Mean and covariance of the mixture."""
         leader = self.members[0]
         if len(self.members) == 1:
             return PoseEstimate(leader.mean.copy(), leader.P.copy())
@@ -243,11 +229,11 @@ class Hypotheses:
         return PoseEstimate(mean, 0.5 * (P + P.T))
 
     def restart(self, mean: Array, covariance: Array) -> None:
-        """One hypothesis at another pose: the robot was found there. The leader's past stays its past."""
+        """One hypothesis at another pose, with the leader's past."""
         self.members = [Hypothesis(mean.copy(), covariance.copy(), 0.0, self.members[0].past)]
 
     def decisions(self, rows: int) -> IntArray:
-        """All decisions (rows,) of the leading hypothesis, as it sees the past now."""
+        """All decisions (rows,) of the leading hypothesis."""
         found = np.full(rows, DISCARD, np.int64)
         node = self.members[0].past
         while node is not None:
@@ -257,7 +243,7 @@ class Hypotheses:
 
 
 def _normalize(members: list[Hypothesis]) -> None:
-    """Likeliest first, weights summing to one."""
+    """Sort by weight, likeliest first; weights sum to one."""
     members.sort(key=lambda h: -h.weight)
     total = float(np.logaddexp.reduce([h.weight for h in members]))
     for h in members:

@@ -1,7 +1,7 @@
-"""Step 6, SLAM's monitor: has the robot been moved unseen, and where in its own map is it then?
+"""Step 6, SLAM's monitor: has the robot been kidnapped, and where in its own map is it then?
 
-A robot that pairs nothing where certain landmarks should be in view is not where it thinks; one that explores misses
-nothing. From then on its motion is taken for unknown, and the scan since is looked for in the map without a prior.
+A robot that pairs nothing where confirmed landmarks should be in view is not where it believes; exploration misses
+nothing. After the alarm the motion counts as unknown, and the scan since then is searched in the map without a prior.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from eval.replay.settings import Setup
 
 
 class Relocated(NamedTuple):
-    """Decisions (m,) of a frame; where (3,) its surroundings place it, if they do; None, or see `Mapped.kidnapped`."""
+    """Decisions (m,) of a frame; pose (3,) found by relocalization, or None; see `Mapped.kidnapped`, or None."""
 
     decisions: IntArray
     at: Array | None
@@ -33,23 +33,20 @@ class Relocated(NamedTuple):
 
 
 class Kidnapping:
-    """The sum of what speaks for having been moved, and the scan since the alarm.
+    """The cumulative sum of the evidence, and the scan since the alarm.
 
     Attributes:
         lost: since an alarm, until the place is found or landmarks of the map are paired again.
-        alarms: frames of them.
-        found: frames in which the place was found again.
+        alarms, found: frames of alarms and of recoveries.
     """
 
     def __init__(self, ledger: Ledger, setup: Setup) -> None:
-        """At the start all is well."""
         self.ledger, self.setup = ledger, setup
         self.lost = False
         self.alarms: list[int] = []
         self.found: list[int] = []
         self._score, self._scan = 0.0, EMPTY
-        self._before = 0
-        """Number of the first landmark that was initialized since the trouble began."""
+        self._before = 0  # number of the first landmark initialized since the trouble began
         self._same: list[tuple[int, int]] = []
         """Landmarks that were initialized since, and those of the map that they are."""
 
@@ -59,9 +56,11 @@ class Kidnapping:
             self._scan = moved(self._scan, increment)
 
     def decide(self, filters: TwoModels, frame: Frame, decisions: IntArray) -> Relocated:
-        """Decisions (m,) about a frame after what the ledger judged of them; the filter gets to know if it is lost."""
+        """Final decisions about a frame whose decisions (m,) the ledger has judged; the filter is inflated if it is
+        lost.
+        """
         ledger, slam, kidnapped = self.ledger, filters.believed, None
-        sure = ledger.certain()
+        sure = ledger.confirmed()
         if self._alarm(len(decisions), int(np.isin(decisions, sure).sum())):
             kidnapped = anywhere(slam.xy, ledger.range)
             filters.inflate(kidnapped)
@@ -80,10 +79,9 @@ class Kidnapping:
         return Relocated(jcbb_conditional(few, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
 
     def _alarm(self, seen: int, paired: int) -> bool:
-        """Whether this frame raises the alarm; `seen`: observations, `paired`: with certain landmarks.
+        """Whether this frame raises the alarm; `seen`: observations, `paired`: with confirmed landmarks.
 
-        What it missed counts by its log-likelihood ratio of lost against healthy, where several observations say that
-        the sensor sees.
+        Missed detections count by their log-likelihood ratio, if several observations show that the sensor works.
         """
         if self._score == 0.0 and not self.lost:
             self._before = self.ledger.created
@@ -96,9 +94,9 @@ class Kidnapping:
         return True
 
     def _search(self, frame: Frame, known: LandmarkMap) -> tuple[IntArray, Array] | None:
-        """Decisions (m,) and pose (3,) of the frame where the scan with its observations has one place in the map.
+        """Decisions (m,) and pose (3,) of the frame if the scan has one place in the map.
 
-        Landmarks initialized since the trouble began are no part of the map: the scan would find itself.
+        Landmarks initialized since the trouble began are excluded: the scan would find itself.
         """
         old = known.id < self._before
         rows = np.arange(frame.first, frame.first + len(frame.observations.z))
@@ -114,18 +112,18 @@ class Kidnapping:
         return np.array([number_of.get(row, DISCARD) for row in rows.tolist()], np.int64), place.pose
 
     def _recover(self) -> None:
-        """It is known again where the robot is."""
+        """The place is known again."""
         self.lost, self._score = False, 0.0
         self.found.append(self.ledger.frame)
 
     def duplicates(self) -> list[tuple[int, int]]:
-        """Landmarks that were initialized while lost and are others of the map, as it turned out: (away, kept)."""
+        """Landmarks initialized while lost that equal others of the map: (away, kept)."""
         records, same = self.ledger.records, dict(self._same)
         self._same = []
         return [(away, kept) for away, kept in same.items() if away in records and kept in records and kept < away]
 
     def notes(self) -> list[Notice]:
-        """What a reader of the results should know."""
+        """A message about alarms."""
         if not self.alarms:
             return []
         times, first = len(self.alarms), self.alarms[0]
@@ -133,6 +131,6 @@ class Kidnapping:
 
 
 def anywhere(xy: Array, reach: float) -> Array:
-    """Covariance (3, 3) of a motion to anywhere in a map (n, 2), or as far from it as the sensor reaches."""
+    """Covariance (3, 3) of a motion to anywhere in a map (n, 2) or within the sensor's reach of it."""
     size = float(np.hypot(*np.ptp(xy, axis=0))) if len(xy) else 0.0
     return np.diag([(size + reach) ** 2, (size + reach) ** 2, math.pi**2])

@@ -1,8 +1,7 @@
-"""The ledger of SLAM in hindsight: a record for each landmark, and what is taken back when later frames contradict it.
+"""The ledger of SLAM in hindsight: a record for each landmark, and revisions when later frames contradict it.
 
-The poor man's multi-hypothesis tracking: one hypothesis is kept, and what it decided is decided again where the
-evidence turns against it. The work of a frame is bounded by the landmarks in view. Here, and nowhere else, landmarks
-are initialized, seen, merged and dropped.
+One hypothesis is kept, and its decisions are revised where the evidence turns against them. Work per frame is bounded
+by the landmarks in view. Only the ledger initializes, merges and drops landmarks.
 """
 
 from __future__ import annotations
@@ -29,50 +28,47 @@ from eval.replay.hindsight.record import (
     Judgement,
     Record,
     Visibility,
-    certain,
+    add_miss,
+    add_observation,
+    confirmed,
     detection_rate,
-    lasting,
+    kept_at_end,
     missing,
-    overlooked,
-    sighted,
     verdict,
 )
 
 MERGED = "the same landmark as one initialized before"
 REASSOCIATED = "paired anew on the smoothed path"
 UNREAD = "none of its readings is left"
+COUNTS = ("seen", "opportunities", "missed")
 
 
 class Ledger:
-    """The landmarks of one run, and the decisions about them that were taken back.
+    """The landmarks of one run, and the decisions about them that were revised.
 
     Attributes:
-        records: of the landmarks in the map, by their numbers, in the order in which they were initialized.
-        created: how many were initialized so far; the number of the next one.
+        records: of the landmarks in the map, by number, in order of initialization.
+        created: number of landmarks initialized so far; the number of the next one.
         frame: the newest one.
-        frames: how many had observations.
+        frames: number of frames with observations.
         travelled: m, until the newest frame.
-        epoch: see there.
         events: the revisions, in order.
-        merged: (frame, away, kept) of every landmark that turned out to be another one.
+        merged: (frame, away, kept) of every merged landmark.
     """
 
     def __init__(self, sensor: Sensor) -> None:
-        """Before the first frame."""
         self.sensor = sensor
         self.records: dict[int, Record] = {}
         self.created, self.frame, self.frames, self.travelled = 0, -1, 0, 0.0
         self.epoch = Epoch()
         self.events: list[Event] = []
         self.merged: list[tuple[int, int, int]] = []
-        self._read = replace(sensor, max_range=0.0, min_angle=0.0, max_angle=0.0)
-        """The sensor with the part of its view in which something was read."""
+        self._read = replace(sensor, max_range=0.0, min_angle=0.0, max_angle=0.0)  # the view that held observations
         self._touched: set[int] = set()
         nobody = np.empty(0, np.int64)
         self._judged = Judged(nobody, nobody, Alone(np.empty((0, 2)), np.empty((0, 2, 2))), nobody, nobody)
         self._visibility = Visibility()
-        self._former: list[bytes] = []
-        """Looks at the landmarks that were retracted."""
+        self._former: list[bytes] = []  # opportunities of the retracted landmarks
 
     def move(self, frame: Frame) -> None:
         """The next frame comes."""
@@ -82,13 +78,13 @@ class Ledger:
 
     @property
     def range(self) -> float:
-        """The sensor's range [m], or the farthest that was seen."""
+        """The sensor's range [m], or the largest observed one."""
         return min(self.sensor.max_range, self._read.max_range)
 
     def judge(self, e: Expectation, decisions: IntArray, believed: Expectation | None = None) -> None:
-        """Note what the expectation of a frame says about the decisions (m,) made from it; `see` takes it in.
+        """Note what the expectation of a frame says about the decisions (m,) made from it, for `see`.
 
-        `believed`: what is expected once the pairings are believed, where the prediction alone tells too little.
+        `believed`: expectation given these pairings, where the prediction alone is too uncertain.
         """
         rows, chosen = e.paired(decisions)
         expected = believed or e
@@ -96,57 +92,53 @@ class Ledger:
         self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), absent, in_read)
 
     def see(self, frame: Frame, decisions: IntArray, done: Updated, pose: Array) -> None:
-        """Take in what was judged, and done with the decisions (m,); `pose` (3,) is where the frame was seen from."""
+        """Take in the judgement of a frame and its decisions (m,); `pose` (3,) is where it was taken."""
         judged, z = self._judged, frame.observations.z
         self.frames += 1
         self._read = holding(self._read, self.sensor.polar(z))
         for n in judged.missing.tolist():
-            if self._look(n, pose, seen=False):
-                self.records[n].evidence = overlooked(self.records[n].evidence)
+            if self._opportunity(n, pose, detected=False):
+                self.records[n].evidence = add_miss(self.records[n].evidence)
                 self._touched.add(n)
         _, _, Gz = self.sensor.inverse(pose, z)
         for q, (i, n) in enumerate(zip(judged.rows.tolist(), judged.number.tolist(), strict=True)):
             judgement = None
-            # a reading at zero range has no direction: it says nothing about where the landmark went
+            # an observation at zero range has no direction
             if len(judged.rows) > constants.JUDGED_BY and np.linalg.det(Gz[i]) != 0.0:
                 judgement = Judgement(judged.alone.innovation[q], judged.alone.information[q], Gz[i])
-            record, elsewhere = self.records[n], self._look(n, pose, seen=True)
-            record.evidence = sighted(record.evidence, judgement, elsewhere)
+            record, elsewhere = self.records[n], self._opportunity(n, pose, detected=True)
+            record.evidence = add_observation(record.evidence, judgement, elsewhere)
             record.observations.append((frame.first + i, n))
             self._touched.add(n)
         for i in np.flatnonzero(done.created >= 0).tolist():
-            self._initialize(int(done.created[i]), frame.first + i, pose)
+            self.created = int(done.created[i]) + 1
+            place = float(pose[0]), float(pose[1])
+            self.records[self.created - 1] = Record([(frame.first + i, NEW)], place, self.travelled, self.travelled)
         together = [n for n in np.where(done.created >= 0, done.created, decisions).tolist() if n >= 0]
         for n in together:
             record = self.records[n]
             record.last, record.times = self.travelled, record.times + 1
             record.covisible.update(set(together) - {n})
 
-    def _initialize(self, number: int, row: int, pose: Array) -> None:
-        place = float(pose[0]), float(pose[1])
-        self.records[number] = Record([(row, NEW)], place, self.travelled, self.travelled)
-        self.created = number + 1
-
-    def _look(self, number: int, pose: Array, *, seen: bool) -> bool:
-        """Whether a landmark in view is looked at from another place than last time.
-
-        Together, certain ones tell how often a landmark in view is seen.
+    def _opportunity(self, number: int, pose: Array, *, detected: bool) -> bool:
+        """Whether this detection opportunity is from another place than the last; those of confirmed landmarks are
+        counted.
         """
         record = self.records[number]
-        x, y = record.looked_from
+        x, y = record.place
         if math.hypot(pose[0] - x, pose[1] - y) < constants.SAME_PLACE * self.range:
-            if seen and not record.opportunities:
+            if detected and not record.opportunities:
                 record.opportunities.append(True)
             return False
-        record.looked_from = float(pose[0]), float(pose[1])
-        if seen or number in self._judged.in_read:
-            record.opportunities.append(seen)
-        if certain(record.evidence, self._visibility):
-            self._visibility = self._visibility.counting(record.evidence.row > 0, seen)
+        record.place = float(pose[0]), float(pose[1])
+        if detected or number in self._judged.in_read:
+            record.opportunities.append(detected)
+        if confirmed(record.evidence, self._visibility):
+            self._visibility = self._visibility.counting(record.evidence.row > 0, detected)
         return True
 
     def gated_elsewhere(self, number: int, inside: bool) -> bool:
-        """Whether a landmark's gate was not judged so from here before: from one place it is one case."""
+        """Whether a landmark's gate was not judged this way near here: from one place it is one case."""
         gated = self.records[number].gated
         if self.travelled - gated.get(inside, -math.inf) < constants.SAME_PLACE * self.range:
             return False
@@ -154,23 +146,23 @@ class Ledger:
         return True
 
     def begin_epoch(self) -> None:
-        """From here on the robot cannot tell which landmark is which."""
+        """From now on landmarks are ambiguous to the robot."""
         self.epoch = Epoch(self.travelled, self.created)
 
     def end_epoch(self) -> None:
-        """It can tell again; the next doubt begins a new epoch."""
+        """The ambiguity is resolved."""
         self.epoch = self.epoch._replace(begun=-math.inf)
 
     def contradicted(self) -> IntArray:
-        """Landmarks (r,) that the evidence of this frame speaks against; all decisions for them are taken back."""
+        """Retract landmarks (r,) that the evidence of this frame contradicts."""
         found = {n: verdict(self.records[n].evidence, self._visibility) for n in sorted(self._touched)}
         self._touched.clear()
         return self._retract({n: why for n, why in found.items() if why})
 
     def reassociate(self, found: Reassociation) -> IntArray:
-        """Take all readings (M,) of the log for landmarks of the map; those of which none is left (r,) are taken back.
+        """Assign all observations (M,) of the log to landmarks of the map; retract landmarks (r,) without any.
 
-        The reading that names a landmark is its first one, and what was taken for it before is discarded.
+        The observation that names a landmark becomes its first one; earlier ones are discarded.
         """
         first = beginnings(found)
         gone = self._retract({n: UNREAD for n in self.records if n not in first})
@@ -188,11 +180,11 @@ class Ledger:
             self.events += [Event(self.frame, row, old, then, REASSOCIATED) for old, then in pairwise(steps)]
         return gone
 
-    def uncertain(self) -> IntArray:
-        """Landmarks (r,) that may have been there for a while only; at the end of a run they are taken back."""
+    def transient(self) -> IntArray:
+        """Retract landmarks (r,) that may be transient, at the end of a run."""
         every = self.records.values()
         observations = np.array([r.evidence.seen for r in every], np.int64)
-        keep = lasting([r.opportunities for r in every], self._former, observations)
+        keep = kept_at_end([r.opportunities for r in every], self._former, observations)
         return self._retract(dict.fromkeys(np.array(list(self.records))[~keep].tolist(), "uncertain"))
 
     def _retract(self, gone: dict[int, str]) -> IntArray:
@@ -203,74 +195,70 @@ class Ledger:
         return numbers
 
     def drop(self, numbers: IntArray) -> None:
-        """Landmarks leave the map: nothing more is decided about them."""
+        """Remove landmarks from the map without revisions."""
         for n in numbers.tolist():
             for other in self.records.pop(n).covisible:
                 self.records[other].covisible.discard(n)
 
     def merge(self, pairs: list[tuple[int, int]]) -> None:
-        """Landmarks are one with others, (away, kept): what was decided for the first is decided for the second."""
+        """Merge landmarks (away, kept): decisions for the first become decisions for the second."""
         for away, kept in pairs:
-            gone, stays = self.records.pop(away), self.records[kept]
-            self.events += [Event(self.frame, row, old, kept, MERGED) for row, old in gone.observations]
+            old, into = self.records.pop(away), self.records[kept]
+            self.events += [Event(self.frame, row, decision, kept, MERGED) for row, decision in old.observations]
             self.merged.append((self.frame, away, kept))
-            stays.observations += [(row, kept) for row, _ in gone.observations]
-            stays.looked_from = gone.looked_from
-            stays.last, stays.times = max(stays.last, gone.last), stays.times + gone.times
-            e, more = stays.evidence, gone.evidence
-            # where it stood was judged against another estimate: its shifts say nothing about this one
-            stays.evidence = e._replace(
-                seen=e.seen + more.seen,
-                opportunities=e.opportunities + more.opportunities,
-                missed=e.missed + more.missed,
-                row=0,
-            )
-            # what was missed where the other one was seen was seen
-            stays.opportunities = bytearray(bytes(stays.opportunities).rstrip(b"\0") + b"\1" + gone.opportunities)
-            for n in gone.covisible:
+            into.observations += [(row, kept) for row, _ in old.observations]
+            into.place = old.place
+            into.last, into.times = max(into.last, old.last), into.times + old.times
+            # where it stood was judged against another estimate, so only the counts are added
+            counts = {name: getattr(into.evidence, name) + getattr(old.evidence, name) for name in COUNTS}
+            into.evidence = into.evidence._replace(**counts, row=0)
+            # misses of one at places where the other one was detected were detections
+            into.opportunities = bytearray(bytes(into.opportunities).rstrip(b"\0") + b"\1" + old.opportunities)
+            for n in old.covisible:
                 self.records[n].covisible.discard(away)
                 if n != kept:
                     self.records[n].covisible.add(kept)
-                    stays.covisible.add(n)
+                    into.covisible.add(n)
 
     def surprise(self) -> float:
-        """Log-likelihood ratio of being elsewhere against being here, of certain landmarks the judged frame missed."""
+        """Log-likelihood ratio of being elsewhere, from confirmed landmarks that the judged frame missed."""
         v, total = self._visibility, 0.0
         if sum(v) < constants.ENOUGH_OPPORTUNITIES:
             return 0.0
         for n in self._judged.missing.tolist():
             e = self.records[n].evidence
-            if certain(e, v):
+            if confirmed(e, v):
                 rate = min(v.rate, detection_rate(e.opportunities, e.missed - e.row))
                 here = v.row(e.row + 1, rate) / v.row(e.row, rate)
                 total += max(0.0, math.log((1.0 - constants.ELSEWHERE_SHARE * rate) / here))
         return total
 
     def replaced(self, decisions: IntArray) -> tuple[int, int]:
-        """Certain landmarks that the judged frame paired, by decisions (m,); certain ones missed, something newer read.
+        """Numbers of confirmed landmarks that the judged frame paired by decisions (m,), and that it missed and
+        replaced.
 
-        Newer is what was initialized, in this frame or before, after the missed one had been seen last.
+        A missed landmark is replaced if this frame observed a landmark initialized after the missed one was last seen.
         """
         v, numbers = self._visibility, set(decisions.tolist())
         paired = [self.records[n] for n in numbers if n in self.records]
         newest = self.travelled if NEW in numbers else max((r.first for r in paired), default=-math.inf)
         missed = [self.records[n] for n in self._judged.missing.tolist() if n not in numbers]
         return (
-            sum(certain(r.evidence, v) for r in paired),
-            sum(r.last < newest and certain(r.evidence, v) for r in missed),
+            sum(confirmed(r.evidence, v) for r in paired),
+            sum(r.last < newest and confirmed(r.evidence, v) for r in missed),
         )
 
-    def certain(self) -> IntArray:
-        """Numbers (n,) of the landmarks that are certain, ascending."""
-        return np.array([n for n, r in self.records.items() if certain(r.evidence, self._visibility)], np.int64)
+    def confirmed(self) -> IntArray:
+        """Numbers (n,) of the confirmed landmarks, ascending."""
+        return np.array([n for n, r in self.records.items() if confirmed(r.evidence, self._visibility)], np.int64)
 
     def rates(self, numbers: IntArray) -> Array:
-        """With which rate (n,) landmarks of the map are seen where they are in view: the common one once certain."""
+        """Detection probability (n,) of landmarks, pooled once confirmed."""
         v, every = self._visibility, [self.records[n].evidence for n in numbers.tolist()]
-        return np.array([v.rate if certain(e, v) else detection_rate(e.opportunities, e.missed) for e in every])
+        return np.array([v.rate if confirmed(e, v) else detection_rate(e.opportunities, e.missed) for e in every])
 
     def notes(self) -> list[Notice]:
-        """What a reader of the results should know."""
+        """Messages about revised decisions."""
         events = [e for e in self.events if e.why != REASSOCIATED]
         anew = len({e.observation for e in self.events if e.why == REASSOCIATED})
         undone, again = sum(e.old >= 0 for e in events), sum(e.new >= 0 for e in events)
@@ -278,7 +266,7 @@ class Ledger:
         return revised + ([notice(Code.REASSOCIATED_AT_END, Severity.INFO, decisions=anew)] if anew else [])
 
     def merge_notes(self) -> list[Notice]:
-        """The same of landmarks that were merged."""
+        """Messages about merged landmarks."""
         if not self.merged:
             return []
         return [notice(Code.MERGED, Severity.INFO, landmarks=len(self.merged), first=self.merged[0][0])]

@@ -1,9 +1,8 @@
-"""A front end for localization in hindsight: how an estimator lives with decisions that may be revised.
+"""Front end for localization in hindsight: how an estimator uses decisions that may be revised.
 
-A filter is set to the bank's mixture wherever there is more than one hypothesis. A smoother gets what most of them
-decide, by weight: a decision that has to wait is handed over when later frames have settled it, and one that they
-contradict is replaced. If it turns out to be elsewhere than the bank is sure of all the same, it is begun anew there
-(`Stretches`), as a filter can be reset.
+A filter is reset to the mixture of the hypotheses whenever there are several. A smoother gets the decisions of the
+majority by weight; postponed decisions are handed over later, and contradicted ones are replaced. A smoother that still
+ends up elsewhere is restarted there (`Stretches`).
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
 class Stretches:
-    """A smoother that can be begun anew: its final path is put together from the stretches.
+    """A smoother that can be restarted; its final path is joined from the stretches.
 
     Attributes:
         smooths: True.
@@ -39,12 +38,12 @@ class Stretches:
     smooths = True
 
     def __init__(self, begin: Callable[[Prior], Estimator], prior: Prior) -> None:
-        """`begin(prior)` makes the smoother of the log from the present frame on."""
+        """Start with `begin(prior)`, which makes the smoother of the log from the present frame on."""
         self._begin, self._now = begin, begin(prior)
         self._can = capabilities(self._now)
         self._first, self._frame, self._time = 0, 0, 0.0
+        # first frame whose observations the present smoother has: those of its first frame are in its prior
         self._given = 0
-        """First frame whose observations are the present smoother's: those of the one it began in are in its prior."""
         self._done: list[Finished] = []
 
     def predict(self, increment: Increment) -> None:
@@ -59,7 +58,7 @@ class Stretches:
             self._can.timed.stamp(time)
 
     def expect(self, observations: FrameObservations) -> Expectation:
-        """What the present smoother expects to see."""
+        """The expectation of the present smoother."""
         return self._now.expect(observations)
 
     def update(
@@ -75,7 +74,7 @@ class Stretches:
         return self._now.update(observations, decisions, threshold=threshold, at=at, innovations=innovations)
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """Take what frames (m,) saw for other landmarks than before; what stretches before this one saw stays."""
+        """Change the landmarks of what frames (m,) saw; earlier stretches stay as they are."""
         keep = np.flatnonzero(frames >= self._given)
         if len(keep) and self._can.amendable is not None:
             seen = FrameObservations(observations.z[keep], observations.R[keep])
@@ -83,7 +82,7 @@ class Stretches:
 
     @property
     def errors(self) -> tuple[Array, Array] | None:
-        """Systematic errors as the present smoother knows them."""
+        """Systematic errors of the present smoother."""
         return None if self._can.calibrating is None else self._can.calibrating.errors
 
     def estimate(self) -> PoseEstimate:
@@ -95,7 +94,7 @@ class Stretches:
         return self._now.landmarks()
 
     def reset(self, mean: Array, covariance: Array) -> None:
-        """From this frame on a new smoother, whose prior is the pose (3,) and covariance (3, 3)."""
+        """Begin a new smoother at this frame, with pose (3,) and covariance (3, 3) as its prior."""
         if self._frame > self._first:
             ended = self._now.finish()
             assert ended.final is not None  # smoothers have one
@@ -111,7 +110,7 @@ class Stretches:
         self.stamp(self._time)
 
     def finish(self) -> Finished:
-        """The stretches one after the other; costs and degrees of freedom add up."""
+        """Join the stretches; costs and degrees of freedom add up."""
         parts = [*self._done, self._now.finish()]
         paths = [p.final for p in parts if p.final is not None]
         totals = [p.total_nis for p in parts if p.total_nis is not None]
@@ -126,7 +125,7 @@ class Stretches:
 
 
 class Handed(NamedTuple):
-    """What a smoother was handed of the newest w observations: frame (w,), z (w, 2), R (w, 2, 2), its pairing (w,)."""
+    """What a smoother has of the newest w observations: frame (w,), z (w, 2), R (w, 2, 2), its pairing (w,)."""
 
     frame: IntArray
     z: Array
@@ -134,11 +133,11 @@ class Handed(NamedTuple):
     number: IntArray
 
     def of(self, rows: IntArray | BoolArray) -> Handed:
-        """Only some of them."""
+        """A selection of rows."""
         return Handed(self.frame[rows], self.z[rows], self.R[rows], self.number[rows])
 
     def and_then(self, frame: Frame, number: IntArray) -> Handed:
-        """Also those of (a part of) a frame."""
+        """Append observations of (a part of) a frame."""
         new = np.full(len(number), frame.number), *frame.observations, number
         return Handed(*(np.concatenate(both) for both in zip(self, new, strict=True)))
 
@@ -147,20 +146,20 @@ NOTHING = Handed(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), n
 
 
 class LocalizingFrontEnd(FrontEnd):
-    """The verbs of a frame, decisions by `HindsightLocalizer`; the log has a known map.
+    """Front end with decisions by `HindsightLocalizer`; the log has a known map.
 
     Attributes:
-        localizer: what decides; its `events` are the revisions.
+        localizer: decides; its `events` are the revisions.
     """
 
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Before the first frame.
+        """Check the map and the estimator.
 
         Raises:
             UsageError: without a map.
-            CannotError: a filter cannot be set to another pose.
+            CannotError: the estimator has no `reset`.
         """
         self.localizer = HindsightLocalizer(given)
         super().__init__(estimator, association, given, setup, options)
@@ -168,8 +167,7 @@ class LocalizingFrontEnd(FrontEnd):
         self._was_single, self._found_again = True, False
         self._handed, self._held_until = NOTHING, 0
         """Of a smoother: all of the frames from that on in which not all hypotheses agree, up to this observation."""
-        self._open, self._seen = 0, 0
-        """The first observation that they do not agree about, and how many there were."""
+        self._open, self._seen = 0, 0  # the first observation that they do not agree about, and how many there were
         if self.estimator.smooths:
 
             def begin(prior: Prior) -> Estimator:
@@ -179,19 +177,21 @@ class LocalizingFrontEnd(FrontEnd):
         self._pose = needed(self.can.resettable, "`reset`", f"--association {HINDSIGHT}")
 
     def move(self, frame: Frame) -> None:
-        """The next frame comes."""
+        """Take the next frame."""
         super().move(frame)
         self.localizer.move(frame)
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
-        """Decisions by the hypotheses, or for comparison by a method; a smoother gets only what it may expect."""
+        """Decisions by the hypotheses, or by another method for comparison; a smoother gets only candidates
+        it expects.
+        """
         if method is not None:
             return super().decide(expectation, method)
         return Decided(np.where(np.isin(self._decided, expectation.number), self._decided, DISCARD), True)
 
     @property
     def passed(self) -> Acceptance:
-        """A hypothesis weighs every pairing inside its own, wide gate."""
+        """The wide gate of the hypotheses."""
         return Acceptance(gate_threshold(hypotheses.GATE))
 
     def associate(self, frame: Frame) -> Pairing:
@@ -206,7 +206,7 @@ class LocalizingFrontEnd(FrontEnd):
         return super().associate(frame)
 
     def update(self, frame: Frame, pairing: Pairing) -> Updated:
-        """Use what was decided; where the robot was found again, its pose is what the frame has to tell."""
+        """Use the decisions; after a relocalization, only reset the pose."""
         if self._found_again:
             self._was_single = True
             self._reset()
@@ -222,7 +222,7 @@ class LocalizingFrontEnd(FrontEnd):
         return done
 
     def _hand_over(self, stop: int, share: float) -> None:
-        """Decisions about observations before `stop` that `share` of the hypotheses agree on by now."""
+        """Hand over decisions before row `stop` that a weight of at least `share` of the hypotheses agree on."""
         if not self.estimator.smooths or stop <= self._open:
             return
         count, held = stop - self._open, self._handed
@@ -241,24 +241,24 @@ class LocalizingFrontEnd(FrontEnd):
         self._handed = held.of(held.frame >= oldest)
 
     def _hold(self, frame: Frame, number: IntArray) -> None:
-        """Remember what a smoother takes a frame's observations for."""
+        """Remember the landmarks of a frame's observations in a smoother."""
         if self.estimator.smooths:
             self._handed = self._handed.and_then(frame, number)
             self._held_until = self._seen
 
     def _reset(self) -> None:
-        """The estimator is where the hypotheses are."""
+        """Reset the estimator to the hypotheses' pose."""
         self._pose.reset(*self.localizer.pose())
 
     def close(self) -> None:
-        """The end of the log: what is not settled is as the leading hypothesis has it."""
+        """Open decisions become those of the leading hypothesis."""
         self.localizer.close()
         self._hand_over(self._seen, 0.0)
 
     def events(self) -> tuple[Event, ...]:
-        """Decisions that were revised."""
+        """Revised decisions."""
         return tuple(self.localizer.events)
 
     def notes(self) -> list[Notice]:
-        """What a reader of the results should know."""
+        """Messages about the run."""
         return [*super().notes(), *self.localizer.notes()]

@@ -1,17 +1,15 @@
-"""Lost: is the pose that the pairings assume, or the map that is being made, still right?
+"""Is the robot lost, with a known map or while mapping?
 
-Cumulative-sum tests: every frame adds the log-likelihood ratio of "lost" against "healthy" to a score that never falls
-below zero (Page, Biometrika 41, 1954); where a score last left zero is where the trouble began.
+Cumulative sums: every frame adds the log-likelihood ratio of "lost" against "healthy" to a score that never falls below
+zero (Page, Biometrika 41, 1954). The trouble began where the score last left zero.
 
-In a known map, a robot that was moved unseen, or believes a wrong place, finds its observations unpaired, or pairs what
-fits badly: a score each.
+With a known map, a kidnapped robot leaves observations unpaired or pairs them badly: a score each.
 
-A robot that is lost while it maps sees its surroundings anew: what certain landmarks should be in view is missed, and
-what is read is newer than them. One that explores misses nothing old; one whose sensor often fails misses much, but
-reads old landmarks beside. So two kinds count: certain landmarks that are paired, and certain ones that are missed
-where something was read that came after they had been seen last. A frame is one piece of evidence, however much it
-holds: its errors have one cause. Frames from one place are one, too. At the end a second test: a robot that finds again
-what it mapped keeps it; of a map that is bent most goes. All this is said; nothing is decided by it.
+A robot lost while mapping observes known surroundings as new: it misses confirmed landmarks and observes newer ones in
+their place. Exploration misses no old landmarks; a bad sensor misses many, but also observes old ones. So two kinds
+count: confirmed landmarks that are paired, and those missed where something newer was observed. One frame is one piece
+of evidence, because its errors have one cause; frames from one place are one, too. A second test at the end: most
+landmarks of a bent map are retracted. Both tests only report; they decide nothing.
 """
 
 from __future__ import annotations
@@ -31,37 +29,15 @@ from eval.replay.hindsight.ledger import Ledger
 
 
 @dataclass(frozen=True)
-class Monitor:
-    """What is demanded of the test.
-
-    Attributes:
-        threshold: score of an alarm. By Wald's inequality a healthy log raises one in exp(threshold) frames at most, if
-            what is expected of it is right; set far above the one in 10^4 that is wanted, because it never quite is.
-        lost_share: a lost robot pairs this share of what a healthy one pairs.
-        lost_scale: the NIS of what a lost robot pairs is this many times the expected one.
-        memory: observations over which the healthy share of pairings and their NIS are learned.
-        start: share of observations paired and NIS per degree of freedom that are expected at first, worth as much as
-            `weight` observations.
-    """
-
-    threshold: float = field(default_factory=lambda: constants.ALARM)
-    lost_share: float = field(default_factory=lambda: constants.LOST_SHARE)
-    lost_scale: float = field(default_factory=lambda: constants.LOST_SCALE)
-    memory: float = field(default_factory=lambda: constants.HEALTH_MEMORY)
-    start: tuple[float, float] = field(default_factory=lambda: constants.HEALTH_START)
-    weight: float = field(default_factory=lambda: constants.HEALTH_WEIGHT)
-
-
-@dataclass(frozen=True)
 class Health:
     """State of the test after a frame.
 
     Attributes:
-        unpaired, misfit: cumulative sums, 0 where nothing speaks for being lost.
-        share, strays, scale: what is expected of a healthy frame: share of its observations paired, number of those
-            that are not, NIS per degree of freedom.
+        unpaired, misfit: cumulative sums, 0 while nothing indicates a lost robot.
+        share, strays, scale: expected in a healthy frame: share of paired observations, number of unpaired ones, NIS
+            per degree of freedom.
         learned: weight of what was learned, in observations.
-        lost: one of them has reached the threshold.
+        lost: one of the sums has reached the threshold.
     """
 
     unpaired: float = 0.0
@@ -73,29 +49,24 @@ class Health:
     lost: bool = False
 
 
-def healthy(monitor: Monitor) -> Health:
-    """The state before the first frame."""
-    return Health(share=monitor.start[0], scale=monitor.start[1], learned=monitor.weight)
+def watch(before: Health, offered: int, paired: int, nis: float, dof: int) -> Health:
+    """The state after a frame with `paired` of `offered` observations paired, and the NIS of these with its dof.
 
-
-def watch(monitor: Monitor, before: Health, offered: int, paired: int, nis: float, dof: int) -> Health:
-    """The state after a frame of which `paired` of the `offered` observations were paired, with their NIS and its dof.
-
-    Expectations are learned from every frame but those of a lost robot. The expected NIS never falls below its
-    chi-square mean: conservative noise is not to make the test hasty.
+    Expectations are learned from all frames except those of a lost robot. The expected NIS is at least its chi-square
+    mean, so that conservative noise does not speed up the test.
     """
     if offered == 0:
         return before
-    unpaired = before.unpaired + _against_strays(monitor, before, offered, offered - paired)
+    unpaired = before.unpaired + _against_strays(before, offered, offered - paired)
     # one instant full of misfits is one piece of evidence: its errors are not independent
-    r = monitor.lost_scale
+    r = constants.LOST_SCALE
     fit = 0.5 * (nis / max(before.scale, 1.0) * (1.0 - 1.0 / r) - dof * math.log(r))
-    misfit = before.misfit + min(fit, constants.MISFIT_MOST * monitor.threshold)
+    misfit = before.misfit + min(fit, constants.MISFIT_MOST * constants.ALARM)
     unpaired, misfit = max(0.0, unpaired), max(0.0, misfit)
     after = replace(before, unpaired=unpaired, misfit=misfit)
-    if max(unpaired, misfit) >= monitor.threshold:
+    if max(unpaired, misfit) >= constants.ALARM:
         return replace(after, lost=True)
-    weight = min(before.learned + offered, monitor.memory)
+    weight = min(before.learned + offered, constants.HEALTH_MEMORY)
     gain, scale = offered / weight, before.scale
     if dof > 0:
         scale += 0.5 * dof / weight * (nis / dof - scale)
@@ -104,30 +75,29 @@ def watch(monitor: Monitor, before: Health, offered: int, paired: int, nis: floa
     return replace(after, lost=False, share=share, strays=strays, scale=scale, learned=weight)
 
 
-def _against_strays(monitor: Monitor, before: Health, offered: int, left: int) -> float:
-    """Log-likelihood ratio of "lost" against "healthy" for `left` of the `offered` observations unpaired.
+def _against_strays(before: Health, offered: int, left: int) -> float:
+    """Log-likelihood ratio of "lost" for `left` of the `offered` observations unpaired.
 
-    The lesser of two: the unpaired as a share of what is seen (binomial), and as a number that does not depend on how
-    much is seen (Poisson: clutter). Which of them is right differs from log to log.
+    The smaller of a binomial model (share of what is observed) and a Poisson model (clutter, a constant number).
     """
     share = min(max(before.share, constants.HEALTH_SHARE_LEAST), constants.HEALTH_SHARE_MOST)
-    binomial = (offered - left) * math.log(monitor.lost_share)
-    binomial += left * math.log((1.0 - monitor.lost_share * share) / (1.0 - share))
+    binomial = (offered - left) * math.log(constants.LOST_SHARE)
+    binomial += left * math.log((1.0 - constants.LOST_SHARE * share) / (1.0 - share))
     usual = max(before.strays, constants.HEALTH_STRAYS_LEAST * offered)
-    more = max(usual, (1.0 - monitor.lost_share * share) * offered)
+    more = max(usual, (1.0 - constants.LOST_SHARE * share) * offered)
     return min(binomial, left * math.log(more / usual) - (more - usual))
 
 
 def recovered(before: Health) -> Health:
-    """The state after the pose was found again: no suspicion left, expectations as they were."""
+    """The state after the pose was found again: sums are zero, expectations stay."""
     return replace(before, unpaired=0.0, misfit=0.0, lost=False)
 
 
 class Suspicion(NamedTuple):
-    """State of the test. score: 0 where nothing speaks for being lost; since: frame after the one where it was last 0.
+    """State of the test while mapping. score: see the module; since: frame after the last one with score 0.
 
-    alarm: since when (frame) the robot has been lost, as it turned out at the first alarm, None: there was none; over:
-    the frame in which the score was back at 0, None: it has not been.
+    alarm: frame since which the robot has been lost, from the first alarm, None: no alarm; over: frame where the score
+    returned to 0, None: not yet.
     """
 
     score: float = 0.0
@@ -136,8 +106,8 @@ class Suspicion(NamedTuple):
     over: int | None = None
 
 
-def looked(before: Suspicion, frame: int, paired: int, replaced: int) -> Suspicion:
-    """After a frame from another place that paired so many certain landmarks and read newer ones for so many others."""
+def suspect(before: Suspicion, frame: int, paired: int, replaced: int) -> Suspicion:
+    """After a frame from another place with this many paired and replaced confirmed landmarks."""
     if not paired + replaced:
         return before
     here, lost = constants.PAIRED_HEALTHY, constants.PAIRED_LOST
@@ -152,38 +122,37 @@ def looked(before: Suspicion, frame: int, paired: int, replaced: int) -> Suspici
 
 
 class Lost:
-    """Looks at every frame that the ledger has judged.
+    """Tests every frame that the ledger has judged.
 
     Attributes:
         suspicion: the state of the test.
-        often, gone: landmarks that were read often, and how many of these were retracted at the end of the log.
+        often, retracted: number of often observed landmarks, and of those retracted at the end.
     """
 
     def __init__(self, ledger: Ledger) -> None:
-        """At the start all is well."""
         self.ledger, self.suspicion = ledger, Suspicion()
-        self._looked_from = (math.inf, math.inf)
-        self.often, self.gone = 0, 0
+        self._place = (math.inf, math.inf)
+        self.often, self.retracted = 0, 0
 
-    def look(self, frame: Frame, decisions: IntArray, pose: Array) -> None:
-        """A frame with its decisions (m,), before they are used; `pose` (3,) is where it was predicted."""
-        x, y = self._looked_from
+    def see(self, frame: Frame, decisions: IntArray, pose: Array) -> None:
+        """Add a frame with its decisions (m,), before the update; `pose` (3,) is the predicted one."""
+        x, y = self._place
         if math.hypot(pose[0] - x, pose[1] - y) < constants.SAME_PLACE * self.ledger.range:
             return
         paired, replaced = self.ledger.replaced(decisions)
         if paired + replaced:
-            self._looked_from = float(pose[0]), float(pose[1])
-        self.suspicion = looked(self.suspicion, frame.number, paired, replaced)
+            self._place = float(pose[0]), float(pose[1])
+        self.suspicion = suspect(self.suspicion, frame.number, paired, replaced)
 
     def end(self, often: Sequence[int], retracted: IntArray) -> None:
-        """The end of the log: landmarks (n,) that were read often, and those (r,) that are retracted."""
-        self.often, self.gone = len(often), int(np.isin(often, retracted).sum())
+        """The end of the log: often observed landmarks (n,) and retracted ones (r,)."""
+        self.often, self.retracted = len(often), int(np.isin(often, retracted).sum())
 
     def notes(self) -> list[Notice]:
-        """What a reader of the results should know."""
+        """Messages about a restarted or bent map."""
         s, found = self.suspicion, []
         if s.alarm is not None:
             found.append(notice(Code.MAP_RESTARTED, frame=s.alarm, over=s.over))
-        if self.often >= constants.RETRACTED_FEWEST and self.gone > constants.RETRACTED_SHARE * self.often:
-            found.append(notice(Code.RETRACTED, gone=self.gone, often=self.often))
+        if self.often >= constants.RETRACTED_FEWEST and self.retracted > constants.RETRACTED_SHARE * self.often:
+            found.append(notice(Code.RETRACTED, gone=self.retracted, often=self.often))
         return found

@@ -1,9 +1,8 @@
 """SLAM without labels, decisions in hindsight: the nine steps of `docs/hindsight.md`, in their order.
 
-A filter decides that estimates systematic errors along with the map (`ekf.systematic`), whether the estimators do or
-not, because decisions need to know how far odometry may have drifted; every estimator gets the decisions, none gets the
-filter's estimate.
-See `eval.replay.hindsight.mapping_frontend` for how an estimator lives with what is decided.
+The deciding filter always estimates systematic errors (`ekf.systematic`), because decisions depend on the possible
+drift of the odometry. Every estimator gets the decisions, none gets the filter's estimate. See
+`eval.replay.hindsight.mapping_frontend` for how an estimator uses them.
 """
 
 from __future__ import annotations
@@ -32,18 +31,16 @@ from eval.replay.hindsight.whole_log import WholeLog
 from eval.replay.settings import Given, Setup
 
 TIGHT = Systematic(("scale", "curvature", "left", "right", "drift"), np.array([0.02, 2e-3, 0.05, 0.05, 1.25e-3]), 50.0)
-"""Errors of odometry that the filter estimates beside those of the run: what remains of a robot that was calibrated.
+"""Odometry errors of a calibrated robot, which the filter estimates in addition to those of the run.
 
-How fast the drift changes, sigma^2 / length, is 3.1e-8 here. On Victoria Park 2e-8 to 4.5e-8 (sigma 1e-3 to 1.5e-3,
-length 25 to 100 m) leave 122 to 126 false positives; 1e-8 loses a loop, and 6e-8 closes wrong ones.
-"""
+The rate of the drift, sigma^2 / length, is 3.1e-8. On Victoria Park 2e-8 to 4.5e-8 leave 122 to 126 false positives;
+1e-8 loses a loop, and 6e-8 closes wrong ones."""
 
 
-def beside_tight(run: Systematic | None) -> Systematic:
-    """The errors that a run estimates, with its priors, and beside them those of `TIGHT` that it does not.
+def with_tight(run: Systematic | None) -> Systematic:
+    """The errors that a run estimates, with its priors, and those of `TIGHT` that it does not.
 
-    Decisions need to know how far the path may have drifted even where estimates do without: on Victoria Park, with
-    the errors alone that its residuals name, loops are not closed (twice as many landmarks).
+    With the errors alone that the residuals of Victoria Park name, loops are not closed (twice as many landmarks).
     """
     if run is None:
         return TIGHT
@@ -53,10 +50,10 @@ def beside_tight(run: Systematic | None) -> Systematic:
 
 
 class Mapped(NamedTuple):
-    """Decisions (m,), whether the search for them was complete, and where (3,) the frame was placed, if it was.
+    """Decisions (m,), whether the search was complete, and the pose (3,) of a placed frame.
 
-    kidnapped: where the robot turned out to have been moved unseen, what is to be added (3, 3) to the covariance of the
-    motion into this frame; S: (2k, 2k) joint covariance of the innovations of its k pairings, None: not formed.
+    kidnapped: covariance (3, 3) to be added to the motion into this frame, if the robot was moved unseen; S: (2k, 2k)
+    joint covariance of the innovations of its k pairings, None: not formed.
     """
 
     decisions: IntArray
@@ -67,7 +64,7 @@ class Mapped(NamedTuple):
 
 
 class Revision(NamedTuple):
-    """What a frame takes back: landmarks as if never seen (r,); those (j,) that are one with others, `kept` (j,)."""
+    """Revisions of a frame: retracted landmarks (r,); merged ones (j,) and those they are merged into, `kept` (j,)."""
 
     retracted: IntArray
     merged: IntArray
@@ -75,28 +72,27 @@ class Revision(NamedTuple):
 
 
 class HindsightMapper:
-    """What decides about the observations of a log without a map: `move`, `decide`, `revise`; at the end `close`.
+    """Decides about the observations of a log without a map: `move`, `decide`, `revise`; at the end `close`.
 
     Landmark numbers are in the order of creation, as in every estimator that gets the decisions.
 
     Attributes:
-        restated: what odometry and sensor are really like.
-        filters: what decides.
-        ledger: its landmarks, and what was revised.
+        restated: noise of odometry and sensor.
+        filters: the deciding filters.
+        ledger: their landmarks and the revisions.
         motion: whether a frame can be predicted.
-        gates: the noise that there is, by which it decides.
-        kidnapping: whether the robot has been moved unseen.
-        duplicates: which landmarks were initialized twice.
-        lost: whether its own map is to be believed; decides nothing.
-        whole: the log, to be looked at once more in the end.
+        gates: learned variance scales.
+        kidnapping: whether the robot was moved unseen.
+        duplicates: landmarks initialized twice.
+        lost: plausibility of the map; decides nothing.
+        whole: the log, for the final re-association.
     """
 
     def __init__(self, given: Given, setup: Setup) -> None:
-        """Before the first frame."""
         self.setup = setup
-        self._systematic = beside_tight(given.systematic)
+        self._systematic = with_tight(given.systematic)
         self.restated = Restated(given.sensor)
-        self.filters = TwoModels(given.prior, given.sensor, self._systematic, doubted=given.systematic is None)
+        self.filters = TwoModels(given.prior, given.sensor, self._systematic, undecided=given.systematic is None)
         self.ledger = Ledger(given.sensor)
         self.motion = UncertainMotion(self.ledger, setup)
         self.gates = LearnedGates(self.ledger)
@@ -107,11 +103,11 @@ class HindsightMapper:
 
     @property
     def filter(self) -> EkfSlam:
-        """The one that is believed."""
+        """The believed filter."""
         return self.filters.believed
 
     def move(self, frame: Frame) -> None:
-        """Step 1, predict: the next frame comes; the first one has no motion."""
+        """Step 1, predict; the first frame has no motion."""
         self.whole.move(frame)
         frame = self.restated.see(frame)
         self.ledger.move(frame)
@@ -121,7 +117,7 @@ class HindsightMapper:
             self.kidnapping.move(frame.increment)
 
     def decide(self, frame: Frame) -> Mapped:
-        """Steps 2 to 7: decisions about observations of this frame, used by the filter, too."""
+        """Steps 2 to 7: decisions about observations of this frame, also used by the filter."""
         frame = self.restated.restated(frame)
         e = self._expect(frame.observations)
         placed = self.motion.place(e, self.filter.estimate().mean)  # 2
@@ -134,8 +130,8 @@ class HindsightMapper:
             self.ledger.judge(placed.expectation, placed.decisions, placed.believed)  # 5
             decided = Mapped(placed.decisions, True, placed.pose, None)
             e = placed.expectation
-        # not where the motion turned out to be unknown, or the search found the place: those pairings passed no gate;
-        # and where there is more noise than was stated, they passed one that hardly cuts off any of what was stated
+        # not after an unknown motion or a search: these pairings passed no gate; nor under larger noise, whose gate
+        # cuts off hardly anything of the stated distribution
         stated = self.restated.shares == AS_STATED
         if stated and decided.kidnapped is None and np.isin(decided.decisions[decided.decisions >= 0], e.number).all():
             decided = decided._replace(S=e.joint_innovation(*e.paired(decided.decisions))[1])
@@ -149,7 +145,7 @@ class HindsightMapper:
         return e.only(np.flatnonzero(in_view(self.restated.widened(self.filter.sensor), e.z_hat, e.HPHt)))
 
     def _pair(self, e: Expectation) -> tuple[IntArray, bool]:
-        """Step 3, pair by the noise that there is; step 4, put off what only the stated noise explains."""
+        """Step 3, pair by the learned noise; step 4, postpone what only the stated noise explains."""
         among, decisions, complete = pair(e, self.filter, self.ledger, self.gates.scales, self.setup)
         if len(e.number) and len(e.z):
             decisions = self.gates.put_off(among, decisions, self.filter.estimate().mean, self.setup.new_gate)
@@ -157,15 +153,15 @@ class HindsightMapper:
         return decisions, complete
 
     def _update(self, frame: Frame, decided: Mapped) -> None:
-        """Step 7, update the filter with the decisions, initialize landmarks, and note what was seen."""
-        self.lost.look(frame, decided.decisions, self.filter.estimate().mean)
+        """Step 7, update the filter, initialize landmarks, and record detections."""
+        self.lost.see(frame, decided.decisions, self.filter.estimate().mean)
         done = self.filters.update(frame.observations, decided.decisions, at=decided.at)
         pose = self.filter.estimate().mean
         self.ledger.see(frame, decided.decisions, done, pose)
         self.motion.see(pose, bool(done.used.any()))
 
     def revise(self) -> Revision:
-        """Steps 8 and 9, the end of a frame: what is taken back, from the filter already."""
+        """Steps 8 and 9, the end of a frame: retract and merge landmarks, in the filter already."""
         self.whole.end_frame(self.filter.estimate().mean)
         retracted = self._remove(self.ledger.contradicted())  # 8
         pairs = self.kidnapping.duplicates() or self.duplicates.find(self.filter, widest(self.gates.scales))  # 9
@@ -176,25 +172,25 @@ class HindsightMapper:
         return Revision(retracted, merged, kept)
 
     def leave(self, numbers: IntArray) -> None:
-        """Landmarks (r,) left the estimator's map for another reason: they leave this one, too."""
+        """Remove landmarks (r,) that left the estimator's map for another reason."""
         self.whole.managed = True
         self.ledger.drop(numbers)
         self._remove(numbers)
 
     def close(self) -> IntArray:
-        """The end of the log: all is paired anew, and landmarks (r,) are taken back.
+        """The end of the log: re-associate all observations, and retract landmarks (r,).
 
-        Those that may have been there for a while only, and those of which no reading is left.
+        These are transient, or have no observation left.
         """
         often = [n for n, r in self.ledger.records.items() if r.evidence.seen >= constants.CONFIRMED]
-        errs = self._systematic if self.filters.errs else None
-        anew = self.whole.reassociate(self.ledger.records, self.filter.landmarks(), self.restated, errs)
-        unread = self._remove(self.ledger.reassociate(anew)) if anew is not None else np.empty(0, np.int64)
-        gone = self.ledger.uncertain()
-        if anew is not None:
+        errors = self._systematic if self.filters.has_errors else None
+        found = self.whole.reassociate(self.ledger.records, self.filter.landmarks(), self.restated, errors)
+        unobserved = self._remove(self.ledger.reassociate(found)) if found is not None else np.empty(0, np.int64)
+        transient = self.ledger.transient()
+        if found is not None:
             self.whole.settle(self.ledger.records)
-        self.lost.end(often, gone)
-        return np.concatenate([unread, self._remove(gone)])
+        self.lost.end(often, transient)
+        return np.concatenate([unobserved, self._remove(transient)])
 
     def _remove(self, numbers: IntArray) -> IntArray:
         if len(numbers):
@@ -207,7 +203,7 @@ class HindsightMapper:
         return self.ledger.events
 
     def notes(self) -> list[Notice]:
-        """What a reader of the results should know."""
+        """Messages about the run."""
         return [
             *self.restated.notes(), *self.ledger.notes(), *self.motion.notes(), *self.kidnapping.notes(),
             *self.ledger.merge_notes(), *self.lost.notes(),

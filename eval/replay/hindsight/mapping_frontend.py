@@ -1,7 +1,7 @@
-"""A front end for SLAM in hindsight: how an estimator lives with landmarks that are taken back or turn out to be one.
+"""Front end for SLAM in hindsight: how an estimator handles retracted and merged landmarks.
 
-`HindsightMapper` decides; a filter drops or merges landmarks in its state, a smoother takes their factors out of the
-graph and puts those of merged ones in again.
+`HindsightMapper` decides. A filter drops or merges landmarks in its state; a smoother removes their factors and
+re-attaches those of merged ones.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
 class MappingFrontEnd(FrontEnd):
-    """The verbs of a frame, decisions by `HindsightMapper`; the log has no map.
+    """Front end with decisions by `HindsightMapper`; the log has no map.
 
     Attributes:
-        mapper: what decides; its `events` are the revisions.
+        mapper: decides; its `events` are the revisions.
     """
 
     revises_map = True
@@ -34,7 +34,7 @@ class MappingFrontEnd(FrontEnd):
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
-        """Before the first frame.
+        """Check options and estimator.
 
         Raises:
             UsageError: with one update per observation.
@@ -48,16 +48,16 @@ class MappingFrontEnd(FrontEnd):
 
     @property
     def passed(self) -> Acceptance:
-        """Each pairing is tested given the others; the outer gate leaves out next to nothing."""
+        """Each pairing is tested given the others; the outer gate rejects next to nothing."""
         return Acceptance(conditional=gate_threshold(self.setup.gate))
 
     def move(self, frame: Frame) -> None:
-        """The next frame comes."""
+        """Take the next frame."""
         super().move(frame)
         self.mapper.move(frame)
 
     def associate(self, frame: Frame) -> Pairing:
-        """Decide about this frame's observations; the mapper has an expectation of its own."""
+        """Decide about this frame's observations; the mapper has its own expectation."""
         decisions, complete, at, kidnapped, S = self.mapper.decide(frame)
         self.incomplete += not complete
         if kidnapped is not None and self.can.inflatable is not None:
@@ -65,7 +65,7 @@ class MappingFrontEnd(FrontEnd):
         return Pairing(decisions, at=at, S=S)
 
     def tidy(self) -> None:
-        """The end of a frame: landmarks leave the map in hindsight, and by the rules of the setup."""
+        """Retract and merge landmarks in hindsight, and remove those that the setup rules out."""
         found = self.mapper.revise()
         self._retract(found.retracted)
         if len(found.merged):
@@ -76,12 +76,12 @@ class MappingFrontEnd(FrontEnd):
         super().tidy()
 
     def leave(self, numbers: IntArray) -> None:
-        """Landmarks (r,) leave the map by the rules of the setup; nothing more is decided about them."""
+        """Remove landmarks (r,) by the rules of the setup; nothing more is decided about them."""
         super().leave(numbers)
         self.mapper.leave(numbers)
 
     def close(self) -> None:
-        """The end of the log: what may have been there for a while only is taken back, and all is paired anew."""
+        """Re-associate all observations and retract transient landmarks."""
         self._retract(self.mapper.close())
         if self.mapper.whole.settled is not None:
             if self.can.amendable is not None:
@@ -99,9 +99,9 @@ class MappingFrontEnd(FrontEnd):
         self.map_management.remove(numbers)
 
     def events(self) -> tuple[Event, ...]:
-        """Decisions that were revised."""
+        """Revised decisions."""
         return tuple(self.mapper.events)
 
     def notes(self) -> list[Notice]:
-        """What a reader of the results should know."""
+        """Messages about the run."""
         return [*super().notes(), *self.mapper.notes()]

@@ -1,20 +1,17 @@
-"""How much noise there is, whatever is stated: learned from what is believed, and told before any map.
+"""Variance scales of the stated noise, learned from innovations and from consecutive frames.
 
-*By innovations.* Stated noise is often several times too wide, because errors that last are to count for less than
-their spread says. It is right for the estimate then, but not for comparing explanations: one that fits ten times as
-well as the other, in terms of the noise that there really is, would count as equally good. So squared innovations are
-taken relative to their usual size, and as slips happen, their distribution has Student's tails.
+*By innovations.* Stated noise is often several times too large, because kept_at_end errors must count for less. This is
+right for an estimate, but not for comparing explanations. So squared innovations are taken relative to their usual
+size, with Student's tails because slips happen.
 
-*By differences of consecutive frames.* What one frame read is expected in the next one, moved by odometry. Readings
-that are each other's nearest neighbours differ by the noise of both, each of its own, and by that of the motion, which
-all pairs of a step have in common: variance components, fitted by expectation maximization (Dempster, Laird and Rubin,
-Journal of the Royal Statistical Society B 39, 1977). A pair may be of something that moved, whose differences are
-wider, or of two landmarks: these differ as neighbours do by chance, at the density of the readings in the view. Errors
-that last, of a calibration say, cancel.
+*By differences of consecutive frames.* Observations of one frame are expected in the next one, moved by odometry.
+Mutual nearest neighbours differ by the noise of both observations and by that of the motion, which all pairs of a step
+share. These variance components are fitted by expectation maximization (Dempster, Laird and Rubin, Journal of the Royal
+Statistical Society B 39, 1977). A pair may also be of a moving object, or of two landmarks at the density of the view.
+Lasting errors, of a calibration for example, cancel.
 
-Where the log shows more noise or a wider view than is stated, the statement is put right (`Restated`). Noise is only
-ever taken for more: differences hide errors that last, so that less of them is no reason to believe in less noise;
-gates are narrowed by innovations (`gates`).
+Where the log shows more noise or a wider view than stated, `Restated` corrects the statement. It never reduces noise,
+because differences hide kept_at_end errors; innovations narrow the gates (`gates`).
 """
 
 from __future__ import annotations
@@ -36,28 +33,28 @@ from eval.replay.hindsight import constants
 
 
 class NoiseScale(NamedTuple):
-    """Variance of the innovations as a share of what was stated, and the weight of what was learned, in innovations."""
+    """Variance of the innovations over the stated one, and the weight of what was learned, in innovations."""
 
     scale: float
     weight: float
 
 
 def stated() -> NoiseScale:
-    """In a known map before anything is learned: what was stated, worth as much as a few innovations."""
+    """The scale before anything is learned, with a known map."""
     return NoiseScale(1.0, constants.NOISE_PRIOR)
 
 
 def log_density(noise: NoiseScale, d2: float, log_det: float) -> float:
-    """Logarithm of the density of an innovation (2,): d^2 and log determinant by its stated covariance.
+    """Log density of an innovation (2,): Student's t with `noise.scale` times the stated covariance as scale matrix.
 
-    Student's t in two dimensions with the scale matrix `noise.scale` times the stated covariance.
+    d2, log_det: squared distance and log determinant under the stated covariance.
     """
     tails = 0.5 * (constants.FREEDOM + 2.0) * math.log1p(d2 / (constants.FREEDOM * noise.scale))
     return -math.log(2.0 * math.pi * noise.scale) - 0.5 * log_det - tails
 
 
 def learned(before: NoiseScale, d2: Array, share: Array) -> NoiseScale:
-    """The scale after innovations of squares d2 (k,), each believed to a share (k,).
+    """The scale after squared innovations d2 (k,), each with weight share (k,).
 
     One step of expectation maximization for Student's t (Liu and Rubin, Statistica Sinica 5, 1995), with fading memory.
     """
@@ -70,12 +67,11 @@ def learned(before: NoiseScale, d2: Array, share: Array) -> NoiseScale:
     return NoiseScale(max(scale, constants.LEAST_SCALE), weight)
 
 
-SOME = 0.1
-"""Share of the pairs that are of something that moves, before the first round; the others are shared out evenly."""
+SOME = 0.1  # share of the pairs of moving objects before the first round
 
 
 class Shares(NamedTuple):
-    """Variances of ranges, of bearings and of the motion, in those that were stated."""
+    """Variances of ranges, of bearings and of the motion, over the stated ones."""
 
     range: float = 1.0
     bearing: float = 1.0
@@ -88,10 +84,10 @@ AS_STATED = Shares()
 class Step(NamedTuple):
     """The K pairs of two consecutive frames.
 
-    covariance: (3, 3) of the motion between them, as stated.
-    nu: (K, 2) differences; H: (K, 2, 3) their Jacobians to the motion; by_range, by_bearing: (K, 2, 2) covariances that
-    the stated noise of both readings gives them.
-    chance: (K,) density at nu of the difference to a neighbour that is another landmark.
+    covariance: (3, 3) stated, of the motion between them.
+    nu: (K, 2) differences; H: (K, 2, 3) their Jacobians to the motion; by_range, by_bearing: (K, 2, 2) covariances from
+    the stated noise of both observations.
+    chance: (K,) density at nu of the difference to another landmark.
     """
 
     covariance: Array
@@ -103,17 +99,16 @@ class Step(NamedTuple):
 
 
 class Differences:
-    """Collects the steps from one frame to the next; what they tell is worked out at the 1st, 2nd, 4th, 8th one."""
+    """Collects steps between frames; fits the shares at the 1st, 2nd, 4th, 8th, ... step."""
 
     def __init__(self, sensor: Sensor) -> None:
-        """Before the first frame."""
         self._sensor, self._shares = sensor, AS_STATED
         self._before: FrameObservations | None = None
         self._steps: list[Step] = []
         self._farthest = MIN_RANGE
 
     def see(self, increment: Increment | None, observations: FrameObservations) -> Shares:
-        """The next frame, its motion and what was read; what is known of the noise by now."""
+        """Add the next frame; returns the shares known by now."""
         if len(self._steps) >= constants.DIFFERENCES_MOST:
             return self._shares
         before, self._before = self._before, observations if len(observations.z) else None
@@ -131,7 +126,7 @@ class Differences:
 
 
 def axes(sensor: Sensor, z: Array) -> Array:
-    """Directions of the range and of the bearing (m, 2, 2), as columns, in the space of measurements (m, 2)."""
+    """Directions of range and bearing (m, 2, 2), as columns, in the space of measurements (m, 2)."""
     if sensor.kind == RANGE_BEARING:
         return np.tile(np.eye(2), (len(z), 1, 1))
     r = np.hypot(z[:, 0], z[:, 1])[:, None]
@@ -140,7 +135,7 @@ def axes(sensor: Sensor, z: Array) -> Array:
 
 
 def with_shares(sensor: Sensor, observations: FrameObservations, shares: Shares) -> FrameObservations:
-    """The same readings with such shares of the stated variances."""
+    """The same observations with variances scaled by shares."""
     z, R = observations
     T = axes(sensor, z)
     D = T @ np.diag(np.sqrt([shares.range, shares.bearing])) @ T.transpose(0, 2, 1)
@@ -150,7 +145,7 @@ def with_shares(sensor: Sensor, observations: FrameObservations, shares: Shares)
 def paired(
     sensor: Sensor, before: FrameObservations, increment: Increment, now: FrameObservations, reach: float
 ) -> Step:
-    """Readings of two frames that are each other's nearest neighbours, by the stated noise; `reach` [m] of the view."""
+    """Observations of two frames that are mutual nearest neighbours under the stated noise; `reach` [m] of the view."""
     xy, _, Gz = sensor.inverse(np.zeros(3), before.z)
     z_hat, H, Hl = sensor.linearize(increment.mean, xy)
     J = Hl @ Gz
@@ -169,7 +164,7 @@ def paired(
 
 
 def _by_direction(sensor: Sensor, observations: FrameObservations) -> tuple[Array, Array]:
-    """The parts (m, 2, 2) of R that are noise of the range and of the bearing, without what these have in common."""
+    """The parts (m, 2, 2) of R from range and bearing noise, without their correlation."""
     T = axes(sensor, observations.z)
     variance = np.einsum("mij,mik,mkj->mj", T, observations.R, T)
     along, across = (variance[:, i, None, None] * T[:, :, None, i] * T[:, None, :, i] for i in range(2))
@@ -177,7 +172,7 @@ def _by_direction(sensor: Sensor, observations: FrameObservations) -> tuple[Arra
 
 
 def fitted(steps: list[Step]) -> Shares:
-    """The variances that explain the differences best; as stated, if with these a nearest neighbour may be any."""
+    """The most likely shares; as stated if a nearest neighbour may be any landmark."""
     first = np.concatenate([[0], np.cumsum([len(s.nu) for s in steps])])
     covariance = np.stack([s.covariance for s in steps])
     nu, H, by_range, by_bearing, chance = (np.concatenate(c) for c in list(zip(*steps, strict=True))[1:])
@@ -204,10 +199,10 @@ def _fit(
     wide: float,
     some: float,
 ) -> Array:
-    """Shares (3,) after so many rounds, where `prior` pairs and steps say that all is as stated.
+    """Shares (3,) after `rounds` rounds, with a prior of `prior` pairs and steps for the stated noise.
 
-    The pairs of step f are rows first[f] to first[f + 1] - 1. A pair is as it should be, of something that moves (its
-    noise `wide` times as large), or of two landmarks.
+    Rows first[f] to first[f + 1] - 1 are the pairs of step f. A pair is of a static landmark, of a moving object (noise
+    times `wide`), or of two landmarks.
     """
     # from above: noise that is as large as that of what moves would else be taken for it
     share, how = np.array([wide, wide, 1.0]), np.array([0.5 - 0.5 * some, some, 0.5 - 0.5 * some])
@@ -270,23 +265,22 @@ def _normal(x: Array, S: Array) -> float:
 
 
 class Restated:
-    """Reads a log's frames, and restates the covariances of those that come after.
+    """Estimates the noise from a log's frames and restates the covariances of later ones.
 
     Attributes:
-        shares: variances of range, bearing and motion as they are, in those stated; none is below 1.
+        shares: variances of range, bearing and motion over the stated ones; none is below 1.
     """
 
     def __init__(self, sensor: Sensor) -> None:
-        """Before the first frame."""
         self.shares = AS_STATED
         self._sensor = self._view = sensor
         self._differences = Differences(sensor)
 
     def see(self, frame: Frame) -> Frame:
-        """The next frame, with the noise that is known after it."""
+        """Add the next frame; returns it with the noise known by now."""
         self._view = holding(self._view, self._sensor.polar(frame.observations.z))
-        told = self._differences.see(frame.increment, frame.observations)
-        self.shares = Shares(*(s if s > constants.UNDERSTATED**2 else 1.0 for s in told))
+        found = self._differences.see(frame.increment, frame.observations)
+        self.shares = Shares(*(s if s > constants.UNDERSTATED**2 else 1.0 for s in found))
         return self.restated(frame)
 
     def restated(self, frame: Frame) -> Frame:
@@ -301,11 +295,11 @@ class Restated:
         )
 
     def widened(self, sensor: Sensor) -> Sensor:
-        """A sensor with the view that holds all that was read so far."""
+        """A sensor whose view holds all observations so far."""
         view = self._view
         return replace(sensor, max_range=view.max_range, min_angle=view.min_angle, max_angle=view.max_angle)
 
     def notes(self) -> list[Notice]:
-        """What a reader of the results should know."""
+        """Messages about larger noise."""
         more = {name: s**0.5 for name, s in self.shares._asdict().items() if s > 1.0}
         return [notice(Code.LARGER_SIGMAS, of=tuple(more), factors=tuple(more.values()))] if more else []

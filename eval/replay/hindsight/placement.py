@@ -1,13 +1,12 @@
-"""Placement: the pose of a frame by geometry, where the motion is too uncertain for an expectation at its mean.
+"""Placement: the pose of a frame by geometry, where the motion is too uncertain to linearize at its mean.
 
-A linearized expectation says nothing about a robot that may have turned by a radian. Two observations and two
-landmarks as far apart give a pose exactly, without a start, as in `relocalize`; those that the motion allows are
-verified with the estimator's own joint covariance, linearized there, and the best of them is where the frame is decided
-about. Poses that pair alike are one.
+Two observations laid onto two landmarks at the same distance give a pose exactly, as in `relocalize`. Poses that the
+motion allows are verified with the estimator's own joint covariance, linearized there, and the best one is used. Poses
+with similar pairings are one.
 
-Which is the best? A world may repeat itself. That what lies ahead looks like what is mapped behind is no evidence of
-being there, so an observation beyond what was ever in view speaks neither for a pose nor against it; what should have
-been seen and was not, then or now, speaks against it, and for the rest the motion decides.
+A world may repeat itself, so similarity to mapped places is no evidence. An observation beyond everything in view
+before counts neither for a pose nor against it. Missed detections count against it, then and now; otherwise the motion
+decides.
 """
 
 from __future__ import annotations
@@ -35,9 +34,9 @@ from eval.replay.hindsight.relocalize import distance_sigmas
 
 
 def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[float, IntArray]]:
-    """Different pairings (m,), candidate of each observation or -1, that poses allowed by the motion make.
+    """Different pairings (m,), candidate of each observation or -1, from poses allowed by the motion.
 
-    Each with its squared distance from the predicted motion; those with most pairs first, `FRAME_PAIRINGS` at most.
+    Each with its squared distance from the predicted motion; most pairs first, at most `FRAME_PAIRINGS`.
     """
     seen, R = sensor.body_points(e.z, e.R)
     there, _, G = sensor.inverse(np.zeros(3), e.z_hat)
@@ -77,12 +76,12 @@ def _poses(
     fewest: int,
     kept: int,
 ) -> tuple[IntArray, Array, int]:
-    """Poses (x, y, a) with there = R(a) seen + (x, y) that two pairs of points give, and what they pair.
+    """Poses (x, y, a) with there = R(a) seen + (x, y) from two pairs of points, and their pairings.
 
-    seen (m, 2) of standard deviations (m,), seen_sigma (m, m) those of their distances; there (n, 2), there_sigma
-    (n, n). Of the observations `surest` pairs at least `long` times as far apart as the farthest. Returns the pairings
-    (kept, m), nearest within `sigmas` or -1, the squared distance (kept,) of each pose by `information`
-    (3, 3), which is below `threshold`, and how many there are, of at least `fewest` pairs each.
+    seen (m, 2) with standard deviations (m,), seen_sigma (m, m) those of their distances; there (n, 2), there_sigma (n,
+    n). Pairs of the observations `surest` at least `long` times as far apart as the farthest are used. Returns the
+    pairings (kept, m), nearest within `sigmas` or -1, the squared distance (kept,) of each pose by `information` (3,
+    3), below `threshold`, and the number of poses with at least `fewest` pairings.
     """
     m, n = len(seen), len(there)
     pairings, distance, count = np.full((kept, m), -1, np.int64), np.empty(kept), 0
@@ -138,10 +137,10 @@ def _poses(
 
 
 class Memory(NamedTuple):
-    """What the frames before tell.
+    """Knowledge from the frames before.
 
-    seen_from: poses (3,) from which the map was seen; rate: (n,) with which each candidate is seen where it is well in
-    view; strays: share of what is seen, where the map was seen before, that is no landmark of it.
+    seen_from: poses (3,) from which the map was seen; rate: (n,) detection probability of each candidate; strays: share
+    of observations in mapped areas that are of no landmark.
     """
 
     seen_from: Sequence[Array]
@@ -150,12 +149,11 @@ class Memory(NamedTuple):
 
 
 class Placed(NamedTuple):
-    """A frame with its pose found.
+    """A frame with its pose.
 
-    pose: (3,) in the world; expectation: linearized there; believed: the same once the pairings are believed;
-    decisions: (m,) as of `association.conditional`; sudden: how many of the unpaired should have been seen
-    before;
-    score: log-likelihood, see `place`.
+    pose: (3,) in the world; expectation: linearized there; believed: the same given the pairings; decisions: (m,) as of
+    `association.conditional`; sudden: number of unpaired observations in mapped areas; score: log-likelihood, see
+    `place`.
     """
 
     pose: Array
@@ -167,7 +165,7 @@ class Placed(NamedTuple):
 
 
 def drifted(covariance: Array, increment: Increment) -> Array:
-    """Covariance (3, 3) of a motion, in the body frame that it is expected to end in, after one more increment."""
+    """Covariance (3, 3) of a motion after one more increment, in the body frame of its expected end."""
     (x, y, turn), M = increment
     B = se2.world_from_body(-float(turn))
     F = B @ np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [0.0, 0.0, 1.0]])
@@ -176,11 +174,10 @@ def drifted(covariance: Array, increment: Increment) -> Array:
 
 
 def too_uncertain(e: Expectation, sensor: Sensor, motion: Array) -> bool:
-    """Whether what one linearization leaves out exceeds the noise of most observations.
+    """Whether the linearization error exceeds the noise of most observations.
 
-    A point p seen after an unexpected motion (d, a) stands at R(-a) (p - d); the second-order terms |p| a^2 / 2 and
-    |d| |a| have root mean squares of sqrt(3) / 2 |p| sigma_a^2 and at most sigma_d sigma_a. `motion` (3, 3): see
-    `drifted`.
+    A point p seen after an unexpected motion (d, a) is at R(-a) (p - d); the second-order terms |p| a^2 / 2 and |d| |a|
+    have root mean squares of sqrt(3) / 2 |p| sigma_a^2 and at most sigma_d sigma_a. `motion` (3, 3): see `drifted`.
     """
     if not len(e.z):
         return False
@@ -201,19 +198,18 @@ def place(
 ) -> Placed | None:
     """The pose at which a frame is to be decided about, with its decisions; None if the map does not give one.
 
-    The score of a pose is -d^2 / 2 of the motion to it, and the logarithms of the probabilities that landmarks which
-    should have been seen were missed, and that unpaired observations which should have been seen before are strays.
-    Pairings must hold, jointly and each given the others; their number and how well they fit are worth nothing more:
-    where a world repeats itself that is luck.
+    The score of a pose is -d^2 / 2 of the motion to it, plus log probabilities of its missed detections and of unpaired
+    observations in mapped areas. Pairings must pass the gates jointly and each given the others. Their number and fit
+    do not count, because a repetitive world provides them by chance.
 
     Args:
         e: expectation at the predicted pose, with `elsewhere`.
         sensor: of the observations.
         predicted: (3,) pose in the world.
-        motion: (3, 3) its covariance relative to what is mapped, in the predicted body frame.
+        motion: (3, 3) its covariance relative to the map, in the predicted body frame.
         memory: of the frames before.
         gate: chi-square probability of a pairing given the others of its frame.
-        new_gate: the one outside which an unpaired observation is a new landmark.
+        new_gate: outside of which an unpaired observation is a new landmark.
     """
     near = _near(e, sensor, motion)
     if min(len(near), len(e.z)) < constants.PLACE_PAIRINGS:
@@ -234,7 +230,7 @@ def place(
 
 
 def _near(e: Expectation, sensor: Sensor, motion: Array) -> IntArray:
-    """Candidates (k,) no farther away than what is seen farthest, however the robot moved."""
+    """Candidates (k,) within the farthest observed distance, for any motion."""
     seen, there = sensor.polar(e.z)[:, 0], sensor.inverse(np.zeros(3), e.z_hat)[0]
     lever = math.hypot(*sensor.translation)
     reach = float(seen.max(initial=0.0)) + lever + constants.REACH_SIGMAS * math.sqrt(motion[0, 0] + motion[1, 1])
@@ -251,7 +247,7 @@ def _verified(
     memory: Memory,
     gate: float | None,
 ) -> Placed | None:
-    """The place that a pairing (m,) leads to, its decisions those of all pairings; None if they do not hold."""
+    """The place of a pairing (m,), with all pairings as its decisions; None if they do not pass the gates."""
     assert e.elsewhere is not None  # the caller's promise
     xy, R = sensor.body_points(e.z, e.R)
     landmarks, every = sensor.inverse(predicted, e.z_hat)[0], np.arange(len(e.number))
@@ -281,7 +277,7 @@ def _verified(
 
 
 def _clear(believed: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
-    """Those pairings of which neither side has another one in the gate, given all; all of them if these are few."""
+    """Unambiguous pairings of both sides, given all; all pairings if these are too few."""
     near = believed.individual_distances() < gate_threshold(gate)
     rows, chosen = believed.paired(decisions)
     clear = (near[rows].sum(axis=1) == 1) & (near[:, chosen].sum(axis=0) == 1) & near[rows, chosen]
@@ -293,7 +289,7 @@ def _clear(believed: Expectation, decisions: IntArray, gate: float | None) -> In
 
 
 def _more(believed: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
-    """Pairings of what is left, by joint compatibility given those made."""
+    """Pair what is left, by joint compatibility given the pairings made."""
     left = np.flatnonzero(decisions == NEW)
     free = np.flatnonzero(~np.isin(believed.number, decisions))
     if not len(left) or not len(free):
@@ -307,7 +303,7 @@ def _more(believed: Expectation, decisions: IntArray, gate: float | None) -> Int
 
 
 def _in_view_before(sensor: Sensor, pose: Array, xy: Array, R: Array, seen_from: Sequence[Array]) -> int:
-    """How many points (k, 2) seen from a pose (3,) had been well in view before, by 3 sigma."""
+    """Number of points (k, 2) seen from a pose (3,) that were well in view before, by 3 sigma."""
     world = se2.transform_points(pose, xy)
     sigma = constants.REACH_SIGMAS * np.sqrt(np.trace(R, axis1=1, axis2=2))
     before = np.zeros(len(xy), np.bool_)

@@ -1,16 +1,14 @@
-"""Evidence for a landmark: how often it was seen, how often it should have been, and whether it stood still.
+"""Evidence for a landmark: detections, missed detections, and whether it stood still.
 
-An observation gives the landmark's innovation given its frame's other pairings (`association.conditional.alone`).
-Of a landmark that stands still these are independent, their squares chi-square and their weighted mean in the world
-zero; one that moves drags its estimate behind it, so that they all point where it goes.
+An observation gives the landmark's innovation given its frame's other pairings (`association.conditional.alone`). For a
+static landmark these are independent, with chi-square squares and weighted mean zero in the world. A moving landmark
+drags its estimate along, so its innovations point in the direction of motion.
 
-Which landmarks of a log are there for good, and which for a while (clutter, people, what a bent map has twice)? Every
-landmark that was initialized is a row of looks: places from which it should have been seen, and was or was not. One
-kind stays: it is seen and missed as a Markov chain has it, each landmark with rates of its own around the common ones
-(beta distributions). The other kind goes: at once after the reading that it was initialized by (clutter), or at each
-later look (people); from then on it is read by chance only. Which shares the kinds have, how soon the second one goes
-and how often the first one is seen is fitted to all landmarks of the log together, by expectation maximization. What is
-missed at the end of a row of looks does not tell how often landmarks are missed: they may be gone.
+Persistent or transient? Each landmark has a sequence of detection opportunities, detected or missed. Detections of a
+persistent landmark form a Markov chain, with rates of its own around common ones (beta distributions). A transient
+landmark vanishes right after its first observation (clutter) or before each later opportunity (people); afterwards it
+is detected by chance only. Shares and rates are fitted to all landmarks of the log by expectation maximization. Misses
+at the end of a sequence do not count for the rates: the landmark may have vanished.
 """
 
 from __future__ import annotations
@@ -34,12 +32,12 @@ from eval.replay.hindsight import constants
 
 
 class Evidence(NamedTuple):
-    """What speaks for one landmark and against it.
+    """Evidence for and against one landmark.
 
-    seen: observations, `opportunities` of them from different places; missed: places of a missed detection,
+    seen: observations, `opportunities` of them from different places; missed: missed detections from different places,
     `row` of them since the last observation;
-    judged: observations judged by others of their frame; squares: the sum of these squared; pull (2,),
-    information (2, 2): these in the world, weighted, summed.
+    judged: observations judged by others of their frame; squares: sum of their squared innovations; pull (2,),
+    information (2, 2): their weighted sums in the world.
     """
 
     seen: int
@@ -52,8 +50,7 @@ class Evidence(NamedTuple):
     information: Array
 
 
-INITIALIZED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))
-"""Of a landmark that was initialized just now."""
+INITIALIZED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))  # of a landmark that was initialized just now
 
 
 class Judgement(NamedTuple):
@@ -64,8 +61,8 @@ class Judgement(NamedTuple):
     G: Array
 
 
-def sighted(e: Evidence, judged: Judgement | None, elsewhere: bool) -> Evidence:
-    """Add an observation, judged by the others of its frame; `elsewhere`: from another place than the last."""
+def add_observation(e: Evidence, judged: Judgement | None, elsewhere: bool) -> Evidence:
+    """Add an observation and what the others of its frame say of it; `elsewhere`: from another place than the last."""
     e = e._replace(seen=e.seen + 1, opportunities=e.opportunities + elsewhere, row=0)
     if judged is None:
         return e
@@ -79,16 +76,15 @@ def sighted(e: Evidence, judged: Judgement | None, elsewhere: bool) -> Evidence:
     )
 
 
-def overlooked(e: Evidence) -> Evidence:
-    """It should have been seen, and was not."""
+def add_miss(e: Evidence) -> Evidence:
+    """Add a missed detection."""
     return e._replace(missed=e.missed + 1, row=e.row + 1)
 
 
 class Visibility(NamedTuple):
-    """Counts over confirmed landmarks in view: seen and missed after an observation, and after a miss.
+    """Counts over confirmed landmarks in view: detected and missed, after a detection and after a miss.
 
-    A landmark that is hidden from here stays hidden for a while, so misses come in rows; where a sensor sees all there
-    is in view, a second miss in a row is as unlikely as the first.
+    An occluded landmark stays occluded for a while, so misses come in rows.
     """
 
     seen_seen: int = 0
@@ -97,12 +93,12 @@ class Visibility(NamedTuple):
     missed_missed: int = 0
 
     def counting(self, before_missed: bool, seen: bool) -> Visibility:
-        """With one more landmark in view."""
+        """Add one detection opportunity."""
         name = ("missed_" if before_missed else "seen_") + ("seen" if seen else "missed")
         return self._replace(**{name: getattr(self, name) + 1})
 
     def without(self, row: int) -> Visibility:
-        """Without a row of misses that is not over: a landmark must not testify for itself."""
+        """Leave out an unfinished row of misses: a landmark must not testify for itself."""
         if not row:
             return self
         return self._replace(
@@ -111,13 +107,14 @@ class Visibility(NamedTuple):
 
     @property
     def rate(self) -> float:
-        """With which a landmark in view is seen."""
+        """Detection probability of a landmark in view."""
         return detection_rate(self.seen_seen + self.missed_seen, self.seen_missed + self.missed_missed)
 
     def row(self, length: int, rate: float) -> float:
-        """Probability that a landmark which is there is missed so often in a row; `rate`: with which it is seen.
+        """Probability (Markov chain) that an existing landmark of this detection probability is missed `length` times
+        in a row.
 
-        A Markov chain; before much is known of rows, misses are taken for independent.
+        Before enough rows are known, misses count as independent.
         """
         if not length:
             return 1.0
@@ -127,25 +124,27 @@ class Visibility(NamedTuple):
 
 
 def detection_rate(seen: int, missed: int) -> float:
-    """Mean of the beta distribution of a rate after so many observations and misses, from a uniform prior."""
+    """Mean of the beta distribution of a rate, from a uniform prior."""
     return (seen + 1) / (seen + missed + 2)
 
 
-def certain(e: Evidence, v: Visibility) -> bool:
-    """Whether a landmark was seen as often as `CONFIRMED` times in view would give, and at least twice."""
+def confirmed(e: Evidence, v: Visibility) -> bool:
+    """Whether a landmark has as many observations as `CONFIRMED` detection opportunities would give, and at
+    least two.
+    """
     return e.seen >= max(constants.CONFIRMED_AT_LEAST, constants.CONFIRMED * v.rate)
 
 
 def verdict(e: Evidence, v: Visibility) -> str:
-    """Why a landmark is to be retracted, `moved` or `missed`; empty: it stays.
+    """Why a landmark is to be retracted, `moved` or `missed`; empty if it stays.
 
-    A certain landmark has its own rate of detection, if that is lower, and there must be more against it.
+    A confirmed landmark has its own detection probability, if that is lower, and needs more evidence against it.
     """
     if e.judged:
         drift = float(e.pull @ np.linalg.solve(e.information, e.pull))
         if drift > gate_threshold(constants.MOVED) or e.squares > gate_threshold(constants.RESTLESS, 2 * e.judged):
             return "moved"
-    if certain(e, v):
+    if confirmed(e, v):
         v = v.without(e.row)
         own = min(v.rate, detection_rate(e.opportunities, e.missed - e.row))
         return "missed" if v.row(e.row, own) < constants.UNLIKELY**constants.UNLIKELY_POWER else ""
@@ -153,10 +152,7 @@ def verdict(e: Evidence, v: Visibility) -> str:
 
 
 def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
-    """Candidates (n,) that should have been seen in a frame and were not paired.
-
-    They stand in the field of view by `IN_VIEW_SIGMAS`, and nothing that was seen stands before them.
-    """
+    """Candidates (n,) with a missed detection: in the field of view by `IN_VIEW_SIGMAS`, not occluded, not paired."""
     expected, seen = sensor.polar(e.z_hat), sensor.polar(e.z)
     sigma = constants.IN_VIEW_SIGMAS * polar_sigma(sensor, e.z_hat, e.HPHt)
     inside = sensor.in_view(e.z_hat, margin_range=-sigma[:, 0], margin_angle=-sigma[:, 1])
@@ -168,21 +164,20 @@ def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
 
 @dataclass
 class Record:
-    """What is known of one landmark of the map, but for where it stands.
+    """What is known of one landmark of the map, except its position.
 
     Attributes:
-        observations: (observation, decision) of all that are taken for it; the first one initialized it.
-        looked_from: (x, y) [m] of the robot where it was last seen, or should have been.
+        observations: (observation, decision) of all assigned to it; the first one initialized it.
+        place: (x, y) [m] of the robot at its last detection opportunity.
         first, last: distances travelled [m] at its first and its last observation.
         times: observations, by the decisions that were used.
-        evidence: what speaks for it and against it.
-        covisible: landmarks that were seen in one frame with it: they cannot be the same.
-        gated: distance travelled [m] where its gate was judged last, by whether the observation was inside.
-        opportunities: detection opportunities after the first observation; 1 seen, 0 missed.
+        covisible: landmarks seen in one frame with it: they cannot be the same.
+        gated: distance travelled [m] at the last judgement of its gate, by whether the observation was inside.
+        opportunities: detection opportunities after the first observation; 1 detected, 0 missed.
     """
 
     observations: list[tuple[int, int]]
-    looked_from: tuple[float, float]
+    place: tuple[float, float]
     first: float
     last: float
     times: int = 0
@@ -193,10 +188,10 @@ class Record:
 
 
 class Judged(NamedTuple):
-    """What a frame's expectation says about its pairings, to be taken before the update, which it does not survive.
+    """What a frame's expectation says about its pairings, computed before the update changes the state.
 
-    rows (k,) of the paired observations, the landmarks' numbers (k,), their innovations given each other; the landmarks
-    (n,) that should have been seen and were not, and those of them where something was read before.
+    rows (k,) of the paired observations, the landmarks' numbers (k,), their innovations given each other; missed
+    landmarks (n,), and those of them where something was observed before.
     """
 
     rows: IntArray
@@ -207,25 +202,23 @@ class Judged(NamedTuple):
 
 
 class Epoch(NamedTuple):
-    """Since when the robot cannot tell which landmark is which: distance travelled [m], number of the next landmark."""
+    """Since when landmarks are ambiguous to the robot: distance travelled [m], number of the next landmark."""
 
     begun: float = -math.inf
     first: int = 0
 
 
-Opportunities = Sequence[bytes | bytearray]
-"""Of each landmark, after the reading that it was initialized by: 1 seen, 0 missed, in their order."""
+Opportunities = Sequence[bytes | bytearray]  # of each landmark, after its first observation: 1 detected, 0 missed
 
 
 class Persistence(NamedTuple):
-    """What a log's landmarks are like.
+    """Common parameters of a log's landmarks.
 
-    stays: share of those that are there for good; at_once, later: probability that one of the others is gone at the
-    first look, and that it goes before each further one; seen, again: probability that what is there is seen at a look
-    after it was seen, and after it was missed.
+    persistent: share of persistent landmarks; at_once, later: probabilities that a transient one vanishes before the
+    first and before each further opportunity; seen, again: detection probabilities after a detection and after a miss.
     """
 
-    stays: float
+    persistent: float
     at_once: float
     later: float
     seen: float
@@ -233,62 +226,64 @@ class Persistence(NamedTuple):
 
 
 def persistence(opportunities: Opportunities) -> Persistence:
-    """Of the landmarks (n) of a log, those that were retracted included; without any it is the prior."""
-    own, chance, least = constants.PERSISTENCE_OWN, constants.PERSISTENCE_CHANCE, constants.PERSISTENCE_LATER_LEAST
-    prior = np.array([constants.PERSISTENCE_MEANS, constants.PERSISTENCE_WORTH])
-    return Persistence(
-        *_fitted(*_packed(opportunities), prior, own, chance, least, constants.PERSISTENCE_ROUNDS).tolist()
-    )
+    """Fit to the landmarks (n) of a log, retracted ones included; the prior if there are none."""
+    fitted = _fitted(
+        *_packed(opportunities), np.array([constants.PERSISTENCE_MEANS, constants.PERSISTENCE_WORTH]),
+        constants.PERSISTENCE_OWN, constants.PERSISTENCE_CHANCE, constants.PERSISTENCE_LATER_LEAST,
+        constants.PERSISTENCE_ROUNDS,
+    )  # fmt: skip
+    return Persistence(*fitted.tolist())
 
 
 def persistent(opportunities: Opportunities, p: Persistence) -> Array:
-    """Probability (n,) that each of n landmarks is there for good."""
-    return _staying(*_packed(opportunities), np.array(p), constants.PERSISTENCE_OWN, constants.PERSISTENCE_CHANCE)
+    """Probability (n,) that each landmark is persistent."""
+    return _probabilities(*_packed(opportunities), np.array(p), constants.PERSISTENCE_OWN, constants.PERSISTENCE_CHANCE)
 
 
-def lasting(opportunities: Opportunities, former: Opportunities, observations: IntArray) -> BoolArray:
+def kept_at_end(opportunities: Opportunities, former: Opportunities, observations: IntArray) -> BoolArray:
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
-    Those that stay by odds of two to one (`PERSISTENT_PROBABILITY`). Where most of these are read often, one that was read two or three
-    times is somebody who came along in the end: it needs as many observations as all but the fewest of them have, or
-    `CONFIRMED`. Where that leaves less than half of those that may be expected to stay, their number is better known than
-    which they are: then it is as many, the likeliest.
+    These are persistent with probability `PERSISTENT_PROBABILITY`, and have as many observations as all but the fewest
+    of them, or `CONFIRMED`: a landmark observed twice among often observed ones is a person who came by at the end. If
+    fewer than half of the expected number would stay, the most probable ones are kept.
 
     Args:
-        opportunities: at each of the map's landmarks (n).
-        former: at the landmarks that were retracted before.
-        observations: (n,) of each of the map's.
+        opportunities: of the map's landmarks (n).
+        former: of retracted landmarks.
+        observations: (n,) number of each landmark of the map.
     """
     often = observations >= constants.CONFIRMED_AT_LEAST
-    stay = np.where(often, persistent(opportunities, persistence([*opportunities, *former])), 0.0)
-    keep: BoolArray = stay > constants.PERSISTENT_PROBABILITY
+    probability = np.where(often, persistent(opportunities, persistence([*opportunities, *former])), 0.0)
+    keep: BoolArray = probability > constants.PERSISTENT_PROBABILITY
     if keep.any():
         keep &= observations >= min(
             constants.CONFIRMED, float(np.quantile(observations[keep], constants.PERSISTENT_FEWEST))
         )
-    expected = round(float(stay.sum()))
+    expected = round(float(probability.sum()))
     if 2 * keep.sum() < expected:
-        keep = np.zeros(len(stay), np.bool_)
-        keep[np.argsort(-stay, kind="stable")[:expected]] = True
+        keep = np.zeros(len(probability), np.bool_)
+        keep[np.argsort(-probability, kind="stable")[:expected]] = True
     return keep
 
 
 def _packed(opportunities: Opportunities) -> tuple[IntArray, IntArray]:
-    """All looks in a row (m,), and where those of each landmark begin (n + 1,)."""
+    """All opportunities in a row (m,), and where those of each landmark begin (n + 1,)."""
     begin = np.cumsum(np.array([0, *(len(s) for s in opportunities)], np.int64))
     return np.frombuffer(b"".join(opportunities), np.uint8).astype(np.int64), begin
 
 
 @njit(cache=True)
 def _betas(seen: float, missed: float, mean: float, own: float) -> float:
-    """Log-likelihood of looks whose rate is beta distributed: mean, and as many looks `own` as the mean is worth."""
+    """Log-likelihood of opportunities whose rate is beta distributed, with this mean and weight `own`."""
     a, b = own * mean, own * (1.0 - mean)
     return lgamma(a + seen) - lgamma(a) + lgamma(b + missed) - lgamma(b) + lgamma(own) - lgamma(own + seen + missed)
 
 
 @njit(cache=True)
 def _transitions(opportunities: IntArray) -> tuple[Array, int]:
-    """Counts (2, 2) of looks [after a miss or an observation, missed or seen], and how many misses are at the end."""
+    """Counts (2, 2) of opportunities [after a miss or a detection, missed or detected], and number of misses at the
+    end.
+    """
     counts, before, row = np.zeros((2, 2)), 1, 0
     for now in opportunities:
         counts[before, now] += 1.0
@@ -297,11 +292,11 @@ def _transitions(opportunities: IntArray) -> tuple[Array, int]:
 
 
 @njit(cache=True)
-def _goes(opportunities: IntArray, p: Array, chance: float, expected: Array) -> float:
-    """Log-likelihood of the looks at a landmark that goes: the sum over the looks k before which it may have gone.
+def _transient(opportunities: IntArray, p: Array, chance: float, expected: Array) -> float:
+    """Log-likelihood of a transient landmark: sum over the opportunities k before which it may have vanished.
 
-    expected (4,), written: gone at once or not, for a landmark that was looked at; gone at a later look, and looks that
-    it lasted.
+    expected (4,), written: vanished at once or not, for a landmark with opportunities; vanished later, and
+    opportunities that it lasted.
     """
     at_once, later, seen, n = p[1], p[2], p[3], len(opportunities)
     terms = np.empty(n + 2)
@@ -330,27 +325,29 @@ def _goes(opportunities: IntArray, p: Array, chance: float, expected: Array) -> 
 
 
 @njit(cache=True)
-def _stays(opportunities: IntArray, counts: Array, p: Array, own: float, chance: float, expected: Array) -> float:
-    """Probability that a landmark stays, given the looks at it and their counts (2, 2); `expected` as of `_goes`."""
+def _probability(opportunities: IntArray, counts: Array, p: Array, own: float, chance: float, expected: Array) -> float:
+    """Probability that a landmark is persistent, given its opportunities and their counts (2, 2); `expected` as of
+    `_transient`.
+    """
     there = log(p[0]) + _betas(counts[1, 1], counts[1, 0], p[3], own) + _betas(counts[0, 1], counts[0, 0], p[4], own)
-    gone = log(1.0 - p[0]) + _goes(opportunities, p, chance, expected)
+    gone = log(1.0 - p[0]) + _transient(opportunities, p, chance, expected)
     return 1.0 / (1.0 + exp(min(gone - there, 700.0)))
 
 
 @njit(cache=True)
-def _staying(opportunities: IntArray, begin: IntArray, p: Array, own: float, chance: float) -> Array:
-    stays, expected = np.empty(len(begin) - 1), np.empty(4)
-    for i in range(len(stays)):
+def _probabilities(opportunities: IntArray, begin: IntArray, p: Array, own: float, chance: float) -> Array:
+    probability, expected = np.empty(len(begin) - 1), np.empty(4)
+    for i in range(len(probability)):
         of = opportunities[begin[i] : begin[i + 1]]
-        stays[i] = _stays(of, _transitions(of)[0], p, own, chance, expected)
-    return stays
+        probability[i] = _probability(of, _transitions(of)[0], p, own, chance, expected)
+    return probability
 
 
 @njit(cache=True)
 def _fitted(
     opportunities: IntArray, begin: IntArray, prior: Array, own: float, chance: float, least: float, rounds: int
 ) -> Array:
-    """`Permanence` as an array (5,); prior (2, 5): mean of each, and what it is worth."""
+    """`Persistence` as an array (5,); prior (2, 5): mean and weight of each."""
     p: Array = prior[0].copy()
     expected = np.empty(4)
     for _ in range(rounds):
@@ -358,7 +355,7 @@ def _fitted(
         for i in range(len(begin) - 1):
             of = opportunities[begin[i] : begin[i + 1]]
             counts, row = _transitions(of)
-            there = _stays(of, counts, p, own, chance, expected)
+            there = _probability(of, counts, p, own, chance, expected)
             gone = 1.0 - there
             if row:
                 counts[1, 0] -= 1.0

@@ -1,12 +1,12 @@
-"""Relocalization: where in a map a scan was taken, without any prior of the pose.
+"""Relocalization: where in a map a scan was taken, without a prior.
 
 Geometric constraints, branch and bound (Neira, Tardos and Castellanos, ICRA 2003): points of the scan are paired with
-landmarks such that all distances between them agree; the hypotheses with most pairings are verified by a rigid fit and
-its joint distance, and the best of them counts only if no other place explains the scan nearly as well.
+landmarks such that all their distances agree. Hypotheses with most pairings are verified by a rigid fit and its joint
+distance. The best counts only if no other place explains the scan nearly as well.
 
-The scan is accumulated over a few frames, a map of the surroundings that knows no world frame (robot-centred:
-Castellanos, Martinez-Cantin, Tardos and Neira, Robotics and Autonomous Systems 55, 2007): the robot stands at its
-origin without error, its motion moves the points, and the uncertainty of that motion is common to all of them.
+The scan is accumulated over a few frames as a robot-centred map (Castellanos, Martinez-Cantin, Tardos and Neira,
+Robotics and Autonomous Systems 55, 2007): the robot is at the origin without error, its motion moves the points, and
+the uncertainty of the motion is common to all of them.
 """
 
 from __future__ import annotations
@@ -39,12 +39,11 @@ class Scan:
         return len(self.xy)
 
 
-EMPTY = Scan(np.empty((0, 2)), np.empty((0, 0)), ())
-"""Nothing seen."""
+EMPTY = Scan(np.empty((0, 2)), np.empty((0, 0)), ())  # nothing seen
 
 
 def moved(scan: Scan, increment: Increment) -> Scan:
-    """The scan in the body frame after an increment, without the points that are too uncertain by now (`FADED`)."""
+    """The scan in the body frame after an increment, without points that have become too uncertain (`FADED`)."""
     if not len(scan):
         return scan
     n, (mean, M) = len(scan), increment
@@ -63,8 +62,8 @@ def moved(scan: Scan, increment: Increment) -> Scan:
 def extended(scan: Scan, sensor: Sensor, observations: FrameObservations, rows: IntArray) -> Scan:
     """The scan with a frame's observations (m), whose rows of the log are `rows` (m,).
 
-    An observation of a known point (nearest first, one to one, d^2 inside `SAME_POINT`) corrects the scan;
-    any other is a new point.
+    An observation of a known point (nearest first, one to one, inside `SAME_POINT`) corrects the scan; any other is a
+    new point.
     """
     xy, R = sensor.body_points(*observations)
     n, old = len(scan), _pairs(scan, xy, R)
@@ -91,7 +90,7 @@ def extended(scan: Scan, sensor: Sensor, observations: FrameObservations, rows: 
 
 
 def _pairs(scan: Scan, xy: Array, R: Array) -> list[tuple[int, int]]:
-    """Observations and the points they show again: nearest pair first, one to one."""
+    """Observations and the known points they show: nearest pair first, one to one."""
     n = len(scan)
     blocks = diagonal_blocks(scan.covariance)
     nu = xy[:, None] - scan.xy[None]
@@ -106,7 +105,7 @@ def _pairs(scan: Scan, xy: Array, R: Array) -> list[tuple[int, int]]:
 
 
 def surest(scan: Scan, limit: int) -> IntArray:
-    """Indices of the points known best, `limit` at most."""
+    """Indices of the most precise points, at most `limit`."""
     order: IntArray = np.argsort(_variance(scan), kind="stable")[:limit].astype(np.int64)
     return order
 
@@ -118,9 +117,10 @@ def _variance(scan: Scan) -> Array:
 
 
 class Place(NamedTuple):
-    """Pose (3,) in the world, its covariance (3, 3) additive in the world frame, and the landmark of each point (n,).
+    """Pose (3,) in the world, its covariance (3, 3) additive in the world frame, and the landmark id of each point
+    (n,).
 
-    `pairings` names landmark ids, -1 for none; `log_odds`: logarithm of its odds against the next best place.
+    pairings: -1 for none; log_odds: log odds against the next best place.
     """
 
     pose: Array
@@ -138,7 +138,7 @@ class _Fit(NamedTuple):
 def relocalize(scan: Scan, known: LandmarkMap, gate: float | None = None) -> Place | None:
     """The place in a known map at which the scan was taken, or None if there is none, or more than one.
 
-    It presumes that the map holds what is seen there: in a place that is not mapped, few points may fit elsewhere.
+    Assumes that the map holds what is seen there: in an unmapped place, few points may fit elsewhere.
 
     Args:
         scan: points with their joint covariance.
@@ -147,7 +147,7 @@ def relocalize(scan: Scan, known: LandmarkMap, gate: float | None = None) -> Pla
             `RELOCALIZE_GATE`.
 
     Returns:
-        The place, all pairings inside the gate jointly; None also where the search could not be completed.
+        The place; None also if the search was not completed.
     """
     gate = constants.RELOCALIZE_GATE if gate is None else gate
     used = surest(scan, constants.SCAN_POINTS)
@@ -200,10 +200,10 @@ def distance_sigmas(xy: Array, P: Array) -> Array:
 
 
 def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, gate: float, area: float) -> _Fit | None:
-    """Gauss-Newton fit of the pose to the pairings with their joint covariance; None if outside the joint gate.
+    """Gauss-Newton fit of the pose to the pairings with their joint covariance; None outside the joint gate.
 
-    The score is the logarithm of the likelihood of all points, the pose marginalized over a flat prior; points without
-    a pairing are strays, anywhere in `area` [m^2].
+    The score is the log-likelihood of all points, the pose marginalized over a flat prior; unpaired points are strays,
+    anywhere in `area` [m^2].
     """
     paired = np.flatnonzero(choice >= 0)
     points, places = xy[paired], landmarks[choice[paired]]
@@ -238,9 +238,9 @@ def _search(
 ) -> tuple[IntArray, bool]:
     """Interpretation tree over points (m, 2) in order, every landmark or none for each; depth first.
 
-    A pairing is added if its distances to all points paired before agree within `tolerance` (m, m), and if it lies on
-    the right side of the line through the first two: distances alone do not tell a scan from its mirror image. A branch
-    is cut if it cannot reach `fewest` pairings, nor the most found so far less `slack`.
+    A pairing must agree in its distances to all points paired before, within `tolerance` (m, m), and lie on the right
+    side of the line through the first two (distances alone allow a mirror image). A branch is cut if it cannot reach
+    `fewest` pairings, nor the most found so far less `slack`.
 
     Returns the hypotheses (h, m), landmark index or -1, and whether the search is complete.
     """
@@ -314,7 +314,7 @@ def _search(
 
 @numba.njit(cache=True)
 def _side(a: Array, b: Array, p: Array) -> float:
-    """Signed distance of p from the line through a and b; 0 where these are one point."""
+    """Signed distance of p from the line through a and b; 0 if these are one point."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     length = math.hypot(dx, dy)
     if length == 0.0:

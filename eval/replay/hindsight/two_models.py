@@ -1,9 +1,9 @@
-"""EKF-SLAM under two models of the odometry, as stated and with systematic errors: the one that predicts better counts.
+"""EKF-SLAM under two odometry models, with and without systematic errors; the better predictor counts.
 
-Whether odometry errs in system (`ekf.systematic`) is not known beforehand. Where it does, taking it at its word closes
-no loop; where it does not, five errors that may be there widen every gate, and loops are closed at wrong places. Both
-filters get the same decisions, and the likelihood of their innovations is the evidence for each, as in a sequential
-probability ratio test (Wald, "Sequential tests of statistical hypotheses", Annals of Mathematical Statistics 16, 1945).
+Whether odometry has systematic errors (`ekf.systematic`) is unknown beforehand. Without the errors in the state, no
+loop is closed where they exist; with them, every gate is wider and wrong loops are closed where they do not. Both
+filters get the same decisions. The likelihood ratio of their innovations is a sequential probability ratio test (Wald,
+"Sequential tests of statistical hypotheses", Annals of Mathematical Statistics 16, 1945).
 """
 
 from __future__ import annotations
@@ -15,34 +15,34 @@ from data.sensors import Sensor
 from ekf.slam import EkfSlam
 
 STRONG = 5.0
-"""Logarithm of the odds that are very strong evidence, 150 to 1 (Kass and Raftery, "Bayes factors", Journal of the
-American Statistical Association 90, 1995)."""
+"""Log odds of very strong evidence, 150 to 1 (Kass and Raftery, "Bayes factors", Journal of the American Statistical
+Association 90, 1995)."""
 DECIDED = 14.0
-"""Logarithm of the odds at which the less likely model is dropped: by Wald's inequality the right one is, in one log of
-exp(DECIDED)."""
+"""Log odds at which the less likely model is dropped; it is the right one in one of exp(DECIDED) logs (Wald's
+inequality)."""
 
 
 class TwoModels:
-    """Both filters side by side, with the same numbers of landmarks, until the evidence leaves one.
+    """Both filters with the same landmark numbers, until the evidence leaves one.
 
     Attributes:
-        log_odds: of systematic errors against odometry as stated, by the innovations so far.
+        log_odds: of systematic errors against odometry as stated, from the innovations so far.
     """
 
-    def __init__(self, prior: Prior, sensor: Sensor, systematic: Systematic, *, doubted: bool = True) -> None:
-        """Start at the prior with empty maps. `doubted`: whether there are errors is not known; else they are."""
+    def __init__(self, prior: Prior, sensor: Sensor, systematic: Systematic, *, undecided: bool = True) -> None:
+        """Start at the prior with empty maps. `undecided`: test whether there are errors; else they are assumed."""
         self._stated, self._erring = EkfSlam(prior, sensor), EkfSlam(prior, sensor, systematic=systematic)
-        self._kept = [self._stated, self._erring] if doubted else [self._erring]
+        self._kept = [self._stated, self._erring] if undecided else [self._erring]
         self.log_odds = 0.0
 
     @property
     def believed(self) -> EkfSlam:
-        """The filter with systematic errors, which odometry mostly has, until there is strong evidence against them."""
-        return self._erring if self.errs else self._stated
+        """The filter with systematic errors, unless there is strong evidence against them."""
+        return self._erring if self.has_errors else self._stated
 
     @property
-    def errs(self) -> bool:
-        """Whether odometry is believed to err in system."""
+    def has_errors(self) -> bool:
+        """Whether systematic odometry errors are assumed."""
         return self.log_odds >= -STRONG
 
     def predict(self, increment: Increment) -> None:
@@ -51,7 +51,7 @@ class TwoModels:
             each.predict(increment)
 
     def update(self, observations: FrameObservations, decisions: IntArray, *, at: Array | None = None) -> Updated:
-        """As `EkfSlam.update`; what the filter did that was believed before the frame."""
+        """See `EkfSlam.update`; returns the result of the filter that was believed before the frame."""
         before, done = self.believed, {each: each.update(observations, decisions, at=at) for each in self._kept}
         if len(done) > 1 and done[before].dof:
             self.log_odds += done[self._erring].log_likelihood - done[self._stated].log_likelihood
@@ -60,16 +60,16 @@ class TwoModels:
         return done[before]
 
     def inflate(self, covariance: Array) -> None:
-        """Believe the last motion so much less: add (3, 3) to the covariance of the pose."""
+        """Add (3, 3) to the covariance of the pose."""
         for each in self._kept:
             each.inflate(covariance)
 
     def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """Landmarks (j,) are one with others (j,)."""
+        """Merge landmarks (j,) into others (j,)."""
         for each in self._kept:
             each.merge(merged, kept)
 
     def remove(self, numbers: IntArray) -> None:
-        """Landmarks (r,) leave the map."""
+        """Remove landmarks (r,) from the map."""
         for each in self._kept:
             each.remove(numbers)

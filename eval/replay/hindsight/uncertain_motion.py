@@ -1,7 +1,4 @@
-"""Step 2, a frame whose motion is a guess: how uncertain it is, and what placing the frame by geometry needs to know.
-
-See `eval.replay.hindsight.placement` for how it is placed.
-"""
+"""Step 2: the uncertainty of the motion, and what `eval.replay.hindsight.placement` needs to place a frame."""
 
 from __future__ import annotations
 
@@ -21,19 +18,17 @@ from eval.replay.settings import Setup
 
 
 class UncertainMotion:
-    """How far the robot may have moved since the map was last paired with, and from where it was seen.
+    """Motion since the last pairing with the map, and the poses from which the map was seen.
 
     Attributes:
-        placed: frames whose pose was found by geometry.
+        placed: number of frames whose pose was found by geometry.
     """
 
     def __init__(self, ledger: Ledger, setup: Setup) -> None:
-        """Before the first frame."""
         self.ledger, self.setup = ledger, setup
         self.placed = 0
         self._motion = np.zeros((3, 3))
-        self._explained = (0, 0)
-        """Observations where the map had been seen before: paired, and strays."""
+        self._explained = (0, 0)  # observations where the map was in view before: paired, and strays
         self._seen_from: deque[Array] = deque(maxlen=constants.REMEMBERED_FRAMES)
 
     def move(self, increment: Increment) -> None:
@@ -41,7 +36,7 @@ class UncertainMotion:
         self._motion = drifted(self._motion, increment)
 
     def place(self, e: Expectation, predicted: Array) -> Placed | None:
-        """The pose of a frame by geometry; None where the prediction is good enough, or the map does not give one."""
+        """The pose of a frame by geometry; None if the prediction is good enough, or the map does not give a pose."""
         sensor, s = self.ledger.sensor, self.setup
         if e.elsewhere is None or not too_uncertain(e, sensor, self._motion):
             return None
@@ -55,12 +50,12 @@ class UncertainMotion:
         return found
 
     def see(self, pose: Array, paired: bool) -> None:
-        """A frame was used; `pose` (3,) is where it was seen from, `paired`: with landmarks of the map."""
+        """Note a used frame and its pose (3,); `paired`: with landmarks of the map."""
         self._seen_from.append(pose)
         if paired or len(self._seen_from) == 1:
             self._motion = np.zeros((3, 3))
 
     def notes(self) -> list[Notice]:
-        """What a reader of the results should know."""
+        """A message about placed frames."""
         mostly = 2 * self.placed > self.ledger.frames
         return [notice(Code.PLACED, frames=self.placed, mostly=mostly)] if self.placed else []

@@ -1,7 +1,6 @@
-"""The end of a log: path and map are smoothed, and every reading is paired anew with what comes out.
+"""The end of a log: path and map are smoothed, and every observation is re-associated.
 
-Online decisions stay what they were; they are what the estimators of a comparison got. Final ones are made with what
-the whole log tells, and so `batch` smooths better ones.
+Online decisions do not change. Final decisions use the whole log, and `batch` smooths them.
 """
 
 from __future__ import annotations
@@ -27,17 +26,16 @@ from graph.factors import UnderConstrained
 
 
 class WholeLog:
-    """All frames of a log, and where each was taken, as was thought then.
+    """All frames of a log with their online poses.
 
     Attributes:
-        managed: landmarks left the map by rules of the setup: what was read of them is no longer known.
-        failed: why nothing was paired anew, if nothing could be.
+        managed: landmarks left the map by rules of the setup, so their observations are unknown.
+        failed: why nothing was re-associated.
         settled: frames (m,), observations (m) as stated, final landmarks (m,); None: as decided.
-        gate: squared distance under the noise as `restated` beyond which nothing was paired anew.
+        gate: squared distance under the noise as `restated` beyond which nothing was re-associated.
     """
 
     def __init__(self, given: Given) -> None:
-        """Before the first frame."""
         self.managed = False
         self.failed: Notice | None = None
         self.settled: tuple[IntArray, FrameObservations, IntArray] | None = None
@@ -48,23 +46,23 @@ class WholeLog:
         self._path: list[Array] = []
 
     def move(self, frame: Frame) -> None:
-        """The next frame comes, as it is stated."""
+        """The next frame, as stated."""
         self._frames.append(frame)
 
     def loosen(self, covariance: Array) -> None:
-        """The motion into this frame turned out to be unknown: (3, 3) more of it."""
+        """Add covariance (3, 3) to the motion into this frame."""
         self._loosened[len(self._frames) - 1] = covariance
 
     def end_frame(self, pose: Array) -> None:
-        """Where (3,) it was taken, by all that is known at its end."""
+        """The pose (3,) of the frame, at its end."""
         self._path.append(pose)
 
     def reassociate(
         self, records: dict[int, Record], landmarks: MapState, restated: Restated, systematic: Systematic | None
     ) -> Reassociation | None:
-        """All readings of the log for the landmarks that there are records of; None where the path cannot be smoothed.
+        """All observations for the recorded landmarks; None where the path cannot be smoothed.
 
-        Noise as `restated`; `systematic`: errors of odometry that are believed in.
+        Noise as `restated`; `systematic`: odometry errors that are estimated.
         """
         if self.managed or not records:
             return None
@@ -89,12 +87,12 @@ class WholeLog:
         return reassociate(sensor, pose, known, Observations(seen.frame, seen.z, share * seen.R))
 
     def settle(self, records: dict[int, Record]) -> None:
-        """The landmarks that there are records of are those that stay."""
+        """The recorded landmarks are the final ones."""
         seen = self._seen()
         self.settled = seen.frame, FrameObservations(seen.z, seen.R), _numbers(records, len(seen.frame))
 
     def _seen(self) -> Observations:
-        """All readings as they are stated."""
+        """All observations as stated."""
         each = [f.observations for f in self._frames]
         of = np.repeat(np.arange(len(each)), [len(s.z) for s in each])
         return Observations(of, np.concatenate([s.z for s in each]), np.concatenate([s.R for s in each]))
@@ -114,7 +112,7 @@ class WholeLog:
 
 
 def _numbers(records: dict[int, Record], readings: int) -> IntArray:
-    """Landmark (m,) of so many readings, `DISCARD` for none."""
+    """Landmark (m,) of each observation, `DISCARD` for none."""
     number = np.full(readings, DISCARD, np.int64)
     for n, record in records.items():
         number[[row for row, _ in record.observations]] = n

@@ -1,1 +1,1 @@
-"""The front end of laser logs: key poses by scan matching, and loop closures found while the log is replayed."""
+"""Front end of laser logs: key poses by scan matching, and loop closures."""

@@ -1,10 +1,9 @@
-"""Every back end on the identical constraints of one laser log: key poses, the chain between them, loop closures."""
+"""All back ends on the same constraints of one laser log: key poses, the chain between them, loop closures."""
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -28,17 +27,16 @@ from graph.poses.robust import gnc_poses
 
 TASK = "slam"
 LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
-"""On loop closures, of the batch smoothers; `gnc` aside."""
+"""Losses on loop closures of the batch smoothers."""
 NAMES = ("dead-reckoning", "ekf", "isam2", "fixed-lag", *LOSSES, "gnc")
-"""Of all back ends."""
 PLAIN = Setup()
 
 
 class Solved(NamedTuple):
-    """What a back end made of the constraints.
+    """The result of a back end.
 
-    run: with a path over all frames; final_keys (K, 3): the key poses that it ended with, a filter's last state, too
-    (NaN: never reached); weight (L,) of each loop closure in the end, 0: left out, NaN: never believed.
+    run: with a path over all frames; final_keys (K, 3): final key poses, of a filter its last state (NaN: never
+    reached); weight (L,): final weight of each loop closure, 0: rejected, NaN: never accepted.
     """
 
     run: Run
@@ -47,7 +45,7 @@ class Solved(NamedTuple):
 
 
 class _Constraints(NamedTuple):
-    """What a back end is given: `believed` (L,) rows of the loops that ever joined the graph, in that order."""
+    """Input of a back end: `believed` (L,) rows of the accepted loop closures, in the order of acceptance."""
 
     inputs: Inputs
     chain: Chain
@@ -55,19 +53,19 @@ class _Constraints(NamedTuple):
     believed: IntArray
 
     def joining(self, key: int) -> IntArray:
-        """Rows of the loop closures that joined at a key pose."""
+        """Rows of the loop closures accepted at a key pose."""
         joined = self.loops.believed[self.believed]
         return self.believed[np.searchsorted(joined, key) : np.searchsorted(joined, key + 1)]
 
     def problem(self) -> PoseProblem:
-        """All of them at once."""
+        """All constraints at once."""
         c, o, b = self.chain, self.loops, self.believed
         return pose_problem(
             self.inputs.prior, c.motion, c.covariance, o.key1[b], o.key2[b], o.relative[b], o.covariance[b]
         )
 
     def weights(self, of_believed: Array) -> Array:
-        """Weights (L,) of all loop closures from those of the believed ones."""
+        """Weights (L,) of all loop closures from those of the accepted ones."""
         weight = np.full(len(self.loops), np.nan)
         weight[self.believed] = of_believed
         return weight
@@ -83,12 +81,12 @@ def backend(
     loss: str = "gaussian",
     gate: float | None = None,
 ) -> Solved:
-    """One back end, by its name in `NAMES`, over the loop closures that the front end believed.
+    """One back end, by its name in `NAMES`, over the accepted loop closures.
 
-    Online, at frame f: the estimate of its key pose when f came, with all loop closures that had joined by then, and
-    the way since. `loss` on loop closures is that of `isam2` and `fixed-lag` (the others have it in their name), `gate`
-    the filter's chi-square probability (3 dof) of a loop closure, None: no gate. `setup.lag` is that of `fixed-lag`.
-    Seconds are those of the back end alone.
+    Online, at frame f: the estimate of its key pose at the time of f, with all loop closures accepted by then, and the
+    motion since. `loss` on loop closures is that of `isam2` and `fixed-lag` (the name determines it for the others);
+    `gate` the filter's chi-square probability (3 dof) of a loop closure, None: no gate; `setup.lag` that of
+    `fixed-lag`. Seconds are those of the back end alone.
     """
     if name not in NAMES:
         raise ValueError(f"back end {name!r}; known: {', '.join(NAMES)}")
@@ -108,9 +106,9 @@ def backend(
 
 
 def over_frames(chain: Chain, pose: Array, covariance: Array) -> Trajectory:
-    """Path of all N frames from key poses (K, 3), (K, 3, 3): each is its key pose and the way since, (world, additive).
+    """Path of all N frames from key poses (K, 3), (K, 3, 3) and the motion since (world, additive).
 
-    The error of the way since is taken as independent of the key pose's.
+    The error of this motion is taken as independent of the key pose's.
     """
     at, P = pose[chain.key], covariance[chain.key]
     path = compose(at, chain.since)
@@ -121,7 +119,7 @@ def over_frames(chain: Chain, pose: Array, covariance: Array) -> Trajectory:
 
 
 def chi2_within(threshold: float, dof: int = 3) -> tuple[float, float]:
-    """Mean and variance, per degree of freedom, of a chi-square variable that lies below a threshold."""
+    """Mean and variance, per degree of freedom, of a chi-square variable below a threshold."""
     if math.isinf(threshold):
         return 1.0, 2.0
     inside, first, second = (float(gammainc(0.5 * dof + k, 0.5 * threshold)) for k in range(3))
@@ -136,8 +134,15 @@ def _run(name: str, **parts: object) -> Run:
     return replace(run, **parts)  # type: ignore[arg-type]
 
 
+def _diverged(name: str, chain: Chain, frame: int, stop: UnderConstrained) -> tuple[Run, Array]:
+    """A failed smoother and its blank key poses (K, 3)."""
+    blank = np.full((len(chain.frame), 3), np.nan)
+    final = over_frames(chain, blank, np.full((len(blank), 3, 3), np.nan))
+    return _run(name, final=final, failure=Failure("diverged", frame, stopped(str(stop)))), blank
+
+
 def _dead_reckoning(given: _Constraints) -> Solved:
-    """Wheel odometry alone, as of every other log."""
+    """Wheel odometry alone."""
     inputs = given.inputs
     nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
     alone = run_filter(inputs.without_map(), nothing)
@@ -147,7 +152,7 @@ def _dead_reckoning(given: _Constraints) -> Solved:
 
 
 def _filter(given: _Constraints, gate: float | None) -> Solved:
-    """EKF over all key poses: online only, as all filters."""
+    """EKF over all key poses, online only."""
     c, o, n = given.chain, given.loops, len(given.inputs)
     threshold = gate_threshold(gate, 3)
     found = run_pose_chain(
@@ -161,9 +166,9 @@ def _filter(given: _Constraints, gate: float | None) -> Solved:
     if found.failure is not None:
         failure = Failure("diverged", int(c.frame[found.failure.frame]), found.failure.notice)
     if gate is not None:
-        looked = int(np.isfinite(found.d2).sum())
-        rejected = looked - int(found.used.sum())
-        notes = (notice(Code.CLOSURES_GATED, Severity.INFO, gate=gate, rejected=rejected, closures=looked),)
+        tested = int(np.isfinite(found.d2).sum())
+        rejected = tested - int(found.used.sum())
+        notes = (notice(Code.CLOSURES_GATED, Severity.INFO, gate=gate, rejected=rejected, closures=tested),)
     run = _run(
         "ekf",
         online=over_frames(c, found.online, found.online_covariance),
@@ -178,7 +183,9 @@ def _filter(given: _Constraints, gate: float | None) -> Solved:
 
 
 def _incremental(name: str, given: _Constraints, loss: str, lag: float | None) -> Solved:
-    """iSAM2 key pose by key pose, over all of them or (`lag`) the newest; isam2 ends at the optimum of everything."""
+    """iSAM2 key pose by key pose, over all of them or (`lag`) the newest; isam2 ends at the optimum of all
+    constraints.
+    """
     inputs, chain = given.inputs, given.chain
     graph = PoseGraph(inputs.prior, loss=loss) if lag is None else FixedLagPoseGraph(inputs.prior, lag=lag, loss=loss)
     keys = len(chain.frame)
@@ -206,23 +213,20 @@ def _incremental(name: str, given: _Constraints, loss: str, lag: float | None) -
             found = smooth_poses(given.problem(), pose, loss=loss)
             run, pose, weight = _smoothed(name, given, found, loss), found.pose, found.weight
     except UnderConstrained as stop:
-        nothing = np.full((keys, 3), np.nan)
-        run = _run(name, final=over_frames(chain, nothing, np.full((keys, 3, 3), np.nan)))
-        run = replace(run, failure=Failure("diverged", int(chain.frame[k]), stopped(str(stop))))
-        pose, weight = nothing, np.full(len(given.believed), np.nan)
+        run, pose = _diverged(name, chain, int(chain.frame[k]), stop)
+        weight = np.full(len(given.believed), np.nan)
     run = replace(run, online=over_frames(chain, online, covariance), state_size=size[chain.key])
     return Solved(run, pose, given.weights(weight))
 
 
 def _batch(name: str, given: _Constraints) -> Solved:
-    """A batch smoother, from the chain's dead reckoning; where that ends nowhere, from iSAM2's path."""
+    """A batch smoother from the chain's dead reckoning; if that does not converge, from iSAM2's path."""
     chain, problem = given.chain, given.problem()
     loss = LOSSES.get(name, "gaussian")
-    solve: Callable[[Array], SmoothedPoses]
-    if name == "gnc":
-        solve = lambda start: gnc_poses(problem, start)[0]  # noqa: E731
-    else:
-        solve = lambda start: smooth_poses(problem, start, loss=loss)  # noqa: E731
+
+    def solve(start: Array) -> SmoothedPoses:
+        return gnc_poses(problem, start)[0] if name == "gnc" else smooth_poses(problem, start, loss=loss)
+
     try:
         try:
             found = solve(dead_reckoned(given.inputs.prior.mean, chain.motion))
@@ -232,10 +236,7 @@ def _batch(name: str, given: _Constraints) -> Solved:
                 raise
             found = solve(start)
     except UnderConstrained as stop:
-        keys = len(chain.frame)
-        nothing = np.full((keys, 3), np.nan)
-        run = _run(name, final=over_frames(chain, nothing, np.full((keys, 3, 3), np.nan)))
-        run = replace(run, failure=Failure("diverged", 0, stopped(str(stop))))
+        run, nothing = _diverged(name, chain, 0, stop)
         return Solved(run, nothing, np.full(len(given.loops), np.nan))
     run = _smoothed(name, given, found, loss)
     if name == "gnc":

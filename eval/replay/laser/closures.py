@@ -1,4 +1,4 @@
-"""Loop closures of the newest key pose: candidates by uncertainty, search, verification, and belief in pairs."""
+"""Loop closures of the newest key pose: candidates by uncertainty, search, verification, and acceptance in pairs."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.tracker import rotated
 
 NO_PRIOR = np.diag([1.0, 1.0, 1.0])
-"""Information [1/m^2, 1/rad^2] that keeps a match solvable where a corridor leaves it open: one metre, one radian."""
+"""Information [1/m^2, 1/rad^2] that keeps a match solvable in a corridor: one metre, one radian."""
 
 
 @dataclass
 class KeyScan:
-    """A key pose's scan: ranges (B,), points, and the middle (2,) of what it sees, body frame."""
+    """A key pose's scan: ranges (B,), points, and centre (2,) of its points, body frame."""
 
     ranges: Array
     points: Points
@@ -32,7 +32,7 @@ class KeyScan:
 
 @dataclass
 class Closure:
-    """A loop closure that was looked at; `believed` as in `Loops`. `refused`: it did not fit, or not alone for sure."""
+    """A loop closure candidate; `believed` as in `Loops`; `refused`: it did not fit, or not precisely."""
 
     key1: int
     key2: int
@@ -44,13 +44,13 @@ class Closure:
 
 
 class LoopCloser:
-    """Finds loop closures of each new key pose, and says when they are believed."""
+    """Finds loop closures of each new key pose, and accepts them."""
 
     def __init__(self, parameters: LaserParameters, scanner: Scanner) -> None:
         self.parameters, self.scanner = parameters, scanner
         self.sigma = parameters.distance_sigma(scanner.sigma)
         self.edges = PoseEdges()
-        self.looked_at: list[Closure] = []
+        self.candidates: list[Closure] = []
         self._keys: list[KeyScan] = []
         self._motion: list[Array] = []
         self._grid = NearestGrid(parameters.max_range + 2.0, 0.3)
@@ -59,7 +59,7 @@ class LoopCloser:
         self.centres = np.zeros((0, 2))
 
     def add_key(self, ranges: Array, points: Points, motion: Array, covariance: Array) -> None:
-        """A new key pose: its scan, and the motion from the key pose before (of the first: unused)."""
+        """Add a key pose: its scan, and the motion from the key pose before (unused for the first)."""
         new = len(self._keys)
         if new:
             self.edges.add(new - 1, new, motion, covariance)
@@ -70,7 +70,7 @@ class LoopCloser:
         self.centres = np.concatenate([self.centres, centre[None]])
 
     def find(self, poses: Array) -> list[Closure]:
-        """Closures of the newest key pose, given all key poses (K, 3), that are believed now."""
+        """Loop closures accepted now, given all key poses (K, 3)."""
         p = self.parameters
         self._poses = poses
         newest = len(self._keys) - 1
@@ -82,13 +82,10 @@ class LoopCloser:
         world = transform_points(poses, self.centres[: newest + 1])
         apart = np.hypot(*(world[: last + 1] - world[newest]).T)
         distance = np.where(apart <= p.loop_distance + 2.0 * spread, apart, np.inf)
-        found = []
+        found: list[Closure] = []
         for key in nearest_first(distance, p.loop_apart, p.loops_per_key):
             closure = self._close(int(key), newest, poses, covariance[key])
-            if closure.refused:
-                self.looked_at.append(closure)
-            else:
-                found.append(closure)
+            (self.candidates if closure.refused else found).append(closure)
         return self._believe(found, covariance)
 
     def _close(self, key1: int, key2: int, poses: Array, inverted: Array) -> Closure:
@@ -111,7 +108,7 @@ class LoopCloser:
             xy = xy[np.hypot(xy[:, 0], xy[:, 1]) < 10.0]
             xy = xy[:: max(len(xy) // 90, 1)]
             start, score = best_pose(xy, self._pyramids[key1], expected, window, p.least_correlation)
-            if score == 0.0:  # nowhere in the window: what is known is what was expected
+            if score == 0.0:  # nowhere in the window: only the expectation is known
                 return Closure(key1, key2, expected, covariance, 0.0, refused=True)
         reference = self._grid.reference(around.xy, around.normal)
         result = match(new.points, reference, start, MotionPrior(start, NO_PRIOR), self.sigma, 1e3)
@@ -124,7 +121,7 @@ class LoopCloser:
         return Closure(key1, key2, result.pose, result.covariance, result.share, refused=bool(loose or misfit))
 
     def _around(self, key: int) -> Points:
-        """The points of the key scans within two of `key`, in its frame, along the chain."""
+        """Points of the key scans within two of `key`, in its frame, along the chain."""
         xy, normal = [self._keys[key].points.xy], [self._keys[key].points.normal]
         for way in (-1, 1):
             pose = np.zeros(3)
@@ -139,18 +136,16 @@ class LoopCloser:
         return Points(np.concatenate(xy), np.concatenate(normal))
 
     def _believe(self, found: list[Closure], from_newest: Array) -> list[Closure]:
-        """Of the new closures and those that wait, the ones that are now believed: two must agree (Olson 2009)."""
+        """Accept new and waiting closures that agree in pairs (Olson 2009)."""
         p = self.parameters
         newest = len(self._keys) - 1
         believed: list[Closure] = []
         for new in found:
             from_key1 = None
-            for old in reversed(self.looked_at):
+            for old in reversed(self.candidates):
                 if newest - old.key2 > p.wait:
                     break
-                if old.refused:
-                    continue
-                if old.key2 == new.key2 or (old.believed >= 0 and new.believed >= 0):
+                if old.refused or old.key2 == new.key2 or (old.believed >= 0 and new.believed >= 0):
                     continue
                 if from_key1 is None:
                     from_key1 = self.edges.project(new.key1, newest + 1)
@@ -159,13 +154,13 @@ class LoopCloser:
                         if c.believed < 0:
                             c.believed = newest
                             believed.append(c)
-            self.looked_at.append(new)
+            self.candidates.append(new)
         for c in believed:
             self.edges.add(c.key1, c.key2, c.relative, c.covariance)
         return believed
 
     def _disagreement(self, new: Closure, old: Closure, between_first: Array, between_second: Array) -> float:
-        """Chi-square of the circle through two closures, given how unsure the ways between their ends are."""
+        """Chi-square of the circle through two closures, given the uncertainty between their ends."""
         # new.key1 -> new.key2 by the one closure; new.key1 -> old.key1 -> old.key2 -> new.key2 by the other
         there = self._relative(new.key1, old.key1)
         last = self._relative(old.key2, new.key2)
@@ -181,8 +176,8 @@ class LoopCloser:
         return between(self._poses[key1], self._poses[key2])
 
     def loops(self) -> Loops:
-        """All closures in the order of their finding."""
-        c = self.looked_at
+        """All closures in the order in which they were found."""
+        c = self.candidates
         return Loops(
             np.array([x.key1 for x in c], np.int64), np.array([x.key2 for x in c], np.int64),
             np.array([x.relative for x in c]).reshape(-1, 3), np.array([x.covariance for x in c]).reshape(-1, 3, 3),

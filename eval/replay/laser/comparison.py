@@ -1,7 +1,7 @@
 """Back ends compared on one laser log: the front end once, then every estimator on its constraints.
 
-The front end replays the log frame by frame: key poses by scan matching, loop closures, and the pose graph they feed.
-Frames without a scan get the odometry between two scans in the end, made to lead from the one to the other.
+The front end replays the log frame by frame: key poses by scan matching, loop closures, and their pose graph. In the
+end frames without a scan get the odometry between two scans, adjusted to connect them.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from graph.poses.online import PoseGraph
 
 @dataclass(frozen=True, eq=False)
 class FrontEndResult:
-    """What a replayed laser log came to.
+    """The result of the front end.
 
     Attributes:
-        chain, loops: the constraints for every back end.
-        online: (N, 3) world pose of each frame as it was known then.
-        seconds: (N,) wall time of each frame, matching, loops and graph.
+        chain, loops: constraints for every back end.
+        online: (N, 3) online world pose of each frame.
+        seconds: (N,) wall time of each frame: matching, loops and graph.
     """
 
     chain: Chain
@@ -45,7 +45,7 @@ class FrontEndResult:
 
 
 def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult:
-    """Replay a laser log (`inputs.scans`) once, each frame with what is known by then.
+    """Replay a laser log (`inputs.scans`) once.
 
     Raises ValueError for a log without scans.
     """
@@ -106,10 +106,10 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
 
 
 def between_scans(inputs: Inputs, pose: Array) -> Array:
-    """The path (N, 3) with each frame between two scans moved by its share of what the odometry between them is off.
+    """The path (N, 3) with frames between two scans moved by their share of the odometry's error between these.
 
-    The share is that of the variance of the odometry that was gathered since the scan before. Frames with a scan, and
-    those before the first and after the last, stay.
+    The share is that of the odometry's accumulated variance. Frames with a scan, and those before the first and after
+    the last, stay.
     """
     assert inputs.scans is not None
     count = len(inputs)
@@ -130,18 +130,16 @@ def between_scans(inputs: Inputs, pose: Array) -> Array:
     return result
 
 
-CONTRAST = 0.999
-"""Gate of the filter that is shown beside the one without."""
-FEWEST = 20
-"""Loop closures from which a scale of the covariances is learned: it is then known to a quarter or better."""
+CONTRAST = 0.999  # gate of the filter shown for comparison with the ungated one
+FEWEST = 20  # loop closures needed to learn a scale, which then is known to a quarter or better
 
 
 def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> list[LaserRun]:
-    """The estimators on the same key poses and loop closures, in the order asked for; dead reckoning is the wheels'.
+    """The estimators on the same key poses and loop closures, in the order asked for; dead reckoning uses the wheels.
 
-    Covariances of scan matching are scaled, all alike, so that the loop closures fit the graph as they should; that
-    changes no optimum, and what is claimed of it. The filter's gate on loop closures is `setup.gate_known`. Seconds
-    hold the front end's as well. Raises UsageError for an estimator that is no back end of scan matching.
+    Scan-matching covariances are scaled by one factor, so that the loop closures fit the graph; this changes the
+    claimed covariance, not the optimum. The filter's gate on loop closures is `setup.gate_known`. Seconds include the
+    front end. Raises UsageError for an estimator that is no back end of scan matching.
     """
     for name in estimators:
         if name not in NAMES:
@@ -171,7 +169,7 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
 
 
 def _learned(inputs: Inputs, front: FrontEndResult, setup: Setup) -> tuple[float, float] | None:
-    """Factor on the front end's covariances and its standard error; None where too few loop closures tell."""
+    """Factor on the front end's covariances and its standard error; None with too few loop closures."""
     chain, loops = front.chain, front.loops
     believed = np.flatnonzero(loops.believed >= 0)
     if len(believed) < FEWEST:
@@ -190,16 +188,16 @@ def _learned(inputs: Inputs, front: FrontEndResult, setup: Setup) -> tuple[float
 
 
 def _scaled(front: FrontEndResult, factor: float) -> FrontEndResult:
-    """The same constraints with other covariances."""
+    """The same constraints with scaled covariances."""
     c, o = front.chain, front.loops
     chain = replace(c, covariance=factor * c.covariance, since_covariance=factor * c.since_covariance)
     return replace(front, chain=chain, loops=replace(o, covariance=factor * o.covariance))
 
 
 def _thinned(inputs: Inputs, front: FrontEndResult, least: float, parameters: LaserParameters) -> FrontEndResult:
-    """The constraints without the key poses that tell little about the map, placed by the batch smoother.
+    """The constraints without the key poses that add little information to the map, placed by the batch smoother.
 
-    They are chosen by the whole log, so that online, too, estimates lack what was left out later.
+    They are chosen from the whole log, so online estimates lack them, too.
     """
     solved = backend("batch", inputs, front.chain, front.loops)
     if solved.run.failure is not None or inputs.scans is None:
@@ -216,7 +214,7 @@ def _thinned(inputs: Inputs, front: FrontEndResult, least: float, parameters: La
 
 
 def _run(inputs: Inputs, front: FrontEndResult, solved: Solved) -> LaserRun:
-    """What a back end made, with every frame at its best place in the end."""
+    """The run of a back end, with every frame at its final place."""
     run, chain = solved.run, front.chain
     last = None
     if run.association != "none":

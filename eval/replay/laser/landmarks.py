@@ -1,4 +1,4 @@
-"""Corners of walls as landmarks: a laser log as EKF-SLAM takes it, with scan matching as odometry."""
+"""Corners of walls as landmarks: a laser log for EKF-SLAM, with scan matching as odometry."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from eval.replay.settings import Setup
 
 
 class CornerLog(NamedTuple):
-    """Key poses as frames of a landmark log, the chain that leads to all other frames, and what it took [s]."""
+    """Key poses as frames of a landmark log, the chain that leads to all other frames, and the time taken [s]."""
 
     inputs: Inputs
     chain: Chain
@@ -29,9 +29,9 @@ class CornerLog(NamedTuple):
 
 
 def corner_log(inputs: Inputs, setup: Setup) -> CornerLog:
-    """A laser log with the corners of its key scans for observations (body frame) and scan matching for increments.
+    """A laser log with corners of its key scans as observations (body frame) and scan matching as increments.
 
-    Neither loop closures nor wheel odometry are in it: what closes a loop is that a corner is known again.
+    It has no loop closures and no wheel odometry: loops are closed by re-observed corners.
     """
     scans = inputs.scans
     assert scans is not None
@@ -52,9 +52,9 @@ def corner_log(inputs: Inputs, setup: Setup) -> CornerLog:
 
 
 def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:
-    """A run over key poses as one over all frames: each hangs on its key pose; decisions about corners stay inside.
+    """A run over key poses as one over all frames, each attached to its key pose; decisions about corners are dropped.
 
-    Dead reckoning here is that of scan matching alone.
+    Dead reckoning here is that of scan matching.
     """
     chain, of = corners.chain, corners.chain.frame
     paths = {p: over_frames(chain, t.pose, t.covariance) for p in run.phases if (t := run.trajectory(p)) is not None}
@@ -79,5 +79,5 @@ def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:
 
 
 def _at(failure: Failure | None, corners: CornerLog) -> Failure | None:
-    """The same at the frame of its key pose."""
+    """The same failure at the frame of its key pose."""
     return None if failure is None else failure._replace(frame=int(corners.chain.frame[failure.frame]))

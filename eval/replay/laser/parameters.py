@@ -1,4 +1,4 @@
-"""Constants of the laser front end, set on the Intel log's exact relations and on simulated plans, nowhere else."""
+"""Constants of the laser front end, chosen on the Intel log's exact relations and on simulated plans."""
 
 from __future__ import annotations
 
@@ -12,27 +12,26 @@ class LaserParameters:
 
     Attributes:
         keyframe_distance, keyframe_angle: a key pose is made when either is reached.
-        max_range: returns beyond it are not used: far surfaces are hit by few beams.
-        window: key scans that the newest scans are matched against.
-        sigma: standard deviation of a range; the scanner's own where that is larger.
-        variance_scale: of every scan-matching covariance: 1 is honest in simulation (chain and closures against the
-            truth 0.9 to 1.2); on Intel 5 is safe for gates, residuals
-            say 3.4 (`scale.learned_scale`).
+        max_range: farther returns are not used: far surfaces are hit by few beams.
+        window: number of key scans that the newest scans are matched against.
+        sigma: standard deviation of a range; the scanner's own if larger.
+        variance_scale: of every scan-matching covariance. 1 is consistent in simulation (0.9 to 1.2); on Intel 5 is
+            safe for gates, residuals give 3.4 (`scale.learned_scale`).
         prior_scale: standard deviations at which the odometry prior begins to yield (Cauchy).
-        least_share: share of a scan's points that must fit for its match to be used.
-        loop_gap: key poses between the two of a loop closure, at least.
-        loop_distance: of the middles of what two key scans see, to be candidates (and twice the uncertainty).
+        least_share: least share of a scan's points that must fit.
+        loop_gap: least number of key poses between the two of a loop closure.
+        loop_distance: largest distance of the centres of two key scans (plus twice the uncertainty).
         loop_apart: key poses between two candidates of one key pose.
-        loops_per_key: candidates looked at per key pose.
-        loop_around: key scans on either side of a candidate that are matched against with it.
+        loops_per_key: number of candidates per key pose.
+        loop_around: key scans on either side of a candidate that are matched with it.
         direct_distance, direct_angle: three standard deviations up to which a match starts from the expected pose;
-            beyond it a correlative search covers them, up to `widest` either way.
+            beyond it a correlative search covers them, up to `widest`.
         least_correlation, loop_share, most_contradiction: of a loop closure: score of the search, share of points that
             fit, share of beams that contradict.
-        loosest: largest standard deviation of a closure's place in its worst direction, before scaling.
-        gate: chi-square of three degrees of freedom, closure against the graph.
-        pair_gate: the same of the circle through two closures.
-        wait: key poses after which a closure that found no second one is given up.
+        loosest: largest standard deviation of a closure's position in its worst direction, before scaling.
+        gate: chi-square (3 dof) of a closure against the graph.
+        pair_gate: chi-square (3 dof) of the circle through two closures.
+        wait: key poses after which a closure without a second one is dropped.
     """
 
     keyframe_distance: float = 0.4

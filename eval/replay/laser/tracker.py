@@ -1,4 +1,4 @@
-"""Scan-matching odometry: each scan against the last key scans, odometry as a robust prior."""
+"""Scan-matching odometry: each scan against the last key scans, with odometry as a robust prior."""
 
 from __future__ import annotations
 
@@ -12,21 +12,18 @@ from association.scans.uncertainty import compose_covariances
 from data.se2 import Array, between, compose, transform_points, wrap_angle
 from eval.replay.laser.parameters import LaserParameters
 
-REACH = 0.3
-"""m, the farthest partner of a point."""
+REACH = 0.3  # m, the farthest partner of a point
 OTHER_START = np.array([0.03, 0.03, 0.01])
-"""m, m, rad: where the last motion predicts a pose that differs by more than odometry's, it is a second start."""
-BETTER = 0.02
-"""By how much the second start's cost must be smaller: where both fit (a corridor), odometry is believed."""
+"""m, m, rad: a prediction by the last motion that differs from odometry by more is a second start."""
+BETTER = 0.02  # least decrease of cost by the second start; where both fit (a corridor), odometry wins
 SURPRISE, MUCH_BETTER = 25.0, 0.1
-"""Chi-square (3 dof) from where a match contradicts odometry: wheels slip, but a scan matched to the wrong surface says
-the same. It is believed if its cost is smaller by this much than that of a match that keeps to odometry."""
-FIRM = 1e3
-"""Scale of a prior that does not yield, in standard deviations."""
+"""Chi-square (3 dof) from which a match contradicts odometry: the wheels slipped, or the scan was matched to the wrong
+surface. It is accepted if its cost is smaller by this much than that of a match that keeps to odometry."""
+FIRM = 1e3  # scale of a prior that does not yield, in standard deviations
 
 
 class Tracker:
-    """The robot's pose in the frame of the newest key pose, frame by frame."""
+    """The robot's pose relative to the newest key pose, frame by frame."""
 
     def __init__(self, parameters: LaserParameters, sigma: float) -> None:
         self.parameters = parameters
@@ -39,14 +36,14 @@ class Tracker:
         self._frames = 0
 
     def predict(self, motion: Array, covariance: Array) -> None:
-        """Odometry of one frame."""
+        """Add the odometry of one frame."""
         self.covariance = compose_covariances(self.pose, self.covariance, motion, covariance)
         self.pose = compose(self.pose, motion)
         self.pose[2] = wrap_angle(float(self.pose[2]))
         self._frames += 1
 
     def correct(self, points: Points) -> bool:
-        """Match the frame's scan; False where it does not fit and the prediction stays."""
+        """Match the frame's scan; returns False if it does not fit and the prediction is kept."""
         if not self._keys or len(points.xy) == 0:
             return False
         prior = MotionPrior(self.pose, np.asarray(np.linalg.inv(self.covariance + 1e-10 * np.eye(3)), float))
@@ -87,7 +84,7 @@ class Tracker:
         return far or abs(float(self.pose[2])) >= p.keyframe_angle
 
     def make_key(self, points: Points) -> None:
-        """The current pose becomes the key pose; its scan joins the reference."""
+        """Make the current pose the key pose; its scan joins the reference."""
         back = between(self.pose, np.zeros(3))
         moved = [Points(transform_points(back, k.xy), rotated(back[2], k.normal)) for k in self._keys]
         self._keys = [*moved, points][-self.parameters.window :]
@@ -99,7 +96,7 @@ class Tracker:
 
 
 def rotated(theta: float, vectors: Array) -> Array:
-    """Vectors (n, 2) turned by theta [rad]."""
+    """Vectors (n, 2) rotated by theta [rad]."""
     c, s = math.cos(theta), math.sin(theta)
     turned: Array = vectors @ np.array([[c, s], [-s, c]])
     return turned

@@ -43,14 +43,14 @@ def soak(name, seconds, every=60.0, say=lambda *words: None):
         with Recording(Path(folder) / "log") as recording:
             link, wire, clock = linked(BAD, 1, recording=recording)
             wire._keep = False
-            figure_style = Looking("soak", session, lambda: link.exchange.faults, lambda line: None, feed=feed)
-            session._told = figure_style.told
+            display = Looking("soak", session, lambda: link.exchange.faults, lambda line: None, feed=feed)
+            session._told = display.told
             begin = time.monotonic()
 
             def look(t):
                 nonlocal next_row
                 if feed.waiting >= 4:
-                    figure_style.say(t)
+                    display.say(t)
                 if t >= next_row:
                     rows.append((t, resident()))
                     walls = session.estimating[0].map()
@@ -62,7 +62,7 @@ def soak(name, seconds, every=60.0, say=lambda *words: None):
                     )
                     next_row += every
 
-            drive(link, clock, session, WallFollower(), lambda: clock.now() >= seconds, look, figure_style.latencies)
+            drive(link, clock, session, WallFollower(), lambda: clock.now() >= seconds, look, display.latencies)
             say(f"faults {link.exchange.faults}")
     return rows
 

@@ -97,12 +97,12 @@ def test_a_line_a_second_and_chunks_even_if_seconds_are_short(monkeypatch):
     now = [100.0]
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     session, feed, said = Session(("ekf",), "jcbb", Setup()), Feed(1), []
-    figure_style = Looking("drive", session, lambda: {"lost": 3}, said.append, feed=feed)
-    session._told = figure_style.told
+    display = Looking("drive", session, lambda: {"lost": 3}, said.append, feed=feed)
+    session._told = display.told
     for k, packet in enumerate(packets(75.0)):
         session.take(packet)
         now[0] += 0.001 if k < 260 else 0.5
-        figure_style.look(packet.t)
+        display.look(packet.t)
     assert len(said) == 20
     assert all("ekf x" in line and "link: lost 3" in line for line in said)
     assert feed.published.small[0].end == MINUTE, "as many frames as that are a chunk at once"
@@ -110,10 +110,10 @@ def test_a_line_a_second_and_chunks_even_if_seconds_are_short(monkeypatch):
 
 def test_an_estimator_that_ends_is_said_once():
     session, said = Session(("ekf", "ekf-iterated"), "jcbb", Setup()), []
-    figure_style = Looking("drive", session, dict, said.append)
+    display = Looking("drive", session, dict, said.append)
     session.estimating[1].failure = "at frame 0: astray"
     for _ in range(2):
-        figure_style.say(1.0)
+        display.say(1.0)
     assert said[0] == "ekf-iterated ended at frame 0: astray; the others and the recording go on"
     assert [("ended at frame" in line) for line in said] == [True, False, False]
     assert "| ekf-iterated ended |" in said[1]

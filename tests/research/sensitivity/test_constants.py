@@ -15,7 +15,7 @@ import eval.replay.hindsight.two_models
 from data.errors import UsageError
 from eval.replay.hindsight import constants, mapper
 from eval.replay.hindsight.gates import as_stated
-from eval.replay.hindsight.lost import Health, Monitor
+from eval.replay.hindsight.lost import Health
 from eval.replay.hindsight.noise import stated
 from tests.research.sensitivity.cases import (
     BESIDE,
@@ -109,13 +109,8 @@ def test_what_is_read_is_counted_and_then_no_more():
 @pytest.mark.parametrize(
     ("name", "read"),
     [
-        ("ALARM", lambda: Monitor().threshold),
-        ("LOST_SHARE", lambda: Monitor().lost_share),
-        ("LOST_SCALE", lambda: Monitor().lost_scale),
-        ("HEALTH_MEMORY", lambda: Monitor().memory),
-        ("HEALTH_START", lambda: Monitor().start),
         ("HEALTH_START", lambda: (Health().share, Health().scale)),
-        ("HEALTH_WEIGHT", lambda: (Monitor().weight, Health().learned)[0]),
+        ("HEALTH_WEIGHT", lambda: Health().learned),
         ("NOISE_PRIOR", lambda: stated().weight),
         ("SCALES_PRIOR", lambda: as_stated().motion.weight),
     ],

@@ -22,7 +22,7 @@ from eval.replay.settings import Setup
 
 SENSOR = RelativePoint(max_range=20.0)
 PLACES = np.array([[3.0, 0.0], [0.0, 4.0], [-3.0, 4.0]])
-"""m, of the landmarks 0, 1, 2; the first two are certain."""
+"""m, of the landmarks 0, 1, 2; the first two are confirmed."""
 
 
 class World:
@@ -32,7 +32,7 @@ class World:
         self.surprise, self.sigma, self.inflated, self.place, self.asked = 0.0, 5.0, [], None, []
         self.ledger = book = Ledger(SENSOR)
         book._read, book.created, book.frame = SENSOR, 3, -1
-        book.surprise, book.certain = lambda: self.surprise, lambda: np.array([0, 1])
+        book.surprise, book.confirmed = lambda: self.surprise, lambda: np.array([0, 1])
         self.kidnapping = Kidnapping(book, Setup())
         slam = SimpleNamespace(
             sensor=SENSOR, xy=PLACES, mean=np.zeros(3), expect=self.expect,

@@ -15,11 +15,11 @@ from eval.replay.hindsight.record import (
     INITIALIZED,
     Judgement,
     Visibility,
-    certain,
+    add_miss,
+    add_observation,
+    confirmed,
     detection_rate,
     missing,
-    overlooked,
-    sighted,
     verdict,
 )
 
@@ -29,9 +29,9 @@ ALWAYS = Visibility(seen_seen=10**6)
 
 def test_sightings_and_misses_are_counted_and_a_sighting_ends_a_row():
     assert INITIALIZED[:6] == (1, 1, 0, 0, 0, 0.0)
-    e = overlooked(overlooked(sighted(sighted(INITIALIZED, None, True), None, False)))
+    e = add_miss(add_miss(add_observation(add_observation(INITIALIZED, None, True), None, False)))
     assert (e.seen, e.opportunities, e.missed, e.row, e.judged) == (3, 2, 2, 2, 0)
-    e = overlooked(sighted(e, None, True))
+    e = add_miss(add_observation(e, None, True))
     assert (e.seen, e.opportunities, e.missed, e.row) == (4, 3, 3, 1)
 
 
@@ -41,7 +41,7 @@ def test_shifts_are_summed_in_the_world_weighed_by_their_information():
     for k in range(1, 4):
         G, nu, L = rng.normal(size=(2, 2)), rng.normal(size=2), rng.normal(size=(2, 2))
         S = L @ L.T + np.eye(2)
-        e = sighted(e, Judgement(nu, np.linalg.inv(S), G), True)
+        e = add_observation(e, Judgement(nu, np.linalg.inv(S), G), True)
         there = np.linalg.inv(G @ S @ G.T)
         information, pull, squares = information + there, pull + there @ (G @ nu), squares + nu @ np.linalg.solve(S, nu)
         assert e.judged == k
@@ -92,7 +92,7 @@ def test_what_was_missed_is_missed_again_as_often_as_it_was_but_no_less_than_at_
     ("v", "needed"), [(ALWAYS, 4), (Visibility(74, 24), 3), (Visibility(49, 49), 2), (Visibility(0, 98), 2)]
 )
 def test_a_landmark_is_certain_once_it_was_seen_as_often_as_four_times_in_view_give(v, needed):
-    assert [certain(INITIALIZED._replace(seen=n), v) for n in (needed - 1, needed)] == [False, True]
+    assert [confirmed(INITIALIZED._replace(seen=n), v) for n in (needed - 1, needed)] == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -106,18 +106,18 @@ def test_a_landmark_moved_if_all_shifts_point_one_way_or_are_too_large_together(
     for k in range(4):
         nu = size * (np.array([0.6, 0.8]) / 2.0 if one_way else np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])[k])
         # four shifts one way: their mean has a quarter of the covariance of each
-        e = sighted(e, Judgement(2.0 * nu if one_way else nu, np.eye(2), np.eye(2)), True)
+        e = add_observation(e, Judgement(2.0 * nu if one_way else nu, np.eye(2), np.eye(2)), True)
     assert verdict(e, ALWAYS) == expected
 
 
 @pytest.mark.parametrize(
-    # seen in 7 of 8 looks; of a certain landmark the row that is not over does not count: in 7 of 7
+    # seen in 7 of 8 looks; of a confirmed landmark the row that is not over does not count: in 7 of 7
     ("seen", "power", "rate"),
     [(2, 1, 0.8), (20, constants.UNLIKELY_POWER, 8 / 9)],
 )
 def test_a_landmark_is_not_there_if_so_many_misses_in_a_row_are_unlikely_of_a_certain_one_more_so(seen, power, rate):
     v, e = Visibility(seen_seen=7, seen_missed=1), INITIALIZED._replace(seen=seen, opportunities=200)
-    assert certain(e, v) == (power > 1)
+    assert confirmed(e, v) == (power > 1)
     needed = math.ceil(power * math.log(constants.UNLIKELY) / math.log(1.0 - rate))
     told = [verdict(e._replace(missed=n, row=n), v) for n in (0, needed - 1, needed)]
     assert told == ["", "", "missed"]
@@ -127,8 +127,8 @@ def test_a_certain_landmark_has_its_own_rate_if_that_is_lower():
     often, seldom = (
         INITIALIZED._replace(seen=20, opportunities=opportunities, missed=20, row=0) for opportunities in (10**6, 18)
     )
-    assert verdict(overlooked(overlooked(often)), ALWAYS) == "missed"
-    assert verdict(overlooked(overlooked(seldom)), ALWAYS) == ""
+    assert verdict(add_miss(add_miss(often)), ALWAYS) == "missed"
+    assert verdict(add_miss(add_miss(seldom)), ALWAYS) == ""
     # by its own rate, 19 / 40, misses before this row counted: 22 in a row are as unlikely as need be
     own = math.ceil(constants.UNLIKELY_POWER * math.log(constants.UNLIKELY) / math.log(21 / 40))
     for row, expected in ((own - 1, ""), (own, "missed")):

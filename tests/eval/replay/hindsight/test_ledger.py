@@ -86,7 +86,7 @@ def test_what_never_became_certain_is_taken_back_in_the_end():
     for _ in range(5):
         story.see([0])
     ledger = story.ledger
-    assert ledger.uncertain().tolist() == [1]
+    assert ledger.transient().tolist() == [1]
     assert list(ledger.records) == [0]
     assert [(e.frame, e.observation, e.old, e.new, e.why) for e in ledger.events] == [(5, 1, NEW, DISCARD, "uncertain")]
 
@@ -149,7 +149,7 @@ def test_what_was_retracted_still_tells_what_the_log_is_like():
             n: Record([], (0.0, 0.0), 0.0, 0.0, opportunities=bytearray(b"\1\1\0\0\0\0")) for n in range(1, 1 + clutter)
         }
         ledger._retract(dict.fromkeys(range(1, 1 + clutter), "missed"))
-        return ledger.uncertain().tolist() == []
+        return ledger.transient().tolist() == []
 
     assert remains(0)
     assert not remains(40)

@@ -99,7 +99,7 @@ def test_surprises_of_all_certain_landmarks_add_up_and_no_other_counts():
     robot = known(OFTEN, seen=20, opportunities=300)
     one = misses(robot, 0).surprise()
     assert one > 0.0
-    assert misses(robot, 0, 1).surprise() == one, "the other one is not certain"
+    assert misses(robot, 0, 1).surprise() == one, "the other one is not confirmed"
     records = robot.ledger.records
     records[1].evidence = records[0].evidence
     assert misses(robot, 0, 1).surprise() == pytest.approx(2.0 * one)
@@ -168,12 +168,12 @@ def test_certain_landmarks_tell_how_often_landmarks_in_view_are_seen():
         robot.sees(0)
     seen = robot.ledger._visibility
     assert seen == Visibility(seen_seen=seen.seen_seen)
-    assert 2 <= seen.seen_seen <= 5, "not before it is certain"
+    assert 2 <= seen.seen_seen <= 5, "not before it is confirmed"
     robot.sees(missing=[0]).sees(missing=[0]).sees(0).sees(0)
     assert robot.ledger._visibility == Visibility(seen.seen_seen + 1, 1, 1, 1)
     before = robot.ledger._visibility
     robot.sees(1, missing=[2])
-    assert robot.ledger._visibility == before, "those that are not certain tell nothing"
+    assert robot.ledger._visibility == before, "those that are not confirmed tell nothing"
 
 
 def test_rates_are_common_once_a_landmark_is_certain_and_its_own_before():
@@ -181,7 +181,7 @@ def test_rates_are_common_once_a_landmark_is_certain_and_its_own_before():
     records = robot.ledger.records
     records[1].evidence = records[1].evidence._replace(seen=2, opportunities=2, missed=1)
     assert robot.ledger.rates(np.array([1, 0])) == pytest.approx([3 / 5, OFTEN.rate])
-    assert robot.ledger.certain().tolist() == [0]
+    assert robot.ledger.confirmed().tolist() == [0]
 
 
 def test_what_is_missed_too_often_is_taken_back_once_and_only_when_it_was_looked_at():
@@ -203,12 +203,12 @@ def test_what_is_merged_adds_up():
     kept, away = ledger.records[0], ledger.records[3]
     kept.evidence = kept.evidence._replace(seen=5, opportunities=4, missed=3, row=2, judged=2, squares=7.0)
     away.evidence = away.evidence._replace(seen=20, opportunities=10, missed=6, row=1, judged=1, squares=1.0)
-    from_where = away.looked_from
+    from_where = away.place
     ledger.merge([(3, 0)])
     e = ledger.records[0].evidence
     assert (e.seen, e.opportunities, e.missed, e.row, e.judged, e.squares) == (25, 14, 9, 0, 2, 7.0)
     assert (kept.first, kept.last, kept.times) == (0.0, 3.0, 3 + 2)
-    assert kept.looked_from == from_where
+    assert kept.place == from_where
     assert kept.covisible == {1, 2, 4}
     assert ledger.records[4].covisible == {0}
 
@@ -246,4 +246,4 @@ def test_only_what_came_after_the_missed_one_was_seen_last_replaces_it():
     assert replacing(ledger, [2, 0], [1]) == (1, 1), "the newest of them counts"
     assert replacing(ledger, [99, 2], [0, 1]) == (0, 1), "what is not in the map any more was not paired"
     assert replacing(ledger, [NEW], [0, 1]) == (0, 2)
-    assert replacing(ledger, [NEW, 1], [0, 2]) == (1, 1), "of the missed only those that are certain"
+    assert replacing(ledger, [NEW, 1], [0, 2]) == (1, 1), "of the missed only those that are confirmed"

@@ -78,7 +78,7 @@ def test_without_odometry_it_is_said_what_the_path_hangs_on():
 def test_before_the_first_frame_there_is_nothing_to_say():
     log = named_log("corridor:0")
     lost = Lost(Ledger(log.recorded.sensor))
-    lost.look(log.inputs().without_labels().frame(0), np.array([-1, -1]), np.zeros(3))
+    lost.see(log.inputs().without_labels().frame(0), np.array([-1, -1]), np.zeros(3))
     assert lost.notes() == []
 
 
@@ -91,7 +91,7 @@ class Looked:
 
     def score(self, number, x, y=0.0, counts=(0, 1)):
         self.counts = counts
-        self.lost.look(SimpleNamespace(number=number), np.array([-1]), np.array([x, y, 0.5]))
+        self.lost.see(SimpleNamespace(number=number), np.array([-1]), np.array([x, y, 0.5]))
         return self.lost.suspicion.score
 
 

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from eval.replay.hindsight.lost import Suspicion, looked
+from eval.replay.hindsight.lost import Suspicion, suspect
 
 
 def after(opportunities, s=None):
     s = Suspicion() if s is None else s
     for k, (paired, replaced) in enumerate(opportunities, start=s.since):
-        s = looked(s, k, paired, replaced)
+        s = suspect(s, k, paired, replaced)
     return s
 
 
@@ -21,13 +21,13 @@ def test_a_frame_counts_by_its_share_of_pairings_where_half_are_healthy_and_a_fi
     paired, replaced = math.log(0.2 / 0.5), math.log(0.8 / 0.5)
     s = Suspicion(score=5.0, since=3)
     for counts, gain in (((1, 0), paired), ((0, 1), replaced), ((2, 6), (2 * paired + 6 * replaced) / 8)):
-        assert looked(s, 9, *counts) == s._replace(score=pytest.approx(5.0 + gain))
-    assert looked(s, 9, 0, 0) is s
+        assert suspect(s, 9, *counts) == s._replace(score=pytest.approx(5.0 + gain))
+    assert suspect(s, 9, 0, 0) is s
 
 
 @pytest.mark.parametrize(("score", "alarm"), [(6.5, None), (6.6, 3)])
 def test_the_alarm_is_at_seven(score, alarm):
-    assert looked(Suspicion(score=score, since=3), 9, 0, 1).alarm == alarm
+    assert suspect(Suspicion(score=score, since=3), 9, 0, 1).alarm == alarm
 
 
 def test_what_is_paired_leaves_no_suspicion_and_a_sensor_that_fails_often_none_either():

@@ -11,7 +11,7 @@ from data.result import NEW, revised
 from data.sensors import RangeBearing, RelativePoint
 from eval.replay.batch import batch
 from eval.replay.hindsight.ledger import MERGED
-from eval.replay.hindsight.mapper import TIGHT, beside_tight
+from eval.replay.hindsight.mapper import TIGHT, with_tight
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
@@ -212,7 +212,7 @@ def test_what_is_hidden_from_one_place_is_missed_once(step, stays):
 
 
 def test_who_decides_keeps_its_own_errors_beside_those_of_the_run():
-    both = beside_tight(Systematic(("curvature", "bearing"), np.array([0.05, 0.1])))
+    both = with_tight(Systematic(("curvature", "bearing"), np.array([0.05, 0.1])))
     assert both.names == ("scale", "curvature", "left", "right", "drift", "bearing")
     assert both.sigma.tolist() == [0.02, 0.05, 0.05, 0.05, 1.25e-3, 0.1]
-    assert beside_tight(None) is TIGHT
+    assert with_tight(None) is TIGHT

@@ -8,16 +8,15 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2, poisson
 
-from eval.replay.hindsight.lost import Health, Monitor, healthy, recovered, watch
+from eval.replay.hindsight import constants
+from eval.replay.hindsight.lost import Health, recovered, watch
 
-M = Monitor()
 
-
-def alarms(frames, monitor=M, state=None):
+def alarms(frames, state=None):
     """Frames in which an alarm begins, and the last state; frames are (offered, paired, nis, dof)."""
-    state, found = state or healthy(monitor), []
+    state, found = state or Health(), []
     for k, frame in enumerate(frames):
-        before, state = state, watch(monitor, state, *frame)
+        before, state = state, watch(state, *frame)
         if state.lost and not before.lost:
             found.append(k)
             state = recovered(state)
@@ -74,21 +73,21 @@ def test_one_misfitting_frame_is_not_enough():
 def test_a_sum_leaves_zero_where_the_trouble_begins_and_comes_back_where_it_was_none():
     _, state = alarms([(4, 4, 8.0, 8)] * 50)
     assert (state.unpaired, state.misfit) == (0.0, 0.0)
-    state = watch(M, state, 4, 3, 6.0, 6)
+    state = watch(state, 4, 3, 6.0, 6)
     assert state.unpaired > 0.0 == state.misfit
     for _ in range(5):
-        state = watch(M, state, 4, 4, 8.0, 8)
+        state = watch(state, 4, 4, 8.0, 8)
     assert state.unpaired == 0.0
 
 
 def test_being_lost_is_not_learned_to_be_normal():
     _, state = alarms([(4, 4, 8.0, 8)] * 50)
     for _ in range(5):
-        state = watch(M, state, 4, 0, 0.0, 0)
+        state = watch(state, 4, 0, 0.0, 0)
     assert state.lost
     share = state.share
     for _ in range(100):
-        state = watch(M, state, 4, 0, 0.0, 0)
+        state = watch(state, 4, 0, 0.0, 0)
     assert state.share == share > 0.85
 
 
@@ -98,18 +97,18 @@ def test_clutter_is_learned_to_be_normal():
 
 
 def test_what_a_frame_adds_is_a_log_likelihood_ratio():
-    p, q, r = 0.9, 0.9 * M.lost_share, M.lost_scale
+    p, q, r = 0.9, 0.9 * constants.LOST_SHARE, constants.LOST_SCALE
     before = Health(unpaired=5.0, misfit=4.0, share=p, strays=0.1)
-    after = watch(M, before, 3, 1, 7.0, 2)
+    after = watch(before, 3, 1, 7.0, 2)
     assert after.unpaired == pytest.approx(5.0 + binom.logpmf(1, 3, q) - binom.logpmf(1, 3, p), rel=1e-12)
-    clutter = watch(M, replace(before, strays=1.5), 3, 1, 7.0, 2)
+    clutter = watch(replace(before, strays=1.5), 3, 1, 7.0, 2)
     assert clutter.unpaired == pytest.approx(5.0 + poisson.logpmf(2, 3 * (1 - q)) - poisson.logpmf(2, 1.5), rel=1e-12)
     assert after.misfit == pytest.approx(4.0 + chi2.logpdf(7.0, 2, scale=r) - chi2.logpdf(7.0, 2), rel=1e-12)
 
 
 def test_a_frame_without_observations_says_nothing():
     state = Health(unpaired=3.0)
-    assert watch(M, state, 0, 0, 0.0, 0) == state
+    assert watch(state, 0, 0, 0.0, 0) == state
 
 
 def test_after_recovery_there_is_no_suspicion_and_nothing_is_forgotten():

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.special import betaln
 
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.record import Persistence, lasting, persistence, persistent
+from eval.replay.hindsight.record import Persistence, kept_at_end, persistence, persistent
 
 SHARES = st.floats(0.02, 0.98)
 DRAWN = st.builds(Persistence, SHARES, SHARES, SHARES, SHARES, SHARES)
@@ -40,15 +40,15 @@ def likelihood_of_what_goes(opportunities, p):
 
 def plain(opportunities, p):
     stays, goes = (
-        p.stays * likelihood_of_what_stays(opportunities, p),
-        (1 - p.stays) * likelihood_of_what_goes(opportunities, p),
+        p.persistent * likelihood_of_what_stays(opportunities, p),
+        (1 - p.persistent) * likelihood_of_what_goes(opportunities, p),
     )
     return stays / (stays + goes)
 
 
 def drawn(rng, count, p):
     """Looks at landmarks, up to thirty at each, by the model; and which of them stay."""
-    every, stays = [], rng.random(count) < p.stays
+    every, stays = [], rng.random(count) < p.persistent
     for stay in stays:
         opportunities, before, there = [], 1, bool(stay or rng.random() > p.at_once)
         for _ in range(rng.integers(31)):
@@ -82,7 +82,7 @@ def test_a_landmark_that_was_never_looked_at_is_of_the_kind_that_most_are():
 def test_what_a_log_is_like_is_found_again(p):
     opportunities, stays = drawn(np.random.default_rng(1), 1500, p)
     found = persistence(opportunities)
-    assert found.stays == pytest.approx(p.stays, abs=0.05)
+    assert found.persistent == pytest.approx(p.persistent, abs=0.05)
     assert found.at_once == pytest.approx(p.at_once, abs=0.1)
     assert found.later == pytest.approx(p.later, abs=0.05)
     assert found.seen == pytest.approx(p.seen, abs=0.05)  # misses at the end are left out, of short rows some too many
@@ -118,7 +118,7 @@ def test_one_step_of_the_fit_is_the_expected_counts_by_hand(monkeypatch):
     lasted = (sum(k * w for k, w in enumerate(later)) + 5 * never) / total
     left = sum(later) / total
     expected = [
-        (worth[0] * before.stays + a + b) / (worth[0] + 2),
+        (worth[0] * before.persistent + a + b) / (worth[0] + 2),
         (worth[1] * before.at_once + (1 - a) * at_once / total) / (worth[1] + (1 - a) * own),
         (worth[2] * before.later + (1 - a) * left) / (worth[2] + (1 - a) * (left + lasted)),
         (worth[3] * before.seen + a) / (worth[3] + 2 * a),  # seen, missed: the row at the end does not count
@@ -145,28 +145,28 @@ def test_what_goes_does_not_take_longer_than_can_be_told():
 
 def test_of_a_map_stays_what_stays_by_odds_of_two_to_one():
     real, clutter = [bytes([1] * 10)] * 10, [bytes([0] * 6)] * 10
-    keep = lasting([*real, *clutter], [], np.full(20, 9))
+    keep = kept_at_end([*real, *clutter], [], np.full(20, 9))
     assert keep.tolist() == [True] * 10 + [False] * 10
-    assert lasting([], [], np.ones(0, np.int64)).tolist() == []
+    assert kept_at_end([], [], np.ones(0, np.int64)).tolist() == []
 
 
 def test_what_was_read_once_does_not_stay():
     opportunities = [bytes([1] * 10)] * 10 + [b""]
-    assert lasting(opportunities, [], np.full(11, 2))[-1]
-    assert not lasting(opportunities, [], np.array([2] * 10 + [1]))[-1]
+    assert kept_at_end(opportunities, [], np.full(11, 2))[-1]
+    assert not kept_at_end(opportunities, [], np.array([2] * 10 + [1]))[-1]
 
 
 @pytest.mark.parametrize(("others", "needed"), [(2, 2), (3, 3), (4, 4), (30, 4)])
 def test_where_most_are_read_often_two_sightings_are_too_few(others, needed):
     opportunities = [bytes([1] * 10)] * 40 + [b"\1"]
-    keep = [lasting(opportunities, [], np.array([others] * 40 + [n]))[-1] for n in (1, 2, 3, 4)]
+    keep = [kept_at_end(opportunities, [], np.array([others] * 40 + [n]))[-1] for n in (1, 2, 3, 4)]
     assert keep == [n >= needed for n in (1, 2, 3, 4)]
 
 
 def test_the_fewest_of_those_that_stay_do_not_tell_how_many_sightings_are_needed():
     opportunities = [bytes([1] * 10)] * 40
-    assert lasting(opportunities, [], np.array([2] + [9] * 39)).tolist() == [False] + [True] * 39
-    assert lasting(opportunities, [], np.array([2] * 4 + [9] * 36)).all()
+    assert kept_at_end(opportunities, [], np.array([2] + [9] * 39)).tolist() == [False] + [True] * 39
+    assert kept_at_end(opportunities, [], np.array([2] * 4 + [9] * 36)).all()
 
 
 def test_what_was_retracted_before_tells_what_the_rest_is_like():
@@ -183,6 +183,6 @@ def test_where_it_is_not_known_which_stay_the_likeliest_do_as_many_as_are_expect
     often = np.full(len(opportunities), 3)
     told = persistent(opportunities, persistence([*opportunities, *former]))
     assert told.max() < constants.PERSISTENT_PROBABILITY
-    keep = lasting(opportunities, former, often)
+    keep = kept_at_end(opportunities, former, often)
     assert keep.sum() == round(told.sum())
     assert told[keep].min() >= told[~keep].max()

@@ -36,5 +36,5 @@ def test_a_place_is_forgotten_after_a_distance_travelled():
 def test_a_landmark_takes_its_own_doubts_and_leaves_the_others():
     seen = Tentative()
     for x in (1.0, 1.1, 4.0):
-        seen.implausible(at(x))
+        seen.suspect(at(x))
     assert (seen.settle(at(1.0)), seen.settle(at(1.0)), seen.settle(at(4.0))) == (2, 0, 1)

@@ -51,7 +51,7 @@ def test_what_is_taken_back_leaves_both():
 
 
 def test_errors_that_the_run_asks_for_are_not_doubted():
-    both = TwoModels(LOG.prior, LOG.sensor, ERRORS, doubted=False)
+    both = TwoModels(LOG.prior, LOG.sensor, ERRORS, undecided=False)
     decisions, _ = known_decisions(LOG)
     for k in range(20):
         frame = LOG.frame(k)

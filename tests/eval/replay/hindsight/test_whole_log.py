@@ -213,7 +213,7 @@ def test_the_path_is_smoothed_with_the_noise_there_is_and_without_a_motion_that_
     for k in range(4):
         whole.move(Frame(k, float(k), Increment(np.array([1.0, 0.0, 0.1]), M) if k else None, seen, None, k))
         if k == 2:
-            whole.implausible(more)
+            whole.loosen(more)
         whole.end_frame(np.zeros(3))
     restated = Restated(sensor)
     restated.shares = Shares(4.0, 9.0, 2.0)

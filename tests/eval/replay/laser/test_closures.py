@@ -41,13 +41,13 @@ def test_two_of_the_same_key_pose_are_not_believed_though_they_agree():
     found = closer(KEYS)
     newest = KEYS - 1
     assert believe(found, closure(found, 2, newest), closure(found, 4, newest)) == []
-    assert all(c.believed < 0 for c in found.looked_at)
+    assert all(c.believed < 0 for c in found.candidates)
 
 
 def test_one_of_the_next_key_pose_that_agrees_makes_both_believed():
     found = closer(KEYS)
     first = Closure(1, KEYS - 2, between(found._poses[1], found._poses[KEYS - 2]), 1e-4 * np.eye(3), 1.0)
-    found.looked_at.append(first)
+    found.candidates.append(first)
     second = closure(found, 2, KEYS - 1)
     assert believe(found, second) == [first, second]
     assert first.believed == second.believed == KEYS - 1
@@ -55,7 +55,7 @@ def test_one_of_the_next_key_pose_that_agrees_makes_both_believed():
 
 def test_one_that_does_not_agree_is_not():
     found = closer(KEYS)
-    found.looked_at.append(closure(found, 1, KEYS - 2))
+    found.candidates.append(closure(found, 1, KEYS - 2))
     wrong = closure(found, 2, KEYS - 1)
     wrong.relative = wrong.relative + np.array([1.0, 0.0, 0.0])
     assert believe(found, wrong) == []
@@ -66,7 +66,7 @@ SEEN = scan(np.zeros(3), ROOM)
 USUAL = 1e-4 * np.eye(3)
 
 
-def figure_style(keys, last=SEEN, covariance=USUAL):
+def closer_at(keys, last=SEEN, covariance=USUAL):
     """A robot that stands in a room for some key poses; `last` is what it sees from the newest."""
     found = LoopCloser(LaserParameters(), SCANNER)
     for key in range(keys):
@@ -76,16 +76,16 @@ def figure_style(keys, last=SEEN, covariance=USUAL):
     return found
 
 
-def looked_at(found, poses):
+def candidates(found, poses):
     assert found.find(poses) == []  # one alone is never believed
-    return [(c.key1, c.key2) for c in found.looked_at]
+    return [(c.key1, c.key2) for c in found.candidates]
 
 
 def test_the_first_key_pose_is_looked_at_as_soon_as_it_is_the_gap_away():
-    assert looked_at(figure_style(GAP), np.zeros((GAP, 3))) == []
-    found = figure_style(GAP + 1)
-    assert looked_at(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
-    (closure,) = found.looked_at
+    assert candidates(closer_at(GAP), np.zeros((GAP, 3))) == []
+    found = closer_at(GAP + 1)
+    assert candidates(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
+    (closure,) = found.candidates
     assert not closure.refused
     assert closure.score > 0.9
     np.testing.assert_allclose(closure.relative, np.zeros(3), atol=1e-3)
@@ -93,9 +93,9 @@ def test_the_first_key_pose_is_looked_at_as_soon_as_it_is_the_gap_away():
 
 def test_where_the_scans_say_that_the_robot_is_there_the_closure_says_so():
     moved = np.array([0.06, -0.04, 0.02])
-    found = figure_style(GAP + 1, scan(moved, ROOM))
-    assert looked_at(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
-    (closure,) = found.looked_at
+    found = closer_at(GAP + 1, scan(moved, ROOM))
+    assert candidates(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
+    (closure,) = found.candidates
     assert not closure.refused
     np.testing.assert_allclose(closure.relative, moved, atol=5e-3)
 
@@ -104,7 +104,7 @@ def test_of_many_candidates_two_are_looked_at_the_nearest_one_and_the_next_that_
     keys = GAP + 18
     poses = np.zeros((keys, 3))
     poses[:-1, 0] = 0.05 * np.abs(np.arange(keys - 1) - 16)  # where the robot is now it was at key pose 16
-    assert sorted(looked_at(figure_style(keys), poses)) == [(8, keys - 1), (16, keys - 1)]
+    assert sorted(candidates(closer_at(keys), poses)) == [(8, keys - 1), (16, keys - 1)]
 
 
 @pytest.mark.parametrize(("off", "refused"), [(0.18, False), (0.23, True)])
@@ -115,15 +115,15 @@ def test_a_closure_too_far_from_where_the_way_between_its_key_poses_leads_is_ref
     poses = np.zeros((keys, 3))
     poses[: keys - GAP - 1, 0] = 30.0  # far away
     poses[-1, 0] = off
-    found = figure_style(keys, covariance=np.diag([0.05**2, 0.05**2, 1e-5]) / GAP)
-    assert looked_at(found, poses) == [(keys - GAP - 1, keys - 1)]
-    assert [c.refused for c in found.looked_at] == [refused]
+    found = closer_at(keys, covariance=np.diag([0.05**2, 0.05**2, 1e-5]) / GAP)
+    assert candidates(found, poses) == [(keys - GAP - 1, keys - 1)]
+    assert [c.refused for c in found.candidates] == [refused]
 
 
 @pytest.mark.parametrize("off", [0.0, 0.5])
 def test_closures_of_two_key_poses_that_agree_are_believed_at_the_second_unless_one_is_refused(off):
-    found = figure_style(GAP + 1)
-    assert looked_at(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
+    found = closer_at(GAP + 1)
+    assert candidates(found, np.zeros((GAP + 1, 3))) == [(0, GAP)]
     found.add_key(SEEN, found._keys[-1].points, np.zeros(3), USUAL)
     poses = np.zeros((GAP + 2, 3))
     poses[-1, 0] = off  # of the second pose the path says what the scan does not
@@ -135,10 +135,10 @@ def test_closures_of_two_key_poses_that_agree_are_believed_at_the_second_unless_
 
 @pytest.mark.parametrize(("points", "expected"), [(9, []), (10, [(0, GAP)])])
 def test_a_scan_of_fewer_than_ten_points_closes_no_loop(points, expected):
-    found = figure_style(GAP + 1)
+    found = closer_at(GAP + 1)
     key = found._keys[-1]
     key.points = Points(key.points.xy[:points], key.points.normal[:points])
-    assert looked_at(found, np.zeros((GAP + 1, 3))) == expected
+    assert candidates(found, np.zeros((GAP + 1, 3))) == expected
 
 
 @pytest.mark.parametrize(("steps", "most"), [(1e-9, 2.0), (1.0, 2.3098), (4.0, 2.6197)])
@@ -149,5 +149,5 @@ def test_key_poses_farther_apart_than_the_path_between_allows_are_not_looked_at(
     for away, expected in ((most - 0.002, [(0, GAP)]), (most + 0.002, [])):
         poses = np.zeros((GAP + 1, 3))
         poses[-1, 0] = away
-        found = figure_style(GAP + 1, covariance=steps * np.diag([0.0005, 0.0015, 1e-6]))
-        assert looked_at(found, poses) == expected
+        found = closer_at(GAP + 1, covariance=steps * np.diag([0.0005, 0.0015, 1e-6]))
+        assert candidates(found, poses) == expected
