@@ -23,6 +23,7 @@ from data.terminal import INTERRUPTED, WRONG, counted, ended, told, unread
 from data.whole import whole_folder
 from data.words import sentence
 from eval.open_report import show
+from eval.plan import first_use
 from eval.plan.flags.help import PROG
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import Options
@@ -86,12 +87,14 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = 
     consoles: list[Console] = []
 
     def body() -> int:
-        with heeding_interruption() as check:
+        with heeding_interruption() as check, first_use.stopping():
             options = read_options(arguments, prog, positional)
             consoles.append(Console(options))
+            if line := first_use.start(options):
+                consoles[0].say(line)
             check()
             with staged(options.output.out) as folder:
-                status = _run(options, consoles[0], folder, arguments, check)
+                status = _run(options, consoles[0], folder, [*prog.split(), *arguments], check)
                 check()
         if options.output.open:
             show(options.output.out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -20,11 +21,15 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def _warm(argv: Sequence[str] | None, prog: str) -> None:
-    Command(prog, PROG, "Compile every kernel once, into the cache.").read(argv)
+    p = Command(prog, PROG, "Compile every kernel once, into the cache.")
+    p.add_argument("--background", action="store_true", help="at low priority, and not beside another one; no output")
+    background = p.read(argv).background
+    if background:
+        os.nice(19)
     from eval.plan.warming import compile_all, mark
 
     begin = time.monotonic()
-    compile_all()
+    compile_all(quiet=background, background=background)
     place = mark()
     where = "" if place is None else f"; kept in {place.parent} and its neighbours"
     sys.stdout.write(f"every kernel is compiled ({time.monotonic() - begin:.0f} s){where}\n")

@@ -14,6 +14,7 @@ from importlib.metadata import version
 import numpy as np
 
 from data.log import Log
+from eval.plan.first_use import kernels
 from eval.plan.flags.help import PROG
 from eval.plan.flags.table import Options
 from eval.plan.foreign import sources_of
@@ -42,7 +43,7 @@ def command_of(options: Options) -> str:
 def provenance(
     options: Options,
     logs: Iterable[Log],
-    arguments: Sequence[str],
+    command: Sequence[str],
     foreign: Iterable[str] = (),
     results: Mapping[str, Mapping[str, str]] = {},
 ) -> str:
@@ -51,8 +52,9 @@ def provenance(
     `foreign`: names of estimators and ways of association, some perhaps not ours; `results`: of each that was handed in
     the sha256 by file.
     """
-    content = {
-        "command": [*PROG.split(), *arguments],
+    content: dict[str, object] = {
+        "command": list(command),
+        "kernels": kernels(),
         "versions": {
             "slamref": version("slamref"),
             "python": platform.python_version(),

@@ -1,17 +1,12 @@
-"""The first use after an installation: every compiled kernel used once, with progress, before anybody waits in silence.
-
-What is compiled is kept by numba beside the modules (or in the user's cache, where those cannot be written to). A mark
-beside it says for which versions all is there, so that every later start is spared the look.
-"""
+"""Compile every kernel by using it once, with progress; see `first_use` for where what is compiled is kept."""
 
 from __future__ import annotations
 
-import platform
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +21,7 @@ from data.log import Log
 from data.worlds.arena import Arena, simulate
 from data.worlds.registry import named_log
 from eval.compare import compare
+from eval.plan.first_use import alone, mark_name
 from eval.replay.estimators import make_estimator
 from eval.replay.hindsight.placement import candidates
 from eval.replay.hindsight.relocalize import Scan, relocalize
@@ -97,27 +93,16 @@ PARTS: dict[str, Callable[[], None]] = {
 
 def mark() -> Path | None:
     """The file that stands for compiled kernels; None where numba keeps nothing, or compiles nothing."""
-    import llvmlite.binding  # type: ignore[import-untyped]
-    import numba
-
     from ekf.kernels import predict
 
     stats = getattr(predict, "stats", None)  # a plain function where compilation is switched off
-    if stats is None or not stats.cache_path:
-        return None
-    try:
-        ours = version("slamref")
-    except PackageNotFoundError:  # a checkout that was never installed
-        ours = "checkout"
-    python = f"{sys.implementation.name}{sys.version_info.major}.{sys.version_info.minor}"
-    machine = f"{platform.machine()}-{llvmlite.binding.get_host_cpu_name()}"
-    return Path(stats.cache_path) / f".slamref-{ours}-{python}-numba-{numba.__version__}-{machine}"
+    return Path(stats.cache_path) / mark_name() if stats is not None and stats.cache_path else None
 
 
 def compile_if_needed(quiet: bool = False) -> None:
     """On the first use, compile everything and say so on stderr; afterwards nothing at all."""
     place = mark()
-    if place is None or (place.exists() and any(place.parent.glob("*.nbi"))):
+    if place is None or _is_there(place):
         return
     if not quiet:
         sys.stderr.write("first use: compiling the numerical kernels, once; this takes a minute or two\n")
@@ -126,8 +111,26 @@ def compile_if_needed(quiet: bool = False) -> None:
         sys.stderr.write("compiled; later runs start at once\n")
 
 
-def compile_all(quiet: bool = False) -> None:
-    """Compile every kernel, with a bar on a terminal and a line for each part elsewhere, and leave the mark."""
+def _is_there(place: Path) -> bool:
+    return place.exists() and any(place.parent.glob("*.nbi"))
+
+
+def compile_all(quiet: bool = False, background: bool = False) -> None:
+    """Compile every kernel, with a bar on a terminal and a line for each part elsewhere, and leave the mark.
+
+    While another process compiles, wait for it; in the `background`, leave it all to that one.
+    """
+    place = mark()
+    if place is None:
+        return
+    with alone(place.parent, wait=not background) as first:
+        if first and not (background and _is_there(place)):
+            _compile(quiet)
+            with suppress(OSError):  # without the mark, the next run looks again
+                place.touch()
+
+
+def _compile(quiet: bool) -> None:
     from tqdm import tqdm
 
     with tqdm(desc="compiling", total=len(PARTS), disable=quiet or not sys.stderr.isatty(), leave=False) as bar:
@@ -137,7 +140,3 @@ def compile_all(quiet: bool = False) -> None:
             bar.set_postfix_str(what)
             part()
             bar.update()
-    place = mark()
-    if place is not None:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        place.touch()

@@ -1,0 +1,115 @@
+"""The first run: a small log is interpreted at once, while one child process compiles; Ctrl-C ends it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import slamref
+from data.formats.open_log.writer import write_folder
+from eval.plan import first_use
+from eval.plan.flags.options import read_options
+
+ROOT = Path(__file__).parents[3]
+
+
+@pytest.mark.parametrize(("words", "small"), [
+    (["arena:0"], True),
+    (["arena:0", "--task", "localization,slam"], True),
+    (["arena:0:frames=60", "corridor:1:people+no-odometry", "linear:0"], True),
+    (["corridor:0:people", "--association", "known,nn,jcbb,jcbb-hindsight"], True),
+    (["arena:0:frames=5000"], False),
+    (["arena:0:landmarks=500"], False),
+    (["circle:0"], False),
+    (["victoria-park"], False),
+    (["arena:0", "--twins", "20"], False),
+    (["arena:0", "--calibrate"], False),
+    (["--lab", "corridor:0"], False),
+    (["--scenario", "arena"], False),
+    ([], False),
+])  # fmt: skip
+def test_what_is_small_is_known_before_the_log_is_opened(words, small):
+    assert first_use.is_small(read_options(words)) == small
+
+
+@pytest.mark.parametrize("world", first_use.WORLDS)
+def test_simulated_logs_have_no_more_observations_than_is_assumed(world):
+    for seed in range(3):
+        assert len(slamref.open_log(f"{world}:{seed}").recorded.observations.frame) <= first_use.WORLDS[world]
+
+
+def test_the_observations_of_a_folder_are_counted(tmp_path):
+    log = slamref.open_log("arena:0:frames=20")
+    write_folder(log, tmp_path / "log")
+    assert first_use.observations(str(tmp_path / "log")) == len(log.recorded.observations.frame) + 1
+    (tmp_path / "log" / "scans.csv").write_text("")
+    assert first_use.observations(str(tmp_path / "log")) == float("inf")
+    assert first_use.observations(str(tmp_path / "none")) == float("inf")
+
+
+def test_only_one_process_compiles_at_a_time(tmp_path):
+    with first_use.alone(tmp_path, wait=False) as first:
+        assert first
+        with first_use.alone(tmp_path, wait=False) as second:
+            assert not second
+    with first_use.alone(tmp_path, wait=False) as again:
+        assert again
+
+
+def test_where_nothing_can_be_written_everybody_may_compile(tmp_path):
+    (tmp_path / "file").write_text("")
+    with first_use.alone(tmp_path / "file" / "cache", wait=False) as first:
+        assert first
+
+
+FIRST_RUN = """
+import os, sys, subprocess
+from eval.plan import first_use
+from eval import run_all
+first_use.is_compiled = lambda: False
+first_use.compile_in_background = lambda: first_use._children.append(subprocess.Popen(["sleep", "60"], stdout=subprocess.DEVNULL))
+status = run_all.main(sys.argv[1:])
+print("kernels", first_use.kernels(), "child", first_use._children[0].pid)
+sys.exit(status)
+"""
+
+
+def first_run(tmp_path: Path) -> subprocess.Popen[str]:
+    words = ["arena:0:frames=30", "--estimator", "ekf", "--no-plots", "--out", str(tmp_path / "out")]
+    environment = {k: v for k, v in os.environ.items() if k != first_use.INTERPRETED}
+    return subprocess.Popen(
+        [sys.executable, "-c", FIRST_RUN, *words], cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True
+    )
+
+
+def test_a_first_run_says_so_and_is_interpreted_and_its_child_goes_on(tmp_path):
+    run = first_run(tmp_path)
+    said, _ = run.communicate()
+    assert run.returncode == 0
+    lines = said.splitlines()
+    assert lines[0] == first_use.NOTICE
+    child = int(lines[-1].rsplit(" ", 1)[1])
+    assert lines[-1].startswith("kernels interpreted")
+    assert '"kernels": "interpreted"' in (tmp_path / "out" / "provenance.json").read_text()
+    os.kill(child, signal.SIGTERM)  # raises if it is not there
+
+
+def test_ctrl_c_ends_the_child(tmp_path):
+    run = first_run(tmp_path)
+    assert run.stdout is not None
+    assert run.stdout.readline().strip() == first_use.NOTICE
+    run.send_signal(signal.SIGINT)
+    run.communicate()
+    deadline = time.monotonic() + 10
+    while (left := subprocess.run(["pgrep", "-P", str(run.pid)], capture_output=True, check=False).stdout) and (
+        time.monotonic() < deadline
+    ):
+        time.sleep(0.05)
+    assert not left
+    assert run.returncode == 130
