@@ -30,23 +30,18 @@ MEGABYTE = 1024.0  # KiB, the unit of `ru_maxrss`
 
 
 class Measured(NamedTuple):
-    """One run, its size, and what it cost.
-
-    seconds: wall time of the estimator alone; with_start: with the EKF that batch starts from; cpu_seconds: of the
-    processor, in all; peak_mb: memory of the process at most, log_mb: before the run, the log included; rmse_m: of the
-    positions, in the end.
-    """
+    """One run, its size, and what it cost."""
 
     estimator: str
     frames: int
     landmarks: int
     readings: int
-    seconds: float
-    with_start: float
-    cpu_seconds: float
-    peak_mb: float
+    seconds: float  # wall time of the estimator alone
+    with_start: float  # with the EKF that batch starts from
+    cpu_seconds: float  # of the processor, in all
+    peak_mb: float  # memory of the process at most, log_mb: before the run, the log included
     log_mb: float
-    rmse_m: float
+    rmse_m: float  # of the positions, in the end
     status: str
 
 

@@ -74,11 +74,7 @@ def drive(
 
 
 class Looking:
-    """Says how things stand and feeds the page, once a second.
-
-    Attributes:
-        latencies: of all estimates so far.
-    """
+    """Says how things stand and feeds the page, once a second."""
 
     def __init__(
         self,
@@ -91,7 +87,7 @@ class Looking:
         speed: float = 1.0,
     ) -> None:
         """`say` gets the lines, `faults` counts those of the link; `speed` as of the clock."""
-        self.latencies = Latencies()
+        self.latencies = Latencies()  # of all estimates so far
         self._name, self._session, self._faults, self._say, self._feed = name, session, faults, say, feed
         self._period = PERIOD / speed
         self._newest: list[Step | None] = [None] * len(session.estimating)

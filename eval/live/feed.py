@@ -33,12 +33,11 @@ class Part:
 
     Attributes:
         first, frames: number of the first, and how many.
-        arrays: by name, rows in the order of time; `change` holds rows of `MapChanges`.
     """
 
     first: int
     frames: int
-    arrays: Mapping[str, Array]
+    arrays: Mapping[str, Array]  # by name, rows in the order of time; `change` holds rows of `MapChanges`
 
 
 def key_of(number: int) -> str:
@@ -117,12 +116,11 @@ class Published:
 
     Attributes:
         large, small: in the order of time; a minute may be in both.
-        ended: no more will come.
     """
 
     large: tuple[Chunk, ...] = ()
     small: tuple[Chunk, ...] = ()
-    ended: bool = False
+    ended: bool = False  # no more will come
 
     @property
     def begin(self) -> int:
@@ -148,14 +146,10 @@ class Published:
 
 
 class Feed:
-    """Takes frames, publishes chunks.
-
-    Attributes:
-        published: read it from any thread; it is replaced as a whole.
-    """
+    """Takes frames, publishes chunks."""
 
     def __init__(self, estimators: int) -> None:
-        self.published = Published()
+        self.published = Published()  # read it from any thread; it is replaced as a whole
         self._known = [MapChanges(QUANTUM) for _ in range(estimators)]
         self._waiting: list[Taken] = []
         self._parts: list[Part] = []  # of the minute that is not over

@@ -33,11 +33,7 @@ HEADERS = {
 
 
 class Server:
-    """Serves in threads of its own; `with` ends it.
-
-    Attributes:
-        address: of the page.
-    """
+    """Serves in threads of its own; `with` ends it."""
 
     def __init__(self, port: int, page: bytes, published: Callable[[], Published]) -> None:
         """Listen; port 0 is any that is free.
@@ -51,7 +47,7 @@ class Server:
             why = told(fault) if isinstance(fault, OSError) else "a number from 0 to 65535 is needed"
             raise UsageError(f"--port {port}: {why}") from None
         self._http.daemon_threads = True
-        self.address = f"http://{ADDRESS}:{self._http.server_address[1]}/"
+        self.address = f"http://{ADDRESS}:{self._http.server_address[1]}/"  # of the page
         self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
         self._thread.start()
 

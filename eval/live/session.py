@@ -43,21 +43,13 @@ ROBOT = Beginning(prior(), SENSOR)  # the prior is the origin, there is no map: 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """An estimator after a frame.
+    """An estimator after a frame."""
 
-    Attributes:
-        mean: (3,) pose [m, m, rad], world frame.
-        covariance: (3, 3) of it.
-        decisions: (m,) about the frame's observations, as in `data.result.Run`.
-        created: (m,) landmarks they initialized, -1 for none.
-        nis: per degree of freedom; NaN where nothing was paired.
-    """
-
-    mean: Array
-    covariance: Array
-    decisions: IntArray
-    created: IntArray
-    nis: float
+    mean: Array  # (3,) pose [m, m, rad], world frame
+    covariance: Array  # (3, 3) of it
+    decisions: IntArray  # (m,) about the frame's observations, as in `data.result.Run`
+    created: IntArray  # (m,) landmarks they initialized, -1 for none
+    nis: float  # per degree of freedom; NaN where nothing was paired
 
 
 class Taken(NamedTuple):
@@ -229,14 +221,10 @@ SHORTEST, PER_DECADE, DECADES = 1.0e-5, 50, 8
 
 
 class Latencies:
-    """How long estimates took, counted, so that no number of them takes memory.
-
-    Attributes:
-        longest: s, since `begin`.
-    """
+    """How long estimates took, counted, so that no number of them takes memory."""
 
     def __init__(self) -> None:
-        self.longest = 0.0
+        self.longest = 0.0  # s, since `begin`
         self._counts = np.zeros(PER_DECADE * DECADES + 1, np.int64)
 
     def add(self, seconds: float) -> None:

@@ -41,7 +41,6 @@ class RunHead:
     """What the page is told of a run beside its arrays, whose names begin with `key`.
 
     Attributes:
-        name: as in lists; why: it is not `ok`, in words; dash: lengths of dash and gap, none of a solid line.
         beside: what is different about its log.
         decides, scored, candidates, nis, history: whether it has arrays about decisions, outcomes, candidates, NIS, and
             landmarks as they were, after every so many frames; certain: with their covariances.
@@ -49,7 +48,7 @@ class RunHead:
     """
 
     key: str
-    name: str
+    name: str  # as in lists; why: it is not `ok`, in words; dash: lengths of dash and gap, none of a solid line
     estimator: str
     association: str
     colour: str

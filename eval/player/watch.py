@@ -49,21 +49,16 @@ class Watched:
     """What was written down. Sigmas are (sigma_x, sigma_y), rho their correlation.
 
     Attributes:
-        quantum: m; smaller changes are left out.
-        every: landmarks were written down after every so many frames with observations; 0: never.
-        certain: with their covariances; else their sigmas are zero.
         change_frame, change_number, change_there: (C,) in which frame which landmark changed; 0: it left the map.
         change_xy, change_sigma, change_rho: (C, 2), (C, 2), (C,) in the world frame [m].
         seen_frame, seen_number: (K,) candidates that some observation might have been of.
         seen_xy, seen_sigma, seen_rho: (K, 2), (K, 2), (K,) where they were expected, in the robot's frame [m].
         pair_row, pair_number, pair_d2: (P,) observation (row of the log), candidate, squared Mahalanobis distance.
-        methods: W names.
-        said: (M, W) what each decides on the same expectation.
     """
 
-    quantum: float
-    every: int
-    certain: bool
+    quantum: float  # m; smaller changes are left out
+    every: int  # landmarks were written down after every so many frames with observations; 0: never
+    certain: bool  # with their covariances; else their sigmas are zero
     change_frame: IntArray
     change_number: IntArray
     change_there: IntArray
@@ -78,8 +73,8 @@ class Watched:
     pair_row: IntArray
     pair_number: IntArray
     pair_d2: Array
-    methods: tuple[str, ...]
-    said: IntArray
+    methods: tuple[str, ...]  # W names
+    said: IntArray  # (M, W) what each decides on the same expectation
 
     def __post_init__(self) -> None:
         read_only(self)

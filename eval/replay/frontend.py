@@ -78,18 +78,15 @@ class FrontEnd:
 
     Attributes:
         k: number of the frame.
-        association: `known` (labels decide) or a method's name.
         estimator: gets the decisions.
         can: its capabilities.
         foreign: the estimator if it is foreign, else None.
-        map_management: which landmarks leave the map; None where all stay.
         incomplete: frames in which the search for a pairing ran out of its budget.
-        gated_final: see `Run`.
     """
 
     revises_map = False  # whether landmarks leave the map for other reasons than map management's
     asks_for_innovations = False  # whether the estimator must form its innovations
-    gated_final: tuple[float, float] | None = None
+    gated_final: tuple[float, float] | None = None  # see `Run`
 
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
@@ -103,7 +100,7 @@ class FrontEnd:
         if association == HINDSIGHT and not given.sensor.sees_points:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)
         self.given, self.setup = Beginning(given.prior, given.sensor, given.map, given.systematic), setup
-        self.association = name_of(association)
+        self.association = name_of(association)  # `known` (labels decide) or a method's name
         self._method = Method(load(association)) if is_foreign(association) else association
         self.use(make_estimator(estimator, given, options, lag=setup.lag))
         self.slam = given.map is None
@@ -118,7 +115,7 @@ class FrontEnd:
         self.map_management: MapManagement | None = None
         self.parking: Parking | AutomaticParking | None = None
         if self.slam and (kept.manages_map or self.revises_map):
-            self.map_management = MapManagement(kept)
+            self.map_management = MapManagement(kept)  # which landmarks leave the map; None where all stay
             if kept.deactivate_after is not None:
                 self.parking = Parking(self.estimator, self.can, self.map_management, given.sensor, within)
             if kept.maintain or kept.forget_after is not None:

@@ -35,17 +35,12 @@ class Leaving(NamedTuple):
 
 
 class MapManagement:
-    """When each landmark was seen, and the consequences: `begin` a frame, `see`, `leaving`.
-
-    Attributes:
-        removed: frame after which a landmark was no longer in the map.
-        retracted: landmarks that were removed as if never seen.
-    """
+    """When each landmark was seen, and the consequences: `begin` a frame, `see`, `leaving`."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
-        self.removed: dict[int, int] = {}
-        self.retracted: set[int] = set()
+        self.removed: dict[int, int] = {}  # frame after which a landmark was no longer in the map
+        self.retracted: set[int] = set()  # landmarks that were removed as if never seen
         self._frame, self._now = 0, 0.0
         # by landmark: frame of its first observation, number of observations, time of the last one, time since which
         # it is active (seen or restored last)

@@ -93,10 +93,7 @@ def called(name: str, beside: Sequence[str] = ()) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A problem laid out in the robot frame; `compatible` pairs (m, n) pass the gate, `near` ones are drawn in grey.
-
-    number: (n,) of the landmarks; column: of a number, its place among them; named: (n,) those whose number is written.
-    """
+    """A problem laid out in the robot frame; `compatible` pairs (m, n) pass the gate, `near` ones are drawn in grey."""
 
     xy: Array
     P: Array
@@ -105,9 +102,9 @@ class Plane:
     compatible: BoolArray
     near: BoolArray
     shown: Array
-    number: IntArray
-    named: BoolArray
-    column: dict[int, int]
+    number: IntArray  # (n,) of the landmarks
+    named: BoolArray  # (n,) those whose number is written
+    column: dict[int, int]  # of a number, its place among them
 
 
 def plane_of(m: Matching) -> Plane:

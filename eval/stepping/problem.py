@@ -25,13 +25,10 @@ RIGHT = ("tp", "tn")
 
 
 class TruthRow(NamedTuple):
-    """What the referee says of one frame's m observations.
+    """What the referee says of one frame's m observations."""
 
-    ground_truth: (m,) number of the right landmark, negative for none; outcome: (m,) index into `OUTCOMES`.
-    """
-
-    ground_truth: IntArray
-    outcome: IntArray
+    ground_truth: IntArray  # (m,) number of the right landmark, negative for none
+    outcome: IntArray  # (m,) index into `OUTCOMES`
 
     @property
     def correct(self) -> list[bool]:
@@ -56,17 +53,14 @@ def row_of(confusion: Confusion | None, rows: slice) -> TruthRow | None:
 
 
 class FrameSoFar(NamedTuple):
-    """A frame that is decided about: its rows of the log, and decisions and initialized landmarks (M,) so far.
-
-    removed: as in `Run`.
-    """
+    """A frame that is decided about: its rows of the log, and decisions and initialized landmarks (M,) so far."""
 
     log: Log
     task: str
     rows: slice
     decisions: IntArray
     created: IntArray
-    removed: IntArray | None
+    removed: IntArray | None  # as in `Run`
 
     def judged(self, decided: IntArray | None = None) -> TruthRow | None:
         """What the referee says of its observations as soon as they are decided about; None without true ids.
@@ -93,23 +87,17 @@ class Matching:
     """A frame's problem and its solutions.
 
     Attributes:
-        title: of the figure.
-        expectation: what every method was given; sensor: which makes points of its measurements.
-        gate: probability of the individual test, None for none.
         decisions: (m,) by method, in the order of the panels; a text says why a method has none.
-        chosen: the method that updates.
-        truth: by method, what the referee says; empty without true ids.
-        right: (m,) number of the right landmark, negative for none; None without true ids.
     """
 
-    title: str
-    expectation: Expectation
+    title: str  # of the figure
+    expectation: Expectation  # what every method was given; sensor: which makes points of its measurements
     sensor: Sensor
-    gate: float | None
+    gate: float | None  # probability of the individual test, None for none
     decisions: Mapping[str, IntArray | str]
-    chosen: str
-    truth: Mapping[str, TruthRow]
-    right: IntArray | None
+    chosen: str  # the method that updates
+    truth: Mapping[str, TruthRow]  # by method, what the referee says; empty without true ids
+    right: IntArray | None  # (m,) number of the right landmark, negative for none; None without true ids
 
 
 def removed_so_far(front: FrontEnd, created: IntArray) -> IntArray | None:

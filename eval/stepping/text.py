@@ -33,16 +33,12 @@ STATISTICS = ("frames", "observations", "landmarks", *ERRORS, "nees_pose", "insi
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A frame's m observations once they are decided about.
-
-    truth: what the referee says, None without true ids; decisions: (m,) landmark number, `NEW` or `DISCARD`; created:
-    (m,) number of the landmark an observation initialized, -1 for none.
-    """
+    """A frame's m observations once they are decided about."""
 
     frame: int
-    truth: TruthRow | None
-    decisions: IntArray
-    created: IntArray
+    truth: TruthRow | None  # what the referee says, None without true ids
+    decisions: IntArray  # (m,) landmark number, `NEW` or `DISCARD`
+    created: IntArray  # (m,) number of the landmark an observation initialized, -1 for none
 
 
 def _say(macro: str, **facts: Any) -> str:

@@ -29,17 +29,13 @@ class Broken:
 
     Attributes:
         run: (inputs with labels, task, size) -> its run; in SLAM a map of the inputs is withheld.
-        sizes: three, from small to large.
-        none: the size without fault.
-        called: its fault in words.
-        tasks: in which it exists.
     """
 
     run: Callable[[Inputs, str, float], Run]
-    sizes: tuple[float, float, float]
-    none: float
-    called: str
-    tasks: tuple[str, ...] = ("localization", "slam")
+    sizes: tuple[float, float, float]  # three, from small to large
+    none: float  # the size without fault
+    called: str  # its fault in words
+    tasks: tuple[str, ...] = ("localization", "slam")  # in which it exists
 
 
 def motion_noise(inputs: Inputs, task: str, size: float) -> Run:

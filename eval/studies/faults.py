@@ -25,23 +25,14 @@ NEAREST = 1e-3  # m; no fault makes a range shorter than this (as in the corrido
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault of a log.
+    """A fault of a log."""
 
-    Attributes:
-        put_in: (log, size, generator) -> the log with it.
-        sizes: three, from small to large.
-        none: the size without fault.
-        unit: of the size, empty for a share or a factor.
-        called: the fault in words.
-        cause: expected attribution, the `NOISE` model (systematic errors included) or the `ASSOCIATIONS`.
-    """
-
-    put_in: Callable[[Log, float, np.random.Generator], Log]
-    sizes: tuple[float, float, float]
-    none: float
-    unit: str
-    called: str
-    cause: str
+    put_in: Callable[[Log, float, np.random.Generator], Log]  # (log, size, generator) -> the log with it
+    sizes: tuple[float, float, float]  # three, from small to large
+    none: float  # the size without fault
+    unit: str  # of the size, empty for a share or a factor
+    called: str  # the fault in words
+    cause: str  # expected attribution, the `NOISE` model (systematic errors included) or the `ASSOCIATIONS`
 
 
 def curvature(log: Log, size: float, rng: np.random.Generator) -> Log:

@@ -40,8 +40,6 @@ class Sample:
         squares: mean squared error of `position` [m^2] and `heading` [rad^2].
         published: NEES averaged as the scenario's published numbers are.
         nees_pose: (N,) pose NEES of every frame that counts, NaN before.
-        failure: where and why it stopped, or is `implausible`; then nothing else is filled in.
-        trace: the traceback of crashed foreign code.
     """
 
     means: Mapping[str, float] = field(default_factory=dict)
@@ -49,8 +47,8 @@ class Sample:
     squares: Mapping[str, float] = field(default_factory=dict)
     published: Mapping[str, float] = field(default_factory=dict)
     nees_pose: Array = field(default_factory=lambda: np.empty(0))
-    failure: str | None = None
-    trace: str = ""
+    failure: str | None = None  # where and why it stopped, or is `implausible`; then nothing else is filled in
+    trace: str = ""  # the traceback of crashed foreign code
     implausible: bool = False
 
 

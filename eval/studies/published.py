@@ -41,18 +41,15 @@ class Published:
 
     Attributes:
         rows, orderings: numbers, and statements where numbers cannot be compared.
-        skipped_are_zero: frames before the scenario's first count as zeros in the average NEES.
-        per_dof: NEES divided by its degrees of freedom.
         tolerance: of a replay, (estimator, largest relative difference of the NEES of any step).
-        note: for the reader.
     """
 
     rows: tuple[Row, ...] = ()
     orderings: tuple[Ordering, ...] = ()
-    skipped_are_zero: bool = False
-    per_dof: bool = False
+    skipped_are_zero: bool = False  # frames before the scenario's first count as zeros in the average NEES
+    per_dof: bool = False  # NEES divided by its degrees of freedom
     tolerance: tuple[tuple[str, float], ...] = ()
-    note: str = ""
+    note: str = ""  # for the reader
 
     def average(self, nees: Array, dof: int, from_frame: int) -> float:
         """Average NEES (N,) of a run by this definition; NaN if a step in the average has none."""

@@ -33,16 +33,14 @@ class Sample:
     """Truth-free consistency statistics of one log, and of a twin the errors of its estimators.
 
     Attributes:
-        measured: the statistics; none of a failed estimator.
-        failures: reasons, by estimator.
         outlying, typical: of the smoother's residuals, see `trust.Smoothed`.
         apart: RMS [m] between an online path and the batch smoother's, by estimator.
         nees: mean pose NEES by estimator and phase (of a twin).
         counts: tp, tn, fp, fn of the final decisions by estimator (of a twin).
     """
 
-    measured: Mapping[Key, Measured]
-    failures: Mapping[str, str] = field(default_factory=dict)
+    measured: Mapping[Key, Measured]  # the statistics; none of a failed estimator
+    failures: Mapping[str, str] = field(default_factory=dict)  # reasons, by estimator
     outlying: int = 0
     typical: Mapping[str, float] = field(default_factory=dict)
     apart: Mapping[str, float] = field(default_factory=dict)

@@ -46,36 +46,27 @@ class Scenario:
     """One study.
 
     Attributes:
-        name: in every table; `source`: a shipped name or a file.
-        about: description, one paragraph.
-        cite: its reference.
-        runs: their default number.
         task, association: names; every estimator runs with each.
-        members: the estimators.
         kind, values: the simulator and its parameters.
-        setup: gates and the like.
-        from_frame: first frame whose NEES counts (an exact start has singular covariances).
-        wrong: share of observations whose label names another landmark.
         rates: shares of an outlier study, each of which becomes a scenario with `wrong` set; part: whether this is one.
-        published: numbers to compare with.
     """
 
-    name: str
+    name: str  # in every table; `source`: a shipped name or a file
     source: str
-    about: str
-    cite: str
-    runs: int
+    about: str  # description, one paragraph
+    cite: str  # its reference
+    runs: int  # their default number
     task: tuple[str, ...]
     association: tuple[str, ...]
-    members: tuple[Member, ...]
+    members: tuple[Member, ...]  # the estimators
     kind: str
     values: tuple[tuple[str, object], ...]
-    setup: Setup = field(default_factory=Setup)
-    from_frame: int = 0
-    wrong: float = 0.0
+    setup: Setup = field(default_factory=Setup)  # gates and the like
+    from_frame: int = 0  # first frame whose NEES counts (an exact start has singular covariances)
+    wrong: float = 0.0  # share of observations whose label names another landmark
     rates: tuple[float, ...] = ()
     part: bool = False
-    published: Published | None = None
+    published: Published | None = None  # numbers to compare with
 
     @property
     def estimators(self) -> tuple[str, ...]:

@@ -47,22 +47,14 @@ class Row:
 
 @dataclass(frozen=True)
 class Blame:
-    """Diagnosis of a log.
+    """Diagnosis of a log."""
 
-    Attributes:
-        cause: `NOISE`, `ASSOCIATIONS`, `ESTIMATOR` or `NOTHING`.
-        findings: evidence for it and for other causes, the strongest first.
-        objected: statistics rejected family-wise; `tested`: their number in all.
-        p: the smallest family-wise p value.
-        detectable: sizes detectable with a power of 90 %, by name.
-    """
-
-    cause: str
-    findings: tuple[Finding, ...]
-    objected: tuple[Key, ...]
+    cause: str  # `NOISE`, `ASSOCIATIONS`, `ESTIMATOR` or `NOTHING`
+    findings: tuple[Finding, ...]  # evidence for it and for other causes, the strongest first
+    objected: tuple[Key, ...]  # statistics rejected family-wise; `tested`: their number in all
     tested: int
-    p: float
-    detectable: dict[str, float]
+    p: float  # the smallest family-wise p value
+    detectable: dict[str, float]  # sizes detectable with a power of 90 %, by name
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +64,6 @@ class Trust:
     Attributes:
         log, task, association: which.
         real, twins: the samples.
-        rows: of trust.csv.
-        blame: None without enough twins.
-        notices: why something is missing.
-        after: the same log after the corrections `done`, if tried (`eval.studies.twins`).
         done: sizes of corrected systematic errors and factors of sigmas, by name.
     """
 
@@ -84,10 +72,10 @@ class Trust:
     association: str
     real: Sample
     twins: tuple[Sample, ...]
-    rows: tuple[Row, ...]
-    blame: Blame | None = None
-    notices: tuple[Notice, ...] = ()
-    after: Trust | None = None
+    rows: tuple[Row, ...]  # of trust.csv
+    blame: Blame | None = None  # None without enough twins
+    notices: tuple[Notice, ...] = ()  # why something is missing
+    after: Trust | None = None  # the same log after the corrections `done`, if tried (`eval.studies.twins`)
     done: Mapping[str, float] = field(default_factory=dict)
 
 

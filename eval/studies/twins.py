@@ -48,8 +48,6 @@ class Source:
         log: the real one, without the systematic errors that the smoother estimated; twins have none and estimate them
             with the same prior. Its truth is not used.
         task, association, estimators, setup: as for the real log; `batch` is always among the estimators.
-        path: (N, 3) of the batch smoother. landmarks: of its map (localization: the given one).
-        landmark_of: (M,) id of the landmark of each observation, `CLUTTER` for none.
     """
 
     log: Log
@@ -57,9 +55,9 @@ class Source:
     association: str
     estimators: tuple[str, ...]
     setup: Setup
-    path: Array
+    path: Array  # (N, 3) of the batch smoother. landmarks: of its map (localization: the given one)
     landmarks: LandmarkMap
-    landmark_of: IntArray
+    landmark_of: IntArray  # (M,) id of the landmark of each observation, `CLUTTER` for none
 
     def inputs(self) -> Inputs:
         """The real log as the estimators see it."""

@@ -68,28 +68,22 @@ class Validation:
     """One study.
 
     Attributes:
-        name: in the tables; `source`: a shipped name or a file; `about`: one paragraph.
-        worlds: for the false-rejection rate, `runs` logs each.
-        twins: of each log.
-        power: name of the world for the power, `power_runs` logs for each fault and size.
         faults, broken: names of faults of logs and of broken filters.
-        estimators: on logs and twins, in addition to batch.
-        largest: only the largest size of each fault.
     """
 
-    name: str
+    name: str  # in the tables; `source`: a shipped name or a file; `about`: one paragraph
     source: str
     about: str
-    worlds: tuple[World, ...]
+    worlds: tuple[World, ...]  # for the false-rejection rate, `runs` logs each
     runs: int
-    twins: int
-    power: str
+    twins: int  # of each log
+    power: str  # name of the world for the power, `power_runs` logs for each fault and size
     power_runs: int
     faults: tuple[str, ...] = tuple(FAULTS)
     broken: tuple[str, ...] = tuple(BROKEN)
-    estimators: tuple[str, ...] = ("ekf",)
+    estimators: tuple[str, ...] = ("ekf",)  # on logs and twins, in addition to batch
     setup: Setup = field(default_factory=Setup)
-    largest: bool = False
+    largest: bool = False  # only the largest size of each fault
 
 
 @dataclass(frozen=True)
@@ -109,24 +103,19 @@ class Examined:
 
     Attributes:
         world, seed, fault, size: which; `fault` is `SOUND`, one of a log, or a broken filter.
-        p: smallest family-wise p value. objected: whether the battery rejects.
-        cause: its attribution. found: kinds and names of the findings, the strongest first.
-        nis: whether the NIS of filter or smoother is outside its 95 % bounds.
-        convicted: whether an estimator is inconsistent on the twins, in NEES or NIS.
-        failure: why there is no judgement; empty otherwise.
     """
 
     world: str
     seed: int
     fault: str
     size: float
-    p: float = math.nan
+    p: float = math.nan  # smallest family-wise p value. objected: whether the battery rejects
     objected: bool = False
-    cause: str = NOTHING
+    cause: str = NOTHING  # its attribution. found: kinds and names of the findings, the strongest first
     found: tuple[str, ...] = ()
-    nis: bool = False
-    convicted: bool = False
-    failure: str = ""
+    nis: bool = False  # whether the NIS of filter or smoother is outside its 95 % bounds
+    convicted: bool = False  # whether an estimator is inconsistent on the twins, in NEES or NIS
+    failure: str = ""  # why there is no judgement; empty otherwise
 
 
 def cases(study: Validation, first: int) -> list[Case]:

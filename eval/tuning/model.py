@@ -103,21 +103,13 @@ CLOSEST = 0.1  # m; the noise of nearer observations does not shrink further
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter, 0 for the log as stated.
+    """One parameter, 0 for the log as stated."""
 
-    Attributes:
-        name: in reports and in the copy's log.toml.
-        unit: of the fitted value; empty for a factor, whose logarithm is the parameter.
-        bound: the parameter is within -bound and bound.
-        limit: a larger standard error means that the log does not determine the parameter.
-        about: description in a few words.
-    """
-
-    name: str
-    unit: str
-    bound: float
-    limit: float
-    about: str
+    name: str  # in reports and in the copy's log.toml
+    unit: str  # of the fitted value; empty for a factor, whose logarithm is the parameter
+    bound: float  # the parameter is within -bound and bound
+    limit: float  # a larger standard error means that the log does not determine the parameter
+    about: str  # description in a few words
 
     @property
     def is_factor(self) -> bool:

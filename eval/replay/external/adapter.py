@@ -194,15 +194,13 @@ class Adapter:
     Attributes:
         name: in tables.
         inner: the foreign object.
-        smooths: whether it revises its past.
-        lacks_covariance: whether it ever gave a pose without one.
     """
 
     def __init__(self, name: str, inner: Any, known: LandmarkMap | None, frames: int | None = None) -> None:
         """Wrap `inner`; `known` is the map of localization."""
         self.name, self.inner, self._known = name, inner, known
-        self.smooths = bool(getattr(inner, "smooths", False))
-        self.lacks_covariance = False
+        self.smooths = bool(getattr(inner, "smooths", False))  # whether it revises its past
+        self.lacks_covariance = False  # whether it ever gave a pose without one
         self._created, self._takes = 0, _taken(inner)
 
     def has(self, verb: str) -> bool:

@@ -27,14 +27,12 @@ class Loaded:
 
     Attributes:
         text, name: the settled text, and the name in tables.
-        thing: the class or function.
-        sources: its file, and the files beside it that it imports.
     """
 
     text: str
     name: str
-    thing: Callable[..., Any]
-    sources: tuple[Path, ...] = ()
+    thing: Callable[..., Any]  # the class or function
+    sources: tuple[Path, ...] = ()  # its file, and the files beside it that it imports
 
     @property
     def digest(self) -> str:

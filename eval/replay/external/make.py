@@ -111,14 +111,11 @@ T = TypeVar("T", bound=np.generic)
 class Method:
     """A foreign association method; `NEW` founds a landmark only outside the gate of new ones, as with our plain
     methods.
-
-    Attributes:
-        name: in tables.
     """
 
     def __init__(self, loaded: Loaded) -> None:
         """Use `loaded.thing`; a class is instantiated once, without arguments, and then called."""
-        self.name = loaded.name
+        self.name = loaded.name  # in tables
         thing = loaded.thing
         self._function = call(f"{self.name}()", thing) if isinstance(thing, type) else thing
 

@@ -32,21 +32,13 @@ FORM = "[NAME=]package.module:Attribute or [NAME=]./file.py:Attribute"
 
 @dataclass(frozen=True)
 class Place:
-    """Where something foreign is.
+    """Where something foreign is."""
 
-    Attributes:
-        name: in tables and file names.
-        file: an absolute path, or empty.
-        module: its dotted name, or empty.
-        folder: where the module is found if it is not installed; absolute, or empty.
-        attribute: dotted if it is inside a class.
-    """
-
-    name: str
-    file: str
-    module: str
-    folder: str
-    attribute: str
+    name: str  # in tables and file names
+    file: str  # an absolute path, or empty
+    module: str  # its dotted name, or empty
+    folder: str  # where the module is found if it is not installed; absolute, or empty
+    attribute: str  # dotted if it is inside a class
 
     @property
     def text(self) -> str:

@@ -33,16 +33,12 @@ from eval.replay.settings import Setup
 
 
 class Scales(NamedTuple):
-    """Learned variance scales of the sensor, and of map and motion.
-
-    log_tails: logarithm of a factor on variances for tails beyond Student's; observations: number from which it was
-    learned.
-    """
+    """Learned variance scales of the sensor, and of map and motion."""
 
     sensor: NoiseScale
     motion: NoiseScale
-    log_tails: float = 0.0
-    observations: float = 0.0
+    log_tails: float = 0.0  # logarithm of a factor on variances for tails beyond Student's
+    observations: float = 0.0  # number from which it was learned
 
 
 def as_stated() -> Scales:

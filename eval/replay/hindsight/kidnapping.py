@@ -36,13 +36,12 @@ class Kidnapping:
     """The cumulative sum of the evidence, and the scan since the alarm.
 
     Attributes:
-        lost: since an alarm, until the place is found or landmarks of the map are paired again.
         alarms, found: frames of alarms and of recoveries.
     """
 
     def __init__(self, ledger: Ledger, setup: Setup) -> None:
         self.ledger, self.setup = ledger, setup
-        self.lost = False
+        self.lost = False  # since an alarm, until the place is found or landmarks of the map are paired again
         self.alarms: list[int] = []
         self.found: list[int] = []
         self._score, self._scan = 0.0, EMPTY

@@ -47,22 +47,19 @@ class Ledger:
     """The landmarks of one run, and the decisions about them that were revised.
 
     Attributes:
-        records: of the landmarks in the map, by number, in order of initialization.
         created: number of landmarks initialized so far; the number of the next one.
         frame: the newest one.
         frames: number of frames with observations.
         travelled: m, until the newest frame.
-        events: the revisions, in order.
-        merged: (frame, away, kept) of every merged landmark.
     """
 
     def __init__(self, sensor: Sensor) -> None:
         self.sensor = sensor
-        self.records: dict[int, Record] = {}
+        self.records: dict[int, Record] = {}  # of the landmarks in the map, by number, in order of initialization
         self.created, self.frame, self.frames, self.travelled = 0, -1, 0, 0.0
         self.epoch = Epoch()
-        self.events: list[Event] = []
-        self.merged: list[tuple[int, int, int]] = []
+        self.events: list[Event] = []  # the revisions, in order
+        self.merged: list[tuple[int, int, int]] = []  # (frame, away, kept) of every merged landmark
         self._read = replace(sensor, max_range=0.0, min_angle=0.0, max_angle=0.0)  # the view that held observations
         self._touched: set[int] = set()
         nobody = np.empty(0, np.int64)

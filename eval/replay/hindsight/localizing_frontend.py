@@ -146,11 +146,7 @@ NOTHING = Handed(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), n
 
 
 class LocalizingFrontEnd(FrontEnd):
-    """Front end with decisions by `HindsightLocalizer`; the log has a known map.
-
-    Attributes:
-        localizer: decides; its `events` are the revisions.
-    """
+    """Front end with decisions by `HindsightLocalizer`; the log has a known map."""
 
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
@@ -161,7 +157,7 @@ class LocalizingFrontEnd(FrontEnd):
             UsageError: without a map.
             CannotError: the estimator has no `reset`.
         """
-        self.localizer = HindsightLocalizer(given)
+        self.localizer = HindsightLocalizer(given)  # decides; its `events` are the revisions
         super().__init__(estimator, association, given, setup, options)
         self._decided = np.empty(0, np.int64)
         self._was_single, self._found_again = True, False

@@ -37,7 +37,6 @@ class Health:
         share, strays, scale: expected in a healthy frame: share of paired observations, number of unpaired ones, NIS
             per degree of freedom.
         learned: weight of what was learned, in observations.
-        lost: one of the sums has reached the threshold.
     """
 
     unpaired: float = 0.0
@@ -46,7 +45,7 @@ class Health:
     strays: float = 0.0
     scale: float = field(default_factory=lambda: constants.HEALTH_START[1])
     learned: float = field(default_factory=lambda: constants.HEALTH_WEIGHT)
-    lost: bool = False
+    lost: bool = False  # one of the sums has reached the threshold
 
 
 def watch(before: Health, offered: int, paired: int, nis: float, dof: int) -> Health:
@@ -94,16 +93,12 @@ def recovered(before: Health) -> Health:
 
 
 class Suspicion(NamedTuple):
-    """State of the test while mapping. score: see the module; since: frame after the last one with score 0.
-
-    alarm: frame since which the robot has been lost, from the first alarm, None: no alarm; over: frame where the score
-    returned to 0, None: not yet.
-    """
+    """State of the test while mapping. score: see the module; since: frame after the last one with score 0."""
 
     score: float = 0.0
     since: int = 0
-    alarm: int | None = None
-    over: int | None = None
+    alarm: int | None = None  # frame since which the robot has been lost, from the first alarm, None: no alarm
+    over: int | None = None  # frame where the score returned to 0, None: not yet
 
 
 def suspect(before: Suspicion, frame: int, paired: int, replaced: int) -> Suspicion:

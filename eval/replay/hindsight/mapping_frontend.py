@@ -22,11 +22,7 @@ from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
 class MappingFrontEnd(FrontEnd):
-    """Front end with decisions by `HindsightMapper`; the log has no map.
-
-    Attributes:
-        mapper: decides; its `events` are the revisions.
-    """
+    """Front end with decisions by `HindsightMapper`; the log has no map."""
 
     revises_map = True
     asks_for_innovations = True
@@ -44,7 +40,7 @@ class MappingFrontEnd(FrontEnd):
             raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
         super().__init__(estimator, association, given, setup, options)
         self._map = needed(self.can.revisable, "`remove` and `merge`", f"--association {HINDSIGHT}")
-        self.mapper = HindsightMapper(given, setup)
+        self.mapper = HindsightMapper(given, setup)  # decides; its `events` are the revisions
 
     @property
     def passed(self) -> Acceptance:

@@ -137,31 +137,22 @@ def _poses(
 
 
 class Memory(NamedTuple):
-    """Knowledge from the frames before.
+    """Knowledge from the frames before."""
 
-    seen_from: poses (3,) from which the map was seen; rate: (n,) detection probability of each candidate; strays: share
-    of observations in mapped areas that are of no landmark.
-    """
-
-    seen_from: Sequence[Array]
-    rate: Array
-    strays: float
+    seen_from: Sequence[Array]  # poses (3,) from which the map was seen
+    rate: Array  # (n,) detection probability of each candidate
+    strays: float  # share of observations in mapped areas that are of no landmark
 
 
 class Placed(NamedTuple):
-    """A frame with its pose.
+    """A frame with its pose."""
 
-    pose: (3,) in the world; expectation: linearized there; believed: the same given the pairings; decisions: (m,) as of
-    `association.conditional`; sudden: number of unpaired observations in mapped areas; score: log-likelihood, see
-    `place`.
-    """
-
-    pose: Array
-    expectation: Expectation
-    believed: Expectation
-    decisions: IntArray
-    sudden: int
-    score: float
+    pose: Array  # (3,) in the world
+    expectation: Expectation  # linearized there
+    believed: Expectation  # the same given the pairings
+    decisions: IntArray  # (m,) as of `association.conditional`
+    sudden: int  # number of unpaired observations in mapped areas
+    score: float  # log-likelihood, see `place`
 
 
 def drifted(covariance: Array, increment: Increment) -> Array:

@@ -32,20 +32,14 @@ from eval.replay.hindsight import constants
 
 
 class Evidence(NamedTuple):
-    """Evidence for and against one landmark.
+    """Evidence for and against one landmark."""
 
-    seen: observations, `opportunities` of them from different places; missed: missed detections from different places,
-    `row` of them since the last observation;
-    judged: observations judged by others of their frame; squares: sum of their squared innovations; pull (2,),
-    information (2, 2): their weighted sums in the world.
-    """
-
-    seen: int
+    seen: int  # observations, `opportunities` of them from different places
     opportunities: int
-    missed: int
+    missed: int  # missed detections from different places, `row` of them since the last observation
     row: int
-    judged: int
-    squares: float
+    judged: int  # observations judged by others of their frame
+    squares: float  # sum of their squared innovations; pull (2,), information (2, 2): their weighted sums in the world
     pull: Array
     information: Array
 
@@ -167,22 +161,18 @@ class Record:
     """What is known of one landmark of the map, except its position.
 
     Attributes:
-        observations: (observation, decision) of all assigned to it; the first one initialized it.
-        place: (x, y) [m] of the robot at its last detection opportunity.
         first, last: distances travelled [m] at its first and its last observation.
-        times: observations, by the decisions that were used.
-        covisible: landmarks seen in one frame with it: they cannot be the same.
         gated: distance travelled [m] at the last judgement of its gate, by whether the observation was inside.
         opportunities: detection opportunities after the first observation; 1 detected, 0 missed.
     """
 
-    observations: list[tuple[int, int]]
-    place: tuple[float, float]
+    observations: list[tuple[int, int]]  # (observation, decision) of all assigned to it; the first one initialized it
+    place: tuple[float, float]  # (x, y) [m] of the robot at its last detection opportunity
     first: float
     last: float
-    times: int = 0
+    times: int = 0  # observations, by the decisions that were used
     evidence: Evidence = INITIALIZED
-    covisible: set[int] = field(default_factory=set)
+    covisible: set[int] = field(default_factory=set)  # landmarks seen in one frame with it: they cannot be the same
     gated: dict[bool, float] = field(default_factory=dict)
     opportunities: bytearray = field(default_factory=bytearray)
 

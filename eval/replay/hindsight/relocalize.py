@@ -119,14 +119,12 @@ def _variance(scan: Scan) -> Array:
 class Place(NamedTuple):
     """Pose (3,) in the world, its covariance (3, 3) additive in the world frame, and the landmark id of each point
     (n,).
-
-    pairings: -1 for none; log_odds: log odds against the next best place.
     """
 
     pose: Array
     covariance: Array
-    pairings: IntArray
-    log_odds: float
+    pairings: IntArray  # -1 for none
+    log_odds: float  # log odds against the next best place
 
 
 class _Fit(NamedTuple):

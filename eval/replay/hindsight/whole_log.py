@@ -29,17 +29,14 @@ class WholeLog:
     """All frames of a log with their online poses.
 
     Attributes:
-        managed: landmarks left the map by rules of the setup, so their observations are unknown.
-        failed: why nothing was re-associated.
         settled: frames (m,), observations (m) as stated, final landmarks (m,); None: as decided.
-        gate: squared distance under the noise as `restated` beyond which nothing was re-associated.
     """
 
     def __init__(self, given: Given) -> None:
-        self.managed = False
-        self.failed: Notice | None = None
+        self.managed = False  # landmarks left the map by rules of the setup, so their observations are unknown
+        self.failed: Notice | None = None  # why nothing was re-associated
         self.settled: tuple[IntArray, FrameObservations, IntArray] | None = None
-        self.gate = math.inf
+        self.gate = math.inf  # squared distance under the noise as `restated` beyond which nothing was re-associated
         self._given = given
         self._frames: list[Frame] = []
         self._loosened: dict[int, Array] = {}

@@ -33,15 +33,11 @@ PLAIN = Setup()
 
 
 class Solved(NamedTuple):
-    """The result of a back end.
+    """The result of a back end."""
 
-    run: with a path over all frames; final_keys (K, 3): final key poses, of a filter its last state (NaN: never
-    reached); weight (L,): final weight of each loop closure, 0: rejected, NaN: never accepted.
-    """
-
-    run: Run
-    final_keys: Array
-    weight: Array
+    run: Run  # with a path over all frames
+    final_keys: Array  # (K, 3) final key poses, of a filter its last state (NaN: never reached)
+    weight: Array  # (L,) final weight of each loop closure, 0: rejected, NaN: never accepted
 
 
 class _Constraints(NamedTuple):

@@ -34,14 +34,12 @@ class FrontEndResult:
 
     Attributes:
         chain, loops: constraints for every back end.
-        online: (N, 3) online world pose of each frame.
-        seconds: (N,) wall time of each frame: matching, loops and graph.
     """
 
     chain: Chain
     loops: Loops
-    online: Array
-    seconds: Array
+    online: Array  # (N, 3) online world pose of each frame
+    seconds: Array  # (N,) wall time of each frame: matching, loops and graph
 
 
 def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult:
