@@ -1,4 +1,4 @@
-"""How long association takes: JCBB on a hard frame, a corridor run, and the cost of a frame as the map grows."""
+"""Time of association: JCBB on a hard frame, a corridor run, and the cost of a frame as the map grows."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def hard_frame(observations: int, landmarks: int, ambiguous: int) -> Expectation
 
 
 def plain_jcbb(e: Expectation, gate: float) -> IntArray:
-    """The textbook in plain Python: depth first, one inverse of the joint covariance per node."""
+    """Textbook JCBB in plain Python: depth first, one inverse of the joint covariance per node."""
     compatible = e.individual_distances() < gate_threshold(gate)
     best: tuple[int, float, list[int]] = (0, 0.0, [-1] * len(compatible))
 
@@ -102,7 +102,7 @@ def line_world(landmarks: int) -> Inputs:
 
 
 def frame_seconds(estimator: str, inputs: Inputs, setup: Setup) -> tuple[float, int, int]:
-    """Seconds to expect and decide (JCBB) in the last frame, its observations, and how many candidates it has."""
+    """Seconds to expect and decide (JCBB) in the last frame, and its numbers of observations and candidates."""
     front = FrontEnd(estimator, "known", inputs, setup)
     last = len(inputs) - 1
     for k in range(last):
@@ -116,7 +116,7 @@ def frame_seconds(estimator: str, inputs: Inputs, setup: Setup) -> tuple[float, 
 
 
 def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
-    """Seconds (N,) of every frame of a log, all that is done for it."""
+    """Seconds (N,) of every frame of a log."""
     front = front_end(estimator, association, inputs, Setup())
     seconds = np.empty(len(inputs))
     with threadpool_limits(1):
@@ -153,7 +153,7 @@ def hindsight_lines(frames: int) -> list[Timed]:
 
 
 def association_lines(quick: bool) -> list[Timed]:
-    """Every line of the table about association."""
+    """Lines of the table about association."""
     from data.worlds.corridor import Corridor, simulate
 
     e = hard_frame(20, 1000, 10)

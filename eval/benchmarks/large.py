@@ -1,4 +1,4 @@
-"""Time and memory against size: parks of a thousand to a hundred thousand frames, each run in a process of its own."""
+"""Time and memory against size: parks of a thousand to a hundred thousand frames, each in its own process."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MEGABYTE = 1024.0  # KiB, the unit of `ru_maxrss`
 
 
 class Measured(NamedTuple):
-    """One run, its size, and what it cost."""
+    """One run, its size, and its cost."""
 
     estimator: str
     frames: int
@@ -46,7 +46,7 @@ class Measured(NamedTuple):
 
 
 def measure(estimator: str, name: str) -> Measured:
-    """One estimator with labels on one simulated log, in this process: best in a fresh one."""
+    """One estimator with labels on one simulated log, in this process."""
     from association.decide import known_decisions
     from eval.compare import compare
     from eval.replay.batch import start_at
@@ -80,7 +80,7 @@ def measure(estimator: str, name: str) -> Measured:
 
 
 def measured_apart(estimator: str, name: str) -> Measured:
-    """The same in a process of its own, whose peak of memory is this run's."""
+    """The same in its own process, whose peak memory is this run's."""
     command = [sys.executable, "-m", "eval.benchmarks.large", estimator, name]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     return Measured(*json.loads(done.stdout.splitlines()[-1]))
@@ -94,7 +94,7 @@ def measure_all(sizes: Sequence[int] = SIZES, estimators: Sequence[str] = ESTIMA
 
 
 def slope(sizes: Sequence[float], values: Sequence[float]) -> float:
-    """Exponent of growth: slope of log(values) against log(sizes), by least squares over the larger half and more."""
+    """Exponent of growth: slope of log(values) against log(sizes), by least squares over the larger two thirds."""
     x, y = np.log(np.asarray(sizes, float)), np.log(np.asarray(values, float))
     last = slice(len(x) // 3, None)
     return float(np.polyfit(x[last], y[last], 1)[0])
@@ -109,7 +109,7 @@ def write(found: Sequence[Measured], path: Path) -> None:
 
 
 def line_of(m: Measured) -> str:
-    """A measurement in a line of text."""
+    """A measurement as a line of text."""
     return (
         f"{m.estimator:10s} {m.frames:7d} frames {m.landmarks:6d} landmarks {m.readings:7d} readings:"
         f" {m.seconds:8.1f} s, {m.with_start:.1f} with its start"
@@ -119,7 +119,7 @@ def line_of(m: Measured) -> str:
 
 
 PEERS = {BARE: ("isam2", "bare gtsam loop"), BARE_BATCH: ("batch", "bare gtsam batch")}
-"""Whose peer each is, and what it is called."""
+"""Estimator that each bare loop is compared with, and its label."""
 
 
 def scaling_figure(found: Sequence[Measured]) -> Figure:

@@ -1,10 +1,6 @@
-"""How fast the EKF localizer is, beside the same filter as a plain numpy loop and with filterpy.
-
-How fast a Monte Carlo study is: the circle scenario with one and two processes, and on a Dask cluster.
-
-How fast SLAM over Victoria Park is, iSAM2 beside a bare gtsam loop with the same factors.
-
-How fast pictures are found: frames of 640 x 480 with eight reference pictures, from image to corners.
+"""Speed of the EKF localizer against a plain numpy loop and filterpy, of a Monte Carlo study with one and two processes
+and on a Dask cluster, of SLAM over Victoria Park against a bare gtsam loop with the same factors, and of picture
+detection in frames of 640 x 480.
 """
 
 from __future__ import annotations
@@ -38,7 +34,7 @@ from graph.bare_loop import bare_isam2
 
 
 def localization_log(frames: int) -> Inputs:
-    """An arena log with exactly three readings in every frame."""
+    """An arena log with three observations in every frame."""
     log = simulate(Arena(frames=frames, landmarks=40, field_of_view=2 * math.pi), 0)
     inputs = log.inputs(labels=True)
     o = inputs.observations
@@ -50,7 +46,7 @@ def localization_log(frames: int) -> Inputs:
 
 
 def numpy_localizer(inputs: Inputs) -> None:
-    """The same filter as a plain numpy loop, the way it is usually written by hand."""
+    """The same filter as a plain numpy loop."""
     assert inputs.map is not None
     o = inputs.observations
     assert isinstance(o, LabelledObservations)
@@ -81,7 +77,7 @@ def numpy_localizer(inputs: Inputs) -> None:
 
 
 def filterpy_localizer(inputs: Inputs) -> None:
-    """The same with filterpy's ExtendedKalmanFilter (its predict is replaced by ours: it has no nonlinear one)."""
+    """The same with filterpy's ExtendedKalmanFilter (with our predict: it has no nonlinear one)."""
     from filterpy.kalman import ExtendedKalmanFilter
 
     assert inputs.map is not None
@@ -128,7 +124,7 @@ def filterpy_localizer(inputs: Inputs) -> None:
 
 
 def localization_lines(frames: int) -> list[Timed]:
-    """The EKF localizer with three readings a frame, and its peers."""
+    """The EKF localizer with three observations a frame, and its peers."""
     inputs = localization_log(frames)
     decisions, _ = known_decisions(inputs)
     whole = median_seconds(lambda: run_filter(inputs, decisions))
@@ -152,7 +148,7 @@ PROCESSES, TURNS = 2, 3
 
 
 def study_seconds(scenario: Scenario, runs: int, jobs: int, scheduler: str | None = None) -> float:
-    """Wall time of a study from nothing; the processes were started before, by a few runs of the same."""
+    """Wall time of a study; the processes were started before, by a few runs of the same."""
     taken = 0.0
     for n in (2 * jobs, runs):
         with tempfile.TemporaryDirectory() as folder:
@@ -164,7 +160,7 @@ def study_seconds(scenario: Scenario, runs: int, jobs: int, scheduler: str | Non
 
 
 def study_lines(quick: bool) -> list[Timed]:
-    """Every line of the table about studies."""
+    """Lines of the table about studies."""
     from distributed import LocalCluster
 
     scenario = load_scenario("circle").only(VARIANTS)
@@ -196,7 +192,7 @@ def study_lines(quick: bool) -> list[Timed]:
 
 
 def victoria_park_lines(frames: int) -> list[Timed]:
-    """EKF-SLAM and iSAM2 over Victoria Park, iSAM2 beside a bare gtsam loop with the same factors."""
+    """EKF-SLAM and iSAM2 over Victoria Park, against a bare gtsam loop with the same factors."""
     log = shortened(load_victoria_park(), frames)
     inputs = log.inputs(labels=True).without_map()
     decisions, created = known_decisions(inputs)
@@ -222,7 +218,7 @@ def victoria_park_lines(frames: int) -> list[Timed]:
 
 
 def visual_lines(quick: bool) -> list[Timed]:
-    """Every line of the table about images."""
+    """Lines of the table about images."""
     recording = Rendered(Gallery(), 0, frames=6 if quick else 30)
     begin = time.perf_counter()
     frames = list(recording.frames())

@@ -1,6 +1,6 @@
-"""`python -m eval.live`: filters and smoothers on line while a small robot drives, recorded so that it can be replayed.
+"""`python -m eval.live`: online filters and smoothers while a small robot drives, with a recording for replay.
 
-Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
+Only the parser is imported at once, so that `--help` does not wait for numerical libraries.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ SHARED = (
     replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(FIT)}, or your own (default: jcbb)"),
     *(TABLE[name] for name in ("gate", "new_gate", "in_view", "forget_after", "deactivate_after", "lag")),
 )
-"""Flags that mean what they mean in `eval.run_all`. `--maintain` is none: a wall is seen in one frame of five."""
+"""Flags as in `eval.run_all`, without `--maintain`: a wall is seen in one frame of five."""
 DEFAULTS = {"estimator": "ekf-fej", "association": "jcbb"}
 REPORT = "-report"
 EXAMPLES = """\
@@ -58,7 +58,7 @@ whole)"""
 
 @dataclass(frozen=True)
 class Wish:
-    """What was asked for."""
+    """The parsed command line."""
 
     options: Options
     given: dict[str, object]
@@ -76,7 +76,7 @@ class Wish:
 
 
 def parser(prog: str = PROG) -> Command:
-    """The flags."""
+    """The command's flags."""
     p = Command(
         prog,
         PROG,
@@ -100,7 +100,7 @@ def parser(prog: str = PROG) -> Command:
 
 
 def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
-    """Flags, checked as those of `eval.run_all` are; raises UsageError for what makes no sense."""
+    """Parse and check the flags. Raises UsageError."""
     given = vars(parser(prog).read(argv))
     shared = DEFAULTS | {row.name: given[row.name] for row in SHARED if row.name in given}
     options = options_of(shared)
@@ -147,7 +147,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def say(text: str) -> None:
-    """A line on the terminal; the robot is driven to the end all the same where nobody reads on."""
+    """Print a line; a closed terminal does not end the drive."""
     try:
         print(text, flush=True)
     except BrokenPipeError:
@@ -182,7 +182,7 @@ def _live(wish: Wish) -> int:
 
 
 def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
-    """Until Ctrl-C or the time is over; afterwards the recording is closed and the page, which stays, has it all."""
+    """Drive until Ctrl-C or the end of time, then close the recording; the page stays."""
     from threadpoolctl import threadpool_limits
 
     from data.robot.driving import WallFollower

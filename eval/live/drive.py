@@ -1,6 +1,6 @@
-"""The loop of a drive: a command, its answer, the estimates; and what is looked at beside, once a second.
+"""The loop of a drive: command, answer, estimates; once a second a status line and a chunk for the page.
 
-Ctrl-C and SIGTERM are heeded when there is time for it: between two packets, not in one.
+SIGINT and SIGTERM are deferred to the time between two packets.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Policy = Callable[[Packet], tuple[float, float]]
 
 
 class Stepping(Protocol):
-    """What `data.robot.link.Link` is to the loop."""
+    """Interface of `data.robot.link.Link`."""
 
     def step(self, command: Command, /) -> list[Packet]:
-        """Wait for the next period, send a command, return what came."""
+        """Wait for the next period, send a command, return the packets received."""
 
 
 def at_rest(packet: Packet) -> tuple[float, float]:
@@ -45,10 +45,10 @@ def drive(
     look: Callable[[float], None] = lambda t: None,
     latencies: Latencies | None = None,
 ) -> None:
-    """Drive until told to stop, then tell the robot to rest; every packet that came is taken.
+    """Drive until `stop`, then command rest; every received packet is processed.
 
-    A robot that is not heard for `WATCHDOG` is told to rest, too: nobody knows what is before it. `look` is called
-    after each period with the robot's time [s].
+    A robot that is silent for `WATCHDOG` is commanded to rest, too. `look` is called after each period with the robot's
+    time [s].
     """
     command, heard = REST, clock.now()
 
@@ -74,7 +74,11 @@ def drive(
 
 
 class Looking:
-    """Says how things stand and feeds the page, once a second."""
+    """Prints the status and feeds the page, once a second.
+
+    Attributes:
+        latencies: of all estimates so far.
+    """
 
     def __init__(
         self,
@@ -95,13 +99,13 @@ class Looking:
         self._at = time.monotonic()
 
     def told(self, taken: Taken) -> None:
-        """A frame was taken."""
+        """Take a processed frame."""
         self._newest = [new or old for new, old in zip(taken.steps, self._newest, strict=True)]
         if self._feed is not None:
             self._feed.add(taken)
 
     def look(self, t: float) -> None:
-        """A period is over, at robot time t [s]."""
+        """Finish a period at robot time t [s]."""
         now = time.monotonic()
         if now - self._at >= SECOND:
             self._at += SECOND * int((now - self._at) / SECOND)
@@ -110,7 +114,7 @@ class Looking:
             self.say(t, aloud=False)
 
     def say(self, t: float, *, aloud: bool = True) -> None:
-        """The line, and the page's next chunk."""
+        """Print the line, and publish the page's next chunk."""
         s = self._session
         for number, each in enumerate(s.estimating):
             if each.failure and number not in self._ended:
@@ -130,7 +134,7 @@ class Looking:
 
 
 class Presses:
-    """Counts both signals while the block runs; what they would do otherwise they do again afterwards.
+    """Deferred SIGINT and SIGTERM: counts them while the block runs, and restores their handlers afterwards.
 
     Attributes:
         count: so far.
@@ -146,7 +150,7 @@ class Presses:
             raise KeyboardInterrupt
 
     def heed(self) -> None:
-        """From now on both end at once whatever is done."""
+        """From now on both signals end the program at once."""
         self._heeded = True
 
     def __enter__(self) -> Presses:

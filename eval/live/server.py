@@ -1,7 +1,7 @@
-"""The page over HTTP, for this machine alone: read only, no files, nothing but the page and its chunks.
+"""HTTP server of the page for this machine: read only, the page and its chunks, no files.
 
-Bound to 127.0.0.1. A page of somebody else in the same browser cannot read it: no address but ours is taken for the
-host's name (a foreign name that was made to mean 127.0.0.1 is refused), and no other origin is let in.
+Bound to 127.0.0.1. Other pages in the same browser cannot read it: foreign host names (even if they resolve to
+127.0.0.1) and other origins are refused.
 """
 
 from __future__ import annotations
@@ -33,13 +33,17 @@ HEADERS = {
 
 
 class Server:
-    """Serves in threads of its own; `with` ends it."""
+    """Serves in its own threads; `with` ends it.
+
+    Attributes:
+        address: of the page.
+    """
 
     def __init__(self, port: int, page: bytes, published: Callable[[], Published]) -> None:
-        """Listen; port 0 is any that is free.
+        """Listen; port 0 is any free one.
 
         Raises:
-            UsageError: it cannot be had.
+            UsageError: the port is not available.
         """
         try:
             self._http = ThreadingHTTPServer((ADDRESS, port), _handler(page, published))
@@ -63,7 +67,7 @@ class Server:
 
 
 def _handler(page: bytes, published: Callable[[], Published]) -> type[BaseHTTPRequestHandler]:
-    """What answers: `/`, `/chunks` (all there are) and `/chunks/FRAME` (from that frame on)."""
+    """Answers `/`, `/chunks` (all chunks) and `/chunks/FRAME` (from that frame on)."""
 
     class Handler(BaseHTTPRequestHandler):
         timeout = PATIENCE

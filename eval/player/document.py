@@ -1,6 +1,6 @@
-"""The page itself: one file with style, scripts and data inside, which opens from a disk and asks for nothing.
+"""The page: one file with style, scripts and data, which loads nothing else.
 
-The live page is the same one without data, which asks who served it for chunks (`eval.live`).
+The live page has no data and fetches chunks from its server (`eval.live`).
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ def document(name: str, chunks: Sequence[Mapping[str, Any]]) -> str:
 
 
 def live_document(name: str) -> str:
-    """The page of a drive that goes on, which asks for `chunks` and `chunks/FRAME` beside its own address."""
+    """The page of a drive, which fetches `chunks` and `chunks/FRAME` beside its own address."""
     return _page(name, f"{name}: live", [], LIVE_NOTES, "live", f"{POLICY}; connect-src 'self'")
 
 
 def _page(name: str, title: str, inside: Sequence[str], notes: Sequence[str], begin: str, policy: str) -> str:
-    """`begin`: the script that brings the recording."""
+    """`begin`: the script that loads the recording."""
     here = files("eval.player")
     page, vendor = here / "page", here / "vendor"
 
@@ -79,12 +79,12 @@ FOLDER = "players"
 
 
 def player_of(log_name: str) -> str:
-    """Place of a log's player in the result folder."""
+    """Path of a log's player in the result folder."""
     return f"{FOLDER}/{folder_name(log_name)}.html"
 
 
 def played(trials: Sequence[Trial]) -> list[tuple[Trial, ...]]:
-    """Trials by log, those of one player together: all tasks, and what stands beside them on the same recording."""
+    """Trials by log, those of one player together: all tasks, and variants on the same recording."""
     found: dict[str, list[Trial]] = {}
     for trial in trials:
         if trial.variant_of is None and trial.runs and not is_truth_alone(trial.log):
@@ -97,7 +97,7 @@ def played(trials: Sequence[Trial]) -> list[tuple[Trial, ...]]:
 
 
 def write_player(folder: Path, trials: Sequence[Trial], setup: Setup) -> Path:
-    """Write the player of the log of some trials (one of `played`) below a result folder."""
+    """Write the player of trials on one log (one of `played`) into a result folder."""
     path = folder / player_of(trials[0].log.name)
     path.parent.mkdir(exist_ok=True)
     write_page(path, trials, setup)
@@ -105,5 +105,5 @@ def write_player(folder: Path, trials: Sequence[Trial], setup: Setup) -> Path:
 
 
 def write_page(path: Path, trials: Sequence[Trial], setup: Setup) -> None:
-    """Write the player of the log of some trials as a file."""
+    """Write the player of trials on one log to a file."""
     path.write_text(document(trials[0].log.name, [scene(trials, setup)]), encoding="utf-8", newline="\n")

@@ -1,8 +1,8 @@
-"""What an observer of a replay writes down for the player: landmarks as they were, and what could have been decided.
+"""Observer of a replay for the player: landmarks over time, candidates, and decisions of all methods.
 
-Only changes of a landmark that can be seen are kept: a mean, or an end of its 3 sigma ellipse, moved by more than half
-a quantum. A filter is asked for its map after each frame in which it saw something; a smoother for means alone, as its
-marginals cost more than the whole run (a tenth of a second a frame in a corridor) and asking moves its bookkeeping.
+Only visible changes of a landmark are kept: the mean, or an end of the 3 sigma ellipse, moved by more than half a
+quantum. A filter gives its map after each frame with observations. A smoother gives means only: its marginals take a
+tenth of a second a frame in a corridor, and change its bookkeeping.
 """
 
 from __future__ import annotations
@@ -25,20 +25,18 @@ from graph.incremental import Isam2Smoother
 SIGMAS = 3.0
 FINEST, COARSEST = 1.0e-3, 1.0e-1  # m
 SHARE = 1.0e-4
-"""Of the path's extent: a fifth of a pixel on a large screen that shows all. 1 mm in a corridor, 1 cm in a park."""
+"""Quantum over the path's extent: a fifth of a pixel on a large screen. 1 mm in a corridor, 1 cm in a park."""
 LOOKED_AT = 0.99999  # candidates of an observation inside this gate are kept, ...
 MOST = 12  # ... the nearest so many; the nearest one always, and the one it was paired with
-LARGE, SELDOM = 300, 10
-"""Above so many landmarks a map is written down after every so many frames only: writing it down costs as long as
-using it."""
+LARGE, SELDOM = 300, 10  # a map with more landmarks is recorded only every few frames: recording costs as long as using
 READ = 30_000  # positions of landmarks that a smoother is asked for in all, each 10 to 20 microseconds
 LONG = 2000  # frames. In a longer log no method is asked where labels decide: that would take longer than the run
 NOT_ASKED, SINGULAR = -3, -4
-"""In place of a decision: nobody was asked, or the method had none because a covariance is singular."""
+"""In place of a decision: not computed, or the covariance is singular."""
 
 
 def quantum_of(inputs: Inputs) -> float:
-    """Size [m] of what can be seen: a power of ten, for a path of this extent by dead reckoning."""
+    """Visible size [m]: a power of ten, for the extent of the path by dead reckoning."""
     path = dead_reckoned(inputs.prior.mean, inputs.increments.mean)[:, :2]
     extent = float(np.ptp(path, axis=0).max(initial=0.0))
     return float(np.clip(10.0 ** np.floor(np.log10(max(SHARE * extent, FINEST))), FINEST, COARSEST))
@@ -58,7 +56,7 @@ class Watched:
 
     quantum: float  # m; smaller changes are left out
     every: int  # landmarks were written down after every so many frames with observations; 0: never
-    certain: bool  # with their covariances; else their sigmas are zero
+    covariances: bool  # with their covariances; else their sigmas are zero
     change_frame: IntArray
     change_number: IntArray
     change_there: IntArray
@@ -74,24 +72,24 @@ class Watched:
     pair_number: IntArray
     pair_d2: Array
     methods: tuple[str, ...]  # W names
-    said: IntArray  # (M, W) what each decides on the same expectation
+    method_decisions: IntArray  # (M, W) what each decides on the same expectation
 
     def __post_init__(self) -> None:
         read_only(self)
 
 
 class MapChanges:
-    """What can be seen of a map's changes since it was looked at last."""
+    """Visible changes of a map since the last call."""
 
     def __init__(self, quantum: float) -> None:
-        """Of an empty map; `quantum` as in `Watched`."""
+        """Start with an empty map; `quantum` as in `Watched`."""
         self._quantum = quantum
         self._last = np.full((0, 5), np.nan)
 
     def since(self, frame: int, state: MapState, *, whole: bool = False) -> Array:
-        """Changes (C, 8) up to a frame: frame, number, there, then x, y, sigma_x, sigma_y, rho as it is now.
+        """Changes (C, 8) up to a frame: frame, number, there, then x, y, sigma_x, sigma_y, rho.
 
-        A landmark that left the map is not `there`, and stands where it was. `whole`: all that are there have changed.
+        A landmark that left the map is not `there`, and keeps its last place. `whole`: all landmarks have changed.
         """
         now = np.column_stack([state.xy, spread(state.covariance)])
         sound = np.isfinite(now).all(axis=1)
@@ -117,27 +115,29 @@ class MapChanges:
 
 
 class Watch:
-    """Looks on while a log is replayed (see `eval.replay.recorder.Observer`).
+    """Observer of a replay (see `eval.replay.recorder.Observer`).
 
     Attributes:
-        seconds: spent here, which are not the estimator's.
+        seconds: time spent observing.
     """
 
     def __init__(self, inputs: Inputs) -> None:
         self.quantum, self.sensor, self.seconds = quantum_of(inputs), inputs.sensor, 0.0
         self._frames, self._seeing = len(inputs), int((np.diff(inputs.start) > 0).sum())
-        self._every, self._since, self._looked, self._certain = 0, 0, -1, True
+        self._every, self._since, self._looked, self._covariances = 0, 0, -1, True
         self._map = MapChanges(self.quantum)
         self._changes: list[Array] = []
         self._seen: list[Array] = []
         self._pairs: list[Array] = []
-        self._said = np.full((len(inputs.observations.frame), len(METHODS)), NOT_ASKED, np.int64)
+        self._methods = np.full((len(inputs.observations.frame), len(METHODS)), NOT_ASKED, np.int64)
 
     def moved(self, front: FrontEnd) -> None:
-        """Nothing to write down."""
+        """Nothing to record."""
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
-        """Candidates, their distances, and what each method says; what an estimator cannot say for nothing is left."""
+        """Record candidates, distances, and decisions of each method, where the estimator gives an expectation without
+        side effects.
+        """
         begin = time.perf_counter()
         self._looked = front.k
         e = pairing.expectation
@@ -152,7 +152,7 @@ class Watch:
             try:
                 self._compare(front, frame, e.by_age(), pairing.decisions)
             except SingularInnovationError:
-                self._said[frame.first : frame.first + len(e.z)] = SINGULAR
+                self._methods[frame.first : frame.first + len(e.z)] = SINGULAR
         self.seconds += time.perf_counter() - begin
 
     def _compare(self, front: FrontEnd, frame: Frame, e: Expectation, decisions: IntArray) -> None:
@@ -171,18 +171,18 @@ class Watch:
         for w, name in enumerate(METHODS):
             rows = slice(frame.first, frame.first + len(decisions))
             try:
-                self._said[rows, w] = front.decide(e, name).decisions
+                self._methods[rows, w] = front.decide(e, name).decisions
             except SingularInnovationError:
-                self._said[rows, w] = SINGULAR
+                self._methods[rows, w] = SINGULAR
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """Landmarks of a filter, as they are after the frame."""
+        """Record the landmarks after the frame."""
         begin, estimator = time.perf_counter(), front.estimator
         if isinstance(estimator, (EkfSlam, Isam2Smoother)) and front.slam:
             filters = isinstance(estimator, EkfSlam)
             size = estimator.created
             seldom = (SELDOM if size > LARGE else 1) if filters else 1 + size * self._seeing // READ
-            self._every, self._certain = max(self._every, seldom), filters
+            self._every, self._covariances = max(self._every, seldom), filters
             self._since += self._looked == front.k
             if self._since >= seldom or front.k == self._frames - 1:
                 self._since = 0
@@ -190,7 +190,7 @@ class Watch:
         self.seconds += time.perf_counter() - begin
 
     def left(self) -> Watched:
-        """All of it, after the last frame."""
+        """The recording, after the last frame."""
         changes, seen, pairs = _table(self._changes, 8), _table(self._seen, 7), _table(self._pairs, 3)
         frame, number, there = changes[:, :3].astype(np.int64).T
         seen_frame, seen_number = seen[:, :2].astype(np.int64).T
@@ -198,12 +198,12 @@ class Watch:
         return Watched(
             self.quantum,
             self._every,
-            self._certain,
+            self._covariances,
             *(frame, number, there, changes[:, 3:5], changes[:, 5:7], changes[:, 7]),
             *(seen_frame, seen_number, seen[:, 2:4], seen[:, 4:6], seen[:, 6]),
             *(row, candidate, pairs[:, 2]),
             methods=METHODS,
-            said=self._said,
+            method_decisions=self._methods,
         )
 
 
@@ -216,7 +216,7 @@ def spread(covariance: Array) -> Array:
 
 
 def map_now(estimator: EkfSlam | Isam2Smoother) -> MapState:
-    """Its landmarks as they are, asked so that nothing changes; of a smoother without covariances."""
+    """The current landmarks without side effects; of a smoother without covariances."""
     if isinstance(estimator, EkfSlam):
         return estimator.landmarks()
     smoother, number = estimator, estimator.numbers

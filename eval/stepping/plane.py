@@ -108,7 +108,7 @@ class Plane:
 
 
 def plane_of(m: Matching) -> Plane:
-    """Where everything stands, which pairs are compatible, and what part of the plane is shown."""
+    """Places, compatible pairs, and the part of the plane that is shown."""
     e = m.expectation
     xy, P = m.sensor.body_points(e.z, e.R)
     landmarks, Pl = m.sensor.body_points(e.z_hat, e.HPHt)
@@ -127,7 +127,7 @@ def plane_of(m: Matching) -> Plane:
 
 
 def make_panels(fig: Figure, names: Sequence[str]) -> tuple[list[Axes], tuple[float, float] | None]:
-    """One panel per name, at most six, and the place left for a legend if there is one."""
+    """One panel per name, at most six, and the place for a legend, if any."""
     fig.set_layout_engine("none")
     fig.set_size_inches(*MANY)
     full = len(names) == 6
@@ -138,7 +138,7 @@ def make_panels(fig: Figure, names: Sequence[str]) -> tuple[list[Axes], tuple[fl
 
 
 def legend(fig: Figure, place: tuple[float, float] | None, handles: Sequence[Line2D | Patch]) -> None:
-    """The legend where a panel is free, or else below all."""
+    """The legend in a free panel, or else below all."""
     if place is not None:
         fig.legend(handles=handles, loc="lower left", bbox_to_anchor=place, fontsize=8.0, labelspacing=0.8)
     else:
@@ -146,7 +146,7 @@ def legend(fig: Figure, place: tuple[float, float] | None, handles: Sequence[Lin
 
 
 def background(ax: Axes, p: Plane) -> None:
-    """Predicted landmarks and readings with their ellipses, compatible pairs in grey, and the robot."""
+    """Expected landmarks and observations with their ellipses, compatible pairs in grey, and the robot."""
     outlines(ax, p.landmarks, p.Pl, DULL, 1.5, 0.08)
     ax.plot(*p.landmarks.T, "+", color=DULL, markersize=4.5, markeredgewidth=0.7, zorder=3)
     outlines(ax, p.xy, p.P, GOOD, 2.0, 0.08)
@@ -156,7 +156,7 @@ def background(ax: Axes, p: Plane) -> None:
 
 
 def lines(ax: Axes, p: Plane, pairs: Sequence[tuple[int, int]], **look: Any) -> None:
-    """Lines from readings to landmarks, pairs of (reading, row of the landmark)."""
+    """Lines from observations to landmarks, pairs of (observation, row of the landmark)."""
     if pairs:
         ax.add_collection(
             LineCollection([np.stack([p.xy[i], p.landmarks[j]]) for i, j in pairs], **look), autolim=False
@@ -164,7 +164,7 @@ def lines(ax: Axes, p: Plane, pairs: Sequence[tuple[int, int]], **look: Any) -> 
 
 
 def name_landmarks(ax: Axes, p: Plane, size: float = 5.0) -> None:
-    """Numbers of the landmarks that somebody may be paired with, below left of them; readings have theirs above."""
+    """Numbers of possible landmarks, below left of them; observations have theirs above."""
     low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
     x, y = p.landmarks.T
     inside = p.named & (x >= low[0]) & (x <= low[1]) & (y >= high[0]) & (y <= high[1])

@@ -1,4 +1,4 @@
-"""The problem of one frame as every method gets it: what each makes of the same expectation, and what is right."""
+"""The association problem of one frame: the decisions of each method on the same expectation, and the truth."""
 
 from __future__ import annotations
 
@@ -63,10 +63,10 @@ class FrameSoFar(NamedTuple):
     removed: IntArray | None  # as in `Run`
 
     def judged(self, decided: IntArray | None = None) -> TruthRow | None:
-        """What the referee says of its observations as soon as they are decided about; None without true ids.
+        """The referee's judgement of its observations; None without true ids.
 
-        `decided` (m,): other decisions about them. What is right now depends on the observations that initialized the
-        landmarks, and on no other, so only those and its own go to the referee.
+        `decided` (m,): other decisions about them. It depends only on these observations and on those that initialized
+        landmarks, so only these go to the referee.
         """
         true_id = self.log.truth.landmark_of
         if true_id is None or np.any(true_id == UNKNOWN_ID):
@@ -101,7 +101,7 @@ class Matching:
 
 
 def removed_so_far(front: FrontEnd, created: IntArray) -> IntArray | None:
-    """Frames after which landmarks left the map; None where none ever does."""
+    """Frames after which landmarks left the map; None where all stay."""
     managed = front.map_management
     return None if managed is None else managed.removal_frames(int(created.max(initial=-1)) + 1)
 
@@ -109,7 +109,7 @@ def removed_so_far(front: FrontEnd, created: IntArray) -> IntArray | None:
 def pose_problem(
     front: FrontEnd, e: Expectation, f: FrameSoFar, title: str, methods: Sequence[str] = COMPARED
 ) -> Matching:
-    """What `methods`, and the one that updates, make of an expectation; `f.decisions` holds what that one decided."""
+    """Decisions of `methods`, and of the one that updates, on an expectation; the latter's are in `f.decisions`."""
     made: dict[str, IntArray | str] = {}
     judged, right, true_id = {}, None, f.log.truth.landmark_of
     this = f.judged()
@@ -168,9 +168,9 @@ def problems_of(
     methods: Sequence[str] = COMPARED,
     title: str = "frame {frame}",
 ) -> dict[int, Matching]:
-    """The problems of some frames of a run with this estimator and way of association, which is replayed for it.
+    """The problems of some frames of a run, which is replayed for this.
 
-    Frames without a map to match with, or without an expectation (`known`), are left out.
+    Frames without a map, or without an expectation (`known`), are left out.
     """
     inputs = log.inputs(labels=association == "known")
     seen = _Onlooker(log, task, frames, title, methods)

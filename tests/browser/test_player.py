@@ -155,7 +155,7 @@ def test_a_click_on_an_observation_shows_its_candidates_and_what_each_method_say
                 assert gate == ("inside" if oracle.d2[i, number] < 9.21034 else "outside")
         said = corridor.js(
             "Object.fromEntries([...document.querySelectorAll('#methods tr')]"
-            ".map((r) => [r.dataset.method, +r.dataset.said]))"
+            ".map((r) => [r.dataset.method, +r.dataset.decision]))"
         )
         assert said == {name: made[i] for name, made in oracle.said.items()}
         clicked += 1
