@@ -31,7 +31,7 @@ def hard_frame(observations: int, landmarks: int, ambiguous: int) -> Expectation
     side = int(np.ceil(np.sqrt(landmarks)))
     xy = 4.0 * np.stack(np.divmod(np.arange(landmarks), side), axis=1).astype(float)
     xy[observations : observations + ambiguous] = xy[:ambiguous] + np.array([0.12, 0.05])
-    pose = np.tile(np.eye(2), (landmarks, 1))  # an error of the robot shifts every expectation alike
+    pose = np.tile(np.eye(2), (landmarks, 1))  # a pose error shifts all expectations alike
     joint = pose @ (0.03 * np.eye(2)) @ pose.T + 1e-3 * np.eye(2 * landmarks)
     R = np.tile(1e-3 * np.eye(2), (observations, 1, 1))
     shift = rng.multivariate_normal(np.zeros(2), 0.03 * np.eye(2))
@@ -157,7 +157,7 @@ def association_lines(quick: bool) -> list[Timed]:
     from data.worlds.corridor import Corridor, simulate
 
     e = hard_frame(20, 1000, 10)
-    fast = median_seconds(lambda: jcbb(replace(e), GATE), 50)  # a copy knows no distances yet
+    fast = median_seconds(lambda: jcbb(replace(e), GATE), 50)  # a copy has no cached distances
     plain = median_seconds(lambda: plain_jcbb(e, GATE), 1)
     if not np.array_equal(jcbb(e, GATE), plain_jcbb(e, GATE)):
         raise AssertionError("the plain JCBB decides otherwise")

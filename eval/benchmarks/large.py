@@ -25,7 +25,7 @@ SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 BARE = "bare isam2"
 BARE_BATCH = "bare batch"
 ESTIMATORS = ("ekf", "batch", BARE_BATCH, "isam2", BARE)
-LOG = "park:0:spacing=3.3+frames={}"  # about a landmark for every ten frames, five to seven readings a frame
+LOG = "park:0:spacing=3.3+frames={}"  # a landmark for every ten frames, five to seven observations a frame
 MEGABYTE = 1024.0  # KiB, the unit of `ru_maxrss`
 
 

@@ -175,7 +175,7 @@ def study_lines(quick: bool) -> list[Timed]:
         worker_dashboard_address=None,
         silence_logs=50,
     ) as cluster:
-        for _ in range(1 if quick else TURNS):  # in turn, so that a drift of the machine's speed touches all
+        for _ in range(1 if quick else TURNS):  # in turn, so that changes of the machine's speed affect all
             one.append(study_seconds(scenario, runs, 1))
             two.append(study_seconds(scenario, runs, PROCESSES))
             dask.append(study_seconds(scenario, runs, PROCESSES, cluster.scheduler_address))
@@ -201,7 +201,7 @@ def victoria_park_lines(frames: int) -> list[Timed]:
     ours, bare = [], []
     first = shortened(log, 300).inputs(labels=True).without_map()
     step_by_step("isam2", first, "slam", finish=False)  # a warm-up for the compiled parts
-    for _ in range(REPEATS):  # in turn, so that a drift of the machine's speed touches both
+    for _ in range(REPEATS):  # in turn, so that changes of the machine's speed affect both
         begin = time.perf_counter()
         step_by_step("isam2", inputs, "slam", finish=False)
         ours.append(time.perf_counter() - begin)

@@ -19,7 +19,7 @@ from eval.live.feed import MINUTE, Feed, header
 from eval.live.session import Latencies, Session, Step, Taken, estimator_words, status_line
 
 REST = Command(0, 0)
-SECOND = 1.0  # s of real time from line to line
+SECOND = 1.0  # s of real time between status lines
 
 Policy = Callable[[Packet], tuple[float, float]]
 
@@ -55,7 +55,7 @@ def drive(
     def take(packets: Sequence[Packet]) -> None:
         for packet in packets:
             session.take(packet)
-        # of several the newest one counts: an answer without a marker may be held back until the next one confirms it
+        # the newest one counts: an answer without a marker may wait for the next one
         if packets and latencies is not None:
             latencies.add((clock.now() - packets[-1].t) / clock.speed)
 
@@ -98,7 +98,7 @@ class Looking:
         self._ended: set[int] = set()
         self._at = time.monotonic()
 
-    def told(self, taken: Taken) -> None:
+    def take(self, taken: Taken) -> None:
         """Take a processed frame."""
         self._newest = [new or old for new, old in zip(taken.steps, self._newest, strict=True)]
         if self._feed is not None:
@@ -154,7 +154,7 @@ class Presses:
         self._heeded = True
 
     def __enter__(self) -> Presses:
-        if threading.current_thread() is threading.main_thread():  # only that one may
+        if threading.current_thread() is threading.main_thread():
             self._before = {s: signal.signal(s, self._press) for s in (signal.SIGINT, signal.SIGTERM)}
         return self
 

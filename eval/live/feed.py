@@ -94,7 +94,7 @@ def chunk_of(part: Part, header: Mapping[str, object]) -> bytes:
 
 
 MINUTE = 240  # frames, at least, of a large chunk
-MOST = 4_000_000  # bytes of large chunks: hours of a drive, as walls and estimators are
+MOST = 4_000_000  # bytes of large chunks: hours of a drive
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Published:
         """JSON with the chunks from a frame on, or with all of them; None where no chunk begins with that frame."""
         end = max((c.end for c in self.large + self.small), default=0)
         at = self.begin if frame is None else frame
-        # of two that begin with a frame the large one
+        # large chunks take precedence
         by_first = {c.first: c for c in self.small} | {c.first: c for c in self.large}
         found = []
         while at < end:
@@ -148,7 +148,7 @@ class Feed:
         self.published = Published()  # read it from any thread; it is replaced as a whole
         self._known = [MapChanges(QUANTUM) for _ in range(estimators)]
         self._waiting: list[Taken] = []
-        self._parts: list[Part] = []  # of the minute that is not over
+        self._parts: list[Part] = []  # of the present minute
 
     def add(self, taken: Taken) -> None:
         """Add a frame for the next `publish`."""
@@ -178,7 +178,7 @@ class Feed:
             large, self._parts = (*large, _chunk(minute, header)), []
             while sum(len(c.text) for c in large) > MOST and len(large) > 1:
                 large = large[1:]
-            # those of this minute and the one before, for pages that have not fetched them yet
+            # keep this minute and the one before, for pages that have not fetched them yet
             begin = large[-2].first if len(large) > 1 else large[-1].first
             small = tuple(c for c in small if c.first >= begin)
         self.published = replace(p, large=large, small=small)

@@ -17,7 +17,7 @@ from data.terminal import told
 from eval.live.feed import Published
 
 ADDRESS = "127.0.0.1"
-PATIENCE = 10.0  # s after which a connection that says nothing is closed
+PATIENCE = 10.0  # s after which a silent connection is closed
 LONGEST = 12  # digits of a frame's number
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; base-uri 'none'; "

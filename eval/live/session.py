@@ -37,7 +37,7 @@ from eval.replay.settings import Beginning, Setup
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 
-ROBOT = Beginning(prior(), SENSOR)  # the prior is the origin, there is no map: SLAM
+ROBOT = Beginning(prior(), SENSOR)  # SLAM from the origin
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,19 +125,19 @@ class Session:
         association: str,
         setup: Setup,
         noise: Noise = USUAL,
-        told: Callable[[Taken], None] = lambda taken: None,
+        processed: Callable[[Taken], None] = lambda taken: None,
     ) -> None:
-        """Start; `told` gets every processed frame."""
+        """Start; `processed` gets every processed frame."""
         self.estimating = [Estimating(name, association, setup) for name in names]
         self.frames = self.observations = 0
-        self._framing, self._told = Framing(noise), told
+        self._framing, self._processed = Framing(noise), processed
 
     def take(self, packet: Packet) -> Taken:
         """Convert a packet to a frame, and pass it to every estimator."""
         frame = self._framing.frame(packet)
         self.frames, self.observations = frame.number + 1, frame.first + len(frame.observations.z)
         taken = Taken(frame, tuple(each.take(frame) for each in self.estimating))
-        self._told(taken)
+        self._processed(taken)
         return taken
 
 
@@ -178,9 +178,9 @@ class Estimates:
         self._file.close()
 
 
-DRIVEN = 15.0  # s of a simulated drive: packets as they are
-WALLS = (0.0, 0.5 * math.pi, math.pi)  # rad, directions of the walls of made-up frames
-PARKED = 1.0  # s after which a wall leaves the state there, if it ever shall
+DRIVEN = 15.0  # s of a simulated drive
+WALLS = (0.0, 0.5 * math.pi, math.pi)  # rad, directions of the walls in synthetic frames
+PARKED = 1.0  # s after which a wall leaves the state there, if at all
 
 
 def rehearse(names: Sequence[str], association: str, setup: Setup) -> None:

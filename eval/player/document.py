@@ -21,20 +21,18 @@ from eval.referee.score import Trial
 from eval.replay.settings import Setup
 
 FIRST = ("decode", "history", "view", "marks", "state", "map", "walls")
-SCRIPTS = (*FIRST, "controls", "inspect", "matching", "camera", "plots", "main")  # in the order of loading
+SCRIPTS = (*FIRST, "controls", "inspect", "matching", "camera", "plots", "main")
 NOTES = (
-    "Candidates, gates and what other methods say are recorded while a run is made: of filters always, of smoothers"
-    " where they decide for themselves. Kept are candidates inside 99.999 %, the nearest one and the chosen one; each"
-    " method is asked in every frame, but not in logs of more than 2000 frames where labels decide.",
-    "A landmark's mean and ellipse change only when they moved by more than half of what is stated above the paths.",
+    "Candidates, gates and decisions of all methods are recorded during a run: of filters always, of smoothers where"
+    " they decide themselves. Candidates are those inside 99.999 %, the nearest one and the chosen one. Logs of more"
+    " than 2000 frames with labels have no decisions of other methods.",
+    "A landmark's mean and ellipse change only if they moved by more than half of the size stated above the paths.",
 )
-
-
 LIVE_NOTES = (
-    "Walls are straight lines without ends; the thick part is where the robot has seen one, the band its 3σ. They are"
-    " as they were each second; changes below 1 mm or mrad are left out.",
-    "The page follows the newest frame. Stepping back, the slider or a plot leaves it; the button Live returns to it.",
-    "Hours into a drive a page that is opened begins with what is still kept; the recording on disk has all.",
+    "Walls are straight lines without ends; the thick part is where the robot has seen one, the band its 3σ. They"
+    " change once a second; changes below 1 mm or 1 mrad are left out.",
+    "The page follows the newest frame. Stepping back, the slider or a plot stops this; the button Live resumes it.",
+    "After hours of driving a newly opened page lacks the beginning; the recording on disk has all.",
 )
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 
@@ -59,7 +57,7 @@ def _page(name: str, title: str, inside: Sequence[str], notes: Sequence[str], be
         text: str = (folder / file).read_text(encoding="utf-8")
         return text
 
-    # the first line of the library names its address, which a page that loads nothing need not have
+    # without the library's first line, which names its address
     plotting = re.sub(r"^/\*!.*?\*/\s*", "", read(vendor, "uPlot.iife.min.js"))
     return Template(read(page, "player.html")).substitute(
         title=html.escape(title),

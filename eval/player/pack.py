@@ -27,10 +27,10 @@ import numpy as np
 from data.inputs import IntArray
 from data.se2 import Array
 
-LOG_STEP = 0.001  # of the logarithm: positive quantities are kept to 0.05 %
-FURTHEST = 2.0**30 - 1  # integers, whose differences then have 32 bits
-LEAST = 1.0e-12  # what is smaller than this is taken for it in a logarithm
-TIME, ANGLE, RHO = 1.0e-4, 1.0e-4, 1.0e-3  # s, rad, and of a correlation: what these are kept to, to half of it
+LOG_STEP = 0.001  # of the logarithm: positive quantities are exact to 0.05 %
+FURTHEST = 2.0**30 - 1  # largest integer, so that differences have 32 bits
+LEAST = 1.0e-12  # least argument of a logarithm
+TIME, ANGLE, RHO = 1.0e-4, 1.0e-4, 1.0e-3  # resolution of time [s], angles [rad] and correlations
 
 
 class Pack:

@@ -26,11 +26,11 @@ SIGMAS = 3.0
 FINEST, COARSEST = 1.0e-3, 1.0e-1  # m
 SHARE = 1.0e-4
 """Quantum over the path's extent: a fifth of a pixel on a large screen. 1 mm in a corridor, 1 cm in a park."""
-LOOKED_AT = 0.99999  # candidates of an observation inside this gate are kept, ...
-MOST = 12  # ... the nearest so many; the nearest one always, and the one it was paired with
+LOOKED_AT = 0.99999  # candidates inside this gate are kept, ...
+MOST = 12  # ... at most this many; the nearest and the paired one always
 LARGE, SELDOM = 300, 10  # a map with more landmarks is recorded only every few frames: recording costs as long as using
-READ = 30_000  # positions of landmarks that a smoother is asked for in all, each 10 to 20 microseconds
-LONG = 2000  # frames. In a longer log no method is asked where labels decide: that would take longer than the run
+READ = 30_000  # positions taken from a smoother in all, each 10 to 20 microseconds
+LONG = 2000  # frames; in a longer log with labels, other methods would take longer than the run
 NOT_ASKED, SINGULAR = -3, -4
 """In place of a decision: not computed, or the covariance is singular."""
 
@@ -55,7 +55,7 @@ class Watched:
     """
 
     quantum: float  # m; smaller changes are left out
-    every: int  # landmarks were written down after every so many frames with observations; 0: never
+    every: int  # landmarks were recorded after this many frames with observations; 0: never
     covariances: bool  # with their covariances; else their sigmas are zero
     change_frame: IntArray
     change_number: IntArray
@@ -72,7 +72,7 @@ class Watched:
     pair_number: IntArray
     pair_d2: Array
     methods: tuple[str, ...]  # W names
-    method_decisions: IntArray  # (M, W) what each decides on the same expectation
+    method_decisions: IntArray  # (M, W) decisions from the same expectation
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -141,7 +141,7 @@ class Watch:
         begin = time.perf_counter()
         self._looked = front.k
         e = pairing.expectation
-        # a filter's expectation is formed from its state and changes nothing; parked landmarks would have to come back
+        # a filter's expectation has no side effects, except for parked landmarks
         if (
             e is None
             and isinstance(front.estimator, Filter)

@@ -43,8 +43,8 @@ from eval.stepping.plane import (
 )
 from eval.stepping.problem import Matching, TruthRow
 
-SHARE = 0.42  # of an inset in the side of its panel
-LEAST = 0.2  # m, half the side of what an inset shows at least
+SHARE = 0.42  # side of an inset over that of its panel
+LEAST = 0.2  # m, smallest half side of an inset
 
 
 def draw_decisions(
@@ -85,7 +85,7 @@ def scene_of_wrong(p: Plane, decisions: IntArray, truth: TruthRow | None) -> Arr
         columns = [p.column[n] for n in numbers if n in p.column]
         if columns:
             found.append(np.concatenate([p.xy[[i]], p.landmarks[columns]]))
-    # one landmark alone tells less than two that are confused
+    # two confused landmarks are more informative than one
     return min(found, key=lambda points: (-len(points), float(np.ptp(points, axis=0).max())), default=None)
 
 
@@ -259,8 +259,8 @@ def _counted(decisions: IntArray, truth: TruthRow | None) -> str:
     return f"{paired} paired, {new} new, {len(decisions) - paired - new} left out"
 
 
-AROUND = 0.5  # m, half the side of what is shown at least: the corridor's points stand 0.25 m apart
-TALL, FLAT = 4.4, 3.3  # in. Heights of a figure with two panels, and with one per method
+AROUND = 0.5  # m, smallest half side of the section: the corridor's points are 0.25 m apart
+TALL, FLAT = 4.4, 3.3  # in; heights of a figure with two panels, and with one per method
 SIZE = 7.0  # pt, of the numbers
 DISTANCE: dict[str, Any] = {"fontsize": 5.5, "color": "#303030", "path_effects": HALO, "ha": "center", "va": "center"}
 """Text style of the d² of a pair."""
@@ -273,7 +273,7 @@ def closer_figure(m: Matching, method: str) -> Figure:
     """
     with drawing():
         p, decided = plane_of(m), m.decisions[method]
-        assert not isinstance(decided, str)  # the frame is one that this method updates with
+        assert not isinstance(decided, str)  # this method updates
         truth = m.truth.get(method)
         middle, half = _region(p, decided, scene_of_wrong(p, decided, truth))
         fig = Figure(figsize=(page_width(), TALL))

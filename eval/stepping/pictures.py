@@ -169,7 +169,7 @@ def paint_observations(fig: Figure, sensor: Sensor, z: Array, R: Array, title: s
 
 
 DPI = 110
-WINDOWED = ("macosx", "qt", "tk", "gtk", "wx")  # how the names of matplotlib's backends begin that open windows
+WINDOWED = ("macosx", "qt", "tk", "gtk", "wx")  # prefixes of matplotlib's backends with windows
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
@@ -207,8 +207,7 @@ class ImageWriter:
         """An image in the window `name` and, with a stem, as a file."""
         if self.windows is None and (self.folder is None or stem is None):
             return
-        # a layout engine would draw everything twice, and the painters know where things stand; saving a figure puts
-        # back the one that the settings name, so they must not name any until all is done
+        # a layout engine would draw everything twice; saving a figure restores the one in the settings, so none is set
         with drawing(), rc_context({"figure.constrained_layout.use": False}):
             figure = Figure() if self.windows is None else self.windows.figure(num=name, clear=True)
             paint(figure)

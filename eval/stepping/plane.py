@@ -20,18 +20,17 @@ from data.se2 import Array, BoolArray
 from eval.figures.plane import ellipses
 from eval.stepping.problem import Matching
 
-ONE, MANY = (7.0, 5.6), (10.5, 6.8)  # in. Size of a figure with one picture, and with one per method
+ONE, MANY = (7.0, 5.6), (10.5, 6.8)  # in; size of a figure with one picture, and with one per method
 GOOD, BAD, DULL, FAINT = "#0064A8", "#D55E00", "#606060", "#B0B0B0"
-LANDMARK = "#6A3D9A"
-"""Of a landmark's number; a reading's is black, a wrong one's like its mark."""
+LANDMARK = "#6A3D9A"  # landmark numbers; those of observations are black, of wrong ones like their marks
 TITLES = {name: name.upper() for name in ("nn", "singles", "ml", "jcbb", "gnn")} | {
     "truth": "ground truth",
     "jcbb-first": "JCBB",
     "jcbb-hindsight": "hindsight",
     "known": "by labels",
 }
-"""The lab's JCBB is `jcbb-first`; where `jcbb` stands beside it the titles have the names as they are."""
-SHOWN_WITHOUT_GATE = 0.99  # without a gate every pair is compatible; only those inside this one are drawn
+"""The lab's JCBB is `jcbb-first`; next to `jcbb` the titles are the plain names."""
+SHOWN_WITHOUT_GATE = 0.99  # gate of drawn pairs, if there is none
 DASHES = (0, (3.0, 1.5))
 HALO = [withStroke(linewidth=1.5, foreground="white")]
 
@@ -116,7 +115,7 @@ def plane_of(m: Matching) -> Plane:
     compatible: BoolArray = d2 < gate_threshold(m.gate)
     near: BoolArray = d2 < gate_threshold(SHOWN_WITHOUT_GATE if m.gate is None else m.gate)
     involved = near.any(axis=0) if m.right is None else near.any(axis=0) | np.isin(e.number, m.right)
-    # a landmark that is far off would make everything else small
+    # far landmarks would make everything else small
     scene = np.concatenate([xy, np.zeros((1, 2))])
     low, high = scene.min(axis=0), scene.max(axis=0)
     reach = max(float((high - low).max()), 1.0)

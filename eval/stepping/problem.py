@@ -91,12 +91,12 @@ class Matching:
     """
 
     title: str  # of the figure
-    expectation: Expectation  # what every method was given; sensor: which makes points of its measurements
+    expectation: Expectation  # given to every method
     sensor: Sensor
     gate: float | None  # probability of the individual test, None for none
     decisions: Mapping[str, IntArray | str]
     chosen: str  # the method that updates
-    truth: Mapping[str, TruthRow]  # by method, what the referee says; empty without true ids
+    truth: Mapping[str, TruthRow]  # judgements of the referee by method; empty without true ids
     right: IntArray | None  # (m,) number of the right landmark, negative for none; None without true ids
 
 
@@ -130,8 +130,8 @@ def pose_problem(
     return Matching(title, e, f.log.recorded.sensor, front.setup.gate, made, front.association, judged, right)
 
 
-class _Onlooker:
-    """Looks on while a log is replayed, and keeps the problem of the frames asked for."""
+class _Collector:
+    """Observer that keeps the problems of some frames."""
 
     def __init__(self, log: Log, task: str, frames: Sequence[int], title: str, methods: Sequence[str]) -> None:
         self.log, self.task, self.frames, self.title, self.methods = log, task, set(frames), title, methods
@@ -140,10 +140,10 @@ class _Onlooker:
         self.found: dict[int, Matching] = {}
 
     def moved(self, front: FrontEnd) -> None:
-        """Nothing to keep yet."""
+        """Nothing to keep."""
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
-        """Keep the problem, if this is one of the frames."""
+        """Keep the problem of the frame, if wanted."""
         rows = slice(frame.first, frame.first + len(pairing.decisions))
         self.decisions[rows] = pairing.decisions
         if frame.number in self.frames and pairing.expectation is not None and len(pairing.expectation.number):
@@ -154,7 +154,7 @@ class _Onlooker:
             self.found[frame.number] = pose_problem(front, pairing.expectation, so_far, title, self.methods)
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """Keep what was decided."""
+        """Keep the decisions."""
         self.decisions, self.created = decisions.copy(), created.copy()
 
 
@@ -173,7 +173,7 @@ def problems_of(
     Frames without a map, or without an expectation (`known`), are left out.
     """
     inputs = log.inputs(labels=association == "known")
-    seen = _Onlooker(log, task, frames, title, methods)
+    seen = _Collector(log, task, frames, title, methods)
     inputs = inputs.without_map() if task == "slam" else inputs
     step_by_step(estimator, inputs, task, association, setup, finish=False, observer=seen)
     return seen.found

@@ -24,7 +24,7 @@ from eval.referee.metrics import metric
 from eval.referee.score import confusion_of, metrics_row
 from eval.stepping.problem import TruthRow, row_of
 
-WIDTH = 100  # columns of the terminal that a line never goes beyond
+WIDTH = 100  # columns of the terminal
 NONE = "-"
 ERRORS = ("rmse_position_m", "max_position_m", "rmse_heading_deg", "rmse_landmark_m")
 STATISTICS = ("frames", "observations", "landmarks", *ERRORS, "nees_pose", "inside_3sigma", "nis")
@@ -36,7 +36,7 @@ class Step:
     """A frame's m observations once they are decided about."""
 
     frame: int
-    truth: TruthRow | None  # what the referee says, None without true ids
+    truth: TruthRow | None  # of the referee, None without true ids
     decisions: IntArray  # (m,) landmark number, `NEW` or `DISCARD`
     created: IntArray  # (m,) number of the landmark an observation initialized, -1 for none
 
@@ -96,7 +96,7 @@ def _table(rows: Sequence[tuple[str, Sequence[str]]]) -> str:
     return "\n".join(lines)
 
 
-Block = Callable[[Step], str]  # text of a step, as `step_block` makes one; empty where nothing is said
+Block = Callable[[Step], str]  # text of a step, as of `step_block`; may be empty
 
 
 def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_block) -> str:
@@ -106,7 +106,7 @@ def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_bloc
     """
     inputs, confusion = log.recorded, confusion_of(run, log, phase)
     decisions = run.decisions if phase == "online" else run.final_decisions
-    # in the end a landmark that was retracted has never been
+    # in the end a retracted landmark never existed
     created = run.created if phase == "online" else run.initialized
     frames = np.flatnonzero(np.diff(inputs.start))
     if run.failure is not None:

@@ -8,14 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-
-import numpy as np
+from typing import Any
 
 from data.errors import UsageError
 from data.inputs import FrameObservations, Increment, Increments, Inputs, IntArray
 from data.motion.velocity import carried
 from data.result import Run, Trajectory, Updated
-from data.se2 import Array
 from ekf.filter import Filter
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
@@ -96,18 +94,10 @@ class Forgetful(EkfSlam):
         super().__init__(given.prior, given.sensor)
         self._share = share
 
-    def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = np.inf,
-        at: Array | None = None,
-        innovations: bool = True,
-    ) -> Updated:
+    def update(self, observations: FrameObservations, decisions: IntArray, **options: Any) -> Updated:
         """Update, then shrink the blocks beside those of the new landmarks: (1 - s) P + s diag(P) is a covariance."""
         begin = self.size
-        done = super().update(observations, decisions, threshold=threshold, at=at, innovations=innovations)
+        done = super().update(observations, decisions, **options)
         for new in range(begin, self.size, 2):
             self._P[new : new + 2, :new] *= 1.0 - self._share
             self._P[:new, new : new + 2] *= 1.0 - self._share

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -188,6 +188,9 @@ NONE.setflags(write=False)
 KEYWORDS = ("threshold", "at", "innovations")  # optional keywords of `update`
 
 
+OPTIONAL = ("stamp", "remove", "merge", "park", "restore", "inflate", "reset", "amend")
+
+
 class Adapter:
     """A foreign estimator with the methods of `eval.replay.estimators.Estimator`; capabilities follow from `inner`.
 
@@ -226,46 +229,18 @@ class Adapter:
         """Move by an increment."""
         self._call("predict", increment)
 
-    def stamp(self, time: float) -> None:
-        """The present frame's time [s]."""
-        self._call("stamp", time)
-
     def expect(self, observations: FrameObservations) -> Expectation:
         """Its expectation."""
         return expectation_of(f"{self.name}.expect", self._call("expect", observations), observations)
 
-    def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = math.inf,
-        at: Array | None = None,
-        innovations: bool = False,
-    ) -> Updated:
+    def update(self, observations: FrameObservations, decisions: IntArray, **options: Any) -> Updated:
         """Use the pairings; it gets the keywords that it takes."""
-        given = {"threshold": threshold, "at": at, "innovations": innovations}
+        given = {"threshold": math.inf, "at": None, "innovations": False} | options
         done = self._call("update", observations, decisions.copy(), **{k: given[k] for k in self._takes})
         new = (decisions == NEW) if self._known is None else np.zeros(len(decisions), np.bool_)
         found = updated_of(f"{self.name}.update", done, decisions, new, self._created)
         self._created += int((found.created >= 0).sum())
         return found
-
-    def remove(self, numbers: IntArray) -> None:
-        """Drop landmarks."""
-        self._call("remove", numbers.copy())
-
-    def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """Merge landmarks `merged` into `kept`."""
-        self._call("merge", merged.copy(), kept.copy())
-
-    def park(self, numbers: IntArray) -> None:
-        """Move landmarks out of the state."""
-        self._call("park", numbers.copy())
-
-    def restore(self, numbers: IntArray) -> None:
-        """Move parked landmarks into the state."""
-        self._call("restore", numbers.copy())
 
     def parked_xy(self) -> Array:
         """Positions (b, 2) of the parked landmarks."""
@@ -275,17 +250,15 @@ class Adapter:
         found: Array = array(who, self._call("parked_xy"), (len(self.parked), 2), "what it returned")
         return found
 
-    def inflate(self, covariance: Array) -> None:
-        """Add a covariance to the last motion."""
-        self._call("inflate", covariance.copy())
+    def __getattr__(self, verb: str) -> Callable[..., None]:
+        """An optional method of `inner`, called with copies of arrays."""
+        if verb not in OPTIONAL:
+            raise AttributeError(verb)
 
-    def reset(self, mean: Array, covariance: Array) -> None:
-        """Restart at another pose."""
-        self._call("reset", mean.copy(), covariance.copy())
+        def handed_on(*arguments: Any) -> None:
+            self._call(verb, *(a.copy() if isinstance(a, np.ndarray) else a for a in arguments))
 
-    def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """Change the landmarks of earlier observations."""
-        self._call("amend", frames.copy(), observations, decisions.copy())
+        return handed_on
 
     def estimate(self) -> PoseEstimate:
         """The newest pose; NaN for a covariance that it does not give."""

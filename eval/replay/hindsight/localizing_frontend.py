@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -61,17 +61,9 @@ class Stretches:
         """The expectation of the present smoother."""
         return self._now.expect(observations)
 
-    def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = math.inf,
-        at: Array | None = None,
-        innovations: bool = False,
-    ) -> Updated:
+    def update(self, observations: FrameObservations, decisions: IntArray, **options: Any) -> Updated:
         """Use the pairings."""
-        return self._now.update(observations, decisions, threshold=threshold, at=at, innovations=innovations)
+        return self._now.update(observations, decisions, **options)
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
         """Change the landmarks of what frames (m,) saw; earlier stretches stay as they are."""
