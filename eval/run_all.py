@@ -19,7 +19,7 @@ from typing import NoReturn
 
 from data.errors import UsageError
 from data.notice import Severity
-from data.terminal import INTERRUPTED, WRONG, counted, ended, told, unread
+from data.terminal import INTERRUPTED, WRONG, counted, ended, message_of, unread
 from data.whole import whole_folder
 from data.words import sentence
 from eval.open_report import show
@@ -149,7 +149,7 @@ def staged(out: Path) -> Iterator[Path]:
         try:
             partial = stack.enter_context(whole_folder(out))
         except OSError as fault:
-            raise UsageError(f"--out {out}: {told(fault)}") from fault
+            raise UsageError(f"--out {out}: {message_of(fault)}") from fault
         yield partial
 
 

@@ -13,7 +13,7 @@ from types import TracebackType
 from typing import Any
 
 from data.errors import UsageError
-from data.terminal import told
+from data.terminal import message_of
 from eval.live.feed import Published
 
 ADDRESS = "127.0.0.1"
@@ -48,7 +48,7 @@ class Server:
         try:
             self._http = ThreadingHTTPServer((ADDRESS, port), _handler(page, published))
         except (OSError, OverflowError) as fault:
-            why = told(fault) if isinstance(fault, OSError) else "a number from 0 to 65535 is needed"
+            why = message_of(fault) if isinstance(fault, OSError) else "a number from 0 to 65535 is needed"
             raise UsageError(f"--port {port}: {why}") from None
         self._http.daemon_threads = True
         self.address = f"http://{ADDRESS}:{self._http.server_address[1]}/"  # of the page

@@ -26,7 +26,7 @@ from data.robot.simulated.physics import drive
 from data.robot.simulated.room import room
 from data.robot.traffic.motion import Packet
 from data.se2 import Array, wrap_angle
-from data.terminal import told
+from data.terminal import message_of
 from ekf.slam import EkfSlam
 from eval.player.watch import map_now
 from eval.replay.external.guard import ForeignError
@@ -158,7 +158,7 @@ class Estimates:
         try:
             self._file = path.open("x", encoding="utf-8", buffering=1)
         except OSError as fault:
-            raise UsageError(f"--estimates {path}: {told(fault)}") from None
+            raise UsageError(f"--estimates {path}: {message_of(fault)}") from None
         self._file.write(COLUMNS + "\n")
 
     def add(self, taken: Taken) -> None:
