@@ -1,4 +1,4 @@
-"""The state of EKF-SLAM: landmarks in slots that come and go, some of them parked (see `ekf.parking` for how)."""
+"""The state of EKF-SLAM: landmarks in slots, some of them parked (see `ekf.parking`)."""
 
 from __future__ import annotations
 
@@ -11,36 +11,35 @@ from data.se2 import Array
 from data.sensors import Sensor
 from ekf import systematic
 from ekf.filter import DEFAULT, Filter, FilterOptions
-from ekf.nearby import EMPTY, MARGIN, may_be_read, surroundings
+from ekf.nearby import EMPTY, MARGIN, may_be_observed, parked_bounds
 from ekf.parking import LONGEST, Parked
 
 
 class SlamState(Filter):
     """Buffers of pose, systematic errors, active landmarks, y and recent landmarks, in this order.
 
-    A landmark number is the order of creation and is never reused; `self._number[i]` is the number in slot i, whose
-    coordinates stand at base + 2 i. Numbers ascend with the slots. Parked landmarks have no slot: they stay
-    in the map but cost nothing until they are restored.
+    A landmark number is the order of creation and is never reused; landmark `self._number[i]` is at offset base + 2 i.
+    Numbers ascend with the slots. Parked landmarks have no slot and no cost until they are restored.
     """
 
     def __init__(
         self, prior: Prior, sensor: Sensor, options: FilterOptions = DEFAULT, *, systematic: Systematic | None = None
     ) -> None:
-        """Start at the prior with an empty map; `systematic`: errors to estimate along."""
+        """Start at the prior with an empty map; `systematic`: errors to estimate."""
         super().__init__(prior, sensor, options, systematic, landmarks=16)
         self._number = np.empty(0, np.int64)
         self._offset: dict[int, int] = {}
-        self._parked, self._around = Parked(), EMPTY
+        self._parked, self._bounds = Parked(), EMPTY
         self.created = 0
 
     def _shrink(self) -> None:
-        """Give back buffers that are far too large, as they are once most of a map is parked."""
+        """Reduce buffers that are far too large, as once most of a map is parked."""
         if len(self._mean) > 4 * self._used:
             room = 2 * self._used
             self._mean, self._P = self._mean[:room].copy(), self._P[:room, :room].copy()
 
     def _select(self, index: IntArray) -> None:
-        """Make the buffers hold their entries `index`, in that order."""
+        """Keep the buffer entries `index`, in that order."""
         d = len(index)
         self._mean[:d] = self._mean[index]
         self._P[:d, :d] = self._P[np.ix_(index, index)]
@@ -48,13 +47,13 @@ class SlamState(Filter):
             self._first[:d] = self._first[index]
 
     def _renumber(self, number: IntArray) -> None:
-        """The landmarks of the state, slot by slot."""
+        """Set the landmark numbers of the slots."""
         self._number = number
         self._offset = {int(n): self.base + 2 * i for i, n in enumerate(number)}
 
     @property
     def _recent(self) -> int:
-        """Where in the buffers what is parked since the epoch began stands, to their end."""
+        """Offset of the landmarks parked since the epoch began."""
         return self.size + self._parked.k
 
     @property
@@ -69,7 +68,7 @@ class SlamState(Filter):
 
     @property
     def carried(self) -> int:
-        """How many states the filter carries beside its active ones."""
+        """Number of states carried besides the active ones."""
         return self._carried
 
     def parked_xy(self) -> Array:
@@ -80,7 +79,7 @@ class SlamState(Filter):
         return self._frame.points_out(xy[np.argsort(number)], self._mean[3 : self.base])[0]
 
     def parked_within(self, observations: FrameObservations, within: float) -> IntArray:
-        """Parked landmarks (r,) that may be within a squared Mahalanobis distance of some reading; no other one is."""
+        """Parked landmarks (r,) that may be within a squared Mahalanobis distance of some observation."""
         parked, d, r = self._parked, self.size, self._recent
         if not len(observations.z) or not np.isfinite(within):
             return parked.numbers if len(observations.z) else np.empty(0, np.int64)
@@ -91,16 +90,16 @@ class SlamState(Filter):
             return found
         used = np.concatenate([np.arange(3), np.arange(d, r)])
         x, P = self._mean[used], self._P[np.ix_(used, used)]
-        near = may_be_read(parked, self._around, self.sensor, x, P, observations, within)
+        near = may_be_observed(parked, self._bounds, self.sensor, x, P, observations, within)
         return np.concatenate([found, np.flatnonzero(near)])
 
     def park(self, numbers: IntArray, *, begin_epoch: bool = False) -> None:
-        """Take active landmarks out of the state; nothing is lost, and `restore` brings them back.
+        """Move active landmarks out of the state without loss; `restore` is the inverse.
 
-        A new epoch begins when what is carried has grown too long, or at once.
+        A new epoch begins when the carried part has grown too long, or with `begin_epoch`.
 
-        Raises ValueError for a landmark that is parked already or not in the map, in the invariant filter, whose
-        correction moves every landmark, and with first estimates, which a parked landmark would lose.
+        Raises ValueError for a landmark that is parked already or not in the map, in the invariant filter, which moves
+        every landmark, and with first estimates, which a parked landmark would lose.
         """
         if self.options.invariant:
             raise ValueError("the invariant filter moves all landmarks together; none can be parked")
@@ -122,10 +121,10 @@ class SlamState(Filter):
         self._parked.recent = np.concatenate([self._parked.recent, away])
         self._parked.changed()
         self._renumber(self._number[~out])
-        self._tidy(begin_epoch)
+        self._begin_epoch_if_due(begin_epoch)
 
     def restore(self, numbers: IntArray) -> None:
-        """Take parked landmarks back into the state. Raises ValueError for a landmark that is not parked."""
+        """Return parked landmarks to the state. Raises ValueError for a landmark that is not parked."""
         back = np.unique(np.asarray(numbers, np.int64))
         for n in back.tolist():
             if not self._parked.holds(n):
@@ -163,27 +162,27 @@ class SlamState(Filter):
         self.size = self.base + len(rows)
         self._carried += len(grown) - 2 * int(again.sum())
         self._renumber(number[order])
-        self._tidy()
+        self._begin_epoch_if_due()
 
-    def _leave(self, gone: IntArray) -> None:
-        """Parked landmarks are marginalized out."""
+    def _marginalize_parked(self, removed: IntArray) -> None:
+        """Marginalize parked landmarks out."""
         parked = self._parked
-        out = np.isin(parked.recent, gone)
+        out = np.isin(parked.recent, removed)
         if out.any():
             place = self._recent + coordinates(np.flatnonzero(out))
             self._select(np.delete(np.arange(self._used), place))
             self._carried -= len(place)
             parked.recent = parked.recent[~out]
-        parked.leave(gone[~np.isin(gone, parked.recent) & np.isin(gone, np.flatnonzero(parked.based))])
-        self._tidy()
+        parked.leave(removed[~np.isin(removed, parked.recent) & np.isin(removed, np.flatnonzero(parked.based))])
+        self._begin_epoch_if_due()
 
-    def _tidy(self, begin_epoch: bool = False) -> None:
-        """Begin an epoch if that is asked for, or what is carried has grown too long."""
+    def _begin_epoch_if_due(self, begin_epoch: bool = False) -> None:
+        """Begin an epoch if asked to, or if the carried part has grown too long."""
         if begin_epoch or self._carried > min(LONGEST * self.size, 2 * self._parked.count):
             self._begin_epoch()
 
     def _begin_epoch(self) -> None:
-        """Bring all parked landmarks up to date, so that what is carried is as short as it can be."""
+        """Update all parked landmarks, which makes the carried part as short as possible."""
         parked, d, r, e = self._parked, self.size, self._recent, self._used
         x, P = self._mean, self._P
         self._version += 1
@@ -201,22 +200,22 @@ class SlamState(Filter):
         if short:
             all_of_them = coordinates(parked.numbers)
             x[d:e], P[d:e, d:e] = parked.empty()
-            self._around = EMPTY
+            self._bounds = EMPTY
             P[d:e, :d] = C[all_of_them]
             P[:d, d:e] = P[d:e, :d].T
         else:
             L = parked.begin(C, P[:d, :d])
-            self._around = surroundings(parked, C, P[:3, :3])
+            self._bounds = parked_bounds(parked, C, P[:3, :3])
             x[d:e], P[d:e, d:e] = 0.0, 0.0
             P[:d, d:e], P[d:e, :d] = L, L.T
         self._shrink()
 
     def _at(self, numbers: IntArray) -> IntArray:
-        """Where the coordinates of active landmarks (n,) stand in the state (2n,)."""
+        """Offsets of the coordinates of active landmarks (n,) in the state (2n,)."""
         return coordinates_from(np.array([self._offset[n] for n in numbers.tolist()], np.int64))
 
     def landmarks(self) -> MapState:
-        """The map as it is now, active and parked landmarks."""
+        """The present map, active and parked landmarks."""
         d, r, b = self.size, self._recent, slice(3, self.base)
         based = coordinates(np.flatnonzero(self._parked.based))
         number, xy, blocks = self._parked.now(self._mean[d:r], self._P[d:r, d:r])

@@ -1,4 +1,4 @@
-"""EKF-SLAM: landmarks behind pose and errors, added with their full cross-covariance, removable and parkable."""
+"""EKF-SLAM: landmarks behind pose and systematic errors, with full cross-covariance, removable and parkable."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from ekf.parkable import SlamState
 from ekf.parking import symmetric
 
 JOINED = 1e-4
-"""m, of a wall also rad; standard deviation of the difference of two landmarks that are one."""
+"""m, of a wall also rad; standard deviation of the difference of two merged landmarks."""
 
 
 class EkfSlam(SlamState):
     """Extended Kalman filter over the pose and all landmarks (Probabilistic Robotics, section 10.2).
 
-    For its buffers, and for landmarks that are parked, see `ekf.parkable`.
+    For buffers and parked landmarks see `ekf.parkable`.
     """
 
     def expect(self, observations: FrameObservations) -> Expectation:
-        """What the filter expects of every active landmark. Valid until the next `predict` or `update`."""
+        """Expectation of every active landmark, valid until the next `predict` or `update`."""
         at = self.base + 2 * np.arange(len(self._number), dtype=np.int64)
         return self._expect(observations, self._number, at, np.zeros((len(self._number), 2)))
 
@@ -38,21 +38,16 @@ class EkfSlam(SlamState):
     ) -> Updated:
         """One update with all pairings below `threshold`, then new landmarks in order, from the updated pose.
 
-        It is first linearized at the prediction, or at the pose `at` (3,) if that is known to be better. A filter
-        forms its innovations whether they are asked for or not.
-        Raises ValueError for a decision that names a landmark which is not in the map, or parked.
+        Linearized first at the prediction, or at a pose `at` (3,). A filter always forms its innovations. Raises
+        ValueError for a decision that names a landmark that is not in the map, or parked.
         """
-        paired = np.flatnonzero(decisions >= 0)
         try:
-            offset = np.array([self._offset[int(n)] for n in decisions[paired]], np.int64)
+            offset = np.array([self._offset[n] for n in decisions[decisions >= 0].tolist()], np.int64)
         except KeyError as unknown:
             if self._parked.holds(unknown.args[0]):
                 raise ValueError(f"landmark {unknown} is parked: restore it first") from None
             raise ValueError(f"no landmark has number {unknown}") from None
-        keep, stats, white = self._correct(observations, paired, offset, np.zeros((len(paired), 2)), threshold, at)
-        used, whitened = np.zeros(len(decisions), np.bool_), np.full((len(decisions), 2), np.nan)
-        used[paired], whitened[paired] = keep, white
-        created = np.full(len(decisions), -1, np.int64)
+        updated = self._updated(observations, decisions, offset, np.zeros((len(offset), 2)), threshold, at)
         fresh = np.flatnonzero(decisions == NEW)
         self._grow(len(fresh))
         end = self._used
@@ -73,24 +68,24 @@ class EkfSlam(SlamState):
                 self._first[d:end] = self._first[order]
         for i in fresh:
             self._offset[self.created] = self.size
-            created[i] = self.created
+            updated.created[i] = self.created
             self._number = np.append(self._number, self.created)
             self.created += 1
             self.size += 2
-        return Updated(used, created, float(stats[0]), int(stats[2]), float(stats[1]), whitened)
+        return updated
 
     def remove(self, numbers: IntArray) -> None:
-        """Marginalize landmarks out, active or parked: their rows and columns go, the rest stays as it is."""
-        gone, parked = np.isin(self._number, numbers), np.isin(self.parked, numbers)
-        if gone.sum() + parked.sum() != len(set(np.asarray(numbers).tolist())):
+        """Marginalize landmarks out, active or parked."""
+        removed, parked = np.isin(self._number, numbers), np.isin(self.parked, numbers)
+        if removed.sum() + parked.sum() != len(set(np.asarray(numbers).tolist())):
             raise ValueError(f"cannot remove {np.asarray(numbers).tolist()}: not all are in the map")
         self._version += 1
-        stay = np.concatenate([np.ones(self.base, np.bool_), np.repeat(~gone, 2), np.ones(self._carried, np.bool_)])
-        self._select(np.flatnonzero(stay))
-        self.size -= 2 * int(gone.sum())
-        self._renumber(self._number[~gone])
+        kept = np.concatenate([np.ones(self.base, np.bool_), np.repeat(~removed, 2), np.ones(self._carried, np.bool_)])
+        self._select(np.flatnonzero(kept))
+        self.size -= 2 * int(removed.sum())
+        self._renumber(self._number[~removed])
         if parked.any():
-            self._leave(self.parked[parked])
+            self._marginalize_parked(self.parked[parked])
 
     @property
     def xy(self) -> Array:
@@ -103,15 +98,12 @@ class EkfSlam(SlamState):
         return self._mean[at], self._P[np.ix_(at, at)]
 
     def places(self, numbers: IntArray) -> tuple[Array, Array]:
-        """The same of each by itself: means (n, 2), and the variance of x plus that of y (n,)."""
+        """Means (n, 2) of active landmarks, and the variance of x plus that of y (n,)."""
         at = self._at(numbers).reshape(-1, 2)
         return self._mean[at], self._P[at, at].sum(axis=1)
 
     def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """Landmarks `merged` (k,) are the same as `kept` (k,), all of them active: both estimates become one.
-
-        An update with the measurement that their difference is zero.
-        """
+        """Merge active landmarks `merged` (k,) into `kept` (k,) by the measurement that their difference is zero."""
         self._version += 1
         e, a, b = self._used, self._at(merged), self._at(kept)
         P, mean = self._P[:e, :e], self._mean[:e]
@@ -125,7 +117,7 @@ class EkfSlam(SlamState):
         gain = np.linalg.solve(S, PHt.T).T
         mean -= gain @ apart
         mean[2] = wrap_angle(float(mean[2]))
-        # Joseph's form: what is certain of the difference afterwards must not be rounding
+        # Joseph's form, so that the small variance of the difference is not rounding
         P -= gain @ PHt.T
         PHt = sign * P[:, a] - P[:, b]
         P -= PHt @ gain.T

@@ -11,7 +11,7 @@ import numpy as np
 from association.candidates import in_view
 from association.decide import Decided, decide, horizon, pair_by_label
 from association.expectation import Expectation, gate_threshold
-from association.faces import Faces, named_as_read
+from association.faces import Faces, aligned_with_observations
 from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
 from data.errors import UsageError
@@ -163,9 +163,9 @@ class FrontEnd:
             self.parking.offer(observations)
         e = self.estimator.expect(observations)
         if not self.given.sensor.sees_points:
-            e = named_as_read(e, self.given.sensor)
+            e = aligned_with_observations(e, self.given.sensor)
         if self.faces is not None and len(e.number):
-            e = e.only(np.flatnonzero(self.faces.offered(*self.estimator.estimate(), e.number, e.z_hat)))
+            e = e.only(np.flatnonzero(self.faces.visible(*self.estimator.estimate(), e.number, e.z_hat)))
         return e.only(np.flatnonzero(in_view(self.given.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:

@@ -17,7 +17,7 @@ from association.decide import horizon
 from data.inputs import FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, Severity, notice
 from data.sensors import Sensor
-from ekf.epochs import LEAST, MOVED, PRODUCT, READING, STEP
+from ekf.epochs import LEAST, MOVED, PAIRING, PRODUCT, STEP
 from ekf.slam import EkfSlam
 from eval.replay.estimators import Capabilities, Estimator, needed
 from eval.replay.external.spec import is_foreign
@@ -232,7 +232,7 @@ class AutomaticParking:
         active = slam.active
         idle = active[self._last[active] < self._frame - KEPT]
         needed = 2 * (slam.size - 2 * len(idle))
-        self._excess += (STEP + READING * pairings) * max(used**2 - needed**2, 0)
+        self._excess += (STEP + PAIRING * pairings) * max(used**2 - needed**2, 0)
         parked = 2 * len(slam.parked)
         cost = PRODUCT * parked**2 * slam.carried + MOVED * (parked + 2 * len(idle)) * len(idle)
         if len(idle) and self._excess > cost:

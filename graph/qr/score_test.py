@@ -1,12 +1,11 @@
-"""Score test of systematic errors: how much of each hypothetical one the data ask for, beside path and map.
+"""Score test of systematic errors: the evidence for each hypothetical one, besides path and map.
 
 Every hypothetical error has one unknown size, zero under the null hypothesis. Around the smoothed solution the sizes
-are regression coefficients beside path and map: eliminating those from a column for each leaves what they cannot
-explain, which gives the derivative of the log-likelihood, path and map profiled out, and its covariance (Rao, "Large
-sample tests of statistical hypotheses concerning several parameters", Proc. Cambridge Phil. Soc. 44, 1948). Systematic
-errors that the smoother estimated, with their priors, are profiled out like path and map: the log is then the one less
-the errors found (`data.motion.systematic`), in the robot's own frame; each error more, in prior sigmas, has a column,
-and the prior of its whole size.
+are regression coefficients. Eliminating path and map from a column for each error leaves the derivative of the profile
+log-likelihood and its covariance (Rao, "Large sample tests of statistical hypotheses concerning several parameters",
+Proc. Cambridge Phil. Soc. 44, 1948). Systematic errors estimated by the smoother, with their priors, are profiled out
+likewise: the log is corrected by them (`data.motion.systematic`), in the robot's own frame. Each has a column in prior
+sigmas, and a prior.
 """
 
 from __future__ import annotations
@@ -27,15 +26,15 @@ from graph.qr.rows import put_prior
 
 
 class Estimated(NamedTuple):
-    """Errors beside path and map, in prior sigmas.
+    """Estimated errors besides path and map, in prior sigmas.
 
     Attributes:
-        motion: (N, 3, q) what one more of each constant error adds to the increments.
-        readings: (m, 2, q) to the readings.
-        now: (q,) sizes found.
-        by_drift: (N, 3) what one more of its knot's drift adds to an increment; of: (N,) which knot that is.
+        motion: (N, 3, q) effect of a unit of each constant error on the increments.
+        readings: (m, 2, q) on the observations.
+        now: (q,) estimated sizes.
+        by_drift: (N, 3) effect of a unit of its knot's drift on an increment; of: (N,) that knot.
         own, earlier: (K,) coefficients of a knot and the one before in the rows of the drift's prior, K = 0 without
-            one; steps: (K,) what those rows are for the drift found.
+            one; steps: (K,) values of those rows for the estimated drift.
     """
 
     motion: Array
@@ -49,7 +48,9 @@ class Estimated(NamedTuple):
 
 
 def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: IntArray, z_hat: Array) -> Estimated:
-    """Of `inputs` with systematic errors `found`, at a path (N, 3), for readings from frames (m,) that expect z_hat."""
+    """Of `inputs` with systematic errors `found`, at a path (N, 3), for observations from frames (m,) that expect
+    z_hat.
+    """
     systematic = inputs.systematic
     assert systematic is not None
     every, place, sigma = all_errors(found), places(systematic), systematic.sigma
@@ -87,10 +88,9 @@ def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: Int
 
 
 def without_errors(left: Array, now: Array) -> Array:
-    """Products (1 + p, 1 + p) of residuals and columns, what errors `now` (q,) found can explain taken out.
+    """Products (1 + p, 1 + p) of residuals and columns, with the estimated errors `now` (q,) eliminated.
 
-    `left` (1 + p + q, ...): theirs come last, with the sign that columns have there. What a whole error is, is known by
-    its prior.
+    `left` (1 + p + q, ...): theirs come last, with the sign that columns have there. Each has its prior.
     """
     q = len(now)
     if not q:
@@ -105,18 +105,15 @@ def without_errors(left: Array, now: Array) -> Array:
     return with_prior[:at, :at] - across @ np.linalg.solve(with_prior[at:, at:], across.T)
 
 
-UNTOLD = 1e-16
-"""Of the square of a column: what path and map leave of it, if it is less, is rounding (some 1e-26 was seen)."""
-
-ALIKE = 1e-9
-"""Share of its information that others leave of an error which they explain wholly: rounding."""
+UNIDENTIFIABLE = 1e-16
+"""Least share of a column's square that path and map must leave; less is rounding (some 1e-26 was found)."""
 
 
 class Score(NamedTuple):
-    """What the data say about p systematic errors; all of it is zero for an error that they cannot tell.
+    """Score of p systematic errors; zero for an error that the data cannot identify.
 
     Attributes:
-        score: (p,) derivative of the log-likelihood by the size of each error, path and map profiled out, at size zero.
+        score: (p,) derivative of the profile log-likelihood by the size of each error, at size zero.
         information: (p, p) covariance of the score under the null hypothesis. The efficient estimate of error j, if it
             is the only one, is score[j] / information[j, j], its variance 1 / information[j, j].
     """
@@ -130,21 +127,6 @@ class Score(NamedTuple):
         root = np.sqrt(np.diag(self.information))
         return np.divide(self.score, root, out=np.zeros_like(root), where=root > 0.0)
 
-    def beside(self, others: IntArray) -> Score:
-        """The same with the errors `others` (q,) estimated, too, so that only what they do not explain is left."""
-        root = np.sqrt(np.diag(self.information))
-        scale = np.where(root > 0.0, root, 1.0)
-        score, correlation = self.score / scale, self.information / np.outer(scale, scale)
-        # pseudo-inverse: a SLAM robot's scales of odometry and of ranges, of which it can tell one, may both be others
-        inverse = np.linalg.pinv(correlation[np.ix_(others, others)], rcond=ALIKE, hermitian=True)
-        across = correlation[:, others] @ inverse
-        left = correlation - across @ correlation[others]
-        told = np.diag(left) > ALIKE
-        told[others] = False
-        score = scale * (score - across @ score[others])
-        left = 0.5 * (left + left.T) * np.outer(scale, scale)
-        return Score(np.where(told, score, 0.0), np.where(np.outer(told, told), left, 0.0))
-
 
 def systematic(
     inputs: Inputs,
@@ -157,25 +139,25 @@ def systematic(
 ) -> Score:
     """Score of p hypothetical errors phi, linearized at a smoothed path.
 
-    Model: stated increment k = true one + motion[k] phi + noise (body frame of k - 1), observation i = what the sensor
-    would read without noise + readings[i] phi + noise, the first pose as the prior says.
+    Model: stated increment k = true one + motion[k] phi + noise (body frame of k - 1), observation i = noise-free
+    measurement + readings[i] phi + noise, the first pose according to the prior.
 
     Args:
         inputs: with a map, the landmarks are exact (localization); without, they are estimated (SLAM).
-        number: (M,) row of `landmarks` that each observation is of; -1: not used.
+        number: (M,) row of `landmarks` of each observation; -1: not used.
         path: (N, 3) smoothed poses, world frame. At the optimum the score is the likelihood's; elsewhere that of the
             problem as linearized there.
         landmarks: (L, 2) m, world frame.
-        motion: (N, 3, p) m, m, rad by unit of each error; row 0 does not matter.
-        readings: (M, 2, p) in the sensor's units by unit of each error. A column that is made of distances, turns or
-            ranges takes them from the smoothed solution: taken as measured, they and the residuals have noise in
-            common, and an error of scale would be found where there is none (in the arena by 7 sigma).
-        found: the systematic errors that were estimated along with path and map, those of `inputs.systematic`. `motion`
-            and `readings` are then of the log less these errors. What is hypothesized comes on top of them, so that
-            one that is estimated, too, shows as far as its prior held it back.
+        motion: (N, 3, p) m, m, rad by unit of each error; row 0 is ignored.
+        readings: (M, 2, p) in the sensor's units by unit of each error. Columns of distances, turns or ranges must come
+            from the smoothed solution: measured values share the residuals' noise, which biases a scale (in the arena
+                by
+            7 sigma).
+        found: the systematic errors of `inputs.systematic` that were estimated. `motion` and `readings` are then of the
+            corrected log, and an estimated error shows as far as its prior held it back.
 
     Raises:
-        UnderConstrained: naming a landmark, by its row, or a pose that the data leave free.
+        UnderConstrained: naming a landmark, by its row, or a pose that the data do not determine.
         LinAlgError: the covariance of an observation is not positive definite.
     """
     n, p = len(path), motion.shape[2]
@@ -237,11 +219,10 @@ def _with_drift(rows: Rows, along: Estimated, white: Array) -> Rows:
 
 
 def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
-    """Jacobians F to the pose before and B to the increment (N, 3, 3), and where the data put each pose (N, 3).
+    """Jacobians F to the pose before and B to the increment (N, 3, 3), and deviations (N, 3) of the data from `path`.
 
-    The last is a deviation from `path`, of the prior in row 0, of the stated increment in the others. F turns the way
-    as smoothed, not as stated: there, with the noise as smoothed, is the optimum (`data.motion.velocity.carried` at
-    that way).
+    The deviations are of the prior in row 0, of the stated increment in the others. F turns the smoothed motion, not
+    the stated one (`data.motion.velocity.carried` of it): the optimum is there.
     """
     n = len(path)
     F, B, moved = np.tile(np.eye(3), (n, 1, 1)), np.tile(np.eye(3), (n, 1, 1)), np.empty((n, 3))
@@ -253,7 +234,7 @@ def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
 
 
 def _score(size: Array, left: Array) -> Score:
-    """Score from the squares (1 + p,) of the columns, data first, and what is left of their products (1 + p, 1 + p)."""
-    told = np.diag(left)[1:] > UNTOLD * size[1:]
-    score = np.where(told, -left[1:, 0], 0.0)
-    return Score(score, np.where(np.outer(told, told), left[1:, 1:], 0.0))
+    """Score from the squares (1 + p,) of the columns, data first, and their residual products (1 + p, 1 + p)."""
+    identifiable = np.diag(left)[1:] > UNIDENTIFIABLE * size[1:]
+    score = np.where(identifiable, -left[1:, 0], 0.0)
+    return Score(score, np.where(np.outer(identifiable, identifiable), left[1:, 1:], 0.0))

@@ -125,7 +125,7 @@ def test_a_landmark_none_of_whose_sightings_are_believed_leaves_the_map(kind, mo
 
     def disbelieving(problem, start, *rest, **options):
         solution, believed = graduate(problem, start, *rest, **options)
-        return solution, believed & (np.array([s.number for s in problem.sighted]) != number)
+        return solution, believed & (np.array([s.number for s in problem.observations]) != number)
 
     monkeypatch.setattr(module, "_graduate", disbelieving)
     result, accepted = gnc(inputs, decisions, created, filtered(inputs, decisions))

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.conditional import beside, jcbb_conditional, settled
+from association.conditional import blocked_by_pairings, conditional_newness, jcbb_conditional
 from association.expectation import Expectation, gate_threshold
 from data.inputs import IntArray
 from data.result import NEW
@@ -191,10 +191,10 @@ class LearnedGates:
             new_gate: outside of which, under the stated noise, an observation is new at once.
         """
         ledger, sensor, reach = self.ledger, self.ledger.sensor, self.ledger.range
-        stated, nearest = settled(e, decisions, new_gate), e.individual_distances()
+        stated, nearest = conditional_newness(e, decisions, new_gate), e.individual_distances()
         waiting = (decisions == NEW) & (stated != NEW)
         if widest(self.scales) == 1.0:  # where less noise is there than was stated, three observations agree too easily
-            waiting |= beside(e, stated, new_gate)
+            waiting |= blocked_by_pairings(e, stated, new_gate)
         paired = stated[stated >= 0].tolist()
         self._pairings += len(paired)
         inside, outside = sum(ledger.gated_elsewhere(n, True) for n in paired), 0

@@ -90,7 +90,7 @@ class Hypotheses:
     ) -> None:
         """Start at the prior with an exact map; `options` of the updates; `limit`: see `LIMIT`."""
         self.sensor, self.map, self.limit = sensor, known, LIMIT if limit is None else limit
-        self._how, self._extrinsic = updates.How(math.inf, *options.rule, kernels.NEWEST), sensor.extrinsic
+        self._how, self._extrinsic = updates.UpdateRule(math.inf, *options.rule(), kernels.NEWEST), sensor.extrinsic
         self._xy = np.array(known.xy)
         # as far as the map reaches, where the sensor has no limit
         self._reach = min(sensor.max_range, max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0))
@@ -184,8 +184,8 @@ class Hypotheses:
             if number in h.taken:
                 continue
             mean, P, stats = h.mean.copy(), h.P.copy(), np.zeros(3)
-            seen = kernels.Seen(self._at[:1], self._xy[j : j + 1], z, R)
-            done = updates.Done(np.ones(1, np.bool_), stats, np.empty((1, 2)))
+            seen = kernels.Pairings(self._at[:1], self._xy[j : j + 1], z, R)
+            done = updates.Outcome(np.ones(1, np.bool_), stats, np.empty((1, 2)))
             status = updates.update(self.sensor.kind, self._extrinsic, mean, P, 3, seen, self._how, done)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from association.candidates import holding
-from association.conditional import Alone, alone
+from association.conditional import ConditionalInnovations, conditional_innovations
 from association.expectation import Expectation
 from data.inputs import Frame, IntArray
 from data.notice import Code, Notice, Severity, notice
@@ -63,7 +63,8 @@ class Ledger:
         self._read = replace(sensor, max_range=0.0, min_angle=0.0, max_angle=0.0)  # the view that held observations
         self._touched: set[int] = set()
         nobody = np.empty(0, np.int64)
-        self._judged = Judged(nobody, nobody, Alone(np.empty((0, 2)), np.empty((0, 2, 2))), nobody, nobody)
+        none = ConditionalInnovations(np.empty((0, 2)), np.empty((0, 2, 2)))
+        self._judged = Judged(nobody, nobody, none, nobody, nobody)
         self._visibility = Visibility()
         self._former: list[bytes] = []  # opportunities of the retracted landmarks
 
@@ -86,7 +87,7 @@ class Ledger:
         rows, chosen = e.paired(decisions)
         expected = believed or e
         absent, in_read = (expected.number[missing(expected, decisions, s)] for s in (self.sensor, self._read))
-        self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), absent, in_read)
+        self._judged = Judged(rows, e.number[chosen], conditional_innovations(e, rows, chosen), absent, in_read)
 
     def see(self, frame: Frame, decisions: IntArray, done: Updated, pose: Array) -> None:
         """Take in the judgement of a frame and its decisions (m,); `pose` (3,) is where it was taken."""

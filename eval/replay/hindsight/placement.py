@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from association.conditional import given, prune, settled
+from association.conditional import conditional_expectation, conditional_newness, prune
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import search
 from data import se2
@@ -216,7 +216,7 @@ def place(
             best = found
     if best is None:
         return None
-    decisions = settled(best.expectation, prune(best.expectation, best.decisions, gate), new_gate)
+    decisions = conditional_newness(best.expectation, prune(best.expectation, best.decisions, gate), new_gate)
     return best._replace(decisions=decisions)
 
 
@@ -249,15 +249,15 @@ def _verified(
             return None
         pose = se2.rigid_fit(xy[rows], landmarks[chosen])
         here = e.elsewhere(pose)
-        decisions = _clear(given(here, prune(here, decisions, gate), every), decisions, gate)
-        decisions = prune(here, _more(given(here, decisions, every), decisions, gate), gate)
+        decisions = _clear(conditional_expectation(here, prune(here, decisions, gate), every), decisions, gate)
+        decisions = prune(here, _more(conditional_expectation(here, decisions, every), decisions, gate), gate)
     rows, chosen = e.paired(decisions)
     if len(rows) < constants.PLACE_PAIRINGS:
         return None
     nis, dof, _ = here.innovation_statistics(rows, chosen)
     if nis >= gate_threshold(gate, dof):
         return None
-    believed = given(here, decisions, every)
+    believed = conditional_expectation(here, decisions, every)
     absent = missing(believed, decisions, sensor)
     stray = decisions == NEW
     sudden = _in_view_before(sensor, pose, xy[stray], R[stray], memory.seen_from)

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 
 from association.candidates import polar_sigma
-from association.conditional import Alone
+from association.conditional import ConditionalInnovations
 from association.expectation import Expectation, gate_threshold
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray, wrap_angle
@@ -186,7 +186,7 @@ class Judged(NamedTuple):
 
     rows: IntArray
     number: IntArray
-    alone: Alone
+    alone: ConditionalInnovations
     missing: IntArray
     in_read: IntArray
 
