@@ -99,7 +99,7 @@ def known_decisions(inputs: Inputs) -> tuple[IntArray, IntArray]:
     """
     o = inputs.observations
     if not isinstance(o, LabelledObservations):
-        raise ValueError("known association was not granted to these inputs")
+        raise ValueError("known association needs inputs with labels; use log.inputs(labels=True)")
     label, created = o.label, np.full(len(o.label), -1, np.int64)
     decisions = np.full(len(label), DISCARD, np.int64)
     if inputs.map is not None:

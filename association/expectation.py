@@ -65,7 +65,7 @@ def _distances(
                 continue
             a, c = HPHt[j, 0, 0] + R[i, 0, 0], HPHt[j, 1, 1] + R[i, 1, 1]
             b = 0.5 * (HPHt[j, 0, 1] + HPHt[j, 1, 0] + R[i, 0, 1] + R[i, 1, 0])
-            # Schur complement, not c - b^2 / a from the determinant: no overflow, and the pivot is what is tested
+            # Schur complement instead of the determinant: no overflow, and the pivot is tested
             pivot = c - b * (b / a) if a > 0.0 else -1.0
             if not (pivot > SINGULAR * c and c > 0.0):
                 return i * n + j

@@ -165,7 +165,7 @@ def run_in_epochs(
         reached = epoch.end if status == kernels.OK else epoch.begin + int(stopped) + 1
         track.size[epoch.begin : reached] += base + 2 * created - state.d
         new = (d - state.d) // 2
-        with np.errstate(all="ignore"):  # a filter that failed may hold anything
+        with np.errstate(all="ignore"):  # the state of a failed filter is undefined
             robot = end_epoch(whole, state, epoch, created, new)
         created += new
         if status != kernels.OK:

@@ -81,7 +81,7 @@ def lack(options: FilterOptions, systematic: Systematic | None, *, slam: bool) -
     if slam and (options.new_variance is not None or options.new_variance_per_square is not None):
         return "a new wall has a distance and a direction, which have no variance in common"
     if systematic is not None and systematic.of_sensor:
-        return "errors of range and bearing are those of points; of walls, errors of odometry can be estimated"
+        return "errors of range and bearing need a sensor of points; with walls only odometry's errors can be estimated"
     return None
 
 

@@ -86,7 +86,7 @@ def may_be_observed(
     k, robot = parked.k, parked.robot[:2]
     y, P_yy = x[3:], P[3:, 3:]
     gate = math.sqrt(within * MARGIN)
-    # x - x0: how uncertain, and where the robot is in terms of x0 as it was believed to be
+    # covariance of x - x0, and the position relative to the estimate of x0 at that time
     step = robot @ (P_yy[:3, :3] + np.eye(3)) @ robot.T - 2.0 * P[:2, 3:6] @ robot.T + P[:2, :2]
     centre = x[:2] - robot @ y[:3]
     since = np.diag([step[0, 0], step[1, 1], P[2, 2]])
@@ -154,7 +154,7 @@ def _search(
             HPHt = Hx @ np.ascontiguousarray(P[:3, :3]) @ Hx.T + mixed + mixed.T + Hl @ own[n] @ Hl.T
             for i in range(len(z)):
                 residual(kind, z[i], z_hat, nu)
-                # the noise of a wall's reading is that of its own name
+                # the noise of a wall's observation has the sign of its own normal
                 side = -1.0 if kind == LINE and math.cos(z[i, 1] - z_hat[1]) < 0.0 else 1.0
                 a, c = HPHt[0, 0] + R[i, 0, 0], HPHt[1, 1] + R[i, 1, 1]
                 off = 0.5 * (HPHt[0, 1] + HPHt[1, 0] + side * (R[i, 0, 1] + R[i, 1, 0]))

@@ -144,7 +144,7 @@ class SlamState(Filter):
             self._grow(2 * len(old))
             x, P = self._mean, self._P
             mean, D_p, own, small = parked.restoring(old, x[d:r], P[d:r, d:r])
-            # appended: the landmarks as they are now, and the new end of y
+            # append the present landmarks and the new end of y
             cross = D_p @ P[d:r, :e]
             cross[:, d:r] += D_p
             x[e : e + n], x[e + n : e + 2 * n] = mean, 0.0

@@ -107,7 +107,7 @@ def _augment(pose: Array, P: Array, keys: int, motion: Array, M: Array) -> None:
     for j in range(n):
         for i in range(3):
             P[n + i, j] = P[n - 3 + i, j] + F[i, 2] * P[n - 1, j] if i < 2 else P[n - 1, j]
-    # the newest one's own: F P F' + B M B'
+    # the newest block: F P F' + B M B'
     corner = F @ np.ascontiguousarray(P[n - 3 : n, n - 3 : n]) @ F.T + B @ M @ B.T
     for i in range(3):
         for j in range(3):

@@ -156,7 +156,7 @@ def move(mean: Array, P: Array, d: int, shift: Array, base: int) -> None:
     """
     angle = shift[2]
     c, s = math.cos(angle), math.sin(angle)
-    if abs(angle) < 1e-4:  # the series to a rounding; (1 - c) / angle would lose digits
+    if abs(angle) < 1e-4:  # series; (1 - c) / angle would lose digits
         a, b = 1.0 - angle * angle / 6.0, 0.5 * angle
     else:
         a, b = s / angle, (1.0 - c) / angle
@@ -214,7 +214,7 @@ def iterate(
     L, white = np.empty((n, n)), np.empty(n)
     for turn in range(iterations - 1):
         if not cholesky(S, L, n):
-            return point  # the correction itself will say so
+            return point  # the correction returns the status
         forward(L, nu, white)
         if turn == 0:
             stats[0] += (white * white).sum()

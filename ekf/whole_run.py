@@ -206,7 +206,7 @@ def run(
                         seen.known[k] = known[decision[i]]
                     k += 1
             used = d
-            if held:  # known landmarks are states while the update lasts
+            if held:  # known landmarks are temporary states of the update
                 hold_known(mean, P, d, seen.known, first, errors)
                 seen.at[:], used = d + 2 * np.arange(paired), d + 2 * paired
             if rules.each:

@@ -24,7 +24,7 @@ def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_
     walls.
     """
     if not inputs.sensor.sees_points:
-        raise ValueError("the bare loop knows landmarks that are points alone")
+        raise ValueError("the bare loop supports only landmarks that are points")
     problem = build(inputs, decisions, created)
     isam = Engine(THRESHOLD, SKIP, qr=is_delicate(inputs)).isam
     pose, covariance = np.empty((len(inputs), 3)), np.empty((len(inputs), 3, 3))

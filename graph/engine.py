@@ -366,11 +366,11 @@ class Window(Engine):
         every = self.isam.getLinearizationPoint().keys()
         place = gtsam.KeyGroupMap()
         for key in last:
-            place.insert2(key, min(LAST, len(every) - 1))  # CCOLAMD takes no place beyond the number of variables
+            place.insert2(key, min(LAST, len(every) - 1))  # CCOLAMD allows no group beyond the number of variables
         for key in keys:
             place.insert2(key, FIRST)
         for key in every:
-            place.insert2(key, MIDDLE)  # changes none that has its place
+            place.insert2(key, MIDDLE)  # keeps existing groups
         self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], place, None, _key_list(every), True)
 
     def _rebuild(self) -> None:

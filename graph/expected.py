@@ -125,7 +125,7 @@ class Candidates:
             lines = positions_of(number.tolist())
             self._room(number)
             z_hat, Hx, Hl = self.sensor.linearize(pose, lines)
-            # of a sum, whatever the correlation
+            # bound of a sum for any correlation
             sigma = np.sqrt(np.einsum("nqi,ij,nqj->nq", Hx, P, Hx))
             sigma += np.sqrt(np.einsum("nqi,nij,nqj->nq", Hl, self._walls[number], Hl))
             angle = np.minimum(SIGMAS * sigma[:, 1] + MARGIN, np.pi)

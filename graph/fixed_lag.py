@@ -139,7 +139,7 @@ class FixedLagSmoother(Isam2Smoother):
         """
         self._complete()
         if not self._keeps:
-            raise ValueError("its path was not kept")
+            raise ValueError("no path: `keep_no_path` was called")
         self._keep(range(self._oldest, self.frame + 1))
         kept = np.array(self._left).reshape(self.frame + 1, -1)
         self._oldest = self.frame + 1

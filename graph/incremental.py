@@ -258,10 +258,10 @@ class Isam2Smoother:
     def _pairs_to_merge(self, merged: IntArray, kept: IntArray) -> dict[int, int]:
         """Kept landmark by merged one. Raises ValueError if one is unknown, or both merged and kept."""
         if self.map is not None:
-            raise ValueError("a known map is given; its landmarks cannot be joined")
+            raise ValueError("a known map is given; its landmarks cannot be merged")
         other = dict(zip(merged.tolist(), kept.tolist(), strict=True))
         if self._observed.missing(np.concatenate([merged, kept])) or other.keys() & other.values():
-            raise ValueError(f"cannot join {other}: not all are in the map, or one is to go and to stay")
+            raise ValueError(f"cannot merge {other}: not all are in the map, or one is both merged and kept")
         return other
 
     def refine(self, updates: int = SETTLE) -> None:

@@ -66,33 +66,24 @@ class Observed:
         """Factors of observations (m) of landmarks (m,) from frames (m,); the newest pose may only be `joining` the
         graph.
         """
-        if self.sensor.sees_points:
-            return self._points(seen, frames, number, end.errors)
+        row, walls = self._copies, not self.sensor.sees_points
         self._copies += len(number)
-        row = self._copies - len(number)
-        pose = np.array([engine.pose(X(k), joining) for k in frames.tolist()]).reshape(-1, 3)
-        if self.map is not None:
-            lines = self.map.positions(number)
-            return known_wall_factors(self.sensor, seen, frames, number, pose, lines, row, self.loss)
-        there = [n for n in dict.fromkeys(number.tolist()) if n in self._handles]
-        old = dict(zip(there, engine.points(there), strict=True))
-        return wall_factors(self.sensor, seen, frames, number, pose, old, row, self.loss)
-
-    def _points(
-        self, observations: FrameObservations, frames: IntArray, number: IntArray, errors: tuple[Array, Array] | None
-    ) -> list[ObservationFactors]:
-        """Factors of observations of points; `errors` as known now."""
+        pose = np.array([engine.pose(X(k), joining) for k in frames.tolist() if walls]).reshape(-1, 3)
         if self.map is None:
-            return landmark_factors(self.sensor, *observations, frames, number, self.loss)
-        xy = self.map.positions(number)
-        self._copies += len(number)
-        row = self._copies - len(number)
-        plain = known_landmark_factors(self.sensor, *observations, frames, number, xy, row, self.loss)
-        if self._errors is None or errors is None:
+            if not walls:
+                return landmark_factors(self.sensor, *seen, frames, number, self.loss)
+            there = [n for n in dict.fromkeys(number.tolist()) if n in self._handles]
+            old = dict(zip(there, engine.points(there), strict=True))
+            return wall_factors(self.sensor, seen, frames, number, pose, old, row, self.loss)
+        at = self.map.positions(number)
+        if walls:
+            return known_wall_factors(self.sensor, seen, frames, number, pose, at, row, self.loss)
+        plain = known_landmark_factors(self.sensor, *seen, frames, number, at, row, self.loss)
+        if self._errors is None or end.errors is None:
             return plain
         self._plain.update(enumerate(plain, row))
-        seen = observations, frames, number, xy, row, self.loss
-        return pinned_landmark_factors(self._errors, self.sensor, *seen, errors[0])
+        observed = seen, frames, number, at, row, self.loss
+        return pinned_landmark_factors(self._errors, self.sensor, *observed, end.errors[0])
 
     def start(self, seen: FrameObservations, number: IntArray, pose: Array, values: gtsam.Values) -> None:
         """Add start values of new points, observed from a pose (3,); walls have their own."""

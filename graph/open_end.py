@@ -104,7 +104,7 @@ class OpenEnd:
     def _fix_anchor(self, J: Array) -> Array:
         """Joint covariance of the anchor and others, corrected where a hard constraint holds the anchor."""
         if self.anchor == 0 and self._known_exactly:
-            J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal takes it for a variance of about 1
+            J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal has a variance of about 1
         return J
 
     def move(self, increment: Increment) -> None:

@@ -145,7 +145,7 @@ def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = ST
         left = solution.length
         if left < enough or SHRANK * before < left < rounding or step == MOST:
             break
-        # beyond what the cost can resolve, a step that grew went too far: large residuals bend the valley
+        # below the resolution of the cost, a step that grew went too far: large residuals bend the valley
         if left > before and left < 1.0:
             first *= 0.5
         elif left < 0.1 * before:
@@ -208,7 +208,7 @@ def _on_the_robot(problem: Problem, values: gtsam.Values) -> str:
         if s.key is not None and problem.about is None:
             gap = float(np.hypot(*(values.atPoint2(s.key) - values.atPose2(X(s.frame)).translation())))
             if gap < ON_THE_ROBOT:
-                return f"; landmark {s.number} has come to lie {gap:.1g} m from the robot at frame {s.frame}"
+                return f"; landmark {s.number} is only {gap:.1g} m from the robot at frame {s.frame}"
     return ""
 
 

@@ -41,12 +41,12 @@ def gnc(
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     if problem.calibrated is not None:
-        # held at wrong errors, right readings look wrong
+        # with wrong errors, right pairings would be rejected
         start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start)
     walls = None if inputs.sensor.sees_points else _walls(inputs, used, number, start)
     start, believed = _graduate(problem, start, probability, qr=is_delicate(inputs), walls=walls)
-    # block-coordinate descent on the truncated cost, from gtsam's choice: its weights need not be those of its
-    # solution, and it judges the two scalars of a relative point apart
+    # block-coordinate descent on the truncated cost, from gtsam's weights, which need not match its solution and are
+    # separate for the two scalars of a relative point
     before = np.inf
     while True:
         accepted = np.zeros(len(decisions), np.bool_)
@@ -56,7 +56,7 @@ def gnc(
         start = _as_start(result, start)
         square = _squares(problem, start)
         if result.map is not None:
-            # a landmark without an observation has no position that could win one back
+            # a landmark without accepted observations has no position
             square[~np.isin([s.number for s in problem.observations], result.map.number)] = np.inf
         cost = float(np.minimum(square, threshold).sum())
         believed, last = square < threshold, believed
@@ -137,8 +137,7 @@ def _graduate(
     graph = graph_of([*believed, *(f for s in problem.observations for f in s.measured)])
     optimizer = gtsam.GncLMOptimizer(graph, values, parameters)
     count = np.array([len(s.measured) for s in problem.observations], np.int64)
-    # one quantile for all: two independent scalars both pass theirs as often as the pair would pass its own; where only
-    # the nearest readings are points, theirs is the pair's until they are judged together
+    # one quantile for all: of the pair, or such that two independent scalars both pass as often as the pair
     quantile = gate_threshold(np.sqrt(probability), 1) if (count == 2).all() else gate_threshold(probability)
     optimizer.setInlierCostThresholds(0.5 * quantile)
     values = optimizer.optimize()

@@ -42,8 +42,7 @@ def refuse(systematic: Systematic | None, sensor: Sensor) -> None:
     """Raises UsageError if errors of a sensor of walls are to be estimated."""
     if systematic is not None and systematic.of_sensor and not sensor.sees_points:
         raise UsageError(
-            "errors of range and bearing are those of a sensor of points; of a sensor of walls only odometry's errors "
-            "can be estimated"
+            "errors of range and bearing need a sensor of points; with walls only odometry's errors can be estimated"
         )
 
 

@@ -77,7 +77,7 @@ def _corners(ranges: Array, beams: Beams, max_range: float, sigma: float, xy: Ar
             before, at, after = vertex[v - 1], vertex[v], vertex[v + 1]
             c[0], c[1] = p[at, 0], p[at, 1]
             middle, met = at, True
-            # once about the farthest point, and again about where the lines met: no noise of a single point in it
+            # about the farthest point, then about the intersection, without the noise of a single point
             for _ in range(2):
                 met = met and _line(p, direction, before, middle, c, sigma, one)
                 met = met and _line(p, direction, after, middle, c, sigma, two)
@@ -167,7 +167,7 @@ def _line(p: Array, direction: Array, outer: int, middle: int, c: Array, sigma: 
         return False
     angle = math.atan2(p[far, 1] - p[near, 1], p[far, 0] - p[near, 0]) + 0.5 * math.pi
     mx, my, sw, stt, square = 0.0, 0.0, 0.0, 0.0, 0.0
-    for _ in range(3):  # Gauss-Newton; a wall is straight, so that the third step is rounding
+    for _ in range(3):  # Gauss-Newton; the third step is rounding
         nx, ny = math.cos(angle), math.sin(angle)
         sw, mx, my = 0.0, 0.0, 0.0
         for i in range(near, far + towards, towards):

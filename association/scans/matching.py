@@ -53,7 +53,7 @@ def best_pose(points: Array, reference: Pyramid, centre: Array, window: Array, l
     angles = centre[2] + step * np.arange(-turns, turns + 1)
     reach = np.ceil(window[:2] / CELL).astype(np.int64)
     floor = least * len(points) * HIGHEST
-    points = np.ascontiguousarray(points)  # one compiled version, whatever was sliced
+    points = np.ascontiguousarray(points)  # one compiled version for all layouts
     best, score = _search(points, reference.grid, reference.half, centre, angles, reach, floor)
     return best, score / max(len(points) * HIGHEST, 1)
 

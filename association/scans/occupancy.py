@@ -83,12 +83,12 @@ def _add_scans(
             column, row = math.floor(x), math.floor(y)
             dx, dy = ends[k, b, 0] - x, ends[k, b, 1] - y
             right, up = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
-            # share of the beam to the next line between columns, or rows, and from each to the one after
+            # share of the beam to the next boundary of columns, or rows, and between boundaries
             across = 1.0 / abs(dx) if dx != 0.0 else np.inf
             along = 1.0 / abs(dy) if dy != 0.0 else np.inf
             next_column = ((column + 1 - x) if dx > 0.0 else (x - column)) * across if dx != 0.0 else np.inf
             next_row = ((row + 1 - y) if dy > 0.0 else (y - row)) * along if dy != 0.0 else np.inf
-            # as many steps as lines between the two cells: the end is met whatever rounding does
+            # as many steps as boundaries between the two cells, so rounding cannot miss the end
             steps = abs(math.floor(ends[k, b, 0]) - column) + abs(math.floor(ends[k, b, 1]) - row)
             for _ in range(steps):
                 if touched[row, column] < 3 * k + _FREE:
@@ -138,7 +138,7 @@ def occupancy_grid(
     log_odds = np.zeros((int(height), int(width)))
     touched = np.full(log_odds.shape, -1, np.int32)
     _add_scans(at[:, :2] / resolution - low, ends / resolution - low, reach, log_odds, touched)
-    # rounded, so that it reads well in a file: 1.15, not 1.1500000000000001
+    # rounded for files: 1.15, not 1.1500000000000001
     return Grid(np.round(low * resolution, 9), resolution, log_odds)
 
 

@@ -193,7 +193,7 @@ def learned_scale(d2: Array, closures: int) -> tuple[float, float]:
     that of its covariance, the standard error from the Fisher information. Raises ValueError without loop closures.
     """
     if closures < 1 or len(d2) < closures:
-        raise ValueError("a scale needs loop closures: a chain alone fits itself")
+        raise ValueError("a variance scale needs loop closures: a chain alone has no residuals")
     d2 = np.asarray(d2, float) * (len(d2) / closures)
     best = (-math.inf, 1.0, 1.0)
     for nu in TAILS:

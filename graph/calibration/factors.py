@@ -71,7 +71,7 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Val
     values.insert(X(0), pose2(mean[:3]))
     if errors.frame.same:
         return [prior_factor(prior), *alone], values
-    # the pose given the errors; in the body frame, as gtsam has it
+    # the pose given the errors, in gtsam's body frame
     B = world_from_body(mean[2])
     K = P[:3, 3:] / sigma**2
     variance, axes = np.linalg.eigh(B.T @ (P[:3, :3] - K @ P[3:, :3]) @ B)
@@ -164,7 +164,7 @@ def _residual(errors: Errors, keys: Sequence[int], mean: Array, root: Array, now
     """The callback of gtsam at each linearization of the factor."""
     before, after, q = keys[0], keys[1], len(errors.constant)
     constants, drift = keys[2], keys[-1] if errors.drift >= 0 else -1
-    # copies: for arrays that cannot be written to the kernel would be compiled once more
+    # copies: read-only arrays would compile the kernel once more
     given = [np.array(a, float, order="C") for a in (errors.systematic.sigma, mean[None], root[None])]
     sigma, motion, roots = given
     order, place, mount = np.array(errors.order), np.array(errors.place), np.array(errors.frame.mount, float)

@@ -128,12 +128,12 @@ class CalibratedEnd(OpenEnd):
         """Propagate the newest pose, the errors and their covariance by one increment."""
         e, ended = self._errors, self._ended[len(self._path)]
         if ended > 0.0:
-            stays, anew = forgotten(ended, e.systematic.length)
+            decay, share = forgotten(ended, e.systematic.length)
             self.b, self.whole, self._F, self._gathered = (
                 np.array(a) for a in (self.b, self.whole, self._F, self._gathered)
             )
-            fresh = anew * e.systematic.sigma[e.drift] ** 2
-            forget(self.b, self.whole, self._F, self._gathered, e.drift, stays, fresh)
+            fresh = share * e.systematic.sigma[e.drift] ** 2
+            forget(self.b, self.whole, self._F, self._gathered, e.drift, decay, fresh)
         mean, M = np.array(increment.mean), np.array(increment.covariance)
         self.mean, self.whole, self._F, self._gathered = advance(
             self.mean, self.b, self.whole, self._F, self._gathered, mean, M, e.place, e.frame.mount

@@ -181,7 +181,7 @@ def _linearize(pose: Array, key1: IntArray, key2: IntArray, relative: Array, roo
         x, y, tx, ty, g, h, slope = _error(a, pose[key2[e]], m, r)
         c, s = np.cos(a[2] + m[2]), np.sin(a[2] + m[2])
         cm, sm = np.cos(m[2]), np.sin(m[2])
-        # of (tx, ty, w) by the poses: by the position of b, the heading of b, then of a
+        # derivatives of (tx, ty, w): by the position of b, the heading of b, then of a
         ux, uy = cm * y - sm * x, -sm * y - cm * x  # derivative of (tx, ty) by a's heading
         kx, ky = 0.5 * slope * tx + 0.5 * ty, -0.5 * tx + 0.5 * slope * ty  # of the logarithm by w
         J[0, 0], J[0, 1] = g * c - h * s, g * s + h * c

@@ -70,7 +70,7 @@ class PoseGraph:
         self._values = gtsam.Values()
         self._values.insert(X(0), pose2(prior.mean))
         self._loops = False
-        self._oldest = 0  # key pose that is still in the graph
+        self._oldest = 0  # first key pose in the graph
 
     def add_key(self, motion: Array, covariance: Array) -> None:
         """The next key pose, `motion` (3,) with covariance (3, 3) from the newest one.
@@ -152,7 +152,7 @@ class PoseGraph:
     def _ready(self) -> None:
         """Raises ValueError if an update is due."""
         if self._factors:
-            raise ValueError("update the graph before asking it")
+            raise ValueError("additions are pending: call update() first")
 
 
 def name_of_key(key: int) -> str:

@@ -28,7 +28,7 @@ def gnc_poses(problem: PoseProblem, start: Array, *, probability: float = 0.99) 
     """
     threshold = gate_threshold(probability, DIM)
     pose, believed, iterations = _graduate(problem, start, threshold)
-    # block-coordinate descent on the truncated cost: where the rounds end, weights need not be those of the poses
+    # block-coordinate descent on the truncated cost: the last weights need not match the poses
     before = np.inf
     while True:
         pose, weight, newton, cost, steps = descend(problem, pose, fixed(believed.astype(float)))

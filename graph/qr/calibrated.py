@@ -86,7 +86,7 @@ def linearize_increments(
         wx, wy = pose[k + 1, 0] - pose[k, 0], pose[k + 1, 1] - pose[k, 1]
         way[0], way[1], way[2] = c * wx + s * wy, c * wy - s * wx, pose[k + 1, 2] - pose[k, 2]
         stated(way, all_errors, mount, motion[k, 2] > 0.0, m, H, A)
-        # what that is more than was stated, (tx, ty, theta), its logarithm (x, y, theta), and that one's Jacobian
+        # difference from the stated motion (tx, ty, theta), its logarithm (x, y, theta), and the Jacobian of that
         theta: float = wrap_angle_jit(m[2] - motion[k, 2])
         c, s = math.cos(motion[k, 2]), math.sin(motion[k, 2])
         wx, wy = m[0] - motion[k, 0], m[1] - motion[k, 1]
@@ -95,7 +95,7 @@ def linearize_increments(
         x, y = a * tx + 0.5 * theta * ty, a * ty - 0.5 * theta * tx
         J[0, 0], J[0, 1], J[0, 2] = 1.0 - kappa * theta * theta, -0.5 * theta, 0.5 * y + kappa * theta * x
         J[1, 0], J[1, 1], J[1, 2] = 0.5 * theta, 1.0 - kappa * theta * theta, -0.5 * x + kappa * theta * y
-        # whitened in the body frame before: by the logarithm, by m, by the way, by the poses
+        # whitened in the body frame before: derivatives by the logarithm, m, the motion, and the poses
         B[0, 0], B[0, 1], B[1, 0], B[1, 1] = c, -s, s, c
         _product(root[k], B, W)
         for i in range(3):
@@ -112,7 +112,7 @@ def linearize_increments(
         c, s = math.cos(way[2]), math.sin(way[2])
         B[0, 0], B[0, 1], B[1, 0], B[1, 1] = c, -s, s, c
         _product(K, B, after[k])
-        # what moves the pose before moves the way the other way, as seen from the pose after
+        # a shift of the pose before is the opposite shift of the pose after
         _adjoint(way[0], way[1], way[2], Ad)
         _product(after[k], Ad, K)
         for i in range(3):
@@ -158,7 +158,7 @@ class CalibratedRows:
             A[-c.knots :, 0, 0], A[-c.knots :, 0, 3] = self._own, self._earlier
             b[-c.knots :, 0, 0] = -self._drifts(values)
         if c.frame.range_at >= 0 and self._world is not None:
-            # only the way from pose to landmark is seen: what moves the landmark moves the pose the other way
+            # observations are relative: a shift of the landmark is the opposite shift of the pose
             seen = np.array([s.frame for s in self._problem.observations], np.int64)
             shift = (self._world - c.frame.origin) * c.systematic.sigma[c.frame.range_at]
             cos, sin = np.cos(pose[seen, 2]), np.sin(pose[seen, 2])
@@ -309,7 +309,7 @@ def results_in_world(
     across = -solution.columns @ (solution.covariance * sigma[at])
     out, J = calibrated.frame.poses_out(pose, errors)
     of_path = _joint(covariance[:n], across[:n], of_errors)
-    # from the body frame there to the world, and from there to the robot's own world
+    # from the body frame to the sensor's world, then to the robot's world
     J = J[:, :, np.concatenate([np.arange(3), 3 + at])]
     J[:, :, :3] = J[:, :, :3] @ worlds_from_bodies(pose[:, 2])
     world = J @ of_path @ J.transpose(0, 2, 1)

@@ -261,7 +261,7 @@ def _eliminate(
     place, column = np.empty(size, np.int64), np.empty(size, np.int64)
     for v in range(size):
         place[variable[v]] = v
-    # rows that wait for their parent, one child's after the other: the last `children` of them are its own
+    # stack of rows for parents, child by child; the last `children` entries are for this variable
     waiting, used = np.empty(1024), 0
     kept, depth = np.empty((size, 2), np.int64), 0
     left = np.zeros((c, c))

@@ -210,7 +210,7 @@ def _prior_in_tangent(prior: Prior, values: gtsam.Values) -> tuple[Array, Array,
     turned = world_from_body(prior.mean[2])
     variance, axes = np.linalg.eigh(prior.covariance)
     sigma = np.sqrt(np.where(variance > EXACT * variance[-1], variance, 0.0))
-    along = axes.T @ turned @ -b  # how far the estimate is from the prior's mean, along the axes
+    along = axes.T @ turned @ -b  # offset of the estimate from the prior's mean, along the axes
     z = np.divide(along, sigma, out=np.zeros(3), where=sigma > 0.0)
     start = np.linalg.solve(A, b + turned.T @ axes @ (sigma * z))
     root: Array = np.linalg.solve(A, turned.T @ (axes * sigma))

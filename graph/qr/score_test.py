@@ -56,7 +56,7 @@ def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: Int
     every, place, sigma = all_errors(found), places(systematic), systematic.sigma
     of_odometry = every.copy()
     of_odometry[:, [RANGE, BEARING]] = 0.0
-    # the errors act on the way as smoothed (see `graph.qr.calibrated`); the log is corrected by too little
+    # the errors act on the smoothed motion (see `graph.qr.calibrated`), not on the stated one
     _, by_way, by_errors = stated_all(
         between(path[:-1], path[1:]), of_odometry[1:], inputs.increments.mean[1:, 2] > 0.0
     )
@@ -180,7 +180,7 @@ def systematic(
     variable[n:, 0] = frame
     A, b = np.zeros((n + m, 3, 6)), np.zeros((n + m, 3, 1 + motion.shape[2]))
     F, B, moved = _chain(inputs, path)
-    # whitened increments; the first pose is what the prior puts it at, plus U z with z ~ N(0, I)
+    # whitened increments; the first pose is that of the prior plus U z with z ~ N(0, I)
     of_motion = white = root_information(inputs.increments.covariance[1:])[0] @ B[1:].transpose(0, 2, 1)
     A[1:n, :, :3], A[1:n, :, 3:] = white, -white @ F[1:]
     b[1:n, :, 0] = np.einsum("nij,nj->ni", white, moved[1:])

@@ -68,7 +68,7 @@ def _covariances(s: Structure, t: Triangle, dim: IntArray, out: Array) -> None:
         n = dim[v]
         w = (at_S[v + 1] - at_S[v]) // n
         p = parent[v]
-        # the separator's covariance, out of the parent's clique
+        # covariance of the separator from the parent's clique
         below = np.empty((w, w))
         if p >= 0:
             side = dim[p] + (at_S[p + 1] - at_S[p]) // dim[p]
@@ -90,7 +90,7 @@ def _covariances(s: Structure, t: Triangle, dim: IntArray, out: Array) -> None:
                     below[i, j] = cliques[row + index[j]]
             open_children[p] -= 1
             if open_children[p] == 0:
-                used = begin[p]  # nothing is above it: the subtrees of its other children are done
+                used = begin[p]  # top of the stack: the subtrees of its other children are done
         inverse = np.zeros((n, n))
         for j in range(n):
             inverse[j, j] = 1.0 / R[v, j, j]

@@ -73,7 +73,7 @@ def test_a_landmark_that_has_come_to_lie_on_the_robot_is_named_as_a_likely_reaso
     _, inputs, decisions, created = labelled("park:1:frames=300")
     monkeypatch.setattr(optimum, "MOST", 1)
     monkeypatch.setattr(optimum, "ON_THE_ROBOT", 5.0)
-    with pytest.raises(NotConvergedError, match=r"; landmark \d+ has come to lie .* m from the robot at frame \d+"):
+    with pytest.raises(NotConvergedError, match=r"; landmark \d+ is only .* m from the robot at frame \d+"):
         smooth(inputs, decisions, created, filtered(inputs, decisions))
 
 
