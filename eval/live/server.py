@@ -40,11 +40,7 @@ class Server:
     """
 
     def __init__(self, port: int, page: bytes, published: Callable[[], Published]) -> None:
-        """Listen; port 0 is any free one.
-
-        Raises:
-            UsageError: the port is not available.
-        """
+        """Listen; port 0 is any free one. Raises UsageError: the port is not available."""
         try:
             self._http = ThreadingHTTPServer((ADDRESS, port), _handler(page, published))
         except (OSError, OverflowError) as fault:

@@ -67,11 +67,7 @@ class Estimating:
     """
 
     def __init__(self, name: str, association: str, setup: Setup) -> None:
-        """Make it.
-
-        Raises:
-            UsageError: a foreign estimator lacks something, or failed at once.
-        """
+        """Make it. Raises UsageError: a foreign estimator lacks something, or failed at once."""
         self.name, self.failure = name_of(name), ""
         setup = setup.settled(sensed=False)
         try:
@@ -149,11 +145,7 @@ class Estimates:
     """Writes a line for each estimator and frame at once; `with` closes the file."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
-        """Create a file.
-
-        Raises:
-            UsageError: it cannot be written, or exists already.
-        """
+        """Create a file. Raises UsageError: it cannot be written, or exists already."""
         self._names = names
         try:
             self._file = path.open("x", encoding="utf-8", buffering=1)

@@ -20,6 +20,7 @@ from data.se2 import Array, dead_reckoned
 from ekf.filter import Filter
 from ekf.slam import EkfSlam
 from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.recorder import Writing
 from graph.incremental import Isam2Smoother
 
 SIGMAS = 3.0
@@ -114,12 +115,8 @@ class MapChanges:
         return np.concatenate([here, away])
 
 
-class Watch:
-    """Observer of a replay (see `eval.replay.recorder.Observer`).
-
-    Attributes:
-        seconds: time spent observing.
-    """
+class Watch(Writing):
+    """Observer of a replay with a `Watched`."""
 
     def __init__(self, inputs: Inputs) -> None:
         self.quantum, self.sensor, self.seconds = quantum_of(inputs), inputs.sensor, 0.0
@@ -130,9 +127,6 @@ class Watch:
         self._seen: list[Array] = []
         self._pairs: list[Array] = []
         self._methods = np.full((len(inputs.observations.frame), len(METHODS)), NOT_ASKED, np.int64)
-
-    def moved(self, front: FrontEnd) -> None:
-        """Nothing to record."""
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
         """Record candidates, distances, and decisions of each method, where the estimator gives an expectation without

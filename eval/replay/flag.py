@@ -213,7 +213,7 @@ def one_of(known: Sequence[str]) -> Read:
     return read
 
 
-def names(known: Sequence[str] | None = None, *, least: int = 0) -> Read:
+def names(known: Sequence[str] | None = None) -> Read:
     """Different names (of `known`, if given), separated by commas or as a list."""
 
     def read(label: str, value: object) -> tuple[str, ...]:
@@ -223,8 +223,6 @@ def names(known: Sequence[str] | None = None, *, least: int = 0) -> Read:
                 raise UsageError(f"{label} {name}: unknown; known: {', '.join(known)}")
         if len(set(given)) != len(given):
             raise UsageError(f"{label} {','.join(given)}: named twice")
-        if len(given) < least:
-            raise UsageError(f"{label}: at least one is needed")
         return given
 
     return read

@@ -93,9 +93,8 @@ class FrontEnd:
     ) -> None:
         """Make the estimator.
 
-        Raises:
-            UsageError: walls are to be paired in hindsight.
-            CannotError: the estimator lacks a capability that the setup needs.
+        Raises UsageError: walls are to be paired in hindsight. Raises CannotError: the estimator lacks a capability
+        that the setup needs.
         """
         if association == HINDSIGHT and not given.sensor.sees_points:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -128,8 +127,8 @@ class Recorder:
         return (float(self._moments[0]) / dof, float(self._moments[1]) / dof) if dof else CHI_SQUARE
 
 
-class Observer(Protocol):
-    """Observes a replay frame by frame and changes nothing."""
+class Observer:
+    """Observes a replay frame by frame and changes nothing; this one is the null observer."""
 
     def moved(self, front: FrontEnd) -> None:
         """A frame begins; its observations are not processed yet."""
@@ -141,28 +140,14 @@ class Observer(Protocol):
         """A frame is over; decisions and initialized landmarks (M,) are those of the whole log so far."""
 
 
-class Writing(Observer, Protocol):
+class Writing(Observer):
     """An observer with a result, which stays with the run as `Run.watched`."""
 
-    @property
-    def seconds(self) -> float:
-        """Time spent observing, not part of the estimator's."""
+    seconds = 0.0  # time spent observing, not part of the estimator's
 
     def left(self) -> object:
         """The result, after the last frame."""
-
-
-class NullObserver:
-    """Null observer."""
-
-    def moved(self, front: FrontEnd) -> None:
-        """Do nothing."""
-
-    def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
-        """Do nothing."""
-
-    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """Do nothing."""
+        raise NotImplementedError
 
 
 def no_run(

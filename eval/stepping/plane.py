@@ -47,11 +47,11 @@ def outlines(ax: Axes, xy: Array, covariance: Array, colour: str, order: float =
         )
 
 
-def mark_robot(ax: Axes, pose: Array, colour: str, label: str, order: float = 6.0) -> None:
+def mark_robot(ax: Axes, pose: Array, colour: str, label: str) -> None:
     """The robot as a triangle that points where it looks."""
     marker = (3, 0, float(np.degrees(pose[2])) - 90.0)
     edge: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 0.5, "linestyle": "none"}
-    ax.plot(pose[0], pose[1], marker=marker, markersize=9, color=colour, label=label, zorder=order, **edge)
+    ax.plot(pose[0], pose[1], marker=marker, markersize=9, color=colour, label=label, zorder=6.0, **edge)
 
 
 def fit(ax: Axes, points: Array, margin: float = 0.06) -> None:
@@ -162,9 +162,9 @@ def lines(ax: Axes, p: Plane, pairs: Sequence[tuple[int, int]], **look: Any) -> 
         )
 
 
-def name_landmarks(ax: Axes, p: Plane, size: float = 5.0) -> None:
+def name_landmarks(ax: Axes, p: Plane) -> None:
     """Numbers of possible landmarks, below left of them; observations have theirs above."""
     low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
     x, y = p.landmarks.T
     inside = p.named & (x >= low[0]) & (x <= low[1]) & (y >= high[0]) & (y <= high[1])
-    write_numbers(ax, p.landmarks[inside], [str(n) for n in p.number[inside]], LANDMARK, size, (-2.5, -2.5))
+    write_numbers(ax, p.landmarks[inside], [str(n) for n in p.number[inside]], LANDMARK, 5.0, (-2.5, -2.5))

@@ -17,6 +17,7 @@ from data.sensors import Sensor
 from data.truth import CLUTTER, UNKNOWN_ID
 from eval.referee.confusion import OUTCOMES, Confusion, confuse
 from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.recorder import Observer
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 
@@ -130,7 +131,7 @@ def pose_problem(
     return Matching(title, e, f.log.recorded.sensor, front.setup.gate, made, front.association, judged, right)
 
 
-class _Collector:
+class _Collector(Observer):
     """Observer that keeps the problems of some frames."""
 
     def __init__(self, log: Log, task: str, frames: Sequence[int], title: str, methods: Sequence[str]) -> None:
@@ -138,9 +139,6 @@ class _Collector:
         m = len(log.recorded.observations.frame)
         self.decisions, self.created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
         self.found: dict[int, Matching] = {}
-
-    def moved(self, front: FrontEnd) -> None:
-        """Nothing to keep."""
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
         """Keep the problem of the frame, if wanted."""

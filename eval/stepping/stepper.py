@@ -15,6 +15,7 @@ from data.terminal import counted
 from eval.figures import error_figure
 from eval.figures.style import style_of
 from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.recorder import Observer
 from eval.stepping.matching import paint_compatibility, paint_matching
 from eval.stepping.pictures import ImageWriter, paint_ground_truth, paint_map, paint_observations
 from eval.stepping.problem import FrameSoFar, pose_problem, removed_so_far
@@ -35,8 +36,8 @@ class StoppedError(Exception):
     """The user stopped the walk."""
 
 
-class Walk:
-    """Observer of a replay (see `eval.replay.recorder.Observer`) that prints, paints and waits for Enter."""
+class Walk(Observer):
+    """Observer of a replay that prints, paints and waits for Enter."""
 
     def __init__(
         self, log: Log, task: str, estimator: str, images: ImageWriter, *, pausing: bool, block: Block = step_block

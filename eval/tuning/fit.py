@@ -169,10 +169,8 @@ class Score:
 def pairings(inputs: Inputs, threshold: float = math.inf) -> IntArray:
     """Decisions (M,) by label; those outside `threshold` of the filter as stated are discarded.
 
-    Outliers are chosen under the stated noise, not the fitted one, so that likelihoods are comparable.
-
-    Raises:
-        DataError: no pairing is left, or the filter fails on the inputs as they are.
+    Outliers are chosen under the stated noise, not the fitted one, so that likelihoods are comparable. Raises
+    DataError: no pairing is left, or the filter fails on the inputs as they are.
     """
     decisions, _ = known_decisions(inputs)
     run = run_filter(inputs, decisions, threshold=threshold)
@@ -215,10 +213,8 @@ def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
     Quasi-Newton in bounds from the best starting points, then Newton's method with the Hessian by central differences
     over half a standard error each way; odometry.csv is cut at the latency reached. A parameter whose standard error
     exceeds its limit returns to 0 and the rest is fitted again, the least determined first; one at its bound stays
-    there. Standard errors are those of white innovations: too small for recordings with lasting errors.
-
-    Raises:
-        DataError: no optimum is found.
+    there. Standard errors are those of white innovations: too small for recordings with lasting errors. Raises
+    DataError: no optimum is found.
     """
     shorter = model if frames is None else replace(model, inputs=_head(model.inputs, frames))
     if len(shorter.inputs.observations.frame) == 0:

@@ -205,12 +205,8 @@ def apply(model: Model, theta: Sequence[float] | Array, *, floor: bool = False, 
     With odometry.csv the velocity is scaled and preintegrated between frames `latency` earlier, at the true instants of
     the observations. Otherwise an increment is scaled as an arc of constant curvature.
 
-    Args:
-        model: the log and its parameters.
-        theta: in the order of `model.parameters`.
-        floor: add the log's covariance floor, as loading does (an EKF does not need it).
-        cut: s; latency at which odometry.csv is cut into increments, which are moved with the smoothed velocity to the
-            latency of theta; None: at that latency itself.
+    `floor` adds the log's covariance floor, as loading does (an EKF does not need it). `cut` [s]: latency at which
+    odometry.csv is cut into increments, which are moved with the smoothed velocity to the latency of theta.
     """
     value = {p.name: float(t) for p, t in zip(model.parameters, theta, strict=True)}
     inputs = model.inputs

@@ -121,14 +121,9 @@ def expectation_of(who: str, given: Any, observations: FrameObservations) -> Exp
 
 
 def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, created: int) -> Updated:
-    """The result of an update. None, or a mapping of some of the fields of `Updated`: everything decided was done.
+    """The result of an update with decisions (m,), `new` (m,) of them for landmarks, after `created` landmarks.
 
-    Args:
-        who: names it in errors.
-        given: what it returned.
-        decisions: (m,) that it received.
-        new: (m,) which of them were to initialize a landmark.
-        created: number of landmarks initialized before.
+    None, or a mapping of some of the fields of `Updated`: everything decided was done. `who` names it in errors.
     """
     m = len(decisions)
     numbers = np.where(new, created + np.cumsum(new) - 1, -1)
@@ -199,7 +194,7 @@ class Adapter:
         inner: the foreign object.
     """
 
-    def __init__(self, name: str, inner: Any, known: LandmarkMap | None, frames: int | None = None) -> None:
+    def __init__(self, name: str, inner: Any, known: LandmarkMap | None) -> None:
         """Wrap `inner`; `known` is the map of localization."""
         self.name, self.inner, self._known = name, inner, known
         self.smooths = bool(getattr(inner, "smooths", False))  # whether it revises its past

@@ -68,8 +68,7 @@ def text_of(what: str | Thing, kind: str) -> str:
 def load(text: str) -> Loaded:
     """The class or function that a settled text names.
 
-    Raises:
-        UsageError: it cannot be imported, there is no such attribute, or it cannot be called.
+    Raises UsageError: it cannot be imported, there is no such attribute, or it cannot be called.
     """
     if text in _LIVE:
         return _LIVE[text]

@@ -39,8 +39,7 @@ def estimator(text: str, given: Given, options: FilterOptions | None = None) -> 
 def tasks_of(loaded: Loaded) -> tuple[str, ...]:
     """Its tasks, from its attribute `tasks`, or else from the number of arguments of its constructor.
 
-    Raises:
-        UsageError: neither is given, or it lacks a required method.
+    Raises UsageError: neither is given, or it lacks a required method.
     """
     missing = [v for v in VERBS if isinstance(loaded.thing, type) and not callable(getattr(loaded.thing, v, None))]
     if missing:
@@ -122,8 +121,7 @@ class Method:
     def __call__(self, expectation: Expectation, gate: float | None) -> IntArray:
         """Decisions (m,): landmark number, `NEW` or `DISCARD`.
 
-        Raises:
-            ForeignError: it crashed, or returned no decisions.
+        Raises ForeignError: it crashed, or returned no decisions.
         """
         m = len(expectation.z)
         found: IntArray = whole(self.name, call(self.name, self._function, expectation, gate), m, "what it returned")

@@ -88,15 +88,9 @@ def place_of(text: str) -> Place:
 
 
 def settled(label: str, text: str, kind: str) -> str:
-    """A foreign text for any process; relative places are those of the working directory.
+    """A foreign text of a kind for any process; relative places are those of the working directory.
 
-    Args:
-        label: of the flag, for messages.
-        text: as written by a person, or settled already.
-        kind: `estimator` or `association`.
-
-    Raises:
-        UsageError: wrong form, missing file, or a name that cannot be used.
+    `label` of the flag is for messages. Raises UsageError: wrong form, missing file, or a name that cannot be used.
     """
     given, has_name, rest = text.partition("=")
     if not has_name:
@@ -193,8 +187,7 @@ def one_settled(label: str, text: str, kind: str) -> str:
 def entry_points(kind: str) -> dict[str, str]:
     """Names that installed packages add, each with its `package.module:Attribute`.
 
-    Raises:
-        UsageError: one of them has a name of ours, or two have the same.
+    Raises UsageError: one of them has a name of ours, or two have the same.
     """
     from importlib import metadata
 

@@ -181,19 +181,15 @@ class LearnedGates:
         self.scales = relearned(self.scales, e, decisions)
 
     def put_off(self, e: Expectation, decisions: IntArray, pose: Array, new_gate: float | None) -> IntArray:
-        """Decisions (m,) with `DISCARD` for what may be a landmark under the stated noise, until several observations
-        agree.
+        """Decisions (m,) with `DISCARD` for what may be a landmark under the stated noise, until several agree.
 
-        Args:
-            e: expectation under the stated noise.
-            decisions: (m,) under the learned noise.
-            pose: (3,) of the robot.
-            new_gate: outside of which, under the stated noise, an observation is new at once.
+        e is under the stated noise, decisions (m,) under the learned noise; pose (3,) of the robot. An observation
+        outside `new_gate` under the stated noise is new at once.
         """
         ledger, sensor, reach = self.ledger, self.ledger.sensor, self.ledger.range
         stated, nearest = conditional_newness(e, decisions, new_gate), e.individual_distances()
         waiting = (decisions == NEW) & (stated != NEW)
-        if widest(self.scales) == 1.0:  # where less noise is there than was stated, three observations agree too easily
+        if widest(self.scales) == 1.0:  # under smaller noise three observations agree too easily
             waiting |= blocked_by_pairings(e, stated, new_gate)
         paired = stated[stated >= 0].tolist()
         self._pairings += len(paired)
@@ -224,12 +220,7 @@ class Paired(NamedTuple):
 def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: Setup) -> Paired:
     """Joint compatibility; an ambiguous pairing counts only if its frame as a whole supports it.
 
-    Args:
-        e: expectation of the landmarks in view, under the stated noise.
-        slam: the deciding filter.
-        ledger: its landmarks; an ambiguous frame begins an epoch.
-        scales: learned variance scales.
-        setup: its gates.
+    e: landmarks in view under the stated noise; an ambiguous frame begins an epoch of the ledger.
     """
     real = scaled(e, scales)
     found = Paired(e, *jcbb_conditional(real, setup.gate, setup.new_gate))

@@ -80,16 +80,9 @@ class Standing(NamedTuple):
 class Hypotheses:
     """A bank of localizers that begins with one and branches at every ambiguous observation."""
 
-    def __init__(
-        self,
-        prior: Prior,
-        sensor: Sensor,
-        known: LandmarkMap,
-        options: FilterOptions = DEFAULT,
-        limit: int | None = None,
-    ) -> None:
-        """Start at the prior with an exact map; `options` of the updates; `limit`: see `LIMIT`."""
-        self.sensor, self.map, self.limit = sensor, known, LIMIT if limit is None else limit
+    def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT) -> None:
+        """Start at the prior with an exact map; `options` of the updates."""
+        self.sensor, self.map = sensor, known
         self._how, self._extrinsic = updates.UpdateRule(math.inf, *options.rule(), kernels.NEWEST), sensor.extrinsic
         self._xy = np.array(known.xy)
         # as far as the map reaches, where the sensor has no limit
@@ -201,7 +194,7 @@ class Hypotheses:
         children.sort(key=lambda h: -h.weight)
         kept: list[Hypothesis] = []
         for child in children:
-            if len(kept) == self.limit or child.weight < children[0].weight - DROP:
+            if len(kept) == LIMIT or child.weight < children[0].weight - DROP:
                 break
             same = next((k for k in kept if _one(k, child)), None)
             if same is None:

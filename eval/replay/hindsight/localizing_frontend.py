@@ -145,9 +145,7 @@ class LocalizingFrontEnd(FrontEnd):
     ) -> None:
         """Check the map and the estimator.
 
-        Raises:
-            UsageError: without a map.
-            CannotError: the estimator has no `reset`.
+        Raises UsageError: without a map. Raises CannotError: the estimator has no `reset`.
         """
         self.localizer = HindsightLocalizer(given)  # decides; its `events` are the revisions
         super().__init__(estimator, association, given, setup, options)

@@ -32,9 +32,8 @@ class MappingFrontEnd(FrontEnd):
     ) -> None:
         """Check options and estimator.
 
-        Raises:
-            UsageError: with one update per observation.
-            CannotError: landmarks of the estimator's map cannot be removed and merged.
+        Raises UsageError: with one update per observation. Raises CannotError: landmarks of the estimator's map cannot
+        be removed and merged.
         """
         if options is not None and options.each:
             raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")

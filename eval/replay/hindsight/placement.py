@@ -193,14 +193,8 @@ def place(
     observations in mapped areas. Pairings must pass the gates jointly and each given the others. Their number and fit
     do not count, because a repetitive world provides them by chance.
 
-    Args:
-        e: expectation at the predicted pose, with `elsewhere`.
-        sensor: of the observations.
-        predicted: (3,) pose in the world.
-        motion: (3, 3) its covariance relative to the map, in the predicted body frame.
-        memory: of the frames before.
-        gate: chi-square probability of a pairing given the others of its frame.
-        new_gate: outside of which an unpaired observation is a new landmark.
+    e is linearized at the pose predicted (3,) in the world, with `elsewhere`; motion (3, 3) is its covariance relative
+    to the map, in the predicted body frame. Pairings pass `gate`; outside `new_gate` an observation is a new landmark.
     """
     near = _near(e, sensor, motion)
     if min(len(near), len(e.z)) < constants.PLACE_PAIRINGS:

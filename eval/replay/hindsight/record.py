@@ -237,10 +237,7 @@ def kept_at_end(opportunities: Opportunities, former: Opportunities, observation
     of them, or `CONFIRMED`: a landmark observed twice among often observed ones is a person who came by at the end. If
     fewer than half of the expected number would stay, the most probable ones are kept.
 
-    Args:
-        opportunities: of the map's landmarks (n).
-        former: of retracted landmarks.
-        observations: (n,) number of each landmark of the map.
+    `former`: opportunities of retracted landmarks; observations (n,): number of each landmark of the map.
     """
     often = observations >= constants.CONFIRMED_AT_LEAST
     probability = np.where(often, persistent(opportunities, persistence([*opportunities, *former])), 0.0)

@@ -14,12 +14,12 @@ from data.sensors import RelativePoint
 from data.worlds.arena import Arena, simulate
 from eval.player.scene import COARSE, own_steps
 from eval.player.watch import NOT_ASKED, Watch, quantum_of
-from eval.replay.recorder import NullObserver
+from eval.replay.recorder import Observer
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
 
 
-class Memory(NullObserver):
+class Memory(Observer):
     """Remembers everything, at full precision."""
 
     def __init__(self):
