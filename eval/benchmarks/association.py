@@ -164,29 +164,18 @@ def association_lines(quick: bool) -> list[Timed]:
     log = simulate(Corridor(), 0)
     inputs = log.inputs().without_map()
     run = median_seconds(lambda: step_by_step("ekf", inputs, "slam", "jcbb"))
+    seen = len(log.recorded.observations.frame)
+    corridor = f"corridor ({len(inputs)} steps, {seen} observations), EKF and JCBB"
     lines = [
         Timed("JCBB, 20 observations x 1000 landmarks, 10 ambiguous", fast, 1, "frames", "1", "< 5 ms"),
         Timed("peer: JCBB in plain Python", plain, 1, "frames", f"{plain / fast:.0f}"),
-        Timed(
-            f"corridor ({len(inputs)} steps, {len(log.recorded.observations.frame)} observations), EKF and JCBB",
-            run,
-            len(inputs),
-            "frames",
-            "",
-            "< 0.25 s",
-        ),
+        Timed(corridor, run, len(inputs), "frames", "", "< 0.25 s"),
     ]
     for size in MAP_SIZES[:1] if quick else MAP_SIZES:
         world = line_world(size)
         for name, setup in (("ekf", Setup()), ("ekf", Setup(in_view=True)), ("isam2", Setup())):
             seconds, seen, candidates = frame_seconds(name, world, setup)
             cut = ", in view" if setup.in_view else ""
-            lines.append(
-                Timed(
-                    f"association of a frame, {name}{cut}, map of {size} ({seen} seen, {candidates} candidates)",
-                    seconds,
-                    1,
-                    "frames",
-                )
-            )
+            what = f"association of a frame, {name}{cut}, map of {size} ({seen} seen, {candidates} candidates)"
+            lines.append(Timed(what, seconds, 1, "frames"))
     return lines

@@ -128,7 +128,7 @@ def scaling_figure(found: Sequence[Measured]) -> Figure:
         fig = Figure(figsize=(page_width(), 3.5))
         panels: tuple[tuple[str, Callable[[Measured], float]], ...] = (
             ("wall time [s]", lambda m: m.seconds),
-            ("memory beside the log [MB]", lambda m: max(m.peak_mb - m.log_mb, 1.0)),
+            ("memory without the log [MB]", lambda m: max(m.peak_mb - m.log_mb, 1.0)),
         )
         for ax, (label, value) in zip(fig.subplots(1, 2), panels, strict=True):
             for estimator in dict.fromkeys(m.estimator for m in found):
@@ -136,14 +136,8 @@ def scaling_figure(found: Sequence[Measured]) -> Figure:
                 frames, values = [m.frames for m in own], [value(m) for m in own]
                 style = _style(estimator)
                 exponent = f", $n^{{{slope(frames, values):.2f}}}$" if len(own) > 2 else ""
-                ax.plot(
-                    frames,
-                    values,
-                    color=style.colour,
-                    linestyle=style.line,
-                    marker=style.marker,
-                    label=style.label + exponent,
-                )
+                look = {"color": style.colour, "linestyle": style.line, "marker": style.marker}
+                ax.plot(frames, values, label=style.label + exponent, **look)
             ax.set(xscale="log", yscale="log", xlabel="frames n [–]", ylabel=label)
             ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)  # below: lines fill the panel
         return fig

@@ -74,11 +74,7 @@ def drive(
 
 
 class Looking:
-    """Prints the status and feeds the page, once a second.
-
-    Attributes:
-        latencies: of all estimates so far.
-    """
+    """Prints the status and feeds the page, once a second."""
 
     def __init__(
         self,
@@ -134,11 +130,7 @@ class Looking:
 
 
 class Presses:
-    """Deferred SIGINT and SIGTERM: counts them while the block runs, and restores their handlers afterwards.
-
-    Attributes:
-        count: so far.
-    """
+    """Deferred SIGINT and SIGTERM: counts them while the block runs, and restores their handlers afterwards."""
 
     def __init__(self) -> None:
         self.count, self._heeded = 0, False

@@ -108,13 +108,9 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Published:
-    """All available chunks.
+    """All available chunks."""
 
-    Attributes:
-        large, small: in the order of time; a minute may be in both.
-    """
-
-    large: tuple[Chunk, ...] = ()
+    large: tuple[Chunk, ...] = ()  # in the order of time; a minute may be in both
     small: tuple[Chunk, ...] = ()
     ended: bool = False  # no more will come
 

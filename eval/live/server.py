@@ -33,11 +33,7 @@ HEADERS = {
 
 
 class Server:
-    """Serves in its own threads; `with` ends it.
-
-    Attributes:
-        address: of the page.
-    """
+    """Serves in its own threads; `with` ends it."""
 
     def __init__(self, port: int, page: bytes, published: Callable[[], Published]) -> None:
         """Listen; port 0 is any free one. Raises UsageError: the port is not available."""

@@ -59,16 +59,11 @@ class Taken(NamedTuple):
 
 
 class Estimating:
-    """One online estimator.
-
-    Attributes:
-        name: in tables.
-        failure: why it ended; empty while it runs.
-    """
+    """One online estimator."""
 
     def __init__(self, name: str, association: str, setup: Setup) -> None:
         """Make it. Raises UsageError: a foreign estimator lacks something, or failed at once."""
-        self.name, self.failure = name_of(name), ""
+        self.name, self.failure = name_of(name), ""  # why it ended; empty while it runs
         setup = setup.settled(sensed=False)
         try:
             if is_foreign(name):
@@ -108,12 +103,7 @@ class Estimating:
 
 
 class Session:
-    """Frames of a drive.
-
-    Attributes:
-        estimating: the estimators, in the order in which they get each frame.
-        frames, observations: numbers so far.
-    """
+    """Frames of a drive."""
 
     def __init__(
         self,
@@ -212,11 +202,7 @@ SHORTEST, PER_DECADE, DECADES = 1.0e-5, 50, 8
 
 
 class Latencies:
-    """Histogram of latencies, of constant size.
-
-    Attributes:
-        longest: s, since `begin`.
-    """
+    """Histogram of latencies, of constant size."""
 
     def __init__(self) -> None:
         self.longest = 0.0  # s, since `begin`

@@ -95,7 +95,6 @@ class Pack:
 
 
 def _columns(values: Any) -> Any:
-    """Numbers (n,) as (n, 1), those (n, c) as they are."""
     return values[:, None] if values.ndim == 1 else values
 
 

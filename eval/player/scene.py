@@ -265,7 +265,6 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
 def _head_of(
     pack: Pack, key: str, name: str, run: Run, trial: Trial, log: Log, line: Line, loops: list[dict[str, Any]]
 ) -> RunHead:
-    """Header of a run whose arrays are in the pack."""
     watched = run.watched if isinstance(run.watched, Watched) else None
     why = "" if run.flaw is None else run.flaw.text
     return RunHead(

@@ -45,33 +45,25 @@ def quantum_of(inputs: Inputs) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What was written down. Sigmas are (sigma_x, sigma_y), rho their correlation.
-
-    Attributes:
-        change_frame, change_number, change_there: (C,) in which frame which landmark changed; 0: it left the map.
-        change_xy, change_sigma, change_rho: (C, 2), (C, 2), (C,) in the world frame [m].
-        seen_frame, seen_number: (K,) candidates that some observation might have been of.
-        seen_xy, seen_sigma, seen_rho: (K, 2), (K, 2), (K,) where they were expected, in the robot's frame [m].
-        pair_row, pair_number, pair_d2: (P,) observation (row of the log), candidate, squared Mahalanobis distance.
-    """
+    """The recording. Sigmas are (sigma_x, sigma_y), rho their correlation."""
 
     quantum: float  # m; smaller changes are left out
     every: int  # landmarks were recorded after this many frames with observations; 0: never
     covariances: bool  # with their covariances; else their sigmas are zero
-    change_frame: IntArray
+    change_frame: IntArray  # (C,) changes of landmarks, ...
     change_number: IntArray
-    change_there: IntArray
-    change_xy: Array
+    change_there: IntArray  # ... 0: it left the map, ...
+    change_xy: Array  # (C, 2) ... in the world frame [m]
     change_sigma: Array
     change_rho: Array
-    seen_frame: IntArray
+    seen_frame: IntArray  # (K,) candidates of some observation, ...
     seen_number: IntArray
-    seen_xy: Array
+    seen_xy: Array  # (K, 2) ... expected in the robot's frame [m]
     seen_sigma: Array
     seen_rho: Array
-    pair_row: IntArray
+    pair_row: IntArray  # (P,) observation (row of the log), candidate, ...
     pair_number: IntArray
-    pair_d2: Array
+    pair_d2: Array  # ... squared Mahalanobis distance
     methods: tuple[str, ...]  # W names
     method_decisions: IntArray  # (M, W) decisions from the same expectation
 
@@ -106,9 +98,9 @@ class MapChanges:
         small &= not whole
         changed, number = now[~small], present[~small]
         self._last[number] = changed
-        gone = np.isfinite(self._last[:, 0])
-        gone[present] = False
-        left = np.flatnonzero(gone)
+        absent = np.isfinite(self._last[:, 0])
+        absent[present] = False
+        left = np.flatnonzero(absent)
         here = np.column_stack([np.full(len(number), frame), number, np.ones(len(number)), changed])
         away = np.column_stack([np.full(len(left), frame), left, np.zeros(len(left)), self._last[left]])
         self._last[left] = np.nan

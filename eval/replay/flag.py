@@ -23,23 +23,17 @@ class Flag:
     """One field of a table.
 
     Attributes:
-        read: the kind of its values.
-        metavar: of the value; empty for a switch.
-        help: one line for `--help`.
         numbers: whether the estimators' numbers depend on it, so that it belongs to the command that reproduces them.
-        repeatable: given once for each value.
-        short: one letter.
-        bare: the value of a flag without one; empty: a value is needed.
         name, default: of the field; part: of the field that holds its table, empty in the table itself.
     """
 
-    read: Read
-    metavar: str
-    help: str
+    read: Read  # the kind of its values
+    metavar: str  # of the value; empty for a switch
+    help: str  # one line for `--help`
     numbers: bool = True
-    repeatable: bool = False
-    short: str = ""
-    bare: str = ""
+    repeatable: bool = False  # given once for each value
+    short: str = ""  # one letter
+    bare: str = ""  # the value of a flag without one; empty: a value is needed
     name: str = ""
     default: Any = None
     part: str = ""

@@ -31,7 +31,7 @@ from eval.replay.settings import HINDSIGHT, Beginning, Given, Setup
 
 
 class KnownAssociation:
-    """Decisions by label; in SLAM a label stands for the landmark that it initialized, while that is in the map."""
+    """Decisions by label; in SLAM a label names the landmark that it initialized, while that is in the map."""
 
     def __init__(self, known: LandmarkMap | None) -> None:
         """`known` is the map of localization."""
@@ -74,15 +74,7 @@ class Pairing(NamedTuple):
 
 
 class FrontEnd:
-    """Steps of a frame, in this order: move, associate, update, tidy; after the last one close.
-
-    Attributes:
-        k: number of the frame.
-        estimator: gets the decisions.
-        can: its capabilities.
-        foreign: the estimator if it is foreign, else None.
-        incomplete: frames in which the search for a pairing ran out of its budget.
-    """
+    """Steps of a frame, in this order: move, associate, update, tidy; after the last one close."""
 
     revises_map = False  # whether landmarks leave the map for other reasons than map management's
     asks_for_innovations = False  # whether the estimator must form its innovations
@@ -103,7 +95,7 @@ class FrontEnd:
         self._method = Method(load(association)) if is_foreign(association) else association
         self.use(make_estimator(estimator, given, options, lag=setup.lag))
         self.slam = given.map is None
-        self.k, self.incomplete = -1, 0
+        self.k, self.incomplete = -1, 0  # frame; frames in which the search ran out of its budget
         # labels and hindsight use no distance, and the reach of a foreign method is unknown
         far = association in ("known", HINDSIGHT) or is_foreign(association)
         within = math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=not self.slam)
@@ -127,8 +119,8 @@ class FrontEnd:
 
     def use(self, estimator: Estimator) -> None:
         """Give the decisions to this estimator, before its first frame."""
-        self.estimator, self.can = estimator, capabilities(estimator)
-        self.foreign = estimator if isinstance(estimator, Adapter) else None
+        self.estimator, self.can = estimator, capabilities(estimator)  # gets the decisions; its capabilities
+        self.foreign = estimator if isinstance(estimator, Adapter) else None  # if it is foreign
 
     def move(self, frame: Frame) -> None:
         """Predict the next frame; the first one has no motion."""

@@ -2,7 +2,7 @@
 
 Landmarks unseen for a time are parked on request (`Parking`); a large map is parked automatically where that is faster
 and changes nothing (`AutomaticParking`). They return into a filter's state when they may be seen again or are paired. A
-bound on each one's uncertainty says when, so parked landmarks cost nothing meanwhile.
+bound on each one's uncertainty gives the time, so parked landmarks cost nothing meanwhile.
 """
 
 from __future__ import annotations
@@ -102,12 +102,7 @@ KEPT = 10  # frames; a landmark paired or restored within these stays (5 and 20 
 
 
 class Parking:
-    """Parks landmarks of an estimator and restores them.
-
-    Attributes:
-        largest: largest number of states so far.
-        restored: number of restorations.
-    """
+    """Parks landmarks of an estimator and restores them."""
 
     def __init__(
         self,
@@ -125,7 +120,7 @@ class Parking:
         self.parkable = needed(can.parkable, "`park`, `restore`, `parked_xy` and `parked`", "--deactivate-after")
         self.management, self.sensor, self.within = management, sensor, within
         self._slam = estimator if isinstance(estimator, EkfSlam) else None
-        self.largest, self.restored = 0, 0
+        self.largest, self.restored = 0, 0  # largest number of states so far, and number of restorations
         self._drift = Drift()
 
     def move(self, increment: Increment) -> None:

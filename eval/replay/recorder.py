@@ -40,12 +40,7 @@ def _begun(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> I
 
 
 class Recorder:
-    """Decisions, innovations and estimates of every frame; frames that were not reached stay blank.
-
-    Attributes:
-        decisions: (M,) as they were made; unused pairings are `DISCARD`.
-        created: (M,) landmark that each observation initialized, -1 for none.
-    """
+    """Decisions, innovations and estimates of every frame; frames that were not reached stay blank."""
 
     def __init__(self, frames: int, observations: int, systematic: Systematic | None = None) -> None:
         """Blank, for numbers of frames and observations; `systematic`: errors that are estimated."""
@@ -58,6 +53,7 @@ class Recorder:
         p = 0 if systematic is None else len(systematic.names)
         self._systematic, self._errors, self._known = systematic, np.full((n, p), np.nan), False
         self._errors_sigma = self._errors.copy()
+        # as they were made, unused pairings discarded; landmarks that observations initialized
         self.decisions, self.created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
 
     def update(self, frame: Frame, decisions: IntArray, done: Updated) -> None:
@@ -116,7 +112,6 @@ class Recorder:
         )  # fmt: skip
 
     def _errors_online(self) -> Systematics | None:
-        """Systematic errors by frame, if any are estimated."""
         if self._systematic is None or not self._known:
             return None
         return Systematics(self._systematic.names, self._errors, self._errors_sigma)

@@ -189,7 +189,6 @@ def front_end(
 
 
 def _parts(frame: Frame, each: bool) -> list[Frame]:
-    """A frame's observations: together, or one by one."""
     count = len(frame.observations.z)
     if each:
         return [frame.part(slice(i, i + 1)) for i in range(count)]

@@ -130,12 +130,10 @@ def _corner(ax: Axes, p: Plane) -> tuple[float, float, float, float]:
 
 
 def _mark(marker: str, label: str, colour: str = GOOD, **look: Any) -> Line2D:
-    """A marker in a legend."""
     return Line2D([], [], marker=marker, color=colour, linestyle="none", label=label, **look)
 
 
 def _stroke(label: str, colour: str = GOOD, **look: Any) -> Line2D:
-    """A line in a legend."""
     return Line2D([], [], color=colour, label=label, **{"linewidth": 1.3, **look})
 
 
@@ -204,7 +202,7 @@ def paint_compatibility(fig: Figure, m: Matching) -> None:
         _mark("o", "observation, 3σ ellipse", markersize=4.0),
         _mark("o", "observation without such a pair", markerfacecolor="white", markersize=4.0),
         *_background_handles(m.gate),
-        _stroke("pair on which the method builds"),
+        _stroke("pair that the method starts from"),
     ]
     if "truth" in names:
         handles.append(_stroke("true pair that is not compatible", BAD, linestyle=DASHES))
@@ -231,7 +229,7 @@ def paint_matching(fig: Figure, m: Matching) -> None:
             for spine in ax.spines.values():
                 spine.set(linewidth=1.8, edgecolor="black")
         robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
-    shapes = (("o", "paired"), ("*", "NEW"), ("x", "left out"))
+    shapes = (("o", "paired"), ("*", "NEW"), ("x", "discarded"))
     handles: list[Line2D | Patch] = [
         *(_mark(shape, f"observation: {what}") for shape, what in shapes),
         *_background_handles(m.gate),
@@ -248,7 +246,6 @@ def paint_matching(fig: Figure, m: Matching) -> None:
 
 
 def _tally(truth: TruthRow | None) -> str:
-    """Counts of the outcomes, empty if unknown."""
     return "" if truth is None else "  ".join(f"{name.upper()} {n}" for name, n in truth.counts.items())
 
 
@@ -256,7 +253,7 @@ def _counted(decisions: IntArray, truth: TruthRow | None) -> str:
     if truth is not None:
         return _tally(truth)
     paired, new = int((decisions >= 0).sum()), int((decisions == NEW).sum())
-    return f"{paired} paired, {new} new, {len(decisions) - paired - new} left out"
+    return f"{paired} paired, {new} new, {len(decisions) - paired - new} discarded"
 
 
 AROUND = 0.5  # m, smallest half side of the section: the corridor's points are 0.25 m apart
@@ -357,7 +354,7 @@ def _handles(m: Matching) -> list[Line2D | Patch]:
         _stroke("compatible pair", FAINT, linewidth=0.9),
         _stroke("pairing"),
         _mark("*", "NEW"),
-        _mark("x", "left out"),
+        _mark("x", "discarded"),
     ]
     if m.right is not None:
         handles.append(_stroke("wrong", BAD, marker="o", linestyle=DASHES))

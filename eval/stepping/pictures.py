@@ -98,7 +98,6 @@ def paint_ground_truth(fig: Figure, log: Log, frame: int, title: str) -> None:
 
 
 def _seen(ax: Axes, log: Log, rows: slice, pose: Array, known: LandmarkMap | None) -> None:
-    """Mark observed landmarks, and observations of none."""
     if log.truth.landmark_of is None:
         return
     sensor = log.recorded.sensor

@@ -48,7 +48,7 @@ def outlines(ax: Axes, xy: Array, covariance: Array, colour: str, order: float =
 
 
 def mark_robot(ax: Axes, pose: Array, colour: str, label: str) -> None:
-    """The robot as a triangle that points where it looks."""
+    """The robot as a triangle in its heading."""
     marker = (3, 0, float(np.degrees(pose[2])) - 90.0)
     edge: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 0.5, "linestyle": "none"}
     ax.plot(pose[0], pose[1], marker=marker, markersize=9, color=colour, label=label, zorder=6.0, **edge)
@@ -70,7 +70,7 @@ def fit(ax: Axes, points: Array, margin: float = 0.06) -> None:
 def write_numbers(
     ax: Axes, xy: Array, texts: Sequence[str], colour: str, size: float, offset: tuple[float, float] = (3.0, 2.5)
 ) -> None:
-    """Texts beside points, `offset` pt from them."""
+    """Texts at points, `offset` pt from them."""
     across, up = "left" if offset[0] >= 0 else "right", "baseline" if offset[1] >= 0 else "top"
     look: dict[str, Any] = {"fontsize": size, "color": colour, "ha": across, "va": up, "path_effects": HALO}
     place: dict[str, Any] = {"xytext": offset, "textcoords": "offset points", "annotation_clip": True}
@@ -83,10 +83,10 @@ def robot_axes(ax: Axes, left: bool = True, bottom: bool = True) -> None:
     ax.set(xlabel="x forward [m]" if bottom else "", ylabel="y left [m]" if left else "")
 
 
-def called(name: str, beside: Sequence[str] = ()) -> str:
-    """The title of a panel that shows a method; its own name where another of those beside has the same title."""
+def called(name: str, others: Sequence[str] = ()) -> str:
+    """The title of a method's panel; its name where another panel has the same title."""
     title = TITLES.get(name, name)
-    same = [n for n in (*beside, name) if TITLES.get(n, n) == title]
+    same = [n for n in (*others, name) if TITLES.get(n, n) == title]
     return name if len(set(same)) > 1 else title
 
 

@@ -26,7 +26,7 @@ RIGHT = ("tp", "tn")
 
 
 class TruthRow(NamedTuple):
-    """What the referee says of one frame's m observations."""
+    """The referee's judgement of one frame's m observations."""
 
     ground_truth: IntArray  # (m,) number of the right landmark, negative for none
     outcome: IntArray  # (m,) index into `OUTCOMES`
@@ -85,17 +85,13 @@ class FrameSoFar(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """A frame's problem and its solutions.
-
-    Attributes:
-        decisions: (m,) by method, in the order of the panels; a text says why a method has none.
-    """
+    """A frame's problem and its solutions."""
 
     title: str  # of the figure
     expectation: Expectation  # given to every method
     sensor: Sensor
     gate: float | None  # probability of the individual test, None for none
-    decisions: Mapping[str, IntArray | str]
+    decisions: Mapping[str, IntArray | str]  # (m,) by method, in the order of the panels; a text is the reason for none
     chosen: str  # the method that updates
     truth: Mapping[str, TruthRow]  # judgements of the referee by method; empty without true ids
     right: IntArray | None  # (m,) number of the right landmark, negative for none; None without true ids

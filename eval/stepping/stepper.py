@@ -120,12 +120,10 @@ class Walk(Observer):
             self.pause("matching")
 
     def _frame(self, front: FrontEnd) -> FrameSoFar:
-        """The frame under decision, with all earlier decisions."""
         removed = removed_so_far(front, self.created)
         return FrameSoFar(self.log, self.task, self.rows, self.decisions, self.created, removed)
 
     def _print_step(self, front: FrontEnd) -> None:
-        """Print the step; new landmarks get the next numbers."""
         if self.printed:
             return
         self.printed = True
@@ -146,8 +144,8 @@ class Walk(Observer):
             d = decisions[self.rows]
             used, new = int((d >= 0).sum()), int((created[self.rows] >= 0).sum())
             removed = {} if front.map_management is None else front.map_management.removed
-            gone = sorted(n for n, k in removed.items() if k == self.k)
-            self.say("update", updated_text(used, new, len(d) - used - new, gone, front.estimator.estimate()))
+            leaving = sorted(n for n, k in removed.items() if k == self.k)
+            self.say("update", updated_text(used, new, len(d) - used - new, leaving, front.estimator.estimate()))
             self.pause("update")
 
     def _map(self, front: FrontEnd, what: str) -> None:

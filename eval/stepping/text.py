@@ -47,7 +47,6 @@ def _say(macro: str, **facts: Any) -> str:
 
 
 def _wrapped(text: str) -> str:
-    """The text with lines no longer than the terminal."""
     return "\n".join(fill(line, WIDTH, subsequent_indent="  ") for line in text.split("\n"))
 
 

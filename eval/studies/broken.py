@@ -23,13 +23,9 @@ from eval.replay.run import PLAIN, driven, filter_known
 
 @dataclass(frozen=True)
 class Broken:
-    """A broken filter.
+    """A broken filter."""
 
-    Attributes:
-        run: (inputs with labels, task, size) -> its run; in SLAM a map of the inputs is withheld.
-    """
-
-    run: Callable[[Inputs, str, float], Run]
+    run: Callable[[Inputs, str, float], Run]  # (inputs with labels, task, size) -> run
     sizes: tuple[float, float, float]  # three, from small to large
     none: float  # the size without fault
     called: str  # its fault in words

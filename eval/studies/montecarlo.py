@@ -87,14 +87,14 @@ class Study:
 
 def study_lines(study: Study) -> list[str]:
     """Terminal lines: each diverged run, and for each estimator the number of implausible ones, with the first."""
-    lines, doubtful = list[str](), dict[Key, list[tuple[int, str]]]()
+    lines, implausible_runs = list[str](), dict[Key, list[tuple[int, str]]]()
     for key, seed, why, implausible in study.failures():
         task, estimator, association, _ = key
         if implausible:
-            doubtful.setdefault(key, []).append((seed, why))
+            implausible_runs.setdefault(key, []).append((seed, why))
         else:
             lines.append(f"{study.scenario.name}, {task}: {estimator} ({association}) diverged with seed {seed}, {why}")
-    for (task, estimator, association, _), found in doubtful.items():
+    for (task, estimator, association, _), found in implausible_runs.items():
         who = f"{study.scenario.name}, {task}: {estimator} ({association})"
         seed, why = found[0]
         lines.append(

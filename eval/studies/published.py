@@ -37,18 +37,13 @@ class Ordering:
 
 @dataclass(frozen=True)
 class Published:
-    """Published numbers of a scenario, and the definition of their averages.
-
-    Attributes:
-        rows, orderings: numbers, and statements where numbers cannot be compared.
-        tolerance: of a replay, (estimator, largest relative difference of the NEES of any step).
-    """
+    """Published numbers of a scenario, and the definition of their averages."""
 
     rows: tuple[Row, ...] = ()
-    orderings: tuple[Ordering, ...] = ()
+    orderings: tuple[Ordering, ...] = ()  # statements where numbers cannot be compared
     skipped_are_zero: bool = False  # frames before the scenario's first count as zeros in the average NEES
     per_dof: bool = False  # NEES divided by its degrees of freedom
-    tolerance: tuple[tuple[str, float], ...] = ()
+    tolerance: tuple[tuple[str, float], ...] = ()  # of a replay: estimator, largest relative difference of any NEES
     note: str = ""  # for the reader
 
     def average(self, nees: Array, dof: int, from_frame: int) -> float:

@@ -43,29 +43,23 @@ class Member:
 
 @dataclass(frozen=True)
 class Scenario:
-    """One study.
-
-    Attributes:
-        task, association: names; every estimator runs with each.
-        kind, values: the simulator and its parameters.
-        rates: shares of an outlier study, each of which becomes a scenario with `wrong` set; part: whether this is one.
-    """
+    """One study."""
 
     name: str  # in every table; `source`: a shipped name or a file
     source: str
     about: str  # description, one paragraph
     cite: str  # its reference
     runs: int  # their default number
-    task: tuple[str, ...]
+    task: tuple[str, ...]  # every estimator runs with each task and association method
     association: tuple[str, ...]
     members: tuple[Member, ...]  # the estimators
-    kind: str
+    kind: str  # the simulator
     values: tuple[tuple[str, object], ...]
     setup: Setup = field(default_factory=Setup)  # gates and the like
     from_frame: int = 0  # first frame whose NEES counts (an exact start has singular covariances)
     wrong: float = 0.0  # share of observations whose label names another landmark
-    rates: tuple[float, ...] = ()
-    part: bool = False
+    rates: tuple[float, ...] = ()  # of an outlier study: each becomes a scenario with `wrong` set
+    part: bool = False  # whether this is one
     published: Published | None = None  # numbers to compare with
 
     @property

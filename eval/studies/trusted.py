@@ -59,13 +59,7 @@ class Blame:
 
 @dataclass(frozen=True, eq=False)
 class Trust:
-    """One log with one association method: its statistics, those of its twins, and the diagnosis.
-
-    Attributes:
-        log, task, association: which.
-        real, twins: the samples.
-        done: sizes of corrected systematic errors and factors of sigmas, by name.
-    """
+    """One log with one association method: its statistics, those of its twins, and the diagnosis."""
 
     log: str
     task: str
@@ -76,7 +70,7 @@ class Trust:
     blame: Blame | None = None  # None without enough twins
     notices: tuple[Notice, ...] = ()  # why something is missing
     after: Trust | None = None  # the same log after the corrections `done`, if tried (`eval.studies.twins`)
-    done: Mapping[str, float] = field(default_factory=dict)
+    done: Mapping[str, float] = field(default_factory=dict)  # corrections by name
 
 
 def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[Sample], smoother: Run | None) -> Trust:
@@ -237,7 +231,6 @@ def _path(smoother: Run) -> Array:
 
 
 def _as_front(smoother: Run) -> Run:
-    """A batch run as what another one takes decisions and start from."""
     return replace(smoother, online=smoother.final)
 
 

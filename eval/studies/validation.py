@@ -65,11 +65,7 @@ class World:
 
 @dataclass(frozen=True)
 class Validation:
-    """One study.
-
-    Attributes:
-        faults, broken: names of faults of logs and of broken filters.
-    """
+    """One study."""
 
     name: str  # in the tables; `source`: a shipped name or a file; `about`: one paragraph
     source: str
@@ -79,8 +75,8 @@ class Validation:
     twins: int  # of each log
     power: str  # name of the world for the power, `power_runs` logs for each fault and size
     power_runs: int
-    faults: tuple[str, ...] = tuple(FAULTS)
-    broken: tuple[str, ...] = tuple(BROKEN)
+    faults: tuple[str, ...] = tuple(FAULTS)  # of logs
+    broken: tuple[str, ...] = tuple(BROKEN)  # broken filters
     estimators: tuple[str, ...] = ("ekf",)  # on logs and twins, in addition to batch
     setup: Setup = field(default_factory=Setup)
     largest: bool = False  # only the largest size of each fault
@@ -99,20 +95,16 @@ class Case:
 
 @dataclass(frozen=True)
 class Examined:
-    """The judgement of one log.
-
-    Attributes:
-        world, seed, fault, size: which; `fault` is `SOUND`, one of a log, or a broken filter.
-    """
+    """The judgement of one log."""
 
     world: str
     seed: int
-    fault: str
+    fault: str  # `SOUND`, one of a log, or a broken filter
     size: float
-    p: float = math.nan  # smallest family-wise p value. objected: whether the battery rejects
-    objected: bool = False
-    cause: str = NOTHING  # its attribution. found: kinds and names of the findings, the strongest first
-    found: tuple[str, ...] = ()
+    p: float = math.nan  # smallest family-wise p value
+    objected: bool = False  # whether the battery rejects
+    cause: str = NOTHING  # its attribution
+    found: tuple[str, ...] = ()  # kinds and names of the findings, the strongest first
     nis: bool = False  # whether the NIS of filter or smoother is outside its 95 % bounds
     convicted: bool = False  # whether an estimator is inconsistent on the twins, in NEES or NIS
     failure: str = ""  # why there is no judgement; empty otherwise

@@ -307,7 +307,6 @@ def _covariance(
 
 
 def _head(inputs: Inputs, frames: int) -> Inputs:
-    """The inputs before frame `frames`."""
     o, rows = inputs.observations, int(inputs.start[frames])
     if not isinstance(o, LabelledObservations):
         raise ValueError("known association was not granted to these inputs")

@@ -229,7 +229,6 @@ def apply(model: Model, theta: Sequence[float] | Array, *, floor: bool = False, 
 
 
 def _increments(model: Model, value: Mapping[str, float], cut: float | None) -> Increments:
-    """Scaled motion with scaled noise."""
     forward, turn = math.exp(value.get("odometry_v", 0.0)), math.exp(value.get("odometry_omega", 0.0))
     if model.odometry is not None:
         odometry, latency = model.odometry, value.get(LATENCY, 0.0)

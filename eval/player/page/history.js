@@ -8,7 +8,7 @@ function landmarkHistory(recording, key, quantum) {
   const frame = recording.column(key + "change_frame"), there = recording.column(key + "change_there");
   const steps = recording.of(key + "change"), begins = recording.begins.get(key + "change"), found = new Map();
   for (let i = 0; i < number.length; i++) {
-    if (begins.has(i)) for (const own of found.values()) own.sum.fill(0);  // differences begin anew
+    if (begins.has(i)) for (const own of found.values()) own.sum.fill(0);  // differences restart
     let own = found.get(number[i]);
     if (!own) found.set(number[i], own = { sum: [0, 0, 0, 0, 0], frames: [], states: [] });
     for (let c = 0; c < 5; c++) own.sum[c] += steps[c][i];

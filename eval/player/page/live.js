@@ -46,20 +46,20 @@ function grown(chunk) {
     plotted = performance.now(); plotting = plotted - begin;
   }
   inspect.last = 0; changed();
-  says(chunk.now);
+  show(chunk.now);
 }
 
-function says(text) { $$("facts").textContent = text; }
+function show(text) { $$("facts").textContent = text; }
 
 async function ask() {
   let wait = EVERY;
   try {
     const ended = await fetched();
     connected = true;
-    if (ended) { says(`The drive has ended. ${recording.frames} frames.`); return; }
-    if (!recording.head) says("Waiting for the robot's first answer.");
+    if (ended) { show(`The drive has ended. ${recording.frames} frames.`); return; }
+    if (!recording.head) show("Waiting for the robot's first answer.");
   } catch (fault) {
-    if (connected) says("No connection: the drive has ended or is delayed.");
+    if (connected) show("No connection: the drive has ended or is delayed.");
     connected = false; wait = LATER;
   }
   setTimeout(ask, wait);

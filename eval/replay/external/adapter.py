@@ -187,12 +187,7 @@ OPTIONAL = ("stamp", "remove", "merge", "park", "restore", "inflate", "reset", "
 
 
 class Adapter:
-    """A foreign estimator with the methods of `eval.replay.estimators.Estimator`; capabilities follow from `inner`.
-
-    Attributes:
-        name: in tables.
-        inner: the foreign object.
-    """
+    """A foreign estimator with the methods of `eval.replay.estimators.Estimator`; capabilities follow from `inner`."""
 
     def __init__(self, name: str, inner: Any, known: LandmarkMap | None) -> None:
         """Wrap `inner`; `known` is the map of localization."""

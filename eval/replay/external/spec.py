@@ -127,7 +127,7 @@ def check_name(label: str, name: str, kind: str, chosen: bool, rest: str) -> Non
     instead = "" if chosen else f"; put a name before it, as in mine={rest}"
     if not NAME.fullmatch(name):
         raise UsageError(
-            f"{label}: {name!r} cannot stand in file names; letters, digits, '.', '_' and '-' can, at most 40{instead}"
+            f"{label}: {name!r} cannot be part of file names; letters, digits, '.', '_', '-' can, at most 40{instead}"
         )
     ours = next((n for n in OURS[kind] if n.lower() == name.lower()), None)
     if ours is not None:

@@ -149,7 +149,7 @@ def _vote(
                         continue
                     reach = math.hypot(tolerance[i, a], tolerance[k, b])
                     ex, ey = y[b, 0] - y[a, 0], y[b, 1] - y[a, 1]
-                    # a short pair says nothing about the turn
+                    # a short pair does not give the rotation
                     if apart < long * reach or abs(math.hypot(ex, ey) - apart) > reach:
                         continue
                     turn = math.atan2(dx * ey - dy * ex, dx * ex + dy * ey)

@@ -62,7 +62,6 @@ def widest(scales: Scales) -> float:
 
 
 def _core(scales: Scales) -> float:
-    """The scale without tails."""
     return min(1.0, constants.TAILS * max(scales.sensor.scale, scales.motion.scale))
 
 

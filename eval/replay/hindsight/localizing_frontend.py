@@ -29,11 +29,7 @@ from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
 class Stretches:
-    """A smoother that can be restarted; its final path is joined from the stretches.
-
-    Attributes:
-        smooths: True.
-    """
+    """A smoother that can be restarted; its final path is joined from the stretches."""
 
     smooths = True
 
@@ -233,7 +229,6 @@ class LocalizingFrontEnd(FrontEnd):
             self._held_until = self._seen
 
     def _reset(self) -> None:
-        """Reset the estimator to the hypotheses' pose."""
         self._pose.reset(*self.localizer.pose())
 
     def close(self) -> None:

@@ -75,9 +75,6 @@ class HindsightMapper:
     """Decides about the observations of a log without a map: `move`, `decide`, `revise`; at the end `close`.
 
     Landmark numbers are in the order of creation, as in every estimator that gets the decisions.
-
-    Attributes:
-        filters: the deciding filters.
     """
 
     def __init__(self, given: Given, setup: Setup) -> None:

@@ -111,7 +111,6 @@ def surest(scan: Scan, limit: int) -> IntArray:
 
 
 def _variance(scan: Scan) -> Array:
-    """Sum of both variances (n,) of each point."""
     total: Array = np.diag(scan.covariance).reshape(-1, 2).sum(axis=1)
     return total
 
@@ -166,7 +165,6 @@ def relocalize(scan: Scan, known: LandmarkMap) -> Place | None:
 
 
 def _same(best: _Fit, other: _Fit) -> bool:
-    """Whether two fits are one place: closer than 5 sigma."""
     error = se2.pose_error(best.pose, other.pose)
     return float(error @ np.linalg.solve(best.covariance + other.covariance, error)) < constants.ONE_PLACE_SIGMAS**2
 

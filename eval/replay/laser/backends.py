@@ -128,7 +128,6 @@ def _diverged(name: str, chain: Chain, frame: int, stop: UnderConstrained) -> tu
 
 
 def _dead_reckoning(given: _Constraints) -> Solved:
-    """Wheel odometry alone."""
     inputs = given.inputs
     nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
     alone = run_filter(inputs.without_map(), nothing)
@@ -234,7 +233,6 @@ def _batch(name: str, given: _Constraints) -> Solved:
 
 
 def _smoothed(name: str, given: _Constraints, found: SmoothedPoses, loss: str) -> Run:
-    """An optimum as a run."""
     return _run(
         name,
         final=over_frames(given.chain, found.pose, found.covariance),

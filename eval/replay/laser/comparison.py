@@ -30,13 +30,9 @@ from graph.poses.online import PoseGraph
 
 @dataclass(frozen=True, eq=False)
 class FrontEndResult:
-    """The result of the front end.
+    """The result of the front end."""
 
-    Attributes:
-        chain, loops: constraints for every back end.
-    """
-
-    chain: Chain
+    chain: Chain  # constraints for every back end
     loops: Loops
     online: Array  # (N, 3) online world pose of each frame
     seconds: Array  # (N,) wall time of each frame: matching, loops and graph
@@ -186,7 +182,6 @@ def _learned(inputs: Inputs, front: FrontEndResult, setup: Setup) -> tuple[float
 
 
 def _scaled(front: FrontEndResult, factor: float) -> FrontEndResult:
-    """The same constraints with scaled covariances."""
     c, o = front.chain, front.loops
     chain = replace(c, covariance=factor * c.covariance, since_covariance=factor * c.since_covariance)
     return replace(front, chain=chain, loops=replace(o, covariance=factor * o.covariance))
