@@ -163,11 +163,11 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.referee.diagnostics import questions_of_run
     from eval.referee.score import score
     from eval.report.contents import write_results
-    from eval.report.diagnostics import asked, said, together
     from eval.report.headline import headlines, lines, trust_line
     from eval.report.overview import trust_mark
     from eval.report.overview_facts import facts_of
     from eval.report.page.latex import check_columns
+    from eval.report.words import asked, said, together
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
 
