@@ -204,7 +204,7 @@ def _path(trial: Trial, row: Scored | None, phase: str) -> Array | None:
 def drawn(lines: Sequence[tuple[Array, tuple[str, float]]]) -> str:
     """Paths (N, 2) in metres from above, y up as in the map figure; the first one and half its size around is shown."""
     known = [xy[np.isfinite(xy).all(axis=1)] for xy, _ in lines]
-    opportunities = [look for xy, (_, look) in zip(known, lines, strict=True) if len(xy)]
+    styles = [style for xy, (_, style) in zip(known, lines, strict=True) if len(xy)]
     known = [xy for xy in known if len(xy)]
     if not known:
         return ""
@@ -216,7 +216,7 @@ def drawn(lines: Sequence[tuple[Array, tuple[str, float]]]) -> str:
     scale = float(min((WIDTH - 2.0 * EDGE) / size[0], (HEIGHT - 2.0 * EDGE) / size[1]))
     offset = 0.5 * (np.array([WIDTH, HEIGHT]) - scale * (high - low))
     parts = []
-    for xy, (colour, width) in zip(known, opportunities, strict=True):
+    for xy, (colour, width) in zip(known, styles, strict=True):
         kept = xy[np.unique(np.linspace(0, len(xy) - 1, POINTS).astype(int))]
         x, y = offset[0] + scale * (kept[:, 0] - low[0]), offset[1] + scale * (high[1] - kept[:, 1])
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x.tolist(), y.tolist(), strict=True))

@@ -93,7 +93,7 @@ def report_html(folder: Path, report: Report, details: Mapping[str, str], up: st
             report=report,
             up=up,
             details=details,
-            overview=any(isinstance(b, Overview) for b in report.introduction),
+            skip=any(isinstance(b, Overview) for b in report.introduction),
             first=first,
             rest=rest,
             contents=contents if len(contents) >= LISTED else [],

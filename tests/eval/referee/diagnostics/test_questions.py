@@ -104,4 +104,4 @@ def test_questions_stand_in_inspect_on_the_terminal_in_the_log_and_in_the_report
     assert "✗ **neither** (ekf lost from frame 0)" in row
     section = report.partition("## lost, localization")[2]
     assert "ekf (nn): 0 of" in section[: section.index("<details>")]
-    assert "## Questions" in report
+    assert "## Warnings" in report
