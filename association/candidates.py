@@ -52,14 +52,8 @@ def holding(sensor: Sensor, polar: Array) -> Sensor:
 
 
 def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading: Array) -> BoolArray:
-    """A superset of `in_view` without a joint covariance; all walls are in it.
-
-    Args:
-        sensor: with its field of view.
-        pose: (3,) of the robot.
-        xy: (n, 2) of the landmarks.
-        sigma: (n,) m, bounds of the landmarks' uncertainty relative to the robot.
-        heading: (n,) rad, bounds of the robot's heading uncertainty.
+    """A superset of `in_view` for landmarks at xy (n, 2), without a joint covariance; all walls are in it. `sigma` (n,)
+    m, `heading` (n,) rad: bounds of the landmarks' uncertainty relative to the robot, and of its heading's.
     """
     if not sensor.sees_points:
         return np.ones(len(xy), np.bool_)
@@ -106,7 +100,7 @@ class Places:
         return np.array(self._tree.query_ball_point(point, radius, return_sorted=True), np.int64)
 
 
-class Drift:
+class UncertaintyBounds:
     """Bounds on each landmark's uncertainty relative to the robot, without a joint covariance.
 
     The lesser of two bounds. The first is the uncertainty when the landmark was last observed or expected, plus

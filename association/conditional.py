@@ -107,9 +107,8 @@ def conditional_newness(e: Expectation, decisions: IntArray, new_gate: float | N
 
 
 def blocked_by_pairings(e: Expectation, decisions: IntArray, new_gate: float | None) -> BoolArray:
-    """Observations (m,) that are discarded only because of landmarks paired with another observation of the frame.
-
-    No landmark is observed twice in a frame: if such an observation is no clutter, there are two landmarks.
+    """Observations (m,) that are discarded only because of landmarks paired with another observation of the frame. No
+    landmark is observed twice in a frame: if such an observation is no clutter, there are two landmarks.
     """
     left = np.flatnonzero(decisions == DISCARD)
     close = _close(e, decisions, left, new_gate)

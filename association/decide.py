@@ -37,9 +37,7 @@ class Decided(NamedTuple):
 
 def horizon(method: str, gate: float | None, new_gate: float | None, *, known_map: bool = False) -> float:
     """Squared distance from every observation beyond which no candidate influences the decisions; infinite without a
-    gate.
-
-    The ratio test needs the second best candidate, which may be anywhere inside the gate or compete with "new".
+    gate. The ratio test needs the second best candidate, which may be anywhere inside the gate or compete with "new".
     """
     if gate is None:
         return math.inf
@@ -119,10 +117,8 @@ def known_decisions(inputs: Inputs) -> tuple[IntArray, IntArray]:
 
 
 def pair_by_label(label: IntArray, held: Mapping[int, int]) -> IntArray:
-    """SLAM decisions (m,) of one frame by labels (m,), for a map that may have lost landmarks.
-
-    `held` is the landmark number of each label in the map. Without removals the decisions are those of
-    `known_decisions`.
+    """SLAM decisions (m,) of one frame by labels (m,), for a map that may have lost landmarks. `held` is the landmark
+    number of each label in the map. Without removals the decisions are those of `known_decisions`.
     """
     decisions = np.full(len(label), DISCARD, np.int64)
     initialized: set[int] = set()

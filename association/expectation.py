@@ -53,9 +53,7 @@ def plain_residual(z: Array, z_hat: Array) -> Array:
 def _distances(
     nu: Array, HPHt: Array, R: Array, frame: IntArray, observed_frame: IntArray, d2: Array, det: Array
 ) -> int:
-    """Fill d2 and det S (m, n), infinite where the frames differ; returns the index i * n + j of a singular pair, or
-    -1.
-    """
+    """Fill d2 and det S (m, n), infinite where the frames differ; the index i * n + j of a singular pair, or -1."""
     m: int = d2.shape[0]
     n: int = d2.shape[1]
     for i in range(m):
@@ -89,9 +87,8 @@ class Expectation:
         z: (m, 2), R: (m, 2, 2) the observations; observed_frame: (m,) their frames.
         residual: the sensor's `residual(z, z_hat)`, broadcasting.
         joint: `joint(indices)` gives the joint covariance (2k, 2k) of the expectations of k candidates, in that order.
-        elsewhere: `elsewhere(pose)` is the same expectation linearized at another pose (3,): z_hat = h(pose) + H (mean
-            -
-            pose), as in an iterated update; None: not available.
+        elsewhere: `elsewhere(pose)` is the same linearized at another pose (3,), as in an iterated update: z_hat =
+            h(pose) + H (mean - pose); None: not available.
     """
 
     number: IntArray
@@ -118,9 +115,8 @@ class Expectation:
         frame: IntArray | None = None,
         observed_frame: IntArray | None = None,
     ) -> Expectation:
-        """A problem stated with plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2).
-
-        `number` (n,) defaults to 0, 1, ...; `frame` (n,) and `observed_frame` (m,) to one frame for all.
+        """A problem stated with plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2). `number` (n,)
+        defaults to 0, 1, ...; `frame` (n,) and `observed_frame` (m,) to one frame for all.
         """
         z, z_hat = np.asarray(z, float).reshape(-1, 2), np.asarray(z_hat, float).reshape(-1, 2)
         full = np.asarray(joint_HPHt, float)
@@ -140,9 +136,8 @@ class Expectation:
         )
 
     def by_age(self) -> Expectation:
-        """The same problem with its candidates in ascending landmark number, then frame.
-
-        Methods that break ties by order start with this, so that no decision depends on how a map is stored.
+        """The same problem with its candidates in ascending landmark number, then frame. Methods that break ties by
+        order start with this, so that no decision depends on how a map is stored.
         """
         order = np.lexsort((self.frame, self.number))
         return self if np.array_equal(order, np.arange(len(order))) else self.only(order)
@@ -186,7 +181,6 @@ class Expectation:
 
     def individual_distances(self) -> Array:
         """Squared Mahalanobis distance (m, n) of every observation to every candidate, infinite in another frame.
-
         Raises SingularInnovationError if a covariance is not positive definite, or a value not finite.
         """
         return self._formed[0]
@@ -220,7 +214,6 @@ class Expectation:
 
     def innovation_statistics(self, rows: IntArray, chosen: IntArray) -> tuple[float, int, float]:
         """NIS, degrees of freedom and log-likelihood of pairing observations `rows` with candidates `chosen`, jointly.
-
         Raises SingularInnovationError if their joint covariance is not positive definite.
         """
         if not len(rows):

@@ -64,10 +64,7 @@ class Faces:
         self._stretch = np.empty((0, 2))
 
     def visible(self, pose: Array, covariance: Array, number: IntArray, z_hat: Array) -> BoolArray:
-        """Which landmarks `number` (n,), expected at z_hat (n, 2) [m, rad], may be observed from a pose (3,).
-
-        `covariance`: (3, 3) of the pose, world frame.
-        """
+        """Which landmarks (n,), expected at z_hat (n, 2), may be observed from a pose (3,) with covariance (3, 3)."""
         normal, foot = self._in_world(pose, z_hat)
         first = self._direction[number]
         along = _along(foot, first)

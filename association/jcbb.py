@@ -43,10 +43,8 @@ def _factor(a: float, b: float, c: float, scale_a: float, scale_c: float) -> tup
 
 
 class Given(NamedTuple):
-    """The candidates conditioned on the first q pairings, by q.
-
-    V: (m, k, 2, 2) rows of L^-1 C; shift: (m + 1, k, 2) of the expectation; D: (m + 1, k, 3) remaining covariance (xx,
-    xy, yy).
+    """The candidates conditioned on the first q pairings, by q. V: (m, k, 2, 2) rows of L^-1 C; shift: (m + 1, k, 2) of
+    the expectation; D: (m + 1, k, 3) remaining covariance (xx, xy, yy).
     """
 
     V: Array

@@ -77,10 +77,8 @@ def ml_ratio(expectation: Expectation, gate: float | None, *, alpha: float = ALP
 
 
 def singles(expectation: Expectation, gate: float | None) -> IntArray:
-    """Pairs without any ambiguity (SINGLES of the data-association lab after Neira and Tardos 2001).
-
-    Observation and landmark are paired if each is the only one compatible with the other: d^2 < chi-square at `gate`, 2
-    dof.
+    """Pairs without any ambiguity (SINGLES of the data-association lab after Neira and Tardos 2001). Observation and
+    landmark are paired if each is the only one compatible with the other: d^2 < chi-square at `gate`, 2 dof.
     """
     compatible = expectation.individual_distances() < gate_threshold(gate)
     alone = compatible.sum(axis=1) == 1

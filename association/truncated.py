@@ -44,9 +44,8 @@ class Acceptance(NamedTuple):
 
 
 def acceptance(method: str, gate: float | None) -> Acceptance:
-    """The tests of an association method at a `gate` probability, None for no gate.
-
-    `ml-ratio` pairs only landmarks that beat "new" by its ratio, which is the narrower test.
+    """The tests of an association method at a `gate` probability, None for no gate. `ml-ratio` pairs only landmarks
+    that beat "new" by its ratio, which is the narrower test.
     """
     if method in ("jcbb", "jcbb-first"):
         return Acceptance(gate_threshold(gate), gate)
@@ -57,9 +56,8 @@ def acceptance(method: str, gate: float | None) -> Acceptance:
 
 @cache
 def truncated_square(threshold: float, dof: int = 2) -> tuple[float, float]:
-    """Mean and variance of a chi-square variable of `dof` below a threshold.
-
-    E[x] = k F_{k+2}(c) / F_k(c), E[x^2] = k (k + 2) F_{k+4}(c) / F_k(c), with F the distribution function.
+    """Mean and variance of a chi-square variable of `dof` below a threshold. E[x] = k F_{k+2}(c) / F_k(c), E[x^2] = k
+    (k + 2) F_{k+4}(c) / F_k(c), with F the distribution function.
     """
     if math.isinf(threshold):
         return float(dof), 2.0 * dof
@@ -70,9 +68,8 @@ def truncated_square(threshold: float, dof: int = 2) -> tuple[float, float]:
 
 
 def accepted_moments(S: Array, passed: Acceptance, turn: int) -> tuple[float, float]:
-    """Mean and variance of the joint NIS of accepted pairings with innovation covariance S (2k, 2k).
-
-    `turn` is the number of the frame, which selects its draws. Without a gate these are 2k and 4k.
+    """Mean and variance of the joint NIS of accepted pairings with innovation covariance S (2k, 2k). `turn` is the
+    number of the frame, which selects its draws. Without a gate these are 2k and 4k.
     """
     dof = len(S)
     if dof == 0 or passed.everything:

@@ -36,10 +36,7 @@ WORTH = 0.7
 
 
 class Epoch(NamedTuple):
-    """Frames from `begin` before `end`, and the landmarks (a,) in the state from its beginning, ascending.
-
-    all_active: no landmark is parked.
-    """
+    """Frames `begin` to `end` - 1, landmarks (a,) in the state at the beginning, and whether none is parked."""
 
     begin: int
     end: int
@@ -97,10 +94,8 @@ def plan(decisions: IntArray, start: IntArray) -> Plan:
 
 
 def worthwhile(inputs: Inputs, decisions: IntArray, options: FilterOptions = DEFAULT) -> list[Epoch] | None:
-    """Epochs in which the filter is faster than without, or None.
-
-    None also for filters that parking would change: the invariant one moves all landmarks, and an iterated one ends by
-    the largest motion of all of them.
+    """Epochs in which the filter is faster than without, or None. None also for filters that parking would change: the
+    invariant one moves all landmarks, and an iterated one ends by the largest motion of all of them.
     """
     if inputs.map is not None or options.invariant or options.iterations > 1 or (decisions == NEW).sum() < LEAST:
         return None
@@ -181,10 +176,8 @@ def run_in_epochs(
 
 
 class State(NamedTuple):
-    """Buffers of an epoch: robot, active landmarks, y, padding to an even length, then room for new landmarks.
-
-    d: length without new landmarks; y: length of y; C: (2b, y), D of `ekf.parking`, undefined in rows of active
-    landmarks.
+    """Buffers of an epoch: robot, active landmarks, y, padding to an even length, then room for new landmarks. d:
+    length without new landmarks; y: length of y; C: (2b, y), D of `ekf.parking`, undefined in rows of active landmarks.
     """
 
     mean: Array

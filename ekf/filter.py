@@ -193,9 +193,8 @@ class Filter:
     def _expect(
         self, observations: FrameObservations, number: IntArray, at: IntArray, known: Array, pose: Array | None = None
     ) -> Expectation:
-        """Expectation of candidates at offsets `at` of the state, or in `known` where `at` is negative.
-
-        Linearized at the mean, or at another `pose` (3,).
+        """Expectation of candidates at state offsets `at`, or in `known` where negative, linearized at the mean or
+        `pose`.
         """
         n, m = len(number), len(observations.z)
         z_hat, blocks = np.empty((n, 2)), np.empty((n, 2, 2))
@@ -240,7 +239,6 @@ class Filter:
 
     def _substate(self, state: Array, at: IntArray, known: Array) -> tuple[Array, Array, Array, IntArray]:
         """Mean, covariance and first estimates of the pose and the landmarks at offsets `at` (k,), and the new offsets.
-
         The cost of a joint innovation then does not grow with the map.
         """
         held = at >= 0

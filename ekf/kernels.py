@@ -31,10 +31,8 @@ FAILURES = {NOT_FINITE: "the state is no longer finite", NOT_PSD: "a covariance 
 
 
 class Pairings(NamedTuple):
-    """Observations z (k, 2), R (k, 2, 2) and the landmarks that they are paired with.
-
-    `at` (k,) is the offset of each landmark in the state; where it is negative, the landmark is known and is row
-    `known` (k, 2).
+    """Observations z (k, 2), R (k, 2, 2) and the landmarks that they are paired with. `at` (k,) is the offset of each
+    landmark in the state; where it is negative, the landmark is known and is row `known` (k, 2).
     """
 
     at: IntArray
@@ -53,9 +51,8 @@ class Innovation(NamedTuple):
 
 @numba.njit(cache=True)
 def predict(mean: Array, P: Array, d: int, motion: Array, M: Array, first: Array) -> None:
-    """Move by a body-frame increment `motion` (3,) with covariance M (3, 3): P <- F P F' + G M G', map unchanged.
-
-    F differs from I only in its third column: with first estimates, the displacement between predicted positions.
+    """Move by a body-frame increment `motion` (3,) with covariance M (3, 3): P <- F P F' + G M G', map unchanged. F
+    differs from I only in its third column: with first estimates, the displacement between predicted positions.
     """
     c, s = math.cos(mean[2]), math.sin(mean[2])
     wx, wy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
@@ -101,9 +98,8 @@ def innovate(
     out: Innovation,
     first: Array,
 ) -> None:
-    """Fill `out` with the innovation of k paired observations, all Jacobians at `mean` or `first`.
-
-    `base` is the prediction: nu = z - h(mean) - H (base - mean), so the two differ only in an iterated update.
+    """Fill `out` with the innovation of k paired observations, all Jacobians at `mean` or `first`. `base` is the
+    prediction: nu = z - h(mean) - H (base - mean), so the two differ only in an iterated update.
     """
     at, known, z, R = seen
     nu, PHt, S = out

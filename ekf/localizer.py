@@ -38,13 +38,6 @@ class EkfLocalizer(Filter):
         self.map, self.within = known, math.inf
         self._places = Places(known.xy)
 
-    def rows_of(self, decisions: IntArray) -> IntArray:
-        """Row of the map for each decision; raises ValueError for an id the map does not have."""
-        rows = self.map.rows(decisions)
-        if np.any(rows < 0):
-            raise ValueError(f"decisions {decisions.tolist()} name a landmark the map does not have")
-        return rows
-
     def expect(self, observations: FrameObservations) -> Expectation:
         """Expectation of the map's landmarks, valid until the next `predict` or `update`."""
         near = self._places.around(*self._search_circle(observations))
@@ -93,11 +86,13 @@ class EkfLocalizer(Filter):
         innovations: bool = True,
     ) -> Updated:
         """One update with every observation whose decision is a landmark id and whose d^2 is below `threshold`.
-
         Linearized first at the prediction, or at a pose `at` (3,). A filter always forms its innovations.
         """
         paired = np.flatnonzero(decisions >= 0)
-        known = self.map.xy[self.rows_of(decisions[paired])]
+        rows = self.map.rows(decisions[paired])
+        if np.any(rows < 0):
+            raise ValueError(f"decisions {decisions[paired].tolist()} name a landmark the map does not have")
+        known = self.map.xy[rows]
         given = np.full(len(paired), -1, np.int64)
         if self._errors.range_at >= 0:
             # temporary states of the update

@@ -34,9 +34,8 @@ MARGIN = 1.0 + 1e-6
 
 
 class ParkedBounds(NamedTuple):
-    """Parked landmarks of an epoch: covariance (n, 2, 2) and sigma [m] (n,) of the position relative to x0.
-
-    boxes: (n / 64, 5) smallest and largest x, smallest and largest y [m], largest sigma [m]; NaN where none is parked.
+    """Parked landmarks of an epoch: covariance (n, 2, 2) and sigma [m] (n,) of the position relative to x0. boxes: (n /
+    64, 5) smallest and largest x, smallest and largest y [m], largest sigma [m]; NaN where none is parked.
     """
 
     own: Array
@@ -72,16 +71,8 @@ def may_be_observed(
     observations: FrameObservations,
     within: float,
 ) -> BoolArray:
-    """Which landmarks (n,) of these rows may be within a squared distance of some observation.
-
-    Args:
-        parked: the parked landmarks.
-        around: their bounds at the beginning of the epoch.
-        sensor: of the observations.
-        x: (3 + k,) present mean of the pose and of y.
-        P: (3 + k, 3 + k) their covariance.
-        observations: of the frame.
-        within: the squared Mahalanobis distance.
+    """Which landmarks (n,) of these rows may be within a squared distance of some observation. `around`: bounds at the
+    beginning of the epoch; x (3 + k,), P (3 + k, 3 + k): present mean and covariance of pose and y.
     """
     k, robot = parked.k, parked.robot[:2]
     y, P_yy = x[3:], P[3:, 3:]

@@ -210,7 +210,6 @@ class Parked:
 
     def restoring(self, numbers: IntArray, y: Array, P_yy: Array) -> tuple[Array, Array, Array, Array]:
         """Restore landmarks (r,) of these rows, with which y grows by 2r, given present mean (k,) and covariance of y.
-
         Returns their mean (2r,), D_p (2r, k), covariance (2r, 2r) and l (2r, 2r).
         """
         at = coordinates(numbers)
@@ -233,13 +232,8 @@ class Parked:
         self.changed()
 
     def update(self, created: int, y: Array, P_yy: Array, recent: tuple[Array, Array, Array]) -> None:
-        """Update all means and covariances, recent landmarks included; y is undefined afterwards (`begin`).
-
-        Args:
-            created: number of landmarks so far.
-            y: (k,) its mean.
-            P_yy: (k, k).
-            recent: mean (2r,), cross-covariance with y (2r, k) and covariance (2r, 2r) of the recent landmarks.
+        """Update all means and covariances by y (k,) and P_yy (k, k); y is undefined afterwards (`begin`). `recent`:
+        mean (2r,), cross-covariance with y (2r, k) and covariance (2r, 2r) of the recent landmarks.
         """
         self._room(2 * created, self.k)
         D, at = self.D, coordinates(self.recent)

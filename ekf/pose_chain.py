@@ -193,7 +193,6 @@ def run_pose_chain(
     threshold: float = math.inf,
 ) -> PoseChainRun:
     """The filter over motion (K, 3), (K, 3, 3), row 0 unused, and loop closures (L,), each at key pose `joined` (L,).
-
     All loop closures of one key pose are one update. `joined` < 0: never; `threshold` as of `close`.
     """
     K = len(motion)

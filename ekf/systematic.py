@@ -106,7 +106,6 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
 @numba.njit(cache=True)
 def hold_known(mean: Array, P: Array, d: int, known: Array, first: Array, errors: Errors) -> None:
     """Append known landmarks (k, 2), world frame, as states in the sensor's frame; the buffers have room for d + 2k.
-
     They depend on the range error alone: l' = o + (l - o) (1 + range).
     """
     a = errors.range_at
@@ -162,10 +161,7 @@ def of_frames(systematic: Systematic | None, state: Array, P: Array) -> Systemat
 
 
 def landmarks(map_: MapState, cross: Array, errors: Array, P_bb: Array, frame: SensorFrame) -> MapState:
-    """The map in the world from that in the filter's frame.
-
-    `cross` (n, 2, p): its covariance with the errors, of mean `errors` (p,) and covariance P_bb (p, p).
-    """
+    """The map in the world; `cross` (n, 2, p): its covariance with the errors, of mean (p,) and covariance P_bb."""
     if isinstance(frame, WallFrame):
         return frame.walls_out(map_)
     if frame.range_at < 0:

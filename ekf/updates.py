@@ -26,10 +26,8 @@ TILE = 16
 
 
 class UpdateRule(NamedTuple):
-    """Rule of an update.
-
-    threshold: squared distance of the gate, inf for none; retraction: `ADDITIVE`, `INVARIANT` or more; iterations:
-    largest number of linearizations; first: see `ekf.kernels`, not together with iterations.
+    """Rule of an update. threshold: squared distance of the gate, inf for none; retraction: `ADDITIVE`, `INVARIANT` or
+    more; iterations: largest number of linearizations; first: see `ekf.kernels`, not together with iterations.
     """
 
     threshold: float
@@ -39,10 +37,8 @@ class UpdateRule(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """Outputs of an update with k observations.
-
-    keep: (k,) passed the gate; stats: (3,) sums of NIS, log-likelihood and degrees of freedom; white: (k, 2) each
-    innovation divided by its standard deviation, NaN where it was not used.
+    """Outputs of an update with k observations. keep: (k,) passed the gate; stats: (3,) sums of NIS, log-likelihood and
+    degrees of freedom; white: (k, 2) each innovation divided by its standard deviation, NaN where it was not used.
     """
 
     keep: BoolArray
@@ -79,9 +75,8 @@ def forward(L: Array, b: Array, x: Array) -> None:
 
 @numba.njit(cache=True)
 def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, retraction: int) -> int:
-    """The Kalman update: mean += K nu (or see `move`), P -= W W' with W = PHt L^-T, S = L L'.
-
-    Adds NIS and log-likelihood to `stats` (2,). P stays symmetric to the bit. Returns a status.
+    """The Kalman update: mean += K nu (or see `move`), P -= W W' with W = PHt L^-T, S = L L'. Adds NIS and
+    log-likelihood to `stats` (2,). P stays symmetric to the bit. Returns a status.
     """
     nu, PHt, S = found
     n = len(nu)
@@ -160,17 +155,13 @@ def move(mean: Array, P: Array, d: int, shift: Array, base: int) -> None:
         a, b = 1.0 - angle * angle / 6.0, 0.5 * angle
     else:
         a, b = s / angle, (1.0 - c) / angle
-    step = np.zeros(d)
+    step, column = np.zeros(d), np.zeros(d)
     r = 0
     while r < d:
         x, y = mean[r], mean[r + 1]
         u, v = shift[r] + y * angle, shift[r + 1] - x * angle
         step[r] = c * x - s * y + a * u - b * v - x
         step[r + 1] = s * x + c * y + b * u + a * v - y
-        r = base if r == 0 else r + 2
-    column = np.zeros(d)
-    r = 0
-    while r < d:
         column[r], column[r + 1] = -step[r + 1], step[r]
         r = base if r == 0 else r + 2
     for r in range(3, base):

@@ -40,15 +40,10 @@ class FilterRun(NamedTuple):
 
 
 def run_filter(
-    inputs: Inputs,
-    decisions: IntArray,
-    *,
-    threshold: float = np.inf,
-    options: FilterOptions = DEFAULT,
+    inputs: Inputs, decisions: IntArray, *, threshold: float = np.inf, options: FilterOptions = DEFAULT
 ) -> FilterRun:
-    """EKF localization (inputs with a map) or EKF-SLAM (without) with given decisions (M,).
-
-    SLAM: decisions are landmark numbers in order of creation, `NEW` or `DISCARD`; localization: map ids or `DISCARD`.
+    """EKF localization (inputs with a map) or EKF-SLAM (without) with given decisions (M,). SLAM: decisions are
+    landmark numbers in order of creation, `NEW` or `DISCARD`; localization: map ids or `DISCARD`.
     """
     if options.new_variance_per_square is not None:
         raise ValueError("a new landmark's variance depends on its distance only in the step-by-step filter")
@@ -169,9 +164,8 @@ class Track(NamedTuple):
 def run(
     kind: int, extrinsic: Array, mean: Array, P: Array, d: int, steps: Steps, rules: Rules, errors: Errors, track: Track
 ) -> tuple[int, int, int]:
-    """Fill `track` by the steps of a filter, from a state of d entries, in compiled code.
-
-    Rejected pairings become `DISCARD` in `steps.decision`. Returns (d, status, frame of the failure).
+    """Fill `track` by the steps of a filter, from a state of d entries, in compiled code. Rejected pairings become
+    `DISCARD` in `steps.decision`. Returns (d, status, frame of the failure).
     """
     motion, M, start, z, R, decision, known = steps
     first = rules.how.first

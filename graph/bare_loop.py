@@ -55,9 +55,8 @@ def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_
 
 
 def bare_batch(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start) -> Trajectory:
-    """SLAM: gtsam's Levenberg-Marquardt optimizer with defaults, and all marginal covariances.
-
-    It stops at a small decrease of the error, near the optimum or not.
+    """SLAM: gtsam's Levenberg-Marquardt optimizer with defaults, and all marginal covariances. It stops at a small
+    decrease of the error, near the optimum or not.
     """
     problem = build(inputs, decisions, created)
     graph = problem.graph()

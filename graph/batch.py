@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 
 from data.errors import UsageError
-from data.inputs import Inputs, IntArray
+from data.inputs import Inputs, IntArray, LandmarkMap
 from data.motion.systematic import sensor_frame
 from data.se2 import Array
 from graph.factors import LOSSES, between_factors, known_landmark_factors, landmark_factors
@@ -19,9 +19,8 @@ from graph.walls import line_factors, refuse
 
 
 class Start(NamedTuple):
-    """Initial estimate: poses (N, 3) and landmarks (L, 2), points or walls, row = landmark number.
-
-    errors (N, p): systematic errors by frame, where some are estimated; None: from zero.
+    """Initial estimate: poses (N, 3) and landmarks (L, 2), points or walls, row = landmark number. errors (N, p):
+    systematic errors by frame, where some are estimated; None: from zero.
     """
 
     pose: Array
@@ -66,21 +65,18 @@ def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "g
     used = np.flatnonzero(number >= 0)
     o = inputs.observations
     seen = (sensor, o.z[used], o.R[used], o.frame[used], number[used])
+    at = None if inputs.map is None else inputs.map.xy[_rows_of(inputs.map, number[used])]
     if not sensor.sees_points:
         about = inputs.prior.mean[:2]
-        known = None if inputs.map is None else inputs.map.xy[_rows_of(inputs, number[used])]
-        observations = line_factors(*seen, about, loss, known)
-        return Problem(inputs.prior, motion, observations, inputs.map is not None, calibrated, about)
-    if inputs.map is None:
-        return Problem(inputs.prior, motion, landmark_factors(*seen, loss), False, calibrated)
-    xy = inputs.map.xy[_rows_of(inputs, number[used])]
-    return Problem(inputs.prior, motion, known_landmark_factors(*seen, xy, 0, loss), True, calibrated)
+        factors = line_factors(*seen, about, loss, at)
+        return Problem(inputs.prior, motion, factors, at is not None, calibrated, about)
+    factors = landmark_factors(*seen, loss) if at is None else known_landmark_factors(*seen, at, 0, loss)
+    return Problem(inputs.prior, motion, factors, at is not None, calibrated)
 
 
-def _rows_of(inputs: Inputs, ids: IntArray) -> IntArray:
+def _rows_of(known: LandmarkMap, ids: IntArray) -> IntArray:
     """Row of the map for each id; raises UsageError for one the map does not have."""
-    assert inputs.map is not None
-    rows = inputs.map.rows(ids)
+    rows = known.rows(ids)
     bad = np.flatnonzero(rows < 0)
     if len(bad):
         raise UsageError(f"decision {ids[bad[0]]}: the map has no landmark of this id")

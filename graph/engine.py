@@ -198,9 +198,8 @@ class Engine:
         return np.asarray(self._ask(lambda: self.isam.calculateEstimateVector(key)), float)
 
     def newest(self, keys: Sequence[int]) -> tuple[Array, Array]:
-        """Offset of variables from their linearization point (n,), and their joint covariance (n, n).
-
-        Poses in their body frames. Variables next to the root of the tree need no search of the rest.
+        """Offset of variables from their linearization point (n,), and their joint covariance (n, n). Poses in their
+        body frames. Variables next to the root of the tree need no search of the rest.
         """
 
         def found() -> tuple[Array, Array]:
@@ -338,9 +337,8 @@ class Window(Engine):
         return [gtsam.BetweenFactorPoint2(L(a), L(b), np.zeros(2), model) for a, b in pairs.items()]
 
     def marginalize(self, keys: Sequence[int], last: Sequence[int]) -> None:
-        """Marginalize variables; `last` stay the last ones in the order of elimination.
-
-        Their neighbours are relinearized first, since they keep their linearization point afterwards.
+        """Marginalize variables; `last` stay the last ones in the order of elimination. Their neighbours are
+        relinearized first, since they keep their linearization point afterwards.
         """
         # gtsam 4.3 corrupts the rest of a clique with a hard constraint (it removes rows of the conditional, not of its
         # noise model); the factors are right, so it is eliminated once more

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from association.candidates import MARGIN, SIGMAS, Drift, Places, may_be_in_view
+from association.candidates import MARGIN, SIGMAS, Places, UncertaintyBounds, may_be_in_view
 from association.expectation import Expectation
 from data.blocks import coordinates, diagonal_blocks
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
@@ -41,14 +41,14 @@ class PositionCache:
     def around(
         self, number: IntArray, point: Array, radius: Array, positions_of: Callable[[list[int]], Array]
     ) -> tuple[IntArray, Array]:
-        """Indices (m,) of landmarks (n,) at most a radius (n,) [m] from a point (2,), and positions (m, 2).
-
-        A superset. `positions_of` gives the positions of landmarks.
-        """
+        """A superset of the landmarks (n,) within radii (n,) [m] of a point (2,): indices (m,) and positions (m, 2)."""
         self._frames += 1
         stale = self._frames >= REFRESH or self._corrected > STEADY or not np.isfinite(radius).all()
         if not stale and not np.array_equal(number, self._number):
-            stale = not self._follow(number, positions_of)
+            old = len(self._number)
+            stale = len(number) < old or not np.array_equal(number[:old], self._number)
+            if not stale:
+                self._number, self._xy = number, np.concatenate([self._xy, positions_of(number[old:].tolist())])
         if not stale:
             near = np.flatnonzero(np.hypot(*(self._xy - point).T) <= radius + STEADY)
             xy = positions_of(number[near].tolist())
@@ -61,21 +61,13 @@ class PositionCache:
             xy = self._xy[near].copy()
         return near, xy
 
-    def _follow(self, number: IntArray, positions_of: Callable[[list[int]], Array]) -> bool:
-        """Query new landmarks; False where something else changed."""
-        old = len(self._number)
-        if len(number) < old or not np.array_equal(number[:old], self._number):
-            return False
-        self._number, self._xy = number, np.concatenate([self._xy, positions_of(number[old:].tolist())])
-        return True
-
 
 class Candidates:
     """Landmarks that may be in view, without a joint covariance of all. A known map of walls is small: all of it."""
 
     def __init__(self, sensor: Sensor, known: LandmarkMap | None) -> None:
         self.sensor, self.map = sensor, known
-        self._drift, self._near = Drift(), PositionCache()
+        self._drift, self._near = UncertaintyBounds(), PositionCache()
         self._places = Places(np.empty((0, 2)) if known is None else known.xy)
         self._walls = np.empty((0, 2, 2))
         """By number, last known covariance of walls, an upper bound of the present one."""

@@ -29,9 +29,8 @@ UNMEASURED = 10.0
 
 
 def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
-    """[bearing, range] (m, 2) in the body frame, gtsam's order, with covariances (m, 2, 2).
-
-    A rotated sensor only shifts the bearing; one off the robot's centre is converted through the point, to first order.
+    """[bearing, range] (m, 2) in the body frame, gtsam's order, with covariances (m, 2, 2). A rotated sensor only
+    shifts the bearing; one off the robot's centre is converted through the point, to first order.
     """
     if sensor.translation == (0.0, 0.0):
         return np.stack([z[:, 1] - sensor.rotation, z[:, 0]], 1), R[:, ::-1, ::-1]
@@ -42,9 +41,8 @@ def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
 
 
 def relative_point(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
-    """Point (m, 2) in the body frame with covariances (m, 2, 2): exact for a sensor of points.
-
-    Of ranges and bearings to first order in their noise, the bearing's at the expected squared range.
+    """Point (m, 2) in the body frame with covariances (m, 2, 2): exact for a sensor of points. Of ranges and bearings
+    to first order in their noise, the bearing's at the expected squared range.
     """
     points, C = sensor.body_points(z, R)
     if sensor.kind == RANGE_BEARING:
@@ -55,9 +53,8 @@ def relative_point(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
 
 
 def is_point(sensor: Sensor, z: Array, R: Array) -> BoolArray:
-    """Which observations z (m, 2), R (m, 2, 2) become relative points: all of a sensor of points, and the nearest.
-
-    A landmark that may coincide with the robot has a singular bearing, where a smoother could get stuck or diverge.
+    """Which observations z (m, 2), R (m, 2, 2) become relative points: all of a sensor of points, and the nearest. A
+    landmark that may coincide with the robot has a singular bearing, where a smoother could get stuck or diverge.
     """
     sigma = np.sqrt(R[:, 0, 0])
     near: BoolArray = (z[:, 0] < NEAR * sigma) & (sigma < UNMEASURED * np.maximum(z[:, 0], 1.0))
@@ -180,9 +177,8 @@ def root_information(covariance: Array) -> tuple[Array, Array]:
 
 
 def invertible_roots(covariance: Array, name: Callable[[int], str], remedy: str) -> tuple[Array, float]:
-    """`root_information` of covariances (n, d, d) of motions, and the smallest pivot of all.
-
-    Raises DataError for a singular one, with the name of its row and the `remedy`.
+    """`root_information` of covariances (n, d, d) of motions, and the smallest pivot of all. Raises DataError for a
+    singular one, with the name of its row and the `remedy`.
     """
     roots, pivot = root_information(covariance)
     bad = np.flatnonzero(~(pivot > SINGULAR))
@@ -203,7 +199,6 @@ def increment_roots(first_frame: int, covariance: Array) -> tuple[Array, float]:
 
 def observation_roots(covariance: Array, R: Array, frame: IntArray) -> Array:
     """`root_information` of covariances (m, d, d) derived from R (m, 2, 2), those of observations from frames (m,).
-
     Raises DataError for one that is not positive definite.
     """
     roots, pivot = root_information(covariance)

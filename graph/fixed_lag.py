@@ -97,10 +97,7 @@ class FixedLagSmoother(Isam2Smoother):
         self._read()
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """As `Isam2Smoother.amend`, for frames in the window; older ones are marginalized.
-
-        In SLAM nothing changes: its path is kept as it left the window.
-        """
+        """As `Isam2Smoother.amend`, for frames in the window of a localization; older ones are marginalized."""
         if self.map is None:
             return
         keep = np.flatnonzero(frames >= self._oldest)
@@ -133,10 +130,7 @@ class FixedLagSmoother(Isam2Smoother):
         self._keeps = False
 
     def finish(self) -> Finished:
-        """Every pose as it left the window, those in it as they are now; no cost.
-
-        Motion since the last observation joins the window; nothing else is optimized.
-        """
+        """Every pose as it left the window, those in it as they are now; nothing is optimized, and there is no cost."""
         self._complete()
         if not self._keeps:
             raise ValueError("no path: `keep_no_path` was called")

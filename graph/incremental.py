@@ -61,10 +61,7 @@ class Isam2Smoother:
         loss: str = "gaussian",
         systematic: Systematic | None = None,
     ) -> None:
-        """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`.
-
-        `systematic`: errors of odometry and sensor to estimate.
-        """
+        """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`."""
         refuse(systematic, sensor)
         self.prior, self.sensor, self.map, self.loss = prior, sensor, known, loss
         self.threshold, self.skip = threshold, skip
@@ -206,9 +203,8 @@ class Isam2Smoother:
         self._observed.hold(seen, handles[len(motion) :])
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """Replace the pairings of frames (m,) up to now by observations (m) and decisions (m,), negative for none.
-
-        In SLAM this is only for `finish`, and for all observations.
+        """Replace the pairings of frames (m,) up to now by observations (m) and decisions (m,), negative for none. In
+        SLAM this is only for `finish`, and for all observations.
         """
         if self.map is None:
             self._observed.replace(frames, observations, decisions)

@@ -63,9 +63,7 @@ class Observed:
         engine: Engine,
         joining: gtsam.Values,
     ) -> Sequence[ObservationFactors]:
-        """Factors of observations (m) of landmarks (m,) from frames (m,); the newest pose may only be `joining` the
-        graph.
-        """
+        """Factors of observations (m) of landmarks (m,) from frames (m,), of which the newest may be `joining`."""
         row, walls = self._copies, not self.sensor.sees_points
         self._copies += len(number)
         pose = np.array([engine.pose(X(k), joining) for k in frames.tolist() if walls]).reshape(-1, 3)
@@ -148,9 +146,8 @@ class Observed:
                 self._handles[number] = [h for h in self._handles[number] if alive(h)]
 
     def add(self, seen: Sequence[ObservationFactors], values: gtsam.Values, *, late: bool = False) -> list[Factor]:
-        """Add observations, and start values of their own variables to `values`; returns their factors.
-
-        `late`: they may be from frames before the newest one.
+        """Add observations, and start values of their own variables to `values`; returns their factors. `late`: they
+        may be from frames before the newest one.
         """
         self.observations += seen
         if late:

@@ -38,9 +38,7 @@ def transport(displacement: Array) -> Array:
 
 
 class MarginalizedPose(NamedTuple):
-    """A marginalized pose (3,) of the robot with covariance (3, 3), body frame; errors (p,) and sigmas (p,) at that
-    time.
-    """
+    """A marginalized pose (3,) with covariance (3, 3), body frame; errors (p,) and sigmas (p,) at that time."""
 
     pose: Array
     covariance: Array
@@ -66,11 +64,6 @@ class OpenEnd:
         self._anchor = self.mean, self.P
         self._Q = np.zeros((3, 3))
         """Covariance gathered since the anchor."""
-
-    @property
-    def moved(self) -> bool:
-        """Whether there was motion since the anchor."""
-        return len(self._increments) > 0
 
     @property
     def keys(self) -> list[int]:
@@ -147,7 +140,6 @@ class OpenEnd:
 
     def join_graph(self, values: gtsam.Values) -> tuple[list[Factor], float]:
         """Factors of the increments (and the prior), start values added to `values`: the newest pose is the anchor.
-
         Also returns the smallest pivot of their covariances (see `graph.factors.between_factors`).
         """
         first = list[Factor]()

@@ -84,11 +84,6 @@ class Smoothed:
     systematic: Systematics | None = None
 
     @property
-    def chi_square(self) -> float:
-        """Minimum of the squared whitened residuals; NaN under a robust loss."""
-        return math.nan if self.robust else self.cost
-
-    @property
     def total_nis(self) -> tuple[float, int] | None:
         """(chi-square, degrees of freedom), or None under a robust loss."""
         return None if self.robust else (self.cost, self.dof)

@@ -122,7 +122,10 @@ def _graduate(
             values.erase(gtsam.symbol("l", n))
         values.insert(walls.values)
         problem = replace(problem, observations=walls.observations)
-    believed: list[Factor] = [_soft_prior(problem.prior), *problem.motion, *([] if walls is None else walls.believed)]
+    prior = problem.prior
+    if is_exact(prior):  # no hard constraint
+        prior = Prior(prior.mean, (2.0 * EXACT) ** 2 * np.eye(3))
+    believed: list[Factor] = [prior_factor(prior), *problem.motion, *([] if walls is None else walls.believed)]
     believed += [
         gtsam.PriorFactorPoint2(s.key, s.xy, noise.Isotropic.Sigma(2, EXACT))
         for s in problem.observations
@@ -151,11 +154,6 @@ def _graduate(
         found.landmark[there] = calibrated.frame.points_out(found.landmark[there], errors[-1])[0]
         found = Start(pose, found.landmark, errors)
     return found, smallest > 0.5
-
-
-def _soft_prior(prior: Prior) -> Factor:
-    """The prior without a hard constraint."""
-    return prior_factor(Prior(prior.mean, (2.0 * EXACT) ** 2 * np.eye(3)) if is_exact(prior) else prior)
 
 
 def _start_of(problem: Problem, values: gtsam.Values, start: Start) -> Start:

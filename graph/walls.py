@@ -93,10 +93,7 @@ def line_factors(
 def _error(
     sensor: Sensor, z: Array, keys: list[int], point: Array, line: Array | None
 ) -> Callable[[gtsam.CustomFactor, gtsam.Values, Any], Array]:
-    """Expected minus measured (2,), for the nearer of the wall's two normals, with Jacobians.
-
-    The distance is negative where the robot is beyond the wall.
-    """
+    """Expected minus measured (2,) with Jacobians, for the nearer normal; beyond the wall the distance is negative."""
     rotation, tx, ty = sensor.extrinsic.tolist()
     ax, ay = point.tolist()
     distance, direction = z.tolist()
@@ -181,9 +178,8 @@ def _direction(s: WallObservation) -> float:
 
 
 def _body_point(sensor: Sensor, z: Array, R: Array) -> Array:
-    """The point (2,) of the body whose distance from the wall is independent of the error of the direction.
-
-    For independent errors it is the sensor's position, for others one along the wall from there.
+    """The point (2,) of the body whose distance from the wall is independent of the error of the direction. For
+    independent errors it is the sensor's position, for others one along the wall from there.
     """
     rotation, tx, ty = sensor.extrinsic.tolist()
     c, s = math.cos(rotation), math.sin(rotation)
@@ -287,9 +283,8 @@ def known_wall_factors(
     first_row: int,
     loss: str = "gaussian",
 ) -> list[WallObservation]:
-    """Localization: observations (m) of known walls (m, 2) from frames (m,) at about `pose` (m, 3).
-
-    Each has its own fixed beacon L(first_row), ... far behind the wall.
+    """Localization: observations (m) of known walls (m, 2) from frames (m,) at about `pose` (m, 3). Each has its own
+    fixed beacon L(first_row), ... far behind the wall.
     """
     result, made = [], partial(WallObservation, sensor=sensor, loss=loss)
     observation_roots(seen.R, seen.R, frame)

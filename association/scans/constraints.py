@@ -75,9 +75,7 @@ class LaserRun(Run):
         key_pose: (K, 3) final estimate of all key poses; of a filter its last state.
         weight: (L,) final weight of each loop closure; 0: left out, NaN: never accepted.
         last: (N, 3) the path that belongs to `key_pose`; a smoother's final one.
-        scale: variance scale of scan matching, learned from the residuals of loop closures, and its standard error;
-            None:
-            not learned.
+        scale: variance scale of scan matching and its standard error, from the residuals of loop closures, or None.
         with_gate: of a filter without a gate, the same with one, and with one and unscaled covariances.
     """
 

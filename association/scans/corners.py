@@ -39,7 +39,6 @@ NEES / 2 is 1.04 with 4."""
 
 def corners(ranges: Array, scanner: Scanner) -> tuple[Array, Array]:
     """Corners of one scan: xy (m, 2) in the body frame [m], and their covariances R (m, 2, 2), in the order of beams.
-
     `ranges` (B,) m; 0, NaN or max_range and beyond: no return. R is proportional to the scanner's range variance.
     """
     n = len(ranges)

@@ -169,9 +169,8 @@ def _compare(
     mount: tuple[float, float, float],
     max_range: float,
 ) -> tuple[int, int]:
-    """Numbers of shared and of contradicting beams.
-
-    `beams`: first angle and step [rad]; `mount`: rotation [rad] and translation [m] of the scanner on the body.
+    """Numbers of shared and of contradicting beams. `beams`: first angle and step [rad]; `mount`: rotation [rad] and
+    translation [m] of the scanner on the body.
     """
     (first, step), (rotation, tx, ty) = beams, mount
     seen = against = 0

@@ -26,7 +26,6 @@ MOST_IN_A_ROW = 3
 
 def redundant(ends: Sequence[Array], least: float) -> BoolArray:
     """Which of K key poses to remove, until each has a share of `least` in the information about the cells it observes.
-
     `ends`: end points (n, 2) of each key scan in the world [m]. The first and the last key pose are kept.
     """
     cells = _cells(ends)

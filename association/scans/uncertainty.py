@@ -174,9 +174,8 @@ def residuals(poses: Array, key1: IntArray, key2: IntArray, relative: Array, cov
 
 
 def spanned(keys: int, key1: IntArray, key2: IntArray) -> BoolArray:
-    """Which chain steps (K - 1,) lie between the key poses of some loop closure key1 -> key2.
-
-    The others have a zero residual at the optimum, whatever their errors, and carry no information about a scale.
+    """Which chain steps (K - 1,) lie between the key poses of some loop closure key1 -> key2. The others have a zero
+    residual at the optimum, whatever their errors, and carry no information about a scale.
     """
     ends = np.zeros(keys, np.int64)
     np.add.at(ends, np.minimum(key1, key2), 1)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.candidates import Drift, may_be_in_view
+from association.candidates import UncertaintyBounds, may_be_in_view
 from association.decide import horizon
 from data.inputs import FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, Severity, notice
@@ -121,7 +121,7 @@ class Parking:
         self.management, self.sensor, self.within = management, sensor, within
         self._slam = estimator if isinstance(estimator, EkfSlam) else None
         self.largest, self.restored = 0, 0  # largest number of states so far, and number of restorations
-        self._drift = Drift()
+        self._drift = UncertaintyBounds()
 
     def move(self, increment: Increment) -> None:
         """The robot moved."""

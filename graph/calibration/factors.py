@@ -41,10 +41,8 @@ UNIT = {n: noise.Unit.Create(n) for n in (1, 2, 3)}
 
 
 def linear_factor(terms: list[tuple[int, Array]], b: Array, point: gtsam.Values) -> Factor:
-    """The residual sum of A x - b in units of its sigma, x relative to `point`.
-
-    A `JacobianFactor` of more than three variables has no constructor in Python; its subclass `GaussianConditional`
-    has.
+    """The residual sum of A x - b in units of its sigma, x relative to `point`. A `JacobianFactor` of more than three
+    variables has no constructor in Python; its subclass `GaussianConditional` has.
     """
     whole = gtsam.GaussianConditional(terms, 1, b, UNIT[len(b)])
     return gtsam.LinearContainerFactor(gtsam.JacobianFactor(whole), point)
@@ -92,9 +90,8 @@ def pinned_landmark_factors(
     loss: str,
     now: Array,
 ) -> list[ObservationFactors]:
-    """Known landmarks at xy (m, 2) of the world, which depend on the errors in the sensor's frame.
-
-    Copies L(row), ... for each observation, of relative points as well; they start according to the errors `now` (p,).
+    """Known landmarks at xy (m, 2) of the world, which depend on the errors in the sensor's frame. Copies L(row), ...
+    for each observation, of relative points as well; they start according to the errors `now` (p,).
     """
     copies = np.arange(row, row + len(number))
     there, _ = errors.frame.points_in(xy, now)
@@ -153,7 +150,6 @@ def increment_factor(
     errors: Errors, frame: int, increment: Increment, root: Array, knot: int, now: Array
 ) -> gtsam.CustomFactor:
     """The increment into a frame; root (3, 3): R with R'R the information of odometry's noise; `knot`: of its drift.
-
     `now` (q,): the present constants, in prior sigmas, read at each linearization.
     """
     keys = [X(frame - 1), X(frame), *errors.keys(knot)]
@@ -215,9 +211,8 @@ class Motion:
         return np.array(self._mean), np.array(self._covariance)
 
     def extend(self, first: int, increments: Sequence[Increment], knots: Sequence[int]) -> tuple[list[Factor], float]:
-        """Factors of increments (n) into frames `first`, ..., with the knots (n,) of their drift.
-
-        Also returns the smallest pivot of the covariances. Raises DataError for a singular one.
+        """Factors of increments (n) into frames `first`, ..., with the knots (n,) of their drift. Also returns the
+        smallest pivot of the covariances. Raises DataError for a singular one.
         """
         mean, covariance = (np.array(rows) for rows in zip(*increments, strict=True))
         roots, pivot = increment_roots(first, covariance)

@@ -176,9 +176,8 @@ class CalibratedEnd(OpenEnd):
         return found + factors, pivot
 
     def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
-        """As `Engine.settle`, with all that determines newest pose and errors.
-
-        After a jump it goes on until the pose stays: a loop closure changes the errors, and they the path.
+        """As `Engine.settle`, with all that determines newest pose and errors. After a jump it goes on until the pose
+        stays: a loop closure changes the errors, and they the path.
         """
         self._updates += 1
         pose, far = self._take(engine), JUMP

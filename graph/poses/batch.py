@@ -65,9 +65,8 @@ class PoseProblem:
         return residual
 
     def prior_residual(self, pose: Array) -> tuple[Array, Array, Array]:
-        """Start (3,), z (3,) and U (3, 3): the first pose is pose[0] + start + U w, where z + w ~ N(0, I).
-
-        The start is zero unless `pose` contradicts an exact direction of the prior.
+        """Start (3,), z (3,) and U (3, 3): the first pose is pose[0] + start + U w, where z + w ~ N(0, I). The start is
+        zero unless `pose` contradicts an exact direction of the prior.
         """
         variance, axes = np.linalg.eigh(self.prior.covariance)
         sigma = np.sqrt(np.where(variance > EXACT * variance[-1], variance, 0.0))
@@ -235,9 +234,8 @@ class SmoothedPoses:
 
 
 def smooth_poses(problem: PoseProblem, start: Array, *, loss: str = "gaussian") -> SmoothedPoses:
-    """The optimum reached from poses `start` (K, 3); `loss` (gaussian, huber, cauchy) is on loop closures only.
-
-    Raises `NotConvergedError` if none was reached, ValueError for an unknown loss or a start that is not finite.
+    """The optimum reached from poses `start` (K, 3); `loss` (gaussian, huber, cauchy) is on loop closures only. Raises
+    `NotConvergedError` if none was reached, ValueError for an unknown loss or a start that is not finite.
     """
     if loss not in LOSSES:
         raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
@@ -252,9 +250,8 @@ def smooth_poses(problem: PoseProblem, start: Array, *, loss: str = "gaussian") 
 
 
 def descend(problem: PoseProblem, pose: Array, loss: Loss) -> tuple[Array, Array, Newton, float, int]:
-    """Steps from poses (K, 3), until one is short or none descends.
-
-    Returns poses, weights of the loops (L,), the remaining step, the cost, and the number of steps.
+    """Steps from poses (K, 3), until one is short or none descends. Returns poses, weights of the loops (L,), the
+    remaining step, the cost, and the number of steps.
     """
     cost, weight = evaluate(problem, pose, loss)
     before, rounding = math.inf, ROUNDING * math.sqrt(3 * problem.keys)
@@ -337,10 +334,7 @@ def finished(
     iterations: int,
     dof: int | None = None,
 ) -> SmoothedPoses:
-    """The end of a search with covariances; `dof` where they are not the problem's own.
-
-    Raises `NotConvergedError` if it is no optimum.
-    """
+    """The end of a search with covariances; raises `NotConvergedError` if it is no optimum."""
     dof = problem.dof if dof is None else dof
     covariance = problem.covariances(newton)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), TINY**2))

@@ -73,10 +73,7 @@ class PoseGraph:
         self._oldest = 0  # first key pose in the graph
 
     def add_key(self, motion: Array, covariance: Array) -> None:
-        """The next key pose, `motion` (3,) with covariance (3, 3) from the newest one.
-
-        Raises DataError for a singular covariance.
-        """
+        """The next key pose, `motion` (3,) from the newest one; raises DataError for a singular covariance (3, 3)."""
         roots, pivot = roots_at_end(motion[None], covariance[None], f"motion into key pose {self.keys}")
         if pivot < DELICATE:
             self._engine.use_qr()
@@ -87,9 +84,8 @@ class PoseGraph:
         self.keys += 1
 
     def add_loops(self, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> None:
-        """Poses (L, 3) of key2 (L,) in the frames of key1 (L,), with covariances (L, 3, 3).
-
-        Raises DataError for a singular covariance, ValueError for an unknown key pose.
+        """Poses (L, 3) of key2 (L,) in the frames of key1 (L,), with covariances (L, 3, 3). Raises DataError for a
+        singular covariance, ValueError for an unknown key pose.
         """
         if len(key1) and not (min(key1.min(), key2.min()) >= 0 and max(key1.max(), key2.max()) < self.keys):
             raise ValueError(f"a loop closure is between key poses 0 ... {self.keys - 1}")

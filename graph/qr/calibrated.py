@@ -262,9 +262,8 @@ def first_frames(of: IntArray, knots: int) -> IntArray:
 def with_drift(
     variable: IntArray, height: IntArray, dim: IntArray, of: IntArray, knots: int
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with a drift of `knots` knots as last variables.
-
-    It enters the blocks of the increments, 1 to N - 1; those of its prior come last. The same without a knot.
+    """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with a drift of `knots` knots as last variables. It
+    enters the blocks of the increments, 1 to N - 1; those of its prior come last. The same without a knot.
     """
     if not knots:
         return variable, height, dim
@@ -292,16 +291,10 @@ def drift_rows(ended: Array, length: float) -> tuple[Array, Array]:
 def results_in_world(
     calibrated: Calibrated, errors: Array, solution: Solution, pose: Array, covariance: Array, state: MapState | None
 ) -> tuple[Trajectory, MapState | None, Systematics]:
-    """Path, map (None where it was known) and systematic errors, in the world.
+    """Path, map (None where it was known) and systematic errors, in the world, from those in the frame.
 
-    Args:
-        calibrated: the systematic errors.
-        errors: (N, p) at the optimum.
-        solution: there.
-        pose: (N, 3) in the frame.
-        covariance: (V, 3, 3) of all variables: poses in body frames, the first one that of the robot itself; landmarks
-            in the frame; drifts in squared sigmas.
-        state: landmarks in the frame.
+    `errors` (N, p) and `solution` at the optimum; `covariance` (V, 3, 3) of all variables: poses in body frames, the
+    first that of the robot itself; landmarks; drifts in squared sigmas.
     """
     n = len(errors)
     sigma, at = calibrated.systematic.sigma, calibrated.constant

@@ -41,9 +41,8 @@ class Structure(NamedTuple):
 
 
 def structure(variable: IntArray, order: IntArray) -> Structure:
-    """Symbolic elimination, in the order (V,), of blocks of the variables (B, 2) or (B, 3), as of `Rows`.
-
-    The order is rearranged to a postorder of the elimination tree, which changes nothing else.
+    """Symbolic elimination, in the order (V,), of blocks of the variables (B, 2) or (B, 3), as of `Rows`. The order is
+    rearranged to a postorder of the elimination tree, which changes nothing else.
     """
     position = np.empty(len(order), np.int64)
     position[order] = np.arange(len(order))

@@ -30,7 +30,7 @@ class Estimated(NamedTuple):
 
     Attributes:
         motion: (N, 3, q) effect of a unit of each constant error on the increments.
-        readings: (m, 2, q) on the observations.
+        observed: (m, 2, q) on the observations.
         now: (q,) estimated sizes.
         by_drift: (N, 3) effect of a unit of its knot's drift on an increment; of: (N,) that knot.
         own, earlier: (K,) coefficients of a knot and the one before in the rows of the drift's prior, K = 0 without
@@ -38,7 +38,7 @@ class Estimated(NamedTuple):
     """
 
     motion: Array
-    readings: Array
+    observed: Array
     now: Array
     by_drift: Array
     of: IntArray
@@ -48,9 +48,7 @@ class Estimated(NamedTuple):
 
 
 def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: IntArray, z_hat: Array) -> Estimated:
-    """Of `inputs` with systematic errors `found`, at a path (N, 3), for observations from frames (m,) that expect
-    z_hat.
-    """
+    """Of `inputs` with errors `found`, at a path (N, 3), for observations from frames (m,) expected at z_hat (m, 2)."""
     systematic = inputs.systematic
     assert systematic is not None
     every, place, sigma = all_errors(found), places(systematic), systematic.sigma
@@ -60,7 +58,7 @@ def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: Int
     _, by_way, by_errors = stated_all(
         between(path[:-1], path[1:]), of_odometry[1:], inputs.increments.mean[1:, 2] > 0.0
     )
-    motion, readings = np.zeros((len(path), 3, len(place))), np.zeros((len(frame), 2, len(place)))
+    motion, observed = np.zeros((len(path), 3, len(place))), np.zeros((len(frame), 2, len(place)))
     motion[1:] = (np.linalg.inv(by_way) @ by_errors)[:, :, place] * sigma
     motion[:, :, place >= RANGE] = 0.0
     size = 1.0 + every[frame, RANGE]
@@ -71,7 +69,7 @@ def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: Int
             more = z_hat / size[:, None]
         else:
             more = np.column_stack([-z_hat[:, 1], z_hat[:, 0]])
-        readings[:, :, i] = more * sigma[i]
+        observed[:, :, i] = more * sigma[i]
     names = list(systematic.names)
     constant = [i for i, n in enumerate(names) if n != "drift"]
     now = found.mean[-1] / sigma
@@ -84,13 +82,14 @@ def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: Int
         drift = found.mean[np.searchsorted(of, np.arange(len(own))), at] / sigma[at]
         steps = own * drift
         steps[1:] += earlier[1:] * drift[:-1]
-    return Estimated(motion[:, :, constant], readings[:, :, constant], now[constant], by_drift, of, own, earlier, steps)
+    return Estimated(
+        motion[:, :, constant], observed[:, :, constant], now[constant], by_drift, of, own, earlier, steps
+    )
 
 
 def without_errors(left: Array, now: Array) -> Array:
-    """Products (1 + p, 1 + p) of residuals and columns, with the estimated errors `now` (q,) eliminated.
-
-    `left` (1 + p + q, ...): theirs come last, with the sign that columns have there. Each has its prior.
+    """Products (1 + p, 1 + p) of residuals and columns, with the estimated errors `now` (q,) eliminated. `left` (1 + p
+    + q, ...): theirs come last, with the sign that columns have there. Each has its prior.
     """
     q = len(now)
     if not q:
@@ -134,13 +133,13 @@ def systematic(
     path: Array,
     landmarks: Array,
     motion: Array,
-    readings: Array,
+    observed: Array,
     found: Systematics | None = None,
 ) -> Score:
     """Score of p hypothetical errors phi, linearized at a smoothed path.
 
     Model: stated increment k = true one + motion[k] phi + noise (body frame of k - 1), observation i = noise-free
-    measurement + readings[i] phi + noise, the first pose according to the prior.
+    measurement + observed[i] phi + noise, the first pose according to the prior.
 
     Args:
         inputs: with a map, the landmarks are exact (localization); without, they are estimated (SLAM).
@@ -149,11 +148,10 @@ def systematic(
             problem as linearized there.
         landmarks: (L, 2) m, world frame.
         motion: (N, 3, p) m, m, rad by unit of each error; row 0 is ignored.
-        readings: (M, 2, p) in the sensor's units by unit of each error. Columns of distances, turns or ranges must come
+        observed: (M, 2, p) in the sensor's units by unit of each error. Columns of distances, turns or ranges must come
             from the smoothed solution: measured values share the residuals' noise, which biases a scale (in the arena
-                by
-            7 sigma).
-        found: the systematic errors of `inputs.systematic` that were estimated. `motion` and `readings` are then of the
+            by 7 sigma).
+        found: the systematic errors of `inputs.systematic` that were estimated. `motion` and `observed` are then of the
             corrected log, and an estimated error shows as far as its prior held it back.
 
     Raises:
@@ -171,10 +169,10 @@ def systematic(
     size = n if inputs.map is not None else n + len(seen)
     z_hat, Hx, Hl = inputs.sensor.linearize(path[frame], landmarks[row])
     along = None if found is None else estimated_errors(stated, found, path, frame, z_hat)
-    readings = readings[used]
+    observed = observed[used]
     if along is not None:
         motion = np.concatenate([motion, along.motion], axis=2)
-        readings = np.concatenate([readings, along.readings], axis=2)
+        observed = np.concatenate([observed, along.observed], axis=2)
     variable = np.full((n + m, 2), -1)
     variable[:n, 0], variable[1:n, 1] = np.arange(n), np.arange(n - 1)
     variable[n:, 0] = frame
@@ -188,7 +186,7 @@ def systematic(
     white = np.linalg.inv(np.linalg.cholesky(inputs.observations.R[used]))
     A[n:, :2, :3] = white @ Hx
     b[n:, :2, 0] = np.einsum("mij,mj->mi", white, inputs.sensor.residual(inputs.observations.z[used], z_hat))
-    b[n:, :2, 1:] = -white @ readings
+    b[n:, :2, 1:] = -white @ observed
     if inputs.map is None:
         variable[n:, 1] = n + slot
         A[n:, :2, 3:5] = white @ Hl

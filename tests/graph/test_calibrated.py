@@ -33,7 +33,7 @@ def compare(inputs, decisions, created, start):
     oracle = Dense(inputs, decisions, created)
     cost, x, P = oracle.solved(start)
     poses, xy = oracle.state(x)
-    assert found.chi_square == pytest.approx(cost, rel=1e-6)
+    assert found.cost == pytest.approx(cost, rel=1e-6)
     s = sigmas(found.trajectory.covariance)
     known = s > 1e-9
     off = np.abs(se2.pose_error(found.trajectory.pose, poses))
@@ -107,7 +107,7 @@ def test_errors_that_are_known_to_be_none_leave_the_plain_optimum(task):
         s = sigmas(plain.trajectory.covariance)
         scale = s[:, :, None] * s[:, None, :]
         assert np.abs((found.trajectory.covariance - plain.trajectory.covariance) / scale).max() < 1e-5
-        assert found.chi_square == pytest.approx(plain.chi_square, rel=1e-7)
+        assert found.cost == pytest.approx(plain.cost, rel=1e-7)
         assert found.dof == plain.dof
 
 
@@ -226,7 +226,7 @@ def simulated(seeds, task, names, frames=40):
             SENSORS["relative point"], task, errors_of(names), seed=seed, frames=frames
         )
         found = smooth(inputs, decisions, created, start)
-        chi.append(found.chi_square - found.dof)
+        chi.append(found.cost - found.dof)
         squares.append((found.systematic.mean[-1] - errors[-1]) ** 2 / found.systematic.sigma[-1] ** 2)
         off = se2.pose_error(found.trajectory.pose[-1], start.pose[-1])
         nees.append(off @ np.linalg.solve(found.trajectory.covariance[-1], off))
@@ -261,5 +261,5 @@ def test_left_out_they_spoil_the_cost():
             SENSORS["relative point"], "localization", errors_of(ERRORS), seed=seed, frames=60, size=2.0
         )
         plain = smooth(replace(inputs, systematic=None), decisions, created, start)
-        costs.append(stats.chi2.sf(plain.chi_square, plain.dof))
+        costs.append(stats.chi2.sf(plain.cost, plain.dof))
     assert np.median(costs) < 1e-3

@@ -122,7 +122,7 @@ def test_at_the_optimum_the_score_is_the_slope_of_the_batch_smoothers_cost(senso
         o = replace(o, z=o.z - size * readings[:, :, j])
         u = Increments(u.mean - size * motion[:, :, j], u.covariance)
         without = replace(inputs, observations=o, increments=u)
-        return 0.5 * smooth(without, decisions, created, Start(path, landmarks)).chi_square
+        return 0.5 * smooth(without, decisions, created, Start(path, landmarks)).cost
 
     found = systematic(inputs, number, path, landmarks, motion, readings)
     h = 1e-3
