@@ -1,1 +1,1 @@
-"""What an estimator expects to see, and the decisions made from it: pure functions, no filter, no smoother."""
+"""Data association: an expectation of the measurements, and decisions made from it by pure functions."""

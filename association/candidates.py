@@ -1,4 +1,4 @@
-"""Which landmarks are candidates at all: those in the sensor's range and view, widened by what is uncertain."""
+"""Candidate landmarks: those in the sensor's range and field of view, widened by the uncertainty."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from data.se2 import Array, BoolArray
 from data.sensors import MIN_RANGE, RANGE_BEARING, RELATIVE_POINT, Sensor
 
 SIGMAS = 3.0
-"""The field of view is widened by so many sigmas of the expectation, ..."""
+"""Standard deviations of the expectation by which the field of view is widened, ..."""
 MARGIN = math.radians(5.0)
-"""rad, ... and by this."""
+"""... and an angle [rad] on top."""
 
 FEW = 100
-"""Landmarks. To look for some among so few takes longer than to expect them all."""
+"""Number of landmarks up to which a search takes longer than to expect them all."""
 
 
 def polar_sigma(sensor: Sensor, z_hat: Array, HPHt: Array) -> Array:
-    """Sigmas (n, 2) of range [m] and bearing [rad] of expected measurements (n, 2) with covariances (n, 2, 2)."""
+    """Standard deviations (n, 2) of range [m] and bearing [rad] of expected measurements with covariances (n, 2, 2)."""
     variance = np.diagonal(HPHt, axis1=1, axis2=2)
     if sensor.kind == RELATIVE_POINT:
         r = np.maximum(np.hypot(z_hat[:, 0], z_hat[:, 1]), MIN_RANGE)
@@ -35,13 +35,13 @@ def polar_sigma(sensor: Sensor, z_hat: Array, HPHt: Array) -> Array:
 
 
 def in_view(sensor: Sensor, z_hat: Array, HPHt: Array) -> BoolArray:
-    """Which expected measurements (n, 2) lie in the field of view, widened by 3 sigma, of HPHt, and 5 degrees."""
+    """Which expected measurements (n, 2) lie in the field of view, widened by 3 sigma of HPHt and 5 degrees."""
     sigma = SIGMAS * polar_sigma(sensor, z_hat, HPHt)
     return sensor.in_view(z_hat, margin_range=sigma[:, 0], margin_angle=np.minimum(sigma[:, 1] + MARGIN, math.pi))
 
 
 def holding(sensor: Sensor, polar: Array) -> Sensor:
-    """The sensor with its view widened to hold ranges [m] and bearings [rad] (m, 2) that were read."""
+    """The sensor with its field of view widened to include ranges [m] and bearings [rad] (m, 2)."""
     low, high = polar.min(axis=0, initial=math.inf), polar.max(axis=0, initial=-math.inf)
     return replace(
         sensor,
@@ -52,14 +52,8 @@ def holding(sensor: Sensor, polar: Array) -> Sensor:
 
 
 def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading: Array) -> BoolArray:
-    """A superset of `in_view` that needs no joint covariance; of walls it is all.
-
-    Args:
-        sensor: with its field of view.
-        pose: (3,) of the robot.
-        xy: (n, 2) of the landmarks.
-        sigma: (n,) m, bounds of the landmarks' uncertainty relative to the robot.
-        heading: (n,) rad, bounds of that of the robot's heading.
+    """A superset of `in_view` for landmarks at xy (n, 2), without a joint covariance; all walls are in it. `sigma` (n,)
+    m, `heading` (n,) rad: bounds of the landmarks' uncertainty relative to the robot, and of its heading's.
     """
     if not sensor.sees_points:
         return np.ones(len(xy), np.bool_)
@@ -71,18 +65,18 @@ def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading
 
 
 def view_radius(sensor: Sensor, P: Array) -> float:
-    """Farther than this [m] from a robot of covariance P (3, 3) no known landmark is `in_view`; a wall is nowhere."""
+    """Distance [m] from a robot of covariance P (3, 3) beyond which no landmark is `in_view`; infinite for walls."""
     if not sensor.sees_points:
         return math.inf
     lever = math.hypot(*sensor.translation)
     return sensor.max_range + lever + SIGMAS * (math.sqrt(P[0, 0] + P[1, 1]) + lever * math.sqrt(P[2, 2])) + 1e-9
 
 
-def reading_radius(sensor: Sensor, P: Array, observations: FrameObservations, within: float) -> float:
-    """Farther than this [m] from a robot of covariance P (3, 3) no known landmark is within a squared distance.
+def gate_radius(sensor: Sensor, P: Array, observations: FrameObservations, within: float) -> float:
+    """Distance [m] from a robot of covariance P (3, 3) beyond which no known landmark passes the gate `within`.
 
-    A reading z and an expectation within a squared Mahalanobis distance g have |range(z) - range| <= sqrt(g S) with S
-    the variance of the expected range and of the noise (Cauchy-Schwarz). A wall is at no place: infinite.
+    An observation z and an expectation within a squared Mahalanobis distance g have |range(z) - range| <= sqrt(g S)
+    with S the variance of the expected range and of the noise (Cauchy-Schwarz). It is infinite for walls.
     """
     if not sensor.sees_points:
         return math.inf
@@ -94,10 +88,9 @@ def reading_radius(sensor: Sensor, P: Array, observations: FrameObservations, wi
 
 
 class Places:
-    """Landmarks that do not move, found by where they are (a k-d tree)."""
+    """A k-d tree of landmarks that do not move."""
 
     def __init__(self, xy: Array) -> None:
-        """Positions (n, 2)."""
         self._count, self._tree = len(xy), scipy.spatial.cKDTree(xy) if len(xy) > FEW else None
 
     def around(self, point: Array, radius: float) -> IntArray:
@@ -107,29 +100,27 @@ class Places:
         return np.array(self._tree.query_ball_point(point, radius, return_sorted=True), np.int64)
 
 
-class Drift:
-    """Bounds on each landmark's uncertainty relative to the robot, without any joint covariance.
+class UncertaintyBounds:
+    """Bounds on each landmark's uncertainty relative to the robot, without a joint covariance.
 
-    The lesser of two: what was known of the landmark when it was last seen or expected, and odometry alone since then
-    (all else that was measured can only make it smaller), and its own uncertainty in the world plus the robot's. Far
-    from the start the second is useless, after a long way the first. Of points, not of walls.
+    The lesser of two bounds. The first is the uncertainty when the landmark was last observed or expected, plus
+    odometry since then. The second is the landmark's own uncertainty in the world plus the robot's. For points only.
     """
 
     def __init__(self) -> None:
-        """Nothing seen, nothing driven."""
         self._now = np.zeros(3)
         """Sums of position variances [m^2] and heading variances [rad^2], path length [m]."""
         self._then = np.empty((0, 6))
-        """By landmark number: the sums when it was last seen or expected, its variance [m^2] and distance [m] then,
-        its own sigma [m] in the world."""
+        """By landmark number: the sums when it was last observed or expected, its variance [m^2] and distance [m] then,
+        and its sigma [m] in the world."""
 
     def move(self, increment: Increment) -> None:
-        """The robot moved."""
+        """Add the uncertainty of an increment."""
         mean, P = increment
         self._now = self._now + np.array([P[0, 0] + P[1, 1], P[2, 2], math.hypot(mean[0], mean[1])])
 
     def see(self, sensor: Sensor, observations: FrameObservations, numbers: IntArray, covariance: Array) -> None:
-        """Landmarks `numbers` (m,) were seen from a pose of this covariance (3, 3)."""
+        """Landmarks `numbers` (m,) were observed from a pose of this covariance (3, 3)."""
         if not len(numbers):
             return
         more = int(numbers.max()) + 1 - len(self._then)
@@ -145,17 +136,17 @@ class Drift:
         self.know(numbers, own)
 
     def expect(self, sensor: Sensor, numbers: IntArray, z_hat: Array, HPHt: Array) -> None:
-        """Seen landmarks `numbers` (n,) are expected at z_hat (n, 2) now, with covariances HPHt (n, 2, 2)."""
+        """Landmarks `numbers` (n,) are expected at z_hat (n, 2) now, with covariances HPHt (n, 2, 2)."""
         r, sigma = sensor.polar(z_hat)[:, 0], polar_sigma(sensor, z_hat, HPHt)
         self._then[numbers, :3], self._then[numbers, 4] = self._now, r
         self._then[numbers, 3] = sigma[:, 0] ** 2 + (r * sigma[:, 1]) ** 2
 
     def know(self, numbers: IntArray, sigma: Array) -> None:
-        """The landmarks' own uncertainty (n,) [m] in the world; it never grows."""
+        """Bound the landmarks' standard deviation (n,) [m] in the world, which never grows."""
         self._then[numbers, 5] = np.minimum(self._then[numbers, 5], sigma)
 
     def sigmas(self, numbers: IntArray, covariance: Array) -> tuple[Array, Array]:
-        """Position (n,) [m] and heading (n,) [rad] relative to a robot of this covariance (3, 3), of landmarks seen."""
+        """Position (n,) [m] and heading (n,) [rad] bounds relative to a robot of this covariance (3, 3)."""
         then = self._then[numbers]
         position, heading, path = np.maximum(self._now - then[:, :3], 0.0).T
         relative = np.sqrt(then[:, 3] + position + heading * (path + then[:, 4]) ** 2)

@@ -1,4 +1,4 @@
-"""Decide: by labels that an experiment grants, which needs no expectation; or by a method's name, then newness."""
+"""Decisions of a frame: by an association method and a gate for new landmarks, or by granted labels."""
 
 from __future__ import annotations
 
@@ -16,35 +16,28 @@ from data.inputs import Inputs, IntArray, LabelledObservations
 from data.result import DISCARD, NEW
 
 Method = Callable[[Expectation, float | None], IntArray]
-"""A way of association: pairs what is compatible at a gate (a probability, or None), and leaves the rest at `NEW`."""
-PLAIN: dict[str, Method] = {
-    "nn": nn,
-    "ml": ml,
-    "ml-ratio": ml_ratio,
-    "singles": singles,
-    "gnn": gnn,
-}
-"""Methods that always come to an end."""
+"""An association method: pairs compatible observations at a gate probability (or None), and leaves the rest at `NEW`.
+"""
+PLAIN: dict[str, Method] = {"nn": nn, "ml": ml, "ml-ratio": ml_ratio, "singles": singles, "gnn": gnn}
+"""Methods without a search budget."""
 SEARCHES = {"jcbb": False, "jcbb-first": True}
-"""Methods with a node budget, and whether the first of the largest hypotheses stays."""
+"""Methods with a node budget, and whether the first of the largest hypotheses is kept."""
 METHODS = (*PLAIN, *SEARCHES)
-"""Names of all methods that decide for themselves (`known` does not: see `association.decide`)."""
+"""Names of all methods that decide from the estimate; `known` decides from labels."""
 OWN_NEWNESS = "ml-ratio"
-"""The method that says itself what is new."""
+"""The method that decides itself which observations are new."""
 
 
 class Decided(NamedTuple):
-    """Decisions (m,): landmark number, `NEW` or `DISCARD`; complete: False if a search ran out of its budget."""
+    """Decisions (m,): landmark number, `NEW` or `DISCARD`; complete: False if a search exhausted its budget."""
 
     decisions: IntArray
     complete: bool
 
 
 def horizon(method: str, gate: float | None, new_gate: float | None, *, known_map: bool = False) -> float:
-    """Squared distance from every reading beyond which no candidate has any influence on the decisions; may be inf.
-
-    Without a gate every candidate has some. The ratio test asks how far the second best is, of what may be anywhere
-    inside the gate or compete with "new".
+    """Squared distance from every observation beyond which no candidate influences the decisions; infinite without a
+    gate. The ratio test needs the second best candidate, which may be anywhere inside the gate or compete with "new".
     """
     if gate is None:
         return math.inf
@@ -61,15 +54,15 @@ def decide(
     known_map: bool = False,
     budget: int = BUDGET,
 ) -> Decided:
-    """Decisions of a frame: pair by `method`, then say which of the unpaired found a landmark.
+    """Decisions of a frame: pair by `method`, then decide which unpaired observations found a landmark.
 
     Args:
-        method: one of `METHODS`, or any function that pairs as those of `PLAIN` do.
+        method: one of `METHODS`, or a function like those of `PLAIN`.
         expectation: candidates and observations.
         gate: chi-square probability of the method's tests, None for no gate.
         new_gate: chi-square probability outside which an observation is new; None: only where there is no candidate.
             `ml-ratio` decides that itself.
-        known_map: the map is given, so nothing is new and the unpaired are discarded.
+        known_map: nothing is new, and unpaired observations are discarded.
         budget: nodes a search may visit in this frame.
 
     Raises:
@@ -99,13 +92,12 @@ def decide(
 def known_decisions(inputs: Inputs) -> tuple[IntArray, IntArray]:
     """Pairing by label: decisions (M,) and the number (M,) of the landmark each observation initializes (-1: none).
 
-    Localization: the label, if the map has it. SLAM: the first observation of a label is `NEW`, later ones its number;
-    a label seen twice in the frame that creates its landmark: the first creates, the others are discarded. Clutter and
-    blank labels are discarded. Labels do not depend on the estimate, so this needs no filter.
+    Localization: the label, if the map has it. SLAM: the first observation of a label is `NEW`, later ones its number,
+    and repetitions within the first frame are discarded. Clutter and blank labels are discarded.
     """
     o = inputs.observations
     if not isinstance(o, LabelledObservations):
-        raise ValueError("known association was not granted to these inputs")
+        raise ValueError("known association needs inputs with labels; use log.inputs(labels=True)")
     label, created = o.label, np.full(len(o.label), -1, np.int64)
     decisions = np.full(len(label), DISCARD, np.int64)
     if inputs.map is not None:
@@ -125,10 +117,8 @@ def known_decisions(inputs: Inputs) -> tuple[IntArray, IntArray]:
 
 
 def pair_by_label(label: IntArray, held: Mapping[int, int]) -> IntArray:
-    """SLAM decisions (m,) of one frame by labels (m,), for a map that may have lost landmarks.
-
-    `held`: number of the landmark that is in the map for a label. Without removals this makes the decisions of
-    `known_decisions`.
+    """SLAM decisions (m,) of one frame by labels (m,), for a map that may have lost landmarks. `held` is the landmark
+    number of each label in the map. Without removals the decisions are those of `known_decisions`.
     """
     decisions = np.full(len(label), DISCARD, np.int64)
     initialized: set[int] = set()

@@ -1,6 +1,6 @@
-"""What an estimator expects to see, and nothing else: all that an association method is given.
+"""Expected measurements and their joint covariance: the input of every association method.
 
-The EKF forms it from its covariance, iSAM2 from joint marginals; a recorded problem can be stated with plain arrays.
+The EKF forms them from its covariance, iSAM2 from joint marginals; plain arrays can state a recorded problem.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numba
 import numpy as np
@@ -21,15 +21,15 @@ from data.se2 import Array
 Residual = Callable[[Array, Array], Array]
 
 SINGULAR = 1e-13
-"""A covariance whose Cholesky pivot is below this part of its diagonal entry is singular (independent of units)."""
+"""A covariance whose Cholesky pivot is below this share of its diagonal entry is singular."""
 
 
 class SingularInnovationError(ValueError):
-    """An innovation covariance is not positive definite, or not finite: it gives no distance, and none is guessed."""
+    """An innovation covariance is not positive definite, or not finite."""
 
 
 def gate_threshold(probability: float | None, dof: int = 2) -> float:
-    """Squared distance that a chi-square variable of `dof` stays below with `probability`; None: no gate."""
+    """Squared distance that a chi-square variable of `dof` stays below with `probability`; None: infinite."""
     if probability is None:
         return float("inf")
     if not 0.0 < probability < 1.0:
@@ -39,7 +39,7 @@ def gate_threshold(probability: float | None, dof: int = 2) -> float:
 
 @lru_cache(maxsize=4096)
 def _chi2(probability: float, dof: int) -> float:
-    """Inverse chi-square distribution; remembered, because every frame asks for the same few."""
+    """Inverse chi-square distribution, cached."""
     return float(2.0 * gammaincinv(0.5 * dof, probability))
 
 
@@ -53,7 +53,7 @@ def plain_residual(z: Array, z_hat: Array) -> Array:
 def _distances(
     nu: Array, HPHt: Array, R: Array, frame: IntArray, observed_frame: IntArray, d2: Array, det: Array
 ) -> int:
-    """Fill d2 (m, n) and det S (m, n); infinite where the frames differ. Index i * n + j of a singular pair, or -1."""
+    """Fill d2 and det S (m, n), infinite where the frames differ; the index i * n + j of a singular pair, or -1."""
     m: int = d2.shape[0]
     n: int = d2.shape[1]
     for i in range(m):
@@ -63,7 +63,7 @@ def _distances(
                 continue
             a, c = HPHt[j, 0, 0] + R[i, 0, 0], HPHt[j, 1, 1] + R[i, 1, 1]
             b = 0.5 * (HPHt[j, 0, 1] + HPHt[j, 1, 0] + R[i, 0, 1] + R[i, 1, 0])
-            # Schur complement, not c - b^2 / a from the determinant: no overflow, and the pivot is what is tested
+            # Schur complement instead of the determinant: no overflow, and the pivot is tested
             pivot = c - b * (b / a) if a > 0.0 else -1.0
             if not (pivot > SINGULAR * c and c > 0.0):
                 return i * n + j
@@ -87,8 +87,8 @@ class Expectation:
         z: (m, 2), R: (m, 2, 2) the observations; observed_frame: (m,) their frames.
         residual: the sensor's `residual(z, z_hat)`, broadcasting.
         joint: `joint(indices)` gives the joint covariance (2k, 2k) of the expectations of k candidates, in that order.
-        elsewhere: `elsewhere(pose)` is the same expectation linearized at another pose (3,): z_hat is what the tangent
-            there gives at the mean, h(pose) + H (mean - pose), as in an iterated update; None: it cannot be had.
+        elsewhere: `elsewhere(pose)` is the same linearized at another pose (3,), as in an iterated update: z_hat =
+            h(pose) + H (mean - pose); None: not available.
     """
 
     number: IntArray
@@ -115,19 +115,14 @@ class Expectation:
         frame: IntArray | None = None,
         observed_frame: IntArray | None = None,
     ) -> Expectation:
-        """A problem stated with plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2).
-
-        `number` (n,) defaults to 0, 1, ...; `frame` (n,) and `observed_frame` (m,) to one frame for all.
+        """A problem stated with plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2). `number` (n,)
+        defaults to 0, 1, ...; `frame` (n,) and `observed_frame` (m,) to one frame for all.
         """
         z, z_hat = np.asarray(z, float).reshape(-1, 2), np.asarray(z_hat, float).reshape(-1, 2)
         full = np.asarray(joint_HPHt, float)
         n, m = len(z_hat), len(z)
         if full.shape != (2 * n, 2 * n):
             raise ValueError(f"joint covariance has shape {full.shape}; {n} candidates need {(2 * n, 2 * n)}")
-
-        def joint(indices: IntArray) -> Array:
-            return of_points(full, indices)
-
         return cls(
             np.arange(n) if number is None else np.asarray(number, np.int64),
             z_hat,
@@ -137,14 +132,12 @@ class Expectation:
             np.asarray(R, float).reshape(m, 2, 2),
             np.zeros(m, np.int64) if observed_frame is None else np.asarray(observed_frame, np.int64),
             residual,
-            joint,
+            partial(of_points, full),
         )
 
     def by_age(self) -> Expectation:
-        """The same problem with its candidates in ascending landmark number, the oldest first.
-
-        Methods that break ties by order start with this, so that no decision depends on how a map is stored. In a
-        window of frames the entries of one landmark keep the order of their frames.
+        """The same problem with its candidates in ascending landmark number, then frame. Methods that break ties by
+        order start with this, so that no decision depends on how a map is stored.
         """
         order = np.lexsort((self.frame, self.number))
         return self if np.array_equal(order, np.arange(len(order))) else self.only(order)
@@ -168,13 +161,13 @@ class Expectation:
 
     @cached_property
     def _formed(self) -> tuple[Array, Array]:
-        """Squared distances and determinants (m, n); formed once, because method and newness both ask."""
+        """Squared distances and determinants (m, n)."""
         m, n = len(self.z), len(self.number)
         d2, det = np.empty((m, n)), np.empty((m, n))
-        # copies: inputs are read-only and results are not, and the compiler would take these for different types
-        nu, HPHt, R = np.array(self.innovations(), float), np.array(self.HPHt, float), np.array(self.R, float)
-        frames = np.array(self.frame, np.int64), np.array(self.observed_frame, np.int64)
-        bad = _distances(nu, HPHt, R, frames[0], frames[1], d2, det)
+        # copies: to the compiler read-only arrays are another type
+        nu, HPHt, R = (np.array(a, float) for a in (self.innovations(), self.HPHt, self.R))
+        frame, observed_frame = (np.array(a, np.int64) for a in (self.frame, self.observed_frame))
+        bad = _distances(nu, HPHt, R, frame, observed_frame, d2, det)
         if bad >= 0:
             i, j = divmod(int(bad), n)
             raise SingularInnovationError(
@@ -188,9 +181,7 @@ class Expectation:
 
     def individual_distances(self) -> Array:
         """Squared Mahalanobis distance (m, n) of every observation to every candidate, infinite in another frame.
-
-        Raises:
-            SingularInnovationError: an innovation covariance is not positive definite, or something is not finite.
+        Raises SingularInnovationError if a covariance is not positive definite, or a value not finite.
         """
         return self._formed[0]
 
@@ -200,7 +191,7 @@ class Expectation:
         return logs
 
     def paired(self, decisions: IntArray) -> tuple[IntArray, IntArray]:
-        """Rows (k,) of the observations that are paired, and the candidates (k,) they are paired with."""
+        """Rows (k,) of the paired observations, and the candidates (k,) they are paired with."""
         rows = np.flatnonzero(decisions >= 0)
         order = np.argsort(self.number, kind="stable")
         return rows, order[np.searchsorted(self.number, decisions[rows], sorter=order)]
@@ -211,20 +202,23 @@ class Expectation:
         add_to_diagonal(S, self.R[rows])
         return self.residual(self.z[rows], self.z_hat[chosen]).ravel(), S
 
-    def innovation_statistics(self, rows: IntArray, chosen: IntArray) -> tuple[float, int, float]:
-        """NIS, degrees of freedom and log-likelihood of pairing observations `rows` with candidates `chosen`, jointly.
-
-        Raises SingularInnovationError if their joint covariance is not positive definite.
-        """
-        if not len(rows):
-            return 0.0, 0, 0.0
+    def innovation_root(self, rows: IntArray, chosen: IntArray) -> tuple[Array, Array]:
+        """As `joint_innovation`, with the lower Cholesky factor; raises SingularInnovationError without one."""
         nu, S = self.joint_innovation(rows, chosen)
         try:
-            root = np.linalg.cholesky(S)
+            return nu, np.asarray(np.linalg.cholesky(S), np.float64)
         except np.linalg.LinAlgError:
             raise SingularInnovationError(
                 f"the joint innovation covariance of landmarks {self.number[chosen].tolist()} is singular"
             ) from None
+
+    def innovation_statistics(self, rows: IntArray, chosen: IntArray) -> tuple[float, int, float]:
+        """NIS, degrees of freedom and log-likelihood of pairing observations `rows` with candidates `chosen`, jointly.
+        Raises SingularInnovationError if their joint covariance is not positive definite.
+        """
+        if not len(rows):
+            return 0.0, 0, 0.0
+        nu, root = self.innovation_root(rows, chosen)
         white = np.linalg.solve(root, nu)
         nis, dof = float(white @ white), len(white)
         return nis, dof, -0.5 * (nis + 2.0 * float(np.log(np.diag(root)).sum()) + dof * math.log(2.0 * math.pi))

@@ -1,8 +1,7 @@
-"""What walls are beyond endless lines: a name for each side, a face that was seen, and the stretch it was seen along.
+"""Faces of walls: the sign of a normal, the face that was observed, and the stretch along which it was observed.
 
-A landmark is an endless line, and the line of one box's far side may run along another's near side. What is solid is
-seen from one side: a wall is a candidate for a reading from its other side only where it was seen itself, as a thin
-wall is that has two faces at one place.
+A landmark is an infinite line, and the far side of one box may be collinear with the near side of another. A wall is a
+candidate for an observation of its other face only within the stretch where it was observed, as a thin wall.
 """
 
 from __future__ import annotations
@@ -18,16 +17,16 @@ from data.se2 import Array, BoolArray, between, compose, wrap_angle
 from data.sensors import Sensor
 
 MARGIN = 0.5
-"""m, and `SIGMAS` of the position, beyond the stretch seen: past a thin wall's end the other face is heard within so
-much."""
+"""m, beyond the observed stretch, besides `SIGMAS` of the position: sonar hears the other face past a thin wall's end.
+"""
 SIGMAS = 3.0
 
 
-def named_as_read(e: Expectation, sensor: Sensor) -> Expectation:
-    """The same candidates, walls, each with the name (d, phi) or (-d, phi + pi) that the nearest reading has.
+def aligned_with_observations(e: Expectation, sensor: Sensor) -> Expectation:
+    """The same walls, each with the sign, (d, phi) or (-d, phi + pi), of the nearest observation.
 
-    Where it is not sure on which side of a wall the robot is, an expectation has either name; readings and their noise
-    have the one towards the wall.
+    Where the robot may be on either side of a wall, an expectation may have either sign. Observations and their noise
+    have the normal towards the wall.
     """
     if not len(e.z) or not len(e.number):
         return e
@@ -51,35 +50,31 @@ def named_as_read(e: Expectation, sensor: Sensor) -> Expectation:
         z_hat=np.stack([sign * e.z_hat[:, 0], wrap_angle(e.z_hat[:, 1] + math.pi * turned)], axis=1),
         HPHt=HPHt,
         joint=joint,
-        elsewhere=None if elsewhere is None else lambda pose: named_as_read(elsewhere(pose), sensor),
+        elsewhere=None if elsewhere is None else lambda pose: aligned_with_observations(elsewhere(pose), sensor),
     )
 
 
 class Faces:
-    """Keeps for each landmark, by its number, the direction in which it was first seen, and the stretch seen since."""
+    """For each landmark number, the direction of its normal when first observed, and the stretch observed since."""
 
     def __init__(self, sensor: Sensor) -> None:
-        """Nothing seen yet."""
         self._sensor = sensor
         self._mounting = between(np.array([*sensor.translation, sensor.rotation]), np.zeros(3))
         self._direction = np.empty(0)
         self._stretch = np.empty((0, 2))
 
-    def offered(self, pose: Array, covariance: Array, number: IntArray, z_hat: Array) -> BoolArray:
-        """Which landmarks `number` (n,), expected at z_hat (n, 2) [m, rad], may be seen from a pose (3,).
-
-        `covariance`: (3, 3) of the pose, world frame.
-        """
+    def visible(self, pose: Array, covariance: Array, number: IntArray, z_hat: Array) -> BoolArray:
+        """Which landmarks (n,), expected at z_hat (n, 2), may be observed from a pose (3,) with covariance (3, 3)."""
         normal, foot = self._in_world(pose, z_hat)
         first = self._direction[number]
         along = _along(foot, first)
         margin = MARGIN + SIGMAS * math.sqrt(covariance[0, 0] + covariance[1, 1])
         near = (along >= self._stretch[number, 0] - margin) & (along <= self._stretch[number, 1] + margin)
-        offered: BoolArray = (np.cos(normal - first) >= 0.0) | near
-        return offered
+        visible: BoolArray = (np.cos(normal - first) >= 0.0) | near
+        return visible
 
     def see(self, pose: Array, number: IntArray, z: Array) -> None:
-        """Landmarks `number` (m,) were read as z (m, 2) from a pose (3,)."""
+        """Landmarks `number` (m,) were observed at z (m, 2) from a pose (3,)."""
         if not len(number):
             return
         more = int(number.max()) + 1 - len(self._direction)
@@ -95,13 +90,13 @@ class Faces:
             self._stretch[n] = min(low, along), max(high, along)
 
     def _in_world(self, pose: Array, z: Array) -> tuple[Array, Array]:
-        """Directions (n,) of normals towards walls read as z (n, 2), and their feet (n, 2)."""
+        """Directions (n,) of normals towards walls at z (n, 2), and feet (n, 2) of the perpendiculars, world frame."""
         x, y, heading = compose(pose, self._mounting)
         normal = heading + z[:, 1]
         return normal, np.stack([x + z[:, 0] * np.cos(normal), y + z[:, 0] * np.sin(normal)], axis=1)
 
 
 def _along(foot: Array, direction: Array | float) -> Array:
-    """How far along walls with these normals (n,) points (n, 2) lie."""
+    """Coordinates of points (n, 2) along walls with these normals (n,)."""
     along: Array = foot[..., 1] * np.cos(direction) - foot[..., 0] * np.sin(direction)
     return along

@@ -1,10 +1,10 @@
-"""Joint compatibility branch and bound: the largest set of pairings that are compatible all together.
+"""Joint compatibility branch and bound: the largest set of jointly compatible pairings.
 
 Two compiled searches: most pairings with least joint distance (`search_best`), and first found (`search_first`). Both
-take m observations and k candidates, of which every one is individually compatible with something;
-nu (m, k, 2) innovations, compatible (m, k), C (2k, 2k) joint covariance of the expectations, R (m, 2, 2),
-thresholds (m + 1,) squared joint distance at 2 q dof for q pairings, infinite for q = 0 and without a gate.
-The joint distance is bordered pairing by pairing: S = L L', w = L^-1 nu, d^2 = w'w, two more rows for one more pairing.
+take m observations and k candidates, each individually compatible with something: nu (m, k, 2) innovations, compatible
+(m, k), C (2k, 2k) joint covariance of the expectations, R (m, 2, 2), thresholds (m + 1,) squared joint distance at 2 q
+dof for q pairings, infinite for q = 0 and without a gate. The joint distance grows with two rows of the factor per
+pairing: S = L L', w = L^-1 nu, d^2 = w'w.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ COMPLETE = 0
 EXHAUSTED = 1
 SINGULAR_JOINT = 2
 TIE = 1e-12
-"""Joint distances closer than this, relative, are the same: rounding must not choose between identical landmarks."""
+"""Joint distances within this relative difference are equal, so that rounding cannot choose between them."""
 
 
 @numba.njit(cache=True)
 def _factor(a: float, b: float, c: float, scale_a: float, scale_c: float) -> tuple[float, float, float]:
-    """Cholesky factor (l00, l10, l11) of [[a, b], [b, c]]; l00 = 0 where it is singular against its own scale."""
+    """Cholesky factor (l00, l10, l11) of [[a, b], [b, c]]; l00 = 0 where it is singular relative to its scale."""
     if not a > SINGULAR * scale_a:
         return 0.0, 0.0, 0.0
     l00 = math.sqrt(a)
@@ -43,10 +43,8 @@ def _factor(a: float, b: float, c: float, scale_a: float, scale_c: float) -> tup
 
 
 class Given(NamedTuple):
-    """What is known of each candidate given the first q pairings, by q.
-
-    V: (m, k, 2, 2) rows of L^-1 C; shift: (m + 1, k, 2) of its expectation; D: (m + 1, k, 3) its remaining covariance
-    (xx, xy, yy).
+    """The candidates conditioned on the first q pairings, by q. V: (m, k, 2, 2) rows of L^-1 C; shift: (m + 1, k, 2) of
+    the expectation; D: (m + 1, k, 3) remaining covariance (xx, xy, yy).
     """
 
     V: Array
@@ -93,7 +91,7 @@ def _whitened(i: int, j: int, q: int, nu: Array, R: Array, given: Given) -> tupl
 def _condition(
     i: int, j: int, q: int, nu: Array, C: Array, R: Array, given: Given, need: BoolArray
 ) -> tuple[float, float]:
-    """Pair i with j as pairing q: what is then known of the candidates in `need`; its whitened innovation (x, y)."""
+    """Pair i with j as pairing q and condition the candidates in `need`; returns the whitened innovation (x, y)."""
     V, shift, D = given
     x, y, l00, l10, l11 = _whitened(i, j, q, nu, R, given)
     for c in range(len(need)):
@@ -124,13 +122,11 @@ def search_best(
 ) -> tuple[IntArray, float, int, int, int]:
     """Most pairings, one-to-one, jointly compatible as a whole; among these the least joint distance.
 
-    Branch and bound with forward checking: at every node each pairing still open has its distance *given* those made.
-    That is what it would add at least, so it shows at once which ones cannot belong to a better hypothesis. The
-    observation with the fewest open pairings comes next, its nearest candidate first.
+    Branch and bound with forward checking: at every node each open pairing has its distance given those made, a lower
+    bound of its increment. The observation with the fewest open pairings comes next, its nearest candidate first.
 
-    A branch is cut only if it cannot have more pairings than the best so far, nor as many at a smaller distance.
-    Joint compatibility is asked of the whole hypothesis, not of its beginnings: d^2 of a part may exceed chi-square
-    at the part's own dof and the whole still pass, so a beginning is held against the gate of all it can become.
+    A branch is cut only if it cannot have more pairings than the best so far, nor as many at a smaller distance. The
+    gate applies to the whole hypothesis: a part may exceed chi-square at its own dof and the whole still pass.
 
     Returns (choice (m,), d^2, pairings, nodes, status).
     """
@@ -163,7 +159,7 @@ def search_best(
                         if closed_at[p] > t and not taken[candidate[p]]:
                             reach += 1
                             break
-            # distances given the pairings made; close what cannot be part of anything better
+            # distances given the pairings made; close pairings that cannot improve the best hypothesis
             slack = best_d2 - TIE * max(1.0, best_d2) if reach == best else np.inf
             limit = min(thresholds[reach], slack)
             after, bound, fewest, pick = q, 0.0, k + 1, -1
@@ -201,7 +197,7 @@ def search_best(
                 t -= 1
                 arriving = False
                 continue
-            # its open candidates, nearest first; among equals the one that came first
+            # its open candidates, nearest first; ties in the given order
             n = 0
             for p in range(first[pick], first[pick + 1]):
                 if closed_at[p] > t and not taken[candidate[p]]:
@@ -251,11 +247,10 @@ def search_best(
 def search_first(
     nu: Array, compatible: BoolArray, C: Array, R: Array, thresholds: Array, budget: int
 ) -> tuple[IntArray, float, int, int, int]:
-    """Depth first over observations in order, candidates in order, last unpaired; the first of most pairings stays.
+    """Depth first over observations in order, candidates in order, last unpaired; the first of most pairings is kept.
 
-    A pairing is kept if the joint distance of those made so far and itself is below chi-square at their dof. Nothing
-    forbids giving one candidate to two observations. A branch that can only equal the best is cut: it would not
-    replace it. Returns as `search_best`.
+    A pairing is kept if the joint distance of the pairings so far is below chi-square at their dof. One candidate may
+    be given to two observations. A branch that can only equal the best is cut. Returns as `search_best`.
     """
     m, k = compatible.shape
     L, w = np.zeros((2 * m, 2 * m)), np.empty(2 * m)
@@ -332,14 +327,14 @@ BUDGET = 50_000
 
 
 class SearchBudgetWarning(UserWarning):
-    """A search ended before it was complete; its decisions are the best it had found, valid but maybe not the best."""
+    """A search ended before it was complete; its decisions are the best found, perhaps not the best."""
 
 
 class Search(NamedTuple):
-    """What a search found.
+    """The result of a search.
 
     decisions: (m,) landmark number, or `NEW` (-1) for unpaired; distance: squared joint Mahalanobis distance of the
-    pairings; pairings: how many; nodes: how many were visited; complete: False if the budget ended the search.
+    pairings; pairings and nodes: their numbers; complete: False if the budget ended the search.
     """
 
     decisions: IntArray
@@ -350,13 +345,10 @@ class Search(NamedTuple):
 
 
 def search(expectation: Expectation, gate: float | None, *, first: bool = False, budget: int = BUDGET) -> Search:
-    """The search behind `jcbb` and `jcbb_first`, with all it found and whether it came to its end.
+    """The search behind `jcbb` and `jcbb_first`, with all its results.
 
-    The joint covariance is asked for once, for those candidates alone that are compatible with some observation.
-
-    Raises:
-        SingularInnovationError: the innovation covariance of a pair, or of the pairings together, is not positive
-            definite.
+    The joint covariance is formed once, for the compatible candidates alone. Raises SingularInnovationError if the
+    innovation covariance of a pair, or of the pairings together, is not positive definite.
     """
     threshold = gate_threshold(gate)
     if budget < 1:
@@ -390,30 +382,21 @@ def search(expectation: Expectation, gate: float | None, *, first: bool = False,
 def jcbb(expectation: Expectation, gate: float | None, *, budget: int = BUDGET) -> IntArray:
     """Joint compatibility branch and bound (Neira and Tardos 2001), ties by the least joint distance.
 
-    Of all one-to-one hypotheses whose pairs are individually compatible (d^2 < chi-square at `gate`, 2 dof) and which
-    as a whole are jointly compatible (joint d^2 < chi-square at `gate`, 2 dof per pair, with the full cross-covariance
-    of pose and landmarks): the one with most pairings, and of these the one with least joint d^2. Neither the order of
-    observations nor that of the map matters; landmarks that nothing tells apart go oldest first.
-
-    Args:
-        expectation: candidates (n) and observations (m).
-        gate: chi-square probability, or None for no gate.
-        budget: nodes the search may visit. If they do not suffice, the best hypothesis found is returned and a
-            `SearchBudgetWarning` issued; `search` and `association.decide` report it as a flag instead.
-
-    Returns:
-        (m,) landmark number, or `NEW` (-1) for unpaired.
+    Pairs must be individually compatible (d^2 < chi-square at `gate`, 2 dof), and the hypothesis jointly compatible
+    (joint d^2 < chi-square at `gate`, 2 dof per pair, with the full cross-covariance). Of all one-to-one hypotheses the
+    one with most pairings wins, then the one with least joint d^2. The order of observations and map does not matter;
+    equal landmarks go oldest first. An exhausted `budget` of nodes gives the best hypothesis found and a
+    `SearchBudgetWarning`.
     """
     return _warned(search(expectation, gate, budget=budget))
 
 
 def jcbb_first(expectation: Expectation, gate: float | None, *, budget: int = BUDGET) -> IntArray:
-    """Joint compatibility branch and bound as the recorded lab program does it: ties to the first one found.
+    """Joint compatibility branch and bound as in the recorded lab program: ties to the first hypothesis found.
 
-    Depth first, observations and candidates in the given order, a pairing being kept if all pairings so far are jointly
-    compatible with it; a hypothesis replaces the best one only with strictly more pairings, so the oldest landmarks
-    win ties and no distance does. One landmark may be given to two observations (the joint test all but always
-    rejects it). Arguments and result as for `jcbb`.
+    Observations and candidates are searched in the given order, and only strictly more pairings replace a hypothesis.
+    So the oldest landmarks win ties, whatever the distance. One landmark may be given to two observations (the joint
+    test nearly always rejects it).
     """
     return _warned(search(expectation, gate, first=True, budget=budget))
 

@@ -1,7 +1,7 @@
-"""Ways of association that need no search: each pairs what is compatible and leaves the rest at `NEW`.
+"""Association methods without a search: nearest neighbour, maximum likelihood, SINGLES, global nearest neighbour.
 
-Nearest neighbour, maximum likelihood (with or without a ratio test), SINGLES and global nearest neighbour; and newness,
-which says of an unpaired observation whether it may found a landmark or is too close to one for that.
+Each takes an `Expectation` of n candidates and m observations, and the gate as a chi-square probability or None for no
+gate. It returns the landmark number (m,) of each observation, `NEW` for unpaired.
 """
 
 from __future__ import annotations
@@ -24,75 +24,50 @@ def cheapest(number: IntArray, cost: Array) -> IntArray:
     return np.where(finite, number[best], NEW)
 
 
+def _distances(expectation: Expectation, gate: float | None) -> tuple[Expectation, Array, float]:
+    """The expectation by age, its squared distances (m, n), and the threshold of a gate."""
+    e = expectation.by_age()
+    return e, e.individual_distances(), gate_threshold(gate)
+
+
 def nn(expectation: Expectation, gate: float | None) -> IntArray:
     """Individual compatibility nearest neighbour (ICNN; Neira and Tardos 2001).
 
-    The landmark of least squared Mahalanobis distance d^2, paired if d^2 <= chi-square at `gate`, 2 dof (<=, where
-    every other method asks for <: the lab's rule). Many observations may take one landmark. By d^2 alone an uncertain
-    landmark attracts more than a certain one (`ml` corrects that). A tie goes to the oldest landmark.
-
-    Args:
-        expectation: candidates (n) and observations (m).
-        gate: chi-square probability, or None for no gate.
-
-    Returns:
-        (m,) landmark number, or `NEW` (-1) for unpaired.
+    The landmark of least squared Mahalanobis distance d^2, paired if d^2 <= chi-square at `gate`, 2 dof (all other
+    methods use <). Many observations may take one landmark. By d^2 alone an uncertain landmark attracts more than a
+    well-known one (`ml` corrects that). A tie goes to the oldest landmark.
     """
-    threshold = gate_threshold(gate)
-    e = expectation.by_age()
-    d2 = e.individual_distances()
+    e, d2, threshold = _distances(expectation, gate)
     return cheapest(e.number, np.where(d2 <= threshold, d2, np.inf))
 
 
 ALPHA = 0.84
-"""Squared distance at which "none of them" competes, of the classic tutorials' step 4."""
+"""Squared distance of "new" as a candidate, from step 4 of the classic tutorials."""
 RATIO = 1.6
-"""How many times the best squared distance the second best must exceed, of the same step."""
+"""Factor by which the second best squared distance must exceed the best, from the same step."""
 
 
 def ml(expectation: Expectation, gate: float | None) -> IntArray:
     """Maximum likelihood (Thrun, Burgard and Fox, Probabilistic Robotics, section 7.5).
 
-    The landmark that minimises d^2 + ln det S, that is -2 ln of the Gaussian likelihood up to a constant, among those
-    with d^2 < chi-square at `gate`, 2 dof. It is never exponentiated: far from every landmark all likelihoods
-    underflow to zero together. Many observations may take one landmark; a tie goes to the oldest.
-
-    Args:
-        expectation: candidates (n) and observations (m).
-        gate: chi-square probability, or None for no gate (then every observation is paired if there is a landmark).
-
-    Returns:
-        (m,) landmark number, or `NEW` (-1) for unpaired.
+    The landmark of least d^2 + ln det S, which is -2 ln of the Gaussian likelihood up to a constant, among those with
+    d^2 < chi-square at `gate`, 2 dof. Many observations may take one landmark; a tie goes to the oldest.
     """
-    threshold = gate_threshold(gate)
-    e = expectation.by_age()
-    d2 = e.individual_distances()
+    e, d2, threshold = _distances(expectation, gate)
     return cheapest(e.number, np.where(d2 < threshold, d2 + e.log_determinants(), np.inf))
 
 
 def ml_ratio(expectation: Expectation, gate: float | None, *, alpha: float = ALPHA, ratio: float = RATIO) -> IntArray:
     """Least d^2 with a ratio test (the classic tutorials' step 4, unknown correspondences and number of landmarks).
 
-    "New" is itself a candidate, with d^2 = `alpha`. The least d^2 wins if the second least exceeds `ratio` times it,
-    else the observation is ambiguous and discarded: so is one that lies between a landmark and "new". The second least
-    is the true one over all candidates, whatever their order. A landmark must also be inside the gate, as everywhere.
-
-    Args:
-        expectation: candidates (n) and observations (m).
-        gate: chi-square probability, or None for no gate.
-        alpha: squared distance of "new".
-        ratio: factor by which the best must beat the second best.
-
-    Returns:
-        (m,) landmark number, `NEW` (-1) where "new" won, `DISCARD` (-2) where nothing won clearly.
+    "New" is a candidate with d^2 = `alpha`. The least d^2 wins if the second least exceeds `ratio` times it; otherwise
+    the observation is ambiguous, and `DISCARD`. A landmark must be inside the gate as well.
     """
-    threshold = gate_threshold(gate)
-    e = expectation.by_age()
-    d2 = e.individual_distances()
+    e, d2, threshold = _distances(expectation, gate)
     if d2.shape[1] == 0:
         return np.full(len(d2), NEW, np.int64)
     everything = np.column_stack([d2, np.full(len(d2), alpha)])
-    # the landmarks come first, so that one whose d^2 is exactly alpha goes before "new"; the ratio then discards it
+    # landmarks first: one with d^2 = alpha precedes "new", and the ratio discards it
     best = np.argmin(everything, axis=1)
     two = np.partition(everything, 1, axis=1)
     clear = two[:, 1] > ratio * two[:, 0]
@@ -102,17 +77,8 @@ def ml_ratio(expectation: Expectation, gate: float | None, *, alpha: float = ALP
 
 
 def singles(expectation: Expectation, gate: float | None) -> IntArray:
-    """Pairs without any ambiguity (SINGLES of the data-association lab after Neira and Tardos 2001).
-
-    Observation i and landmark j are paired if j is the only landmark compatible with i and i the only observation
-    compatible with j; compatible: d^2 < chi-square at `gate`, 2 dof.
-
-    Args:
-        expectation: candidates (n) and observations (m).
-        gate: chi-square probability, or None for no gate (then everything is compatible with everything).
-
-    Returns:
-        (m,) landmark number, or `NEW` (-1) for unpaired.
+    """Pairs without any ambiguity (SINGLES of the data-association lab after Neira and Tardos 2001). Observation and
+    landmark are paired if each is the only one compatible with the other: d^2 < chi-square at `gate`, 2 dof.
     """
     compatible = expectation.individual_distances() < gate_threshold(gate)
     alone = compatible.sum(axis=1) == 1
@@ -126,28 +92,17 @@ def singles(expectation: Expectation, gate: float | None) -> IntArray:
 def gnn(expectation: Expectation, gate: float | None) -> IntArray:
     """Global nearest neighbour (Blackman and Popoli, Design and Analysis of Modern Tracking Systems).
 
-    One-to-one assignment that minimises the sum of d^2 over the pairs plus, for every observation left unpaired, the
-    chi-square at `gate`, 2 dof: what a pair may cost at most, so it is the price of a new landmark. Distances are
-    individual ones; correlations between the pairs are not looked at (`jcbb` does). Without a gate as many as possible
-    are paired.
-
-    Args:
-        expectation: candidates (n) and observations (m).
-        gate: chi-square probability, or None for no gate.
-
-    Returns:
-        (m,) landmark number, or `NEW` (-1) for unpaired.
+    The one-to-one assignment of least total d^2, where an unpaired observation costs the chi-square at `gate`, 2 dof.
+    Without a gate as many as possible are paired. Correlations between the pairs are ignored (`jcbb` uses them).
     """
-    threshold = gate_threshold(gate)
-    e = expectation.by_age()
-    d2 = e.individual_distances()
+    e, d2, threshold = _distances(expectation, gate)
     decisions = np.full(len(d2), NEW, np.int64)
     compatible = d2 < threshold
     rows, columns = np.flatnonzero(compatible.any(axis=1)), np.flatnonzero(compatible.any(axis=0))
     if len(rows) == 0:
         return decisions
     some, allowed = d2[np.ix_(rows, columns)], compatible[np.ix_(rows, columns)]
-    # dearer than every allowed pair together: worth leaving unpaired only where there is no landmark left
+    # costs more than all allowed pairs together: unpaired only if no landmark is left
     new = threshold if np.isfinite(threshold) else 1.0 + 2.0 * some[allowed].sum()
     forbidden = 1.0 + 2.0 * len(rows) * new
     cost = np.full((len(rows), len(columns) + len(rows)), forbidden)
@@ -160,20 +115,12 @@ def gnn(expectation: Expectation, gate: float | None) -> IntArray:
 
 
 def newness(expectation: Expectation, decisions: IntArray, new_gate: float | None) -> IntArray:
-    """Turn `NEW` into `DISCARD` where some landmark is inside the second gate: the two-gate rule.
+    """Turn `NEW` into `DISCARD` where some landmark is inside the second gate (two-gate rule of Bailey's EKF-SLAM
+    simulator).
 
-    An inner gate to associate and an outer one to augment, as in Bailey's EKF-SLAM simulator. An observation
-    initializes a landmark only if every candidate is outside the gate: d^2 >= chi-square at `new_gate`, 2 dof. With
-    `new_gate` equal to the method's gate this is the lab's rule, under which one true pair in a hundred falls out of
-    its own landmark's gate and initializes a duplicate; a wider gate discards it instead.
-
-    Args:
-        expectation: candidates (n) and observations (m).
-        decisions: (m,) as a method made them.
-        new_gate: chi-square probability; None: no candidate is ever outside, so only an empty map gets new landmarks.
-
-    Returns:
-        (m,) landmark number, `NEW` or `DISCARD`.
+    An observation initializes a landmark only if d^2 >= chi-square at `new_gate`, 2 dof, for every candidate. With
+    `new_gate` equal to the method's gate one true pair in a hundred initializes a duplicate; a wider gate discards it.
+    `new_gate` None: only an empty map gets new landmarks.
     """
     inside = (expectation.individual_distances() < gate_threshold(new_gate)).any(axis=1)
     return np.where((decisions == NEW) & inside, DISCARD, decisions)

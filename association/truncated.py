@@ -1,8 +1,8 @@
-"""What NIS to expect of a right filter whose pairings were accepted because their innovations lay inside a gate.
+"""Expected NIS of a consistent filter whose pairings were accepted by a gate.
 
-An innovation that had to pass a gate is not chi-square any more: its square is smaller in the mean, and scatters less.
-For one pairing there is a formula; for several, whose innovations are correlated and pass a joint test, too, the
-moments are those of Gaussian innovations with the frame's own joint covariance, those outside the gates left out.
+An innovation that passed a gate is a truncated chi-square variable, with a smaller mean and variance. One pairing has a
+closed form. For several correlated pairings with a joint test, the moments are those of Gaussian innovations with the
+frame's joint covariance, without those outside the gates.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from association.methods import ALPHA, RATIO
 from data.se2 import Array
 
 DRAWS = 64
-"""Innovations drawn per frame. Over a run their scatter adds 1/64 to the variance of its NIS."""
+"""Innovations drawn per frame, which add 1/64 to the variance of a run's NIS."""
 POINTS = 4096
-"""Quasi-random points that frames take in turn, so that the errors of the draws do not add up."""
+"""Quasi-random points that frames take in turn, so that the sampling errors do not add up."""
 
 
 class Acceptance(NamedTuple):
-    """What a pairing had to pass, thresholds of squared distances (inf: nothing).
+    """Thresholds that a pairing had to pass, as squared distances (inf: none).
 
     individual: each pairing, 2 dof; joint: probability of the joint gate of all pairings of a frame, or None;
     conditional: each pairing given the others of its frame, 2 dof.
@@ -39,14 +39,13 @@ class Acceptance(NamedTuple):
 
     @property
     def everything(self) -> bool:
-        """Whether nothing can be left out."""
+        """Whether every pairing passes."""
         return math.isinf(self.individual) and self.joint is None and math.isinf(self.conditional)
 
 
 def acceptance(method: str, gate: float | None) -> Acceptance:
-    """What the pairings of a way of association had to pass: `gate` is its chi-square probability, None for no gate.
-
-    `ml-ratio` pairs only what beats "new" by its ratio, which is the narrower test.
+    """The tests of an association method at a `gate` probability, None for no gate. `ml-ratio` pairs only landmarks
+    that beat "new" by its ratio, which is the narrower test.
     """
     if method in ("jcbb", "jcbb-first"):
         return Acceptance(gate_threshold(gate), gate)
@@ -57,9 +56,8 @@ def acceptance(method: str, gate: float | None) -> Acceptance:
 
 @cache
 def truncated_square(threshold: float, dof: int = 2) -> tuple[float, float]:
-    """Mean and variance of a chi-square variable of `dof` below a threshold.
-
-    E[x] = k F_{k+2}(c) / F_k(c), E[x^2] = k (k + 2) F_{k+4}(c) / F_k(c), with F the distribution function.
+    """Mean and variance of a chi-square variable of `dof` below a threshold. E[x] = k F_{k+2}(c) / F_k(c), E[x^2] = k
+    (k + 2) F_{k+4}(c) / F_k(c), with F the distribution function.
     """
     if math.isinf(threshold):
         return float(dof), 2.0 * dof
@@ -70,9 +68,8 @@ def truncated_square(threshold: float, dof: int = 2) -> tuple[float, float]:
 
 
 def accepted_moments(S: Array, passed: Acceptance, turn: int) -> tuple[float, float]:
-    """Mean and variance of the joint NIS of accepted pairings, whose innovations have the covariance S (2k, 2k).
-
-    `turn` is the number of the frame: each takes its own draws. Without a gate these are 2k and 4k.
+    """Mean and variance of the joint NIS of accepted pairings with innovation covariance S (2k, 2k). `turn` is the
+    number of the frame, which selects its draws. Without a gate these are 2k and 4k.
     """
     dof = len(S)
     if dof == 0 or passed.everything:
@@ -85,9 +82,9 @@ def accepted_moments(S: Array, passed: Acceptance, turn: int) -> tuple[float, fl
     white = points[begin : begin + DRAWS, :dof].copy()
     try:
         n, total, squares = _sums(np.ascontiguousarray(S), white, passed.individual, joint, passed.conditional)
-    except np.linalg.LinAlgError:  # singular: the update that follows says so
+    except np.linalg.LinAlgError:  # singular: the next update raises
         n, total, squares = 0, 0.0, 0.0
-    if n < 2:  # gates that hardly anything passes: as if its pairings were independent
+    if n < 2:  # hardly anything passes: as if the pairings were independent
         mean, variance = truncated_square(min(passed.individual, passed.conditional))
         return mean * dof / 2, variance * dof / 2
     return total / n, max(squares / n - (total / n) ** 2, 0.0)

@@ -1,1 +1,1 @@
-"""Logs and what produces them: SE(2), motion and sensor models, file formats, datasets and simulators."""
+"""Logs and their sources: SE(2), motion and sensor models, file formats, datasets and simulators."""

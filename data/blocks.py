@@ -1,4 +1,4 @@
-"""Joint covariances of points, rows and columns x0, y0, x1, y1, ...: where a point stands, and blocks of 2 x 2."""
+"""Joint covariances of points with rows and columns x0, y0, x1, y1, ..., and their 2 x 2 blocks."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from data.se2 import Array
 
 
 def coordinates(points: IntArray) -> IntArray:
-    """Rows (2n,) of points (n,): 2 i and 2 i + 1 for each point i."""
+    """Rows (2n,) of points (n,): 2 i and 2 i + 1 of each point i."""
     return coordinates_from(2 * np.asarray(points, np.int64))
 
 
 def coordinates_from(first: IntArray) -> IntArray:
-    """Rows (2n,) of points whose x stands in the rows `first` (n,), and y in the next one."""
+    """Rows (2n,) of points whose x is in the rows `first` (n,), and y in the next ones."""
     rows: IntArray = (first[:, None] + np.arange(2)).ravel()
     return rows
 
 
 def of_points(P: Array, points: IntArray) -> Array:
-    """Joint covariance (2k, 2k) of some points (k,), from that of all (2n, 2n); a copy."""
+    """Joint covariance (2k, 2k) of points (k,), from that of all points (2n, 2n); a copy."""
     rows = coordinates(points)
     chosen: Array = P[np.ix_(rows, rows)]
     return chosen
@@ -36,7 +36,7 @@ def blocks_of(P: Array) -> Array:
 
 
 def diagonal_blocks(P: NDArray[np.floating[Any]]) -> Any:
-    """Covariance (n, 2, 2) of each point by itself, from the joint one (2n, 2n); a copy."""
+    """Marginal covariance (n, 2, 2) of each point, from the joint one (2n, 2n); a copy."""
     n = len(P) // 2
     return P.reshape(n, 2, n, 2)[np.arange(n), :, np.arange(n), :]
 
@@ -50,6 +50,6 @@ def block_diagonal(blocks: Array) -> Array:
 
 
 def add_to_diagonal(P: Array, blocks: Array) -> None:
-    """Add blocks (k, 2, 2) to those on the diagonal of P (2n, 2n), in place, beginning with the first; k <= n."""
+    """Add blocks (k, 2, 2) to the first k <= n on the diagonal of P (2n, 2n), in place."""
     for i, block in enumerate(blocks):
         P[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += block

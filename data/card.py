@@ -1,4 +1,4 @@
-"""A small HTML card: a few facts beside a map drawn as inline SVG; plain arrays in, the same bytes each time."""
+"""A small HTML card: a table of facts beside a map as inline SVG, reproducible to the byte."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 SIDE, EDGE = 300.0, 8.0
-"""px. The longer side of a map, and the blank around it."""
+"""px, longer side of a map, and its margin."""
 MOST = 400
-"""Points of a path that are drawn; more than a small picture can show."""
+"""Most points of a path that are drawn."""
 BLACK, GREY, WARM, COOL = "#000000", "#A6A6A6", "#D55E00", "#0064A8"
 COLOURS = (WARM, COOL, "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#332288", "#999933")
-"""Of runs side by side: Okabe and Ito's, told apart by colour-blind readers."""
+"""Colours of runs, from the colour-blind safe set of Okabe and Ito."""
 
 
 class Path(NamedTuple):
-    """A path (N, 2) in metres; where it is not known (NaN) it has a gap."""
+    """A path (N, 2) in metres, with gaps where it is NaN."""
 
     label: str
     xy: Array
@@ -29,7 +29,7 @@ class Path(NamedTuple):
 
 
 class Points(NamedTuple):
-    """Places (L, 2) in metres."""
+    """Points (L, 2) in metres."""
 
     label: str
     xy: Array
@@ -39,18 +39,18 @@ class Points(NamedTuple):
 def card(
     title: str, facts: Sequence[tuple[str, str]], paths: Sequence[Path] = (), points: Sequence[Points] = ()
 ) -> str:
-    """Title, facts, and what is drawn with its legend."""
+    """Title, facts, and a map with its legend."""
     return side_by_side(title, rows_table(facts), drawing(paths, points))
 
 
 def side_by_side(title: str, table: str, picture: str) -> str:
-    """A table (HTML) beside a picture (SVG or nothing)."""
+    """A table (HTML) beside a picture (SVG, may be empty)."""
     cell = "<div style='display:inline-block;vertical-align:top;margin-right:1.5em'>"
     return f"<div><b>{escape(title)}</b><br>{cell}{table}</div>{cell}{picture}</div></div>"
 
 
 def rows_table(facts: Sequence[tuple[str, str]]) -> str:
-    """Facts as a table with a name in front of each."""
+    """Facts as a table with names in the first column."""
     rows = "".join(
         f"<tr><th style='text-align:left'>{escape(name)}</th><td style='text-align:left'>{escape(text)}</td></tr>"
         for name, text in facts
@@ -59,16 +59,16 @@ def rows_table(facts: Sequence[tuple[str, str]]) -> str:
 
 
 def columns_table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Rows under heads."""
+    """Rows below column heads."""
     head = "".join(f"<th style='text-align:left'>{escape(h)}</th>" for h in heads)
     body = "".join("<tr>" + "".join(f"<td>{escape(t)}</td>" for t in row) + "</tr>" for row in rows)
     return f"<table><tr>{head}</tr>{body}</table>"
 
 
 def drawing(paths: Sequence[Path], points: Sequence[Points]) -> str:
-    """The map as SVG, north up, with a legend; empty where there is nothing to draw.
+    """The map as SVG, north up, with a legend; empty without data.
 
-    The first path or, without one, the first points decide what is shown; what is far outside is cut.
+    The first path or, without one, the first points set the extent; distant points are clipped.
     """
     every: list[Path | Points] = [*paths, *points]
     known = [p.xy[np.isfinite(p.xy).all(axis=1)] for p in every]
@@ -88,17 +88,15 @@ def drawing(paths: Sequence[Path], points: Sequence[Points]) -> str:
         moved: Array = np.column_stack([EDGE + scale * (xy[:, 0] - low[0]), EDGE + scale * (high[1] - xy[:, 1])])
         return moved
 
+    def sign(p: Path | Points) -> str:
+        return "●" if isinstance(p, Points) else "┄" if p.dashed else "━"
+
     drawn = "".join(_dots(place(p.xy), p.colour) for p in points) + "".join(_line(place(p.xy), p) for p in paths)
-    legend = "".join(f"<span style='color:{p.colour}'>{_sign(p)}</span> {escape(p.label)}&ensp;" for p in every)
+    legend = "".join(f"<span style='color:{p.colour}'>{sign(p)}</span> {escape(p.label)}&ensp;" for p in every)
     size = f"width='{width:.0f}' height='{height:.0f}' viewBox='0 0 {width:.1f} {height:.1f}'"
     box = f"<rect width='{width:.1f}' height='{height:.1f}' fill='white' stroke='#C8C8C8'/>"
     span = " x ".join(f"{v:.3g}" for v in (high - low).tolist())
     return f"<svg xmlns='http://www.w3.org/2000/svg' {size}>{box}{drawn}</svg><br><small>{legend}{span} m</small>"
-
-
-def _sign(drawn: Path | Points) -> str:
-    """Of the legend."""
-    return "●" if isinstance(drawn, Points) else "┄" if drawn.dashed else "━"
 
 
 def _line(xy: Array, path: Path) -> str:

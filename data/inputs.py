@@ -1,6 +1,6 @@
-"""What an estimator may see of a log: prior, increments, observations, sensor and (for localization) the map.
+"""The estimator's view of a log: prior, increments, observations, sensor and (for localization) the map.
 
-All arrays are float64 (ids int64), read-only, SI units and radians. Nothing here knows the truth.
+All arrays are float64 (ids int64), read-only, in SI units and radians. Nothing here contains ground truth.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ IntArray = NDArray[np.int64]
 T = TypeVar("T")
 
 CLUTTER = -1
-"""Label or true id of an observation that comes from no landmark."""
+"""Label or true id of a false alarm."""
 UNLABELLED = -2
-"""Label of an observation whose label is blank (nothing is known about it)."""
+"""Label of an observation whose label is blank, that is unknown."""
 
 
 def read_only(obj: object) -> None:
-    """Lock every array of a frozen dataclass: the same inputs feed every estimator, so none may change them."""
+    """Lock every array of a frozen dataclass, since the same inputs feed every estimator."""
     for f in fields(obj):  # type: ignore[arg-type]
         value = getattr(obj, f.name)
         if isinstance(value, np.ndarray):
@@ -36,7 +36,7 @@ def read_only(obj: object) -> None:
 
 
 class Locked:
-    """Base of a frozen dataclass whose arrays are locked when it is made."""
+    """Base of a frozen dataclass that locks its arrays."""
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -44,7 +44,7 @@ class Locked:
 
 @dataclass(frozen=True, eq=False)
 class Prior(Locked):
-    """Gaussian belief about the first pose: mean (3,) world frame, covariance (3, 3); zero covariance is allowed."""
+    """Gaussian belief about the first pose: mean (3,) in the world frame, covariance (3, 3), which may be zero."""
 
     mean: Array
     covariance: Array
@@ -59,14 +59,14 @@ class Increment(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Increments(Locked):
-    """Mean (N, 3) and covariance (N, 3, 3) of the motion into frame i, in the body frame of i-1; row 0 is zero."""
+    """Motion into each frame, in the body frame of the one before: mean (N, 3), covariance (N, 3, 3); row 0 is zero."""
 
     mean: Array
     covariance: Array
 
 
 class FrameObservations(NamedTuple):
-    """The observations of one frame: z (m, 2) and R (m, 2, 2)."""
+    """Observations of one frame: z (m, 2) and R (m, 2, 2)."""
 
     z: Array
     R: Array
@@ -86,7 +86,7 @@ def __getattr__(name: str) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Observations(Locked):
-    """frame (M,) ascending, z (M, 2), R (M, 2, 2): what the sensor measured, without names."""
+    """Unlabelled observations: frame (M,) ascending, z (M, 2), R (M, 2, 2)."""
 
     frame: IntArray
     z: Array
@@ -95,9 +95,9 @@ class Observations(Locked):
 
 @dataclass(frozen=True, eq=False)
 class LabelledObservations(Observations):
-    """Observations with the sensor's label (M,) beside them: only where the experiment grants known association.
+    """Observations with labels (M,), only where the experiment grants known association.
 
-    A label is a landmark id >= 0, `CLUTTER` or `UNLABELLED`; `sensed`: a sensor read it, and can have misread it.
+    A label is a landmark id >= 0, `CLUTTER` or `UNLABELLED`. `sensed`: a sensor read it, so it may be wrong.
     """
 
     label: IntArray
@@ -113,17 +113,17 @@ ERRORS = {
     "range": "1",
     "bearing": "rad",
 }
-"""The systematic errors that can be estimated, and their units; `data.motion.systematic` says what each does."""
+"""Systematic errors that can be estimated, and their units; `data.motion.systematic` defines them."""
 
 
 @dataclass(frozen=True, eq=False)
 class Systematic:
-    """Systematic errors that are to be estimated with everything else, a priori zero.
+    """Systematic errors to estimate together with the state, a priori zero.
 
     Attributes:
         names: (p,) keys of `ERRORS`, in their order.
-        sigma: (p,) standard deviations before anything is known; of the drift, at any time.
-        length: m; over this distance the drift is forgotten to 1/e. All others are constant.
+        sigma: (p,) prior standard deviations; of the drift, at any time.
+        length: m, distance over which the drift's correlation falls to 1/e; all others are constant.
     """
 
     names: tuple[str, ...]
@@ -133,11 +133,9 @@ class Systematic:
     def __post_init__(self) -> None:
         read_only(self)
         if not self.names or list(self.names) != [n for n in ERRORS if n in self.names]:
-            raise ValueError(
-                f"systematic errors {self.names}: they are some of {', '.join(ERRORS)}, each once, in this order"
-            )
+            raise ValueError(f"systematic errors {self.names}; some of {', '.join(ERRORS)}, in this order, are needed")
         if self.sigma.shape != (len(self.names),) or not (self.sigma > 0.0).all() or not self.length > 0.0:
-            raise ValueError("each systematic error has one sigma > 0, and the length of the drift is > 0")
+            raise ValueError("each systematic error needs one sigma > 0, and the drift a length > 0")
 
     @property
     def drifts(self) -> bool:
@@ -151,15 +149,14 @@ class Systematic:
 
 
 class Frame(NamedTuple):
-    """One instant, all that is known of it when it comes: what a front end is handed, from a log or from a live robot.
+    """All that is known of one instant when it arrives, from a log or a live robot.
 
     Attributes:
         number: of the frame, from 0.
-        time: s (the number of the frame where there are no stamps).
+        time: s (the number of the frame without stamps).
         increment: motion from the frame before; None in the first frame.
-        observations: z (m, 2), R (m, 2, 2).
-        label: (m,) as in `LabelledObservations`, or None where labels were not granted.
-        first: how many observations came before, so that observation i of this frame is number first + i of the log.
+        label: (m,) as in `LabelledObservations`, or None if not granted.
+        first: number of earlier observations: observation i of this frame is number first + i of the log.
     """
 
     number: int
@@ -175,7 +172,7 @@ class Frame(NamedTuple):
         return _renamed("Frame.sightings", "Frame.observations", self.observations)
 
     def part(self, rows: slice) -> Frame:
-        """The same instant with some of its observations."""
+        """The same frame with some of its observations."""
         begin, stop, _ = rows.indices(len(self.observations.z))
         label = None if self.label is None else self.label[begin:stop]
         seen = FrameObservations(self.observations.z[begin:stop], self.observations.R[begin:stop])
@@ -188,9 +185,9 @@ class Scanner:
 
     Attributes:
         angle_min, angle_step: rad.
-        max_range: m; a range not below it is no return.
+        max_range: m; a longer range is no return.
         sigma: m, of a range.
-        rotation, translation: rad, m, (2,): p_scanner = R(rotation) p_body + translation, as of the other sensors.
+        rotation, translation: rad, m: p_scanner = R(rotation) p_body + translation.
     """
 
     angle_min: float
@@ -203,27 +200,27 @@ class Scanner:
 
 @dataclass(frozen=True, eq=False)
 class Scans(Locked):
-    """Range scans: frame (S,) strictly ascending, ranges (S, B) [m], 0 where nothing came back."""
+    """Range scans: frame (S,) strictly ascending, ranges (S, B) [m], 0 for no return."""
 
     scanner: Scanner
     frame: IntArray
     ranges: Array
 
     def of(self, frame: int) -> Array | None:
-        """The scan (B,) of a frame, None where there is none."""
+        """The scan (B,) of a frame, or None."""
         row = int(np.searchsorted(self.frame, frame))
         return self.ranges[row] if row < len(self.frame) and self.frame[row] == frame else None
 
 
 @dataclass(frozen=True, eq=False)
 class LandmarkMap(Locked):
-    """Known landmarks: id (L,) ascending and >= 0, xy (L, 2) in the world frame. Estimators take them as exact."""
+    """Known landmarks, exact to estimators: id (L,) ascending and >= 0, xy (L, 2) in the world frame."""
 
     id: IntArray
     xy: Array
 
     def rows(self, ids: IntArray) -> IntArray:
-        """Row (m,) of each landmark of ids (m,), -1 for one that the map does not have."""
+        """Row (m,) of each landmark id (m,), -1 where the map has none."""
         ids = np.asarray(ids, np.int64)
         rows = np.searchsorted(self.id, ids).astype(np.int64)
         there = rows < len(self.id)
@@ -231,7 +228,7 @@ class LandmarkMap(Locked):
         return np.where(there, rows, -1)
 
     def positions(self, ids: IntArray) -> Array:
-        """Positions (m, 2) of the landmarks of ids (m,), NaN for one that the map does not have."""
+        """Positions (m, 2) by landmark id (m,), NaN where the map has none."""
         rows = self.rows(ids)
         xy = np.full((len(rows), 2), np.nan)
         xy[rows >= 0] = self.xy[rows[rows >= 0]]
@@ -244,16 +241,16 @@ class Inputs:
 
     Attributes:
         prior: belief about the pose at frame 0.
-        time: (N,) s, strictly increasing (frame numbers where `time_is_index`).
+        time: (N,) s, strictly increasing (frame numbers if `time_is_index`).
         increments: motion into each frame.
-        observations: all observations, ascending by frame; `LabelledObservations` if labels were granted.
+        observations: ascending by frame; `LabelledObservations` if labels were granted.
         sensor: the measurement model.
-        map: known landmarks, or None (then only SLAM makes sense).
+        map: known landmarks, or None (SLAM).
         time_is_index: the log has no stamps.
         covariance_floor: smallest eigenvalue allowed in an increment's covariance.
-        floored: how many increments got the floor.
+        floored: number of increments raised to the floor.
         scans: of a laser log.
-        systematic: errors of odometry and sensor that every estimator estimates along (None: there are none).
+        systematic: systematic errors to estimate (None: none).
         start: (N + 1,) offsets; the observations of frame k are rows start[k]:start[k + 1].
     """
 
@@ -300,14 +297,14 @@ class Inputs:
 
     @property
     def labels_are_sensed(self) -> bool:
-        """Whether labels were granted that a sensor read: some of them may be wrong."""
+        """Whether granted labels come from a sensor, so that some may be wrong."""
         return isinstance(self.observations, LabelledObservations) and self.observations.sensed
 
     def without_map(self) -> Inputs:
-        """The same inputs for SLAM: the known map withheld."""
+        """The same inputs without the map, for SLAM."""
         return replace(self, map=None)
 
     def without_labels(self) -> Inputs:
-        """The same inputs for an estimator that must find the pairings itself."""
+        """The same inputs without labels, for unknown association."""
         o = self.observations
         return replace(self, observations=Observations(o.frame, o.z, o.R))

@@ -1,33 +1,36 @@
-"""A robot log: the estimator's inputs and the referee's truth, with the firewall between them."""
+"""A robot log: the estimator's inputs and the referee's truth, kept apart."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
-from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations, Observations, Scans
+from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations
 from data.pictures import Evidence
-from data.se2 import dead_reckoned
+from data.se2 import BoolArray, dead_reckoned
 from data.truth import UNKNOWN_ID, Relations, Truth
+
+T = TypeVar("T", bound=NDArray[Any])
 
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """One log. `recorded` holds everything an estimator could be given; ask for it through `inputs()`.
+    """One log. `recorded` holds all that an estimator may be given; use `inputs()` to get it.
 
     Attributes:
         name: unique in a run; names its folder in the results.
         recorded: inputs without labels.
-        truth: what the referee compares with.
-        label: (M,) what the sensor claims each observation shows, where that can differ from the truth; None: the
-            true ids serve as labels.
-        labels_are_sensed: the ids come from the sensor (e.g. barcodes), so granting them grants no truth, and some may
-            be misread: pairings by them are gated unless somebody says otherwise.
-        source: how the log was made (for convert, inspect and provenance); free keys.
-        notes: what a reader should know (spans skipped, readings dropped), one sentence each.
-        evidence: of a log made from images, what was found in them.
+        truth: the referee's reference.
+        label: (M,) the sensor's label of each observation; None: the true ids are the labels.
+        labels_are_sensed: the labels come from the sensor (e.g. barcodes), so granting them grants no truth, and
+            pairings by them are gated by default.
+        source: provenance; free keys.
+        notes: what a reader should know (spans skipped, observations dropped), one sentence each.
+        evidence: of a log made from images, its detections.
     """
 
     name: str
@@ -46,25 +49,24 @@ class Log:
 
     @property
     def granted(self) -> IntArray | None:
-        """The labels (M,) that known association is granted: the sensor's, else the true ids; None: there are none."""
+        """The labels (M,) of known association: the sensor's, else the true ids; None: there are none."""
         if self.label is None and self.truth.landmark_of is not None:
             return np.where(self.truth.landmark_of == UNKNOWN_ID, UNLABELLED, self.truth.landmark_of)
         return self.label
 
     def inputs(self, *, labels: bool = False) -> Inputs:
-        """The estimator's view. Labels are part of it only if the experiment grants known association."""
+        """The estimator's view, with labels only where the experiment grants known association."""
         if not labels:
             return self.recorded
         label = self.granted
         if label is None:
             raise ValueError(f"log {self.name!r} has no labels to grant")
-        o: Observations = self.recorded.observations
-        return replace(
-            self.recorded, observations=LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed)
-        )
+        o = self.recorded.observations
+        labelled = LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed)
+        return replace(self.recorded, observations=labelled)
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: what the log holds, and the true path or else dead reckoning."""
+        """Notebook view: contents of the log, and its true path or else dead reckoning."""
         from data import card
 
         r, truth = self.recorded, self.truth
@@ -88,7 +90,7 @@ class Log:
 
 
 def shortened(log: Log, n: int) -> Log:
-    """The first n frames of a log, for a quick look; a shorter log as it is."""
+    """The first n frames of a log; a shorter log unchanged."""
     r = log.recorded
     if len(r) <= n:
         return log
@@ -99,46 +101,39 @@ def shortened(log: Log, n: int) -> Log:
         time=r.time[:n],
         increments=replace(r.increments, mean=r.increments.mean[:n], covariance=r.increments.covariance[:n]),
         observations=replace(o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m]),
-        scans=_first_scans(r.scans, n),
     )
+    if r.scans is not None:
+        k = int(np.searchsorted(r.scans.frame, n))
+        scans = replace(r.scans, frame=r.scans.frame[:k], ranges=r.scans.ranges[:k])
+        recorded = replace(recorded, scans=scans)
     t = log.truth
     truth = replace(
         t,
-        pose=None if t.pose is None else t.pose[:n],
-        landmark_of=None if t.landmark_of is None else t.landmark_of[:m],
-        relations=_first_relations(t.relations, n),
+        pose=_rows(t.pose, slice(n)),
+        landmark_of=_rows(t.landmark_of, slice(m)),
+        relations=None if t.relations is None else _first_relations(t.relations, n),
         errors=None if t.errors is None else t.errors._replace(mean=t.errors.mean[:n], sigma=t.errors.sigma[:n]),
     )
-    label = None if log.label is None else log.label[:m]
-    return replace(
-        log, recorded=recorded, truth=truth, label=label, notes=(*log.notes, f"Only the first {n} frames (quick).")
-    )
+    notes = (*log.notes, f"Only the first {n} frames (quick).")
+    return replace(log, recorded=recorded, truth=truth, label=_rows(log.label, slice(m)), notes=notes)
 
 
-def _first_scans(scans: Scans | None, n: int) -> Scans | None:
-    """Those of the first n frames."""
-    if scans is None:
-        return None
-    k = int(np.searchsorted(scans.frame, n))
-    return replace(scans, frame=scans.frame[:k], ranges=scans.ranges[:k])
+def _rows(values: T | None, rows: slice | BoolArray) -> T | None:
+    return None if values is None else cast("T", values[rows])
 
 
-def _first_relations(relations: Relations | None, n: int) -> Relations | None:
-    """Those within the first n frames."""
-    if relations is None:
-        return None
-    r = relations
-    inside = (r.row1 < n) & (r.row2 < n)
+def _first_relations(r: Relations, n: int) -> Relations:
+    inside: BoolArray = (r.row1 < n) & (r.row2 < n)
     return Relations(
-        row1=r.row1[inside],
-        row2=r.row2[inside],
-        relative=r.relative[inside],
-        exact=None if r.exact is None else r.exact[inside],
-        stamp=None if r.stamp is None else r.stamp[inside],
-        frame_stamp=None if r.frame_stamp is None else r.frame_stamp[:n],
+        r.row1[inside],
+        r.row2[inside],
+        r.relative[inside],
+        _rows(r.exact, inside),
+        _rows(r.stamp, inside),
+        _rows(r.frame_stamp, slice(n)),
     )
 
 
 def folder_name(log_name: str) -> str:
-    """A log's name as a folder: `:` and `+` become `_`."""
+    """A log's name as a folder: `:`, `+` and `/` become `_`."""
     return log_name.replace(":", "_").replace("+", "_").replace("/", "_")

@@ -1,4 +1,4 @@
-"""Logs by name or path, and the datasets found in a folder."""
+"""Logs by name or path, and the datasets in a folder."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in regist
 
 @dataclass(frozen=True)
 class Reading:
-    """How logs with images are read (see `data.visual.opening.Camera`), where rendered ones keep their detections, and
-    the reference relations of a laser log (None: those beside it).
+    """How logs are read: options of images (`data.visual.opening.Camera`), the cache of rendered detections, and the
+    file of reference relations of a laser log (None: the one beside it).
     """
 
     camera_translation: str = "cm"
@@ -35,16 +35,15 @@ class Reading:
 
 
 def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None) -> Log:
-    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`, see `data.worlds.registry`), by its folder or
-    file (CARMEN).
+    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`), folder, or CARMEN file.
 
-    Raises UsageError for a name that is neither, DataError for a folder or file that is not valid.
+    Raises UsageError for an unknown name, DataError for invalid contents.
     """
     path = Path(name)
     if os.path.isfile(path):  # unlike Path.is_file, also false for a name the system refuses
         return _open_file(path, reading)
     if reading.relations is not None and not os.path.exists(path / "log.toml"):
-        raise UsageError(f"--relations {reading.relations}: for a CARMEN log or an open log folder, not for {name}")
+        raise UsageError(f"--relations {reading.relations}: {name} takes none; name a CARMEN log or an open log folder")
     if name == "victoria-park":
         from data.formats.recordings.victoria_park import load_victoria_park
 
@@ -59,7 +58,7 @@ def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None]
         return _open_folder(path, reading, say)
     if path.exists():
         raise UsageError(f"--log {name}: neither a folder nor a file")
-    raise UsageError(f"--log {name}: no such folder, and not one of {NAMES}")
+    raise UsageError(f"--log {name}: no such folder; known names: {NAMES}")
 
 
 def _open_file(path: Path, reading: Reading) -> Log:
@@ -67,8 +66,8 @@ def _open_file(path: Path, reading: Reading) -> Log:
     from data.formats.recordings.carmen import is_named_carmen, load_carmen
 
     if not is_named_carmen(path):
-        what = "a file; expected an open log folder, a CARMEN log (.log, .clf, also .gz)"
-        raise UsageError(f"--log {path}: {what} or one of {NAMES}")
+        right = f"an open log folder, a CARMEN log (.log, .clf, also .gz) or one of {NAMES}"
+        raise UsageError(f"--log {path}: a file of unknown type; expected {right}")
     return load_carmen(path, reading.relations)
 
 
@@ -96,7 +95,7 @@ def _with_header(path: Path, relations: Path | None = None) -> Log:
 
     if is_recording(path):
         if relations is not None:
-            raise UsageError(f"--relations {relations}: for a log with scans, not for the recording {path}")
+            raise UsageError(f"--relations {relations}: the recording {path} takes none; name a log with scans")
         return load_recording(path)
     from data.formats.open_log.reader import load_folder
 
@@ -104,10 +103,10 @@ def _with_header(path: Path, relations: Path | None = None) -> Log:
 
 
 def find_logs(folder: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
-    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM folders and zips with every robot, and
-    CARMEN logs with scans (where some of a folder have relations beside them, those).
+    """Loaders of every dataset in a folder, two levels deep: open logs, MRCLAM datasets (each robot), and CARMEN logs
+    with scans. Where some CARMEN logs of a folder have relations, only those.
 
-    What is not recognised is named through `say` and skipped. Loading is left to the caller, log by log.
+    `say` reports what is skipped. Nothing is loaded before a loader is called.
     """
     if not folder.is_dir():
         raise UsageError(f"--data {folder}: no such folder")
@@ -126,7 +125,7 @@ def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Ca
             if path in related or not related:
                 yield lambda path=path: load_carmen(path)  # type: ignore[misc]
             else:
-                say(f"skipped {path}: no relations beside it, as other logs there have")
+                say(f"skipped {path}: no relations beside it, unlike other logs there")
             continue
         if path.name.endswith(RELATIONS):
             continue
@@ -137,7 +136,7 @@ def _search(folder: Path, depth: int, say: Callable[[str], None]) -> Iterator[Ca
         elif path.is_dir() and depth > 1:
             yield from _search(path, depth - 1, say)
         elif path.is_dir() or path.suffix not in {".md", ".txt", ".dat"}:
-            say(f"skipped {path}: not a dataset that is known here")
+            say(f"skipped {path}: not a known dataset")
 
 
 def _mrclam(path: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log]]:
@@ -145,6 +144,6 @@ def _mrclam(path: Path, say: Callable[[str], None]) -> Iterator[Callable[[], Log
 
     landmarks = corrected_landmarks(path)
     if landmarks is not None:
-        say(f"{path.name}: landmark positions from {landmarks.name} beside it")
+        say(f"{path.name}: landmark positions are read from {landmarks.name} beside it")
     for robot in robots(path):
         yield lambda robot=robot: load_mrclam(path, robot, Treatment(landmarks=landmarks))  # type: ignore[misc]

@@ -1,6 +1,6 @@
-"""A judgement about a log or a run as typed values: what was found, how serious it is, and whom it concerns.
+"""A finding about a log or a run as typed values: code, severity, and the log or run it concerns.
 
-A notice holds no sentence: `data.words` renders it for terminal, Markdown and HTML. Nothing reads the result.
+A notice holds no sentence; `data.words` renders it for terminal, Markdown and HTML.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ Value = float | int | str | bool | tuple[float, ...] | tuple[int, ...] | tuple[s
 
 
 class Severity(StrEnum):
-    """How serious a notice is: a fact, something to look at, or a reason not to use the result."""
+    """Fact, warning, or reason not to use the result."""
 
     INFO = "info"
     WARNING = "warning"
@@ -21,9 +21,9 @@ class Severity(StrEnum):
 
 
 class Code(StrEnum):
-    """Everything that can be found about a log or a run, each once; `templates/notices.j2` has the words."""
+    """Every possible finding about a log or a run; `templates/notices.j2` holds their words."""
 
-    # of a log, to its author
+    # about a log, for its author
     TRUTH_RATE = "truth-rate"
     LABELS = "labels"
     LABEL_NAMES = "label-names"
@@ -35,7 +35,7 @@ class Code(StrEnum):
     FIELD_OF_VIEW = "field-of-view"
     PRIOR = "prior"
     TRUTH_FRAME = "truth-frame"
-    # of a run: how it was made
+    # about a run: how it was made
     NOTE = "note"
     DECIDED_BY = "decided-by"
     OUT_OF_NODES = "out-of-nodes"
@@ -54,7 +54,7 @@ class Code(StrEnum):
     NO_TRUTH = "no-truth"
     ALIGNED = "aligned"
     LANDMARKS_GONE = "landmarks-gone"
-    # the same of hindsight
+    # about a run of hindsight
     LARGER_SIGMAS = "larger-sigmas"
     REVISED = "revised"
     REVISED_POSES = "revised-poses"
@@ -66,7 +66,7 @@ class Code(StrEnum):
     PLACED = "placed"
     MAP_RESTARTED = "map-restarted"
     RETRACTED = "retracted"
-    # of a run that is to be doubted
+    # diagnostics of a run
     COST = "cost"
     LABELS_LEFT_OUT = "labels-left-out"
     UNUSED = "unused"
@@ -75,7 +75,7 @@ class Code(StrEnum):
     DOUBLE = "double"
     TWO_MINIMA = "two-minima"
     NAMING = "naming"
-    # implausible, with where it began
+    # implausible, and where it began
     NIS = "nis"
     PATH_TOO_FAR = "path-too-far"
     LANDMARKS_TOO_FAR = "landmarks-too-far"
@@ -88,12 +88,12 @@ class Code(StrEnum):
     MISSED = "missed"
     TEN_SIGMA = "ten-sigma"
     BY_CHANCE = "by-chance"
-    # not there
+    # missing results
     STOPPED = "stopped"
     FRONT_END_STOPPED = "front-end-stopped"
     OUT_OF_MEMORY = "out-of-memory"
     MISSING = "missing"
-    # of what a log says about itself, and its twins
+    # consistency without ground truth, and twins
     EXACT_PRIOR = "exact-prior"
     NOT_MEASURED = "not-measured"
     NOT_MEASURED_ON_TWINS = "not-measured-on-twins"
@@ -104,9 +104,9 @@ class Code(StrEnum):
 
 @dataclass(frozen=True)
 class Notice:
-    """What was found (code and values), how serious it is, and the log, task, run and frame it is about.
+    """A finding (code and values), its severity, and the log, task, run and frame it concerns.
 
-    values: pairs of name and value, sorted by name. Blank names and a `frame` of None: not about one of them.
+    values: pairs of name and value, sorted by name. Blank names and a `frame` of None: not specific.
     """
 
     code: Code
@@ -120,7 +120,7 @@ class Notice:
 
     @property
     def named(self) -> Mapping[str, Value]:
-        """Its values by name."""
+        """Values by name."""
         return dict(self.values)
 
     def about(
@@ -132,7 +132,7 @@ class Notice:
         association: str | None = None,
         frame: int | None = None,
     ) -> Notice:
-        """The same, of a named log, task or run, or from a frame on; what is None stays as it is."""
+        """The same about a named log, task or run, or from a frame on; None keeps the value."""
         given = {"log": log, "task": task, "estimator": estimator, "association": association, "frame": frame}
         return replace(self, **{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
 
@@ -143,5 +143,5 @@ def notice(code: Code, severity: Severity = Severity.WARNING, frame: int | None 
 
 
 def stopped(text: str) -> Notice:
-    """That an estimator stopped, in the words of the error that stopped it."""
+    """The notice of an estimator stopped by an error, with its message."""
     return notice(Code.STOPPED, Severity.ERROR, text=text)

@@ -1,7 +1,7 @@
-"""What a robot with a stereo camera records of pictures on walls, in SI units: setup, frames, detections.
+"""Recordings of a stereo camera that observes pictures on walls, in SI units: setup, frames, detections.
 
-Frames: world w; body b (x forward, y left); camera c (x right, y down, z forward). In plan a point of the camera is
-(x, z), and p_c = R p_b + T with the camera's 2x2 rotation R: a camera that looks ahead has R = [[0, -1], [1, 0]].
+Frames: world w; body b (x ahead, y left); camera c (x right, y down, z ahead). In plan a point of the camera is (x, z),
+and p_c = R p_b + T with a 2x2 rotation R: a camera that looks ahead has R = [[0, -1], [1, 0]].
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from data.inputs import IntArray, Prior
 from data.se2 import Array
 
 CORNERS = 4
-"""Of a picture: upper left, upper right, lower right, lower left, seen from in front."""
+"""Corners of a picture: upper left, upper right, lower right, lower left, seen from in front."""
 
 
 @dataclass(frozen=True, eq=False)
 class VisualSetup:
-    """What is surveyed and known before the robot starts.
+    """What is surveyed before the robot starts.
 
     Attributes:
         rotation: rad, of R in p_c = R p_b + T, in plan.
         translation: (2,) m, T.
-        corners: (L, 4, 2) m, corners of each picture in the world's plan; upper and lower ones share their place.
+        corners: (L, 4, 2) m, corners of each picture in the world's plan; upper and lower ones coincide.
         prior: of the first pose.
     """
 
@@ -47,9 +47,7 @@ class VisualSetup:
 class VisualFrame:
     """One instant: time [s], commands v [m/s] and omega [rad/s] that hold until the next, image and stereo points.
 
-    Attributes:
-        rgb: (H, W, 3) uint8.
-        xyz: (H, W, 3) m, the point of each pixel in the camera's frame, NaN where stereo found none.
+    `rgb` (H, W, 3); `xyz` (H, W, 3) m, the point of each pixel in the camera's frame, NaN where stereo found none.
     """
 
     time: float
@@ -61,15 +59,15 @@ class VisualFrame:
 
 @dataclass(frozen=True, eq=False)
 class Detection:
-    """A picture found in an image.
+    """A picture detected in an image.
 
     Attributes:
-        picture: its number, row of `VisualSetup.corners`.
-        pixels: (4, 2) its corners in the image, u to the right and v downwards, pixel centres at whole numbers.
-        points: (4, 3) m, the same corners in the camera's frame, read off the stereo points.
-        inliers: matched features that agree with one another.
-        reprojection: px, RMS distance of these from where the homography puts them; NaN: not kept.
-        corner_sigma: px, standard deviation of the least certain corner along its worst direction; NaN: not kept.
+        picture: row of `VisualSetup.corners`.
+        pixels: (4, 2) its corners in the image, u right and v down, pixel centres at whole numbers.
+        points: (4, 3) m, the corners in the camera's frame, from the stereo points.
+        inliers: matched features consistent with one homography.
+        reprojection: px, RMS distance of the inliers from the homography; NaN: unknown.
+        corner_sigma: px, largest standard deviation of a corner in any direction; NaN: unknown.
     """
 
     picture: int
@@ -81,7 +79,7 @@ class Detection:
 
 
 class VisualRecording(Protocol):
-    """A recording: reference images, setup, and frames that come one by one (they may not fit into memory together)."""
+    """A recording: reference images, setup, and frames one at a time (they may exceed the memory)."""
 
     setup: VisualSetup
     references: list[NDArray[np.uint8]]
@@ -91,22 +89,22 @@ class VisualRecording(Protocol):
         ...
 
     def frames(self) -> Iterator[VisualFrame]:
-        """Every frame in order; may be asked for again."""
+        """Every frame in order; may be called again."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """What was found in the images of a recording of N frames: D detections, ascending by frame.
+    """Detections in a recording of N frames: D detections, ascending by frame.
 
     Attributes:
         time, v, omega: (N,) of the frames.
         frame, picture, inliers: (D,); pixels (D, 4, 2), points (D, 4, 3) as in `Detection`.
-        refused: by picture, in how many frames each reason kept it from being found.
-        tiles: a few frames as encoded images, with their numbers, to look at.
-        focal: px, focal length that the stereo points imply.
+        refused: by picture, number of frames in which each reason rejected it.
+        tiles: a few frames as encoded images, with their numbers.
+        focal: px, focal length implied by the stereo points.
         pixel_noise: px, sigma of a corner in the image. depth_noise: 1/m, k in its sigma_z = k z^2; NaN: unknown.
-        small: frames, all or every so many, as small encoded images with their numbers, to play.
+        small: frames, all or every so many, as small encoded images with their numbers, for the player.
     """
 
     time: Array
@@ -126,16 +124,15 @@ class Found:
 
     @property
     def rejected(self) -> dict[str, int]:
-        """The same of all pictures together."""
+        """Rejections by reason, over all pictures."""
         reasons = sorted({reason for each in self.refused for reason in each})
         return {reason: sum(each.get(reason, 0) for each in self.refused) for reason in reasons}
 
 
 @dataclass(frozen=True, eq=False)
 class InView:
-    """The truth about E observations that could have been: pictures fully in view, near enough and not too oblique.
-
-    frame, picture (E,); pixels (E, 4, 2) of the corners.
+    """True opportunities (E,): pictures fully in view, near enough and not too oblique; pixels (E, 4, 2) of their
+    corners.
     """
 
     frame: IntArray
@@ -145,7 +142,7 @@ class InView:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """What a log made from images keeps of them, for the report; `in_view` where the truth is known."""
+    """Setup and detections of a log made from images, for the report; `in_view` where the truth is known."""
 
     setup: VisualSetup
     found: Found

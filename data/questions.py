@@ -1,6 +1,6 @@
-"""What a careful person would ask the author of a log before working with it: units, frames, numbers of things.
+"""Questions to the author of a log: units, frames, numbers of things.
 
-A question is a notice: its code says what it is about, its values are the numbers that it is asked for.
+A question is a notice with the numbers that raise it.
 """
 
 from __future__ import annotations
@@ -18,14 +18,13 @@ from data.sensors import RELATIVE_POINT, RangeBearing
 from data.timeline import MAX_GAP
 
 SPARSE = 0.5
-"""Share of frames with a true pose below which the scores are about a sample of the run. The least in the recordings
-this was tried on is 0.92 (a camera system that was switched off before the robot)."""
+"""Smallest share of frames with a true pose; recordings have at least 0.92."""
 FEW = 50
-"""Fewer labelled readings say nothing about how often a landmark is seen."""
+"""Least number of labelled observations for a question about labels."""
 
 
 def truth_rate(log: Log) -> list[Notice]:
-    """True poses in a small part of the frames."""
+    """True poses in few frames."""
     pose = log.truth.pose
     if pose is None or len(pose) < 2:
         return []
@@ -36,7 +35,7 @@ def truth_rate(log: Log) -> list[Notice]:
 
 
 def labels(log: Log) -> list[Notice]:
-    """Labels that number the readings instead of the landmarks."""
+    """Labels that number observations instead of landmarks."""
     label = log.granted
     if label is None:
         return []
@@ -49,19 +48,19 @@ def labels(log: Log) -> list[Notice]:
 
 TURN = 2.0 * np.pi
 FASTEST = TURN
-"""rad/s. A revolution a second; the fastest second of all recordings and worlds this was tried on turns 1.7 rad."""
+"""rad/s; all recordings and worlds turn at most 1.7 rad in a second."""
 SHARE = 0.01
-"""Of the seconds in which it turns, how many must be that fast: a single slip or jump asks nothing."""
+"""Smallest share of turning seconds above `FASTEST`: a single slip or jump raises no question."""
 RATIO = (180.0 / np.pi) ** 0.5
-"""Half-way (in logarithms) between two headings in one unit and one of them in degrees."""
+"""Geometric mean of the ratios of equal units (1) and of degrees to radians."""
 TURNING = 0.05
-"""rad/s. Root mean square below which a ratio of turn rates is one of noises."""
+"""rad/s, least RMS turn rate whose ratio is not one of noises."""
 SLOW_FRAMES, FAST_FRAMES = 5.0, 1e-4
-"""s. Frames are at most 1 s apart by the rules of the format; 10 Hz in ms gives 100 s, ms taken for ns 1e-7 s."""
+"""s, extreme frame intervals; 10 Hz in ms gives 100 s, ms taken for ns 1e-7 s."""
 
 
 def bearings(log: Log) -> list[Notice]:
-    """Bearings beyond one half turn."""
+    """Bearings beyond half a turn."""
     sensor, z = log.recorded.sensor, log.recorded.observations.z
     if not isinstance(sensor, RangeBearing) or len(z) == 0:
         return []
@@ -75,7 +74,7 @@ def bearings(log: Log) -> list[Notice]:
 
 
 def turn_rates(log: Log) -> list[Notice]:
-    """Odometry or truth that turns faster than a robot does, or one of them many times faster than the other."""
+    """Odometry or truth that turns implausibly fast, or much faster than the other."""
     inputs, pose = log.recorded, log.truth.pose
     if len(inputs) < 2:
         return []
@@ -95,14 +94,14 @@ def turn_rates(log: Log) -> list[Notice]:
 
 
 def _changes(heading: Array) -> Array:
-    """Changes of heading from frame to frame as they are written, without the jumps by 2 pi; 0 where one is unknown."""
+    """Changes of heading between frames, without jumps by 2 pi; 0 where unknown."""
     change = np.nan_to_num(np.diff(heading))
     change[np.abs(np.abs(change) - TURN) < 1.0] = 0.0
     return change
 
 
 def _per_second(time: Array, turn: Array) -> Array:
-    """Rates [rad/s] over the stretches of at least 1 s (or 1 step) that frames make up, which end together."""
+    """Rates [rad/s] over stretches of at least 1 s (or 1 step)."""
     second = np.floor(time - time[0])
     edges = np.unique(np.concatenate([[0], 1 + np.flatnonzero(second[1:] > second[:-1]), [len(time) - 1]]))
     total = np.concatenate([[0.0], np.cumsum(turn)])
@@ -111,47 +110,43 @@ def _per_second(time: Array, turn: Array) -> Array:
 
 
 def stamps(log: Log) -> list[Notice]:
-    """Frames so far apart, or so close together, that the stamps are not seconds."""
+    """Frame intervals that do not fit seconds."""
     inputs = log.recorded
     if inputs.time_is_index or len(inputs) < 3:
         return []
     gap = float(np.median(np.diff(inputs.time)))
     span = float(inputs.time[-1] - inputs.time[0])
+    unit, blind = "", None
     if gap > SLOW_FRAMES:
         unit = next(name for name, limit in (("ms", 1e4), ("us", 1e7), ("ns", np.inf)) if gap < limit)
-        return [notice(Code.TIME_UNIT, gap=gap, span=span, unit=unit, blind=None)]
-    if gap < FAST_FRAMES:
-        return [notice(Code.TIME_UNIT, gap=gap, span=span, unit="", blind=None)]
-    blind = _blind(log)
-    return [notice(Code.TIME_UNIT, gap=gap, span=span, unit="ms", blind=blind)] if blind > 0.5 else []
-
-
-def _blind(log: Log) -> float:
-    """Share of increments that bridge a gap in the odometry: no motion, and doubt that is the same along and across."""
-    increments = log.recorded.increments
-    mean, P = increments.mean[1:], increments.covariance[1:]
-    still = ~mean.any(axis=1)
-    return float((still & (P[:, 0, 0] == P[:, 1, 1]) & (P[:, 0, 0] > 1e-6)).mean())
+    elif gap >= FAST_FRAMES:
+        # increments across gaps of the odometry: no motion, and an isotropic covariance
+        mean, P = inputs.increments.mean[1:], inputs.increments.covariance[1:]
+        blind = float((~mean.any(axis=1) & (P[:, 0, 0] == P[:, 1, 1]) & (P[:, 0, 0] > 1e-6)).mean())
+        if blind <= 0.5:
+            return []
+        unit = "ms"
+    return [notice(Code.TIME_UNIT, gap=gap, span=span, unit=unit, blind=blind)]
 
 
 BEYOND = 0.01
-"""Share of readings past the stated field of view by more than `MARGIN`; noise at its edge gives 3e-5."""
+"""Largest share of observations outside the stated field of view by more than `MARGIN`; noise gives 3e-5."""
 MARGIN = 4.0
-"""Standard deviations of a reading."""
+"""Standard deviations of an observation."""
 FIRST = 50
-"""Readings at the start of a log that are looked at: before the odometry has gone astray."""
+"""Number of first observations that are checked, before the odometry drifts."""
 FEWEST = 5
-"""Fewer readings say nothing."""
+"""Least number of observations for a question."""
 GATE = 18.42
-"""chi-square of 2 at 0.9999."""
+"""0.9999 quantile of chi-square with 2 dof."""
 EXPLAINED = 0.2
-"""Share of the first readings that a prior in the map's frame explains at least; measured: see the tests."""
+"""Least share of the first observations that a prior in the map's frame explains."""
 SLACK, SLACK_HEADING = 1.0, 0.2
-"""m, rad: how far prior and first true pose may differ besides five standard deviations of the prior."""
+"""m, rad, added to five standard deviations of the prior as limit of its distance from the true pose."""
 
 
 def reach(log: Log) -> list[Notice]:
-    """Readings past the sensor's stated range or angles."""
+    """Observations outside the sensor's stated range or angles."""
     inputs = log.recorded
     sensor, o = inputs.sensor, inputs.observations
     if len(o.z) < FEWEST:
@@ -161,9 +156,9 @@ def reach(log: Log) -> list[Notice]:
     found = []
     past = polar[:, 0] > sensor.max_range + MARGIN * sigma
     if past.mean() > BEYOND:
-        stated, farthest = sensor.max_range, float(polar[:, 0].max())
-        beyond = int(past.sum())
-        found.append(notice(Code.MAX_RANGE, past=beyond, readings=len(past), stated=stated, farthest=farthest))
+        beyond, farthest = int(past.sum()), float(polar[:, 0].max())
+        values = (("farthest", farthest), ("past", beyond), ("readings", len(past)), ("stated", sensor.max_range))
+        found.append(Notice(Code.MAX_RANGE, values))
     middle, half = 0.5 * (sensor.min_angle + sensor.max_angle), 0.5 * (sensor.max_angle - sensor.min_angle)
     cartesian = sensor.kind == RELATIVE_POINT
     sigma = sigma / np.maximum(polar[:, 0], 1e-6) if cartesian else np.sqrt(o.R[:, 1, 1])
@@ -175,7 +170,7 @@ def reach(log: Log) -> list[Notice]:
 
 
 def prior(log: Log) -> list[Notice]:
-    """A prior from which the first readings hit no landmark of the map."""
+    """A prior from which the first observations match no landmark of the map."""
     inputs = log.recorded
     if inputs.map is None or len(inputs.map.id) == 0:
         return []
@@ -183,14 +178,15 @@ def prior(log: Log) -> list[Notice]:
     if len(hit) < FEWEST or hit.mean() >= EXPLAINED:
         return []
     first = None if log.truth.pose is None else log.truth.pose[0]
+    low, high = inputs.map.xy.min(axis=0).tolist(), inputs.map.xy.max(axis=0).tolist()
     return [
         notice(
             Code.PRIOR,
             mean=tuple(inputs.prior.mean.tolist()),
             fitting=int(hit.sum()),
             readings=len(hit),
-            x=(float(inputs.map.xy[:, 0].min()), float(inputs.map.xy[:, 0].max())),
-            y=(float(inputs.map.xy[:, 1].min()), float(inputs.map.xy[:, 1].max())),
+            x=(low[0], high[0]),
+            y=(low[1], high[1]),
             walls=not inputs.sensor.sees_points,
             truth=None if first is None or not np.isfinite(first).all() else tuple(first.tolist()),
         )
@@ -198,7 +194,7 @@ def prior(log: Log) -> list[Notice]:
 
 
 def explained(inputs: Inputs) -> BoolArray:
-    """Whether each of the first readings (m,) lies in some landmark's gate, from the prior by dead reckoning; bool."""
+    """Whether each of the first observations (m,) lies in some landmark's gate, by dead reckoning from the prior."""
     assert inputs.map is not None
     hits: list[bool] = []
     pose, P = np.array(inputs.prior.mean), np.array(inputs.prior.covariance)
@@ -222,7 +218,7 @@ def explained(inputs: Inputs) -> BoolArray:
 
 
 def truth_start(log: Log) -> list[Notice]:
-    """A first true pose that the prior excludes: truth in a frame of its own, so that every error is the shift."""
+    """A first true pose that the prior excludes: truth in another frame."""
     pose, inputs = log.truth.pose, log.recorded
     if pose is None or not np.isfinite(pose[0]).all():
         return []
@@ -235,7 +231,7 @@ def truth_start(log: Log) -> list[Notice]:
 
 
 def labels_against_map(log: Log) -> list[Notice]:
-    """Labels and a map whose numbers have nothing to do with each other."""
+    """Labels that are no ids of the map."""
     label, known = log.granted, log.recorded.map
     if label is None or known is None or not (label >= 0).any():
         return []
@@ -261,5 +257,5 @@ CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
 
 
 def ask(log: Log) -> tuple[Notice, ...]:
-    """What a careful person would ask before working with this log; nothing where it looks as it should."""
+    """Questions about a log; none where it looks as it should."""
     return tuple(question.about(log=log.name) for check in CHECKS for question in check(log))

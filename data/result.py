@@ -1,4 +1,4 @@
-"""What an estimator hands to the referee: trajectories, map, decisions, and whether it got to the end."""
+"""An estimator's result: trajectories, map, decisions, and whether it finished."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from data.se2 import Array
 NEW = -1
 """Decision: the observation initializes a new landmark (SLAM)."""
 DISCARD = -2
-"""Decision: the observation is not used."""
+"""Decision: the observation is rejected."""
 
 
 class PoseEstimate(NamedTuple):
-    """Mean (3,) and world-frame additive covariance (3, 3) of the newest pose."""
+    """The newest pose: mean (3,), covariance (3, 3) of its additive error in the world frame."""
 
     mean: Array
     covariance: Array
 
 
 class MapState(NamedTuple):
-    """Landmarks as an estimator holds them: number (L,), xy (L, 2), covariance (L, 2, 2)."""
+    """An estimator's landmarks: number (L,), xy (L, 2), covariance (L, 2, 2)."""
 
     number: IntArray
     xy: Array
@@ -35,12 +35,12 @@ class MapState(NamedTuple):
 
 
 class Updated(NamedTuple):
-    """What an update did with the observations of a frame.
+    """Result of an update with the observations of a frame.
 
-    used: (m,) bool, entered the update; created: (m,) number of the landmark initialized, -1 for none;
+    used: (m,) accepted observations; created: (m,) number of the landmark initialized, -1 for none;
     nis, dof, log_likelihood: of the innovations used (NaN where the estimator forms none);
-    white: (m, 2) each of them in units of its own standard deviation, NaN where not used (None: not formed);
-    moments: mean and variance that the gates let expect of `nis` (None: nothing was gated, dof and 2 dof).
+    white: (m, 2) innovations over their standard deviations, NaN where not used (None: not formed);
+    moments: mean and variance of `nis` expected behind the gates (None: no gate, dof and 2 dof).
     """
 
     used: NDArray[np.bool_]
@@ -53,7 +53,7 @@ class Updated(NamedTuple):
 
 
 class Systematics(NamedTuple):
-    """Systematic errors as estimated, by frame: names (p,), mean (N, p) and standard deviation sigma (N, p)."""
+    """Estimated systematic errors by frame: names (p,), mean (N, p), standard deviation sigma (N, p)."""
 
     names: tuple[str, ...]
     mean: Array
@@ -61,11 +61,7 @@ class Systematics(NamedTuple):
 
 
 class Finished(NamedTuple):
-    """The end of a run: final trajectory (None for a filter), last map (None in localization), and (sum of NIS, dof).
-
-    A smoother's sum is the minimum of its cost, see `Run.total_nis`; None where it has none to offer. `iterations` and
-    `last_step_sigma` as of `Run`. `systematic`: a smoother's last word on the systematic errors, if it estimates any.
-    """
+    """The end of a run: final trajectory (None for a filter), last map (None in localization); others as of `Run`."""
 
     final: Trajectory | None
     map: MapState | None
@@ -87,7 +83,7 @@ class Trajectory(Locked):
 class MapEstimate(Locked):
     """Landmarks of a run: number (L,), xy (L, 2), covariance (L, 2, 2), first_frame (L,), times_seen (L,).
 
-    A landmark number is its order of creation in SLAM and the map's own id in localization.
+    A landmark's number is its order of creation in SLAM, and the map's id in localization.
     """
 
     number: IntArray
@@ -101,7 +97,7 @@ class MapEstimate(Locked):
 
 
 def map_estimate(state: MapState, frame: IntArray, decisions: IntArray, created: IntArray) -> MapEstimate:
-    """The map, with when and how often each landmark was seen by the given decisions; `frame` (M,)."""
+    """The map, with first frame and number of observations of each landmark by the given decisions; `frame` (M,)."""
     number = np.where(created >= 0, created, decisions)
     seen = number >= 0
     size = int(max(number.max(initial=-1), np.max(state.number, initial=-1))) + 1
@@ -114,9 +110,9 @@ def map_estimate(state: MapState, frame: IntArray, decisions: IntArray, created:
 
 @dataclass(frozen=True, eq=False)
 class Innovations(Locked):
-    """Per frame (N,): NIS, its degrees of freedom, log-likelihood of the accepted innovations; NaN: not formed.
+    """Per frame (N,): NIS, its degrees of freedom, and log-likelihood of the accepted innovations; NaN: not formed.
 
-    `white` (M, 2): each observation's innovation in units of its own standard deviation; NaN: not used, or not formed.
+    `white` (M, 2): each innovation over its standard deviation; NaN: not used, or not formed.
     """
 
     nis: Array
@@ -126,9 +122,9 @@ class Innovations(Locked):
 
 
 class Event(NamedTuple):
-    """A decision that was revised: in which frame, about which observation (row of the log), from what to what, why.
+    """A revised decision: frame, observation (row of the log), old and new decision, reason.
 
-    From a landmark to `NEW`: in the end the landmark begins with this observation.
+    From a landmark to `NEW`: the landmark begins with this observation in the end.
     """
 
     frame: int
@@ -139,7 +135,7 @@ class Event(NamedTuple):
 
 
 def revised(decisions: IntArray, events: Sequence[Event]) -> IntArray:
-    """Final decisions (M,): those made online, with all revisions applied in their order."""
+    """Final decisions (M,): the online ones with all revisions in their order."""
     final = decisions.copy()
     for e in events:
         final[e.observation] = e.new
@@ -147,12 +143,12 @@ def revised(decisions: IntArray, events: Sequence[Event]) -> IntArray:
 
 
 def surviving(final: IntArray, created: IntArray) -> IntArray:
-    """Which landmark (M,) each observation initialized by the final decisions, -1 where none of it is left."""
+    """Landmark (M,) that each observation initialized by the final decisions, -1 for none."""
     return np.where(final == NEW, created, -1)
 
 
 class Failure(NamedTuple):
-    """Where and why an estimator stopped: `status` is `diverged` or `incomplete`; or is not believed: `implausible`.
+    """Where and why an estimator stopped (`diverged`, `incomplete`) or its result is `implausible`.
 
     `trace`: the traceback, where foreign code crashed.
     """
@@ -171,12 +167,12 @@ class Failure(NamedTuple):
 
     @property
     def text(self) -> str:
-        """Frame and reason in words; a run that was not stopped says so."""
+        """Frame and reason in words, marked if the run was only implausible."""
         return f"frame {self.frame}: {'' if self.status != 'implausible' else 'implausible, '}{self.why}"
 
 
 CHI_SQUARE = (1.0, 2.0)
-"""Mean and variance per degree of freedom of innovations that nothing was left out of."""
+"""Mean and variance per degree of freedom of ungated innovations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,34 +181,32 @@ class Run(Locked):
 
     Attributes:
         estimator, association, task: names as in the result files.
-        online: what was known at each instant (None for a batch smoother).
+        online: estimates at each instant (None for a batch smoother).
         final: after all data (None for a filter).
         map: the last map (None in localization).
         decisions: (M,) landmark number, `NEW` or `DISCARD`, as made online.
         final_decisions: (M,) after all revisions.
-        created: (M,) number of the landmark an observation initialized, -1 where it initialized none.
-        innovations: per-frame innovation statistics (None: not formed).
-        total_nis: (sum of NIS, degrees of freedom) over the run, or None; for a smoother the minimum of its
-            cost, which for linear models is the same number (the innovations are the whitened residuals).
-        gated: mean and variance, per degree of freedom, of the squared innovations that the gates of the association
-            let a right filter use; (1, 2) where nothing was gated.
+        created: (M,) number of the landmark an observation initialized, -1 for none.
+        innovations: per-frame statistics (None: not formed).
+        total_nis: (sum of NIS, degrees of freedom) over the run, or None; a smoother's is the minimum of its cost,
+            which equals it for linear models.
+        gated: mean and variance, per degree of freedom, of the squared innovations that the association's gates let
+            pass for a consistent filter; (1, 2) without gates.
         state_size: (N,) length of the state vector after each frame (None for a batch smoother).
         seconds: wall time of the estimation alone.
-        failure: None when it got to the end; its arrays are then complete.
-        notes: what a reader of its results should know.
-        removed: (L,) by landmark number, frame after which it was no longer in the map, -1: it stayed (None: nothing
-            was ever removed). If it was retracted, its observations are discarded in `final_decisions`.
-        events: decisions that were revised later, in the order of revision.
-        iterations: of a smoother's last optimization, in all its phases (None: there was none).
-        last_step_sigma: largest component of the Newton step that it left, in standard deviations of that component;
-            next to nothing at an optimum.
-        doubt: it got to the end, but with a number that no honest run gives (`implausible`): from which frame, and why.
-        errors_online, errors_final: systematic errors as each frame knew them, and after all data (None: none were
-            estimated).
-        watched: what an observer of the replay wrote down, for those who know its kind; no part of the result.
-        walls: the landmarks are no points (x, y) but walls (rho, alpha).
-        begun: (M,) as `created`, by the final decisions, where these changed what a landmark begins with (else None).
-        gated_final: as `gated`, of the final decisions, where all were made anew (None: there is no difference).
+        failure: None if it finished; its arrays are then complete.
+        notes: notices for readers of its results.
+        removed: (L,) by landmark number, frame after which it was removed from the map, -1: never (None: none was). The
+            observations of a retracted landmark are discarded in `final_decisions`.
+        events: revised decisions, in the order of revision.
+        iterations: of a smoother's last optimization, over all phases (None: none).
+        last_step_sigma: largest component of the last Newton step, in standard deviations; near 0 at an optimum.
+        implausible: it finished, but with a physically impossible value: from which frame, and why.
+        errors_online, errors_final: systematic errors by frame, online and after all data (None: not estimated).
+        watched: record of an observer of the replay; no part of the result.
+        walls: landmarks are walls (rho, alpha) instead of points.
+        begun: (M,) as `created`, by the final decisions, where these changed it (else None).
+        gated_final: as `gated`, of the final decisions, where all were revised (else None).
     """
 
     estimator: str
@@ -243,47 +237,47 @@ class Run(Locked):
     begun: IntArray | None = None
     gated_final: tuple[float, float] | None = None
     handed_in: ClassVar[bool] = False
-    """Whether another program made it."""
+    """Whether it is another program's result."""
 
     @property
     def decides(self) -> bool:
-        """Whether it decided about the observations of its log."""
+        """Whether it makes association decisions."""
         return self.association != "none"
 
     @property
     def initialized(self) -> IntArray:
-        """Which landmark (M,) each observation initialized by the final decisions, -1 for none."""
+        """Landmark (M,) that each observation initialized by the final decisions, -1 for none."""
         return surviving(self.final_decisions, self.created) if self.begun is None else self.begun
 
     @property
     def flaw(self) -> Failure | None:
-        """Why none of its numbers may enter an average, a comparison or a headline: `failure`, or else `doubt`."""
+        """Why its numbers enter no average, comparison or headline: `failure`, or else `implausible`."""
         return self.failure if self.failure is not None else self.implausible
 
     @property
     def status(self) -> str:
-        """`ok`, or that of its flaw: `diverged`, `incomplete` or `implausible`."""
+        """`ok`, or the status of its flaw: `diverged`, `incomplete` or `implausible`."""
         return "ok" if self.flaw is None else self.flaw.status
 
     @property
     def errors(self) -> Systematics | None:
-        """The last word on the systematic errors: after all data, else online; None: none were estimated."""
+        """Systematic errors after all data, else online; None: not estimated."""
         return self.errors_final if self.errors_final is not None else self.errors_online
 
     @property
     def phases(self) -> tuple[str, ...]:
-        """The phases this run has a trajectory for."""
+        """Phases that have a trajectory."""
         return tuple(p for p in ("online", "final") if getattr(self, p) is not None)
 
     def trajectory(self, phase: str) -> Trajectory:
-        """The trajectory of a phase the run has."""
+        """The trajectory of a phase."""
         found = {"online": self.online, "final": self.final}[phase]
         if found is None:
             raise ValueError(f"{self.estimator} has no {phase} trajectory")
         return found
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: who, how far, what was decided, paths and map."""
+        """Notebook view: settings, status, decisions, paths and map."""
         from data import card
 
         drawn = {"online": card.WARM, "final": card.COOL}

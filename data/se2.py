@@ -1,7 +1,6 @@
 """Planar poses [x m, y m, theta rad] as plain arrays: wrap, compose, invert, relate.
 
-Every function takes arrays whose last axis is 3 (poses) and broadcasts over the others.
-`T_ab` is the pose of frame b in frame a.
+Functions broadcast over all but the last axis, which is 3. `T_ab` is the pose of frame b in frame a.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ TWO_PI = 2.0 * math.pi
 
 
 def wrap_angle(angle: Angle) -> Angle:
-    """Angle [rad] brought to (-pi, pi]; a value already inside comes back bit for bit."""
+    """Angle [rad] wrapped to (-pi, pi]; a value inside is returned bit for bit."""
     wrapped: Angle = angle - TWO_PI * np.ceil((angle - math.pi) / TWO_PI)
     return wrapped
 
@@ -32,13 +31,13 @@ def rotation(theta: float) -> Array:
 
 
 def world_from_body(theta: float) -> Array:
-    """blockdiag(R(theta), 1), (3, 3): turns body-frame errors of a pose with this heading into world-frame ones."""
+    """blockdiag(R(theta), 1), (3, 3): turns body-frame errors of a pose into world-frame ones."""
     c, s = math.cos(theta), math.sin(theta)
     return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def worlds_from_bodies(theta: Array) -> Array:
-    """The same for headings (N,): (N, 3, 3)."""
+    """`world_from_body` of headings (N,): (N, 3, 3)."""
     B = np.zeros((len(theta), 3, 3))
     c, s = np.cos(theta), np.sin(theta)
     B[:, 0, 0], B[:, 0, 1], B[:, 1, 0], B[:, 1, 1], B[:, 2, 2] = c, -s, s, c, 1.0
@@ -46,14 +45,14 @@ def worlds_from_bodies(theta: Array) -> Array:
 
 
 def covariances_in_world(theta: Array, covariance: Array) -> Array:
-    """Body-frame covariances (N, 3, 3) of poses with headings (N,) turned into the world frame: B C B'."""
+    """World-frame covariances B C B' (N, 3, 3) from body-frame ones of poses with headings (N,)."""
     B = worlds_from_bodies(theta)
     world: Array = B @ covariance @ B.transpose(0, 2, 1)
     return world
 
 
 def covariances_in_body(theta: Array, covariance: Array) -> Array:
-    """World-frame covariances (N, 3, 3) of poses with headings (N,) turned into their body frames: B' C B."""
+    """Body-frame covariances B' C B (N, 3, 3) from world-frame ones of poses with headings (N,)."""
     B = worlds_from_bodies(theta)
     body: Array = B.transpose(0, 2, 1) @ covariance @ B
     return body
@@ -63,14 +62,8 @@ def compose(T_ab: Array, T_bc: Array) -> Array:
     """Pose of c in a, heading wrapped; (..., 3) each."""
     a, b = np.asarray(T_ab, float), np.asarray(T_bc, float)
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
-    return np.stack(
-        [
-            a[..., 0] + c * b[..., 0] - s * b[..., 1],
-            a[..., 1] + s * b[..., 0] + c * b[..., 1],
-            wrap_angle(a[..., 2] + b[..., 2]),
-        ],
-        axis=-1,
-    )
+    x, y = a[..., 0] + c * b[..., 0] - s * b[..., 1], a[..., 1] + s * b[..., 0] + c * b[..., 1]
+    return np.stack([x, y, wrap_angle(a[..., 2] + b[..., 2])], axis=-1)
 
 
 def inverse(T_ab: Array) -> Array:
@@ -93,7 +86,7 @@ def pose_error(estimate: Array, truth: Array) -> Array:
 
 
 def transform_points(T_wb: Array, points_b: Array) -> Array:
-    """Points (..., 2) of frame b expressed in w; one pose (3,) or a pose per point."""
+    """Points (..., 2) of frame b in w, for one pose (3,) or a pose per point."""
     pose, p = np.asarray(T_wb, float), np.asarray(points_b, float)
     c, s = np.cos(pose[..., 2]), np.sin(pose[..., 2])
     return np.stack(
@@ -102,9 +95,9 @@ def transform_points(T_wb: Array, points_b: Array) -> Array:
 
 
 def rigid_fit(body: Array, world: Array) -> Array:
-    """Pose (3,) of the frame in which points `body` (M, 2) were measured, given them in the world (M, 2).
+    """Pose (3,) of the frame of points `body` (M, 2) whose world positions are `world` (M, 2).
 
-    Least squares over both coordinates (Umeyama 1991, without scale).
+    Least squares (Umeyama 1991, without scale).
     """
     body_mean, world_mean = body.mean(axis=0), world.mean(axis=0)
     b, w = body - body_mean, world - world_mean
@@ -114,7 +107,7 @@ def rigid_fit(body: Array, world: Array) -> Array:
 
 
 def dead_reckoned(start: Array, increments: Array) -> Array:
-    """Poses (N, 3) along increments (N, 3) from the pose `start` (3,), the first row included; headings not wrapped."""
+    """Poses (N, 3) from `start` (3,) along increments (N, 3), the first row included; headings not wrapped."""
     heading = start[2] + np.cumsum(increments[:, 2])
     before = np.concatenate([start[2:], heading[:-1]])
     c, s = np.cos(before), np.sin(before)
@@ -125,16 +118,10 @@ def dead_reckoned(start: Array, increments: Array) -> Array:
 
 
 def interpolate(times: Array, poses: Array, at: Array) -> Array:
-    """Poses (K, 3) at stamps `at` [s] by linear interpolation, headings along the shorter way.
+    """Poses (K, 3) at stamps `at` [s] by linear interpolation, headings along the shorter arc.
 
-    Outside the span of `times` the nearest pose is repeated; callers decide whether that is wanted.
+    Outside the span of `times` the nearest pose is repeated.
     """
     heading = np.unwrap(poses[:, 2])
-    return np.stack(
-        [
-            np.interp(at, times, poses[:, 0]),
-            np.interp(at, times, poses[:, 1]),
-            wrap_angle(np.interp(at, times, heading)),
-        ],
-        axis=-1,
-    )
+    x, y = np.interp(at, times, poses[:, 0]), np.interp(at, times, poses[:, 1])
+    return np.stack([x, y, wrap_angle(np.interp(at, times, heading))], axis=-1)

@@ -1,11 +1,11 @@
-"""Measurement models of a landmark: a point by range and bearing or by its place in the sensor's frame, or a wall.
+"""Measurement models of landmarks: points by range and bearing or by relative position, and walls.
 
-A point landmark is (x, y); a wall is the straight line n(alpha) . x = rho, n = (cos alpha, sin alpha), by its signed
-distance rho [m] from the origin and the direction alpha [rad] of its normal; (-rho, alpha + pi) is the same line. Both
-are two numbers and so is every measurement.
+A point is (x, y). A wall is the line n(alpha) . x = rho, n = (cos alpha, sin alpha), with signed distance rho [m] from
+the origin and direction alpha [rad] of its normal; (-rho, alpha + pi) is the same line. Every measurement is two
+numbers.
 
-The formulas stand once, compiled, for one observation (`measure`, `invert`, `residual`); the filters' kernels call
-them and the sensor classes here loop them over arrays. Frames: w world, b body, s sensor, p_s = R p_b + T.
+The compiled functions `measure`, `invert` and `residual` are for one observation; the filters' kernels call them, and
+the sensor classes apply them to arrays. Frames: w world, b body, s sensor, p_s = R p_b + T.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ RELATIVE_POINT = 1
 LINE = 2
 
 MIN_RANGE = 1e-6
-"""m. A landmark closer to the sensor has no direction: its Jacobians are zero, so it carries no information."""
+"""m. A nearer landmark has no direction: its Jacobians are zero, so it carries no information."""
 
 wrap_angle_jit = numba.njit(cache=True)(se2.wrap_angle)
 
@@ -34,8 +34,8 @@ wrap_angle_jit = numba.njit(cache=True)(se2.wrap_angle)
 def _measure_line(extrinsic: Array, pose: Array, line: Array, z_hat: Array, Hx: Array, Hl: Array) -> None:
     """`measure` for a wall: z = (distance, direction of the normal towards the wall).
 
-    phi = alpha - theta + rotation, d = rho - n(alpha) . p + n(phi) . T. Beyond the wall d is negative, and the normal
-    towards it is the other one: z = (-d, phi + pi).
+    phi = alpha - theta + rotation, d = rho - n(alpha) . p + n(phi) . T. Beyond the wall d < 0, and the normal towards
+    it is the opposite one: z = (-d, phi + pi).
     """
     c, s = math.cos(line[1]), math.sin(line[1])
     phi = line[1] - pose[2] + extrinsic[0]
@@ -109,7 +109,7 @@ def measure(kind: int, extrinsic: Array, pose: Array, landmark: Array, z_hat: Ar
 
 @numba.njit(cache=True)
 def invert(kind: int, extrinsic: Array, pose: Array, z: Array, landmark: Array, Gx: Array, Gz: Array) -> None:
-    """Landmark (2,) that would give z, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement."""
+    """Landmark (2,) that z implies, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement."""
     if kind == LINE:
         _invert_line(extrinsic, pose, z, landmark, Gx, Gz)
         return
@@ -142,7 +142,7 @@ def invert(kind: int, extrinsic: Array, pose: Array, z: Array, landmark: Array, 
 def residual(kind: int, z: Array, z_hat: Array, out: Array) -> None:
     """Innovation z - z_hat (2,); the only place that wraps a measured angle.
 
-    Of a wall, (d, phi) and (-d, phi + pi) are one measurement: the one whose normal is nearer counts.
+    Of a wall, (d, phi) and (-d, phi + pi) are one measurement: the one with the nearer normal is used.
     """
     out[0] = z[0] - z_hat[0]
     out[1] = z[1] - z_hat[1] if kind == RELATIVE_POINT else wrap_angle_jit(z[1] - z_hat[1])
@@ -153,10 +153,10 @@ def residual(kind: int, z: Array, z_hat: Array, out: Array) -> None:
 
 @numba.njit(cache=True)
 def name_as_read(kind: int, z: Array, z_hat: Array, Hx: Array, Hl: Array) -> None:
-    """Give a wall's expectation and its Jacobians the name that the reading z has, in place.
+    """Give a wall's expectation and Jacobians the sign of the measurement z, in place.
 
-    Where it is not sure on which side of a wall the robot is, `measure` may name the other one; the noise of z is that
-    of its own name, in which the error of the distance has its own sign.
+    Where the robot's side of a wall is uncertain, `measure` may choose the other sign; the noise of z is that of its
+    own.
     """
     if kind == LINE and abs(wrap_angle_jit(z[1] - z_hat[1])) > 0.5 * math.pi:
         z_hat[0] = -z_hat[0]
@@ -181,25 +181,8 @@ def invert_all(kind: int, extrinsic: Array, pose: Array, z: Array, landmark: Arr
         invert(kind, extrinsic, pose[i], z[i], landmark[i], Gx[i], Gz[i])
 
 
-__all__ = [
-    "LINE",
-    "MIN_RANGE",
-    "RANGE_BEARING",
-    "RELATIVE_POINT",
-    "Line",
-    "RangeBearing",
-    "RelativePoint",
-    "Sensor",
-    "invert",
-    "measure",
-    "name_as_read",
-    "residual",
-    "wrap_angle_jit",
-]
-
-
 def _pair(pose: Array, other: Array) -> tuple[Array, Array]:
-    """One row of pose per row of `other`, contiguous float64."""
+    """A row of pose per row of `other`, contiguous float64."""
     rows = np.ascontiguousarray(np.atleast_2d(np.asarray(other, float)))
     poses = np.ascontiguousarray(np.broadcast_to(np.asarray(pose, float), (len(rows), 3)))
     return poses, rows
@@ -207,11 +190,11 @@ def _pair(pose: Array, other: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor that sees landmarks; use `RangeBearing`, `RelativePoint` or `Line`.
+    """A sensor of landmarks; use `RangeBearing`, `RelativePoint` or `Line`.
 
     Attributes:
-        max_range: m; min_angle, max_angle: rad in the sensor frame. They describe the field of view; an observation
-            outside is kept and counted, never dropped.
+        max_range: m; min_angle, max_angle: rad in the sensor frame. Observations outside this field of view are kept
+            and counted.
         rotation: rad, translation: m, of p_sensor = R(rotation) p_body + translation.
     """
 
@@ -225,7 +208,7 @@ class Sensor:
     name: ClassVar[str]
     units: ClassVar[tuple[str, str]]
     sees_points: ClassVar[bool] = True
-    """Whether a landmark is a point (x, y); else a wall (rho, alpha)."""
+    """Whether landmarks are points (x, y); else walls (rho, alpha)."""
 
     @property
     def extrinsic(self) -> Array:
@@ -241,7 +224,7 @@ class Sensor:
         return self.linearize(pose, landmarks)[1:]
 
     def linearize(self, pose: Array, landmarks: Array) -> tuple[Array, Array, Array]:
-        """Expected measurements and both Jacobians, in one pass."""
+        """Expected measurements and both Jacobians (see `predict`, `jacobians`)."""
         poses, points = _pair(pose, landmarks)
         n = len(points)
         z_hat, Hx, Hl = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, 2))
@@ -249,7 +232,7 @@ class Sensor:
         return z_hat, Hx, Hl
 
     def inverse(self, pose: Array, z: Array) -> tuple[Array, Array, Array]:
-        """Landmarks (m, 2) that would give z (m, 2), with Jacobians (m, 2, 3) to the pose and (m, 2, 2) to z."""
+        """Landmarks (m, 2) implied by z (m, 2), with Jacobians (m, 2, 3) to the pose and (m, 2, 2) to z."""
         poses, rows = _pair(pose, z)
         n = len(rows)
         landmark, Gx, Gz = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, 2))
@@ -257,11 +240,12 @@ class Sensor:
         return landmark, Gx, Gz
 
     def body_points(self, z: Array, covariance: Array) -> tuple[Array, Array]:
-        """Measurements (m, 2) with covariances (m, 2, 2) as points of the body frame with theirs, to first order.
+        """Measurements (m, 2) with covariances (m, 2, 2) as points of the body frame, to first order.
 
         The point of a wall is the one nearest to the sensor.
         """
-        points, _, Gz = self._polar_sensor().inverse(np.zeros(3), z)
+        plotted = self if self.sees_points else RangeBearing(rotation=self.rotation, translation=self.translation)
+        points, _, Gz = plotted.inverse(np.zeros(3), z)
         return points, Gz @ covariance @ Gz.transpose(0, 2, 1)
 
     def residual(self, z: Array, z_hat: Array) -> Array:
@@ -276,12 +260,6 @@ class Sensor:
             difference[..., 1] = se2.wrap_angle(difference[..., 1] - math.pi * other)
         return difference
 
-    def _polar_sensor(self) -> Sensor:
-        """The sensor of points, with this one's extrinsic, that a measurement is plotted by."""
-        if self.sees_points:
-            return self
-        return RangeBearing(rotation=self.rotation, translation=self.translation)
-
     def polar(self, z: Array) -> Array:
         """Range [m] and bearing [rad] in the sensor frame (m, 2) of measurements (m, 2)."""
         z = np.asarray(z, float)
@@ -290,7 +268,7 @@ class Sensor:
         return np.stack([np.hypot(z[..., 0], z[..., 1]), np.arctan2(z[..., 1], z[..., 0])], axis=-1)
 
     def in_view(self, z: Array, *, margin_range: Array | float = 0.0, margin_angle: Array | float = 0.0) -> BoolArray:
-        """Whether measurements (m, 2) lie in the field of view, widened by the margins [m, rad]; bool (m,)."""
+        """Whether measurements (m, 2) lie in the field of view, widened by the margins [m, rad]."""
         polar = self.polar(z)
         inside = polar[..., 0] <= self.max_range + margin_range
         middle, half = 0.5 * (self.min_angle + self.max_angle), 0.5 * (self.max_angle - self.min_angle)

@@ -1,4 +1,4 @@
-"""What a log holds and what is odd about it, in words: a pure function of the log, printed by `eval.inspect`."""
+"""Contents and oddities of a log in words, printed by `eval.inspect`."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ import json
 import numpy as np
 import scipy
 
-from data.inputs import CLUTTER, UNLABELLED, IntArray
+from data.inputs import CLUTTER, UNLABELLED, IntArray, Scanner
 from data.log import Log
 from data.se2 import Array, BoolArray
+from data.sensors import Sensor
 from data.terminal import counted
 from data.timeline import MAX_GAP
 from data.truth import UNKNOWN_ID
 
 JUMP = 10.0
-"""An increment this many times faster than the median moving one is called a jump."""
+"""Speed of a jump over the median speed while moving."""
 SHOWN = 5
-"""That many places of an oddity are named."""
+"""Number of places of an oddity that are named."""
 
 Line = tuple[str, str]
 
 
 def summarize(log: Log) -> list[Line]:
-    """Name and sentence, in the order they are printed; `odd` lines are what a careful person would look at."""
+    """Name and sentence, in printed order; `odd` lines deserve attention."""
     return [
         ("name", log.name),
         *(("source", f"{key} = {_plain(value)}") for key, value in log.source.items()),
@@ -41,7 +42,7 @@ def summarize(log: Log) -> list[Line]:
 
 
 def _plain(value: object) -> str:
-    """A value of the source as a person would write it."""
+    """A value of the source as text."""
     value = value.tolist() if isinstance(value, np.generic | np.ndarray) else value
     return value if isinstance(value, str) else json.dumps(value, default=str, ensure_ascii=False)
 
@@ -73,12 +74,10 @@ def _frames(log: Log) -> list[Line]:
     if n > 1:
         gap = np.diff(time)
         k = int(np.argmax(gap))
-        # a gap of exactly 1 s is one give or take the rounding of its stamps
+        text = f"largest {gap[k]:.4g} {unit}, before frame {k + 1}; median {np.median(gap):.4g} {unit}"
+        # stamps are rounded, so a gap of 1 s may seem longer
         over = int((gap > MAX_GAP + 1e-6).sum())
-        large = f"; {over} longer than {MAX_GAP:g} s" if unit == "s" else ""
-        lines.append(
-            ("gaps", f"largest {gap[k]:.4g} {unit}, before frame {k + 1}; median {np.median(gap):.4g} {unit}{large}")
-        )
+        lines.append(("gaps", text + (f"; {over} longer than {MAX_GAP:g} s" if unit == "s" else "")))
     return lines
 
 
@@ -102,23 +101,25 @@ def _increments(log: Log) -> list[Line]:
     return lines
 
 
+def _mounted(point: str, sensor: Sensor | Scanner) -> str:
+    """Pose of a sensor on the body, where it is not the body's own."""
+    if not sensor.rotation and not any(sensor.translation):
+        return ""
+    tx, ty = sensor.translation
+    return f"; {point} = R({np.degrees(sensor.rotation):.4g} deg) p_body + ({tx:g}, {ty:g}) m"
+
+
 def _observations(log: Log) -> list[Line]:
     inputs = log.recorded
     sensor, o = inputs.sensor, inputs.observations
     low, high = np.degrees([sensor.min_angle, sensor.max_angle])
     reach = f"up to {sensor.max_range:g} m" if np.isfinite(sensor.max_range) else "any range"
-    seen = f"{sensor.name}, {reach}, {low:.4g} to {high:.4g} deg"
-    if sensor.rotation or any(sensor.translation):
-        tx, ty = sensor.translation
-        seen += f"; p_sensor = R({np.degrees(sensor.rotation):.4g} deg) p_body + ({tx:g}, {ty:g}) m"
-    lines = [("sensor", seen)]
+    lines = [("sensor", f"{sensor.name}, {reach}, {low:.4g} to {high:.4g} deg{_mounted('p_sensor', sensor)}")]
     m, per_frame = len(o.frame), np.diff(inputs.start)
     if m == 0:
         return [*lines, ("observations", "none")]
-    rate = ""
     span = float(inputs.time[-1] - inputs.time[0])
-    if span > 0.0 and not inputs.time_is_index:
-        rate = f"; {m / span:.4g} per s"
+    rate = f"; {m / span:.4g} per s" if span > 0.0 and not inputs.time_is_index else ""
     counts = f"per frame {per_frame.min()} to {per_frame.max()}, mean {per_frame.mean():.3g}"
     lines.append(("observations", f"{m}, {counts}{rate}"))
     first, blind = longest_run(per_frame == 0)
@@ -127,11 +128,9 @@ def _observations(log: Log) -> list[Line]:
     lines.append(("unseen", f"{without} frames without observation{where}"))
     polar = sensor.polar(o.z)
     bearing = np.degrees(polar[:, 1])
-    outside = len(_out_of_view(log))
-    span_text = f"range {polar[:, 0].min():.4g} to {polar[:, 0].max():.4g} m, "
-    span_text += f"bearing {bearing.min():.4g} to {bearing.max():.4g} deg"
-    lines.append(("seen", f"{span_text}; {_share(outside, m)} outside the stated field of view"))
-    return lines
+    text = f"range {polar[:, 0].min():.4g} to {polar[:, 0].max():.4g} m, "
+    text += f"bearing {bearing.min():.4g} to {bearing.max():.4g} deg"
+    return [*lines, ("seen", f"{text}; {_share(len(_out_of_view(log)), m)} outside the stated field of view")]
 
 
 def _scans(log: Log) -> list[Line]:
@@ -142,12 +141,10 @@ def _scans(log: Log) -> list[Line]:
     last = s.angle_min + (beams - 1) * s.angle_step
     text = f"{counted(beams, 'beam')} from {np.degrees(s.angle_min):.4g} to {np.degrees(last):.4g} deg, "
     text += f"up to {s.max_range:g} m, sigma {s.sigma:g} m"
-    if s.rotation or any(s.translation):
-        tx, ty = s.translation
-        text += f"; p_scanner = R({np.degrees(s.rotation):.4g} deg) p_body + ({tx:g}, {ty:g}) m"
+    text += _mounted("p_scanner", s)
     seen = scans.ranges[scans.ranges > 0.0]
     held = f"in {_share(count, len(log.recorded))} frames; {_share(scans.ranges.size - len(seen), scans.ranges.size)} "
-    held += "readings are no return"
+    held += "ranges are no return"
     if len(seen):
         held += f", the others {seen.min():.4g} to {seen.max():.4g} m, median {np.median(seen):.4g} m"
     return [("scanner", text), ("scans", held)]
@@ -168,8 +165,7 @@ def _relations(log: Log) -> list[Line]:
 
 def _out_of_view(log: Log) -> IntArray:
     """Observations (indices) outside the sensor's stated range or angles."""
-    inside = log.recorded.sensor.in_view(log.recorded.observations.z).astype(bool)
-    return np.flatnonzero(~inside)
+    return np.flatnonzero(~log.recorded.sensor.in_view(log.recorded.observations.z))
 
 
 def _labels(log: Log) -> list[Line]:
@@ -227,7 +223,7 @@ def _landmarks(log: Log) -> list[Line]:
 
 
 def _places(what: str, where: IntArray) -> list[str]:
-    """`what` with how often and the first places, or nothing."""
+    """The number of places of `what`, and the first of them; nothing without any."""
     if len(where) == 0:
         return []
     shown = ", ".join(str(i) for i in where[:SHOWN].tolist()) + (", ..." if len(where) > SHOWN else "")
@@ -235,7 +231,7 @@ def _places(what: str, where: IntArray) -> list[str]:
 
 
 def repeated_in_frame(frame: IntArray, label: IntArray) -> IntArray:
-    """Observations (indices, ascending) whose label >= 0 an earlier observation of the same frame has already."""
+    """Observations (indices, ascending) whose label >= 0 occurs earlier in the same frame."""
     order = np.lexsort((np.arange(len(frame)), label, frame))
     f, i = frame[order], label[order]
     again = (f[1:] == f[:-1]) & (i[1:] == i[:-1]) & (i[1:] >= 0)
@@ -243,27 +239,25 @@ def repeated_in_frame(frame: IntArray, label: IntArray) -> IntArray:
 
 
 def _oddities(log: Log) -> list[str]:
-    """Rows that are valid and still deserve a look."""
+    """Valid rows that deserve attention."""
     inputs, label = log.recorded, log.granted
-    o = inputs.observations
     odd: list[str] = []
+
+    def add(about: str, thing: str, where: IntArray) -> None:
+        odd.extend(f"{about}: {text}" for text in _places(thing, where))
+
     if log.truth.pose is not None:
-        odd += _places("frame", np.flatnonzero(~_known(log.truth.pose)))
-        odd = [f"without a true pose: {text}" for text in odd]
-    outside = _places("observation", _out_of_view(log))
-    odd += [f"outside the stated field of view: {text}" for text in outside]
+        add("without a true pose", "frame", np.flatnonzero(~_known(log.truth.pose)))
+    add("outside the stated field of view", "observation", _out_of_view(log))
     if len(inputs.time) > 1:
         speed = np.hypot(*inputs.increments.mean[1:, :2].T) / np.diff(inputs.time)
         moving = speed[speed > 0.0]
         usual = float(np.median(moving)) if len(moving) else 0.0
-        jumps = _places("frame", 1 + np.flatnonzero(speed > JUMP * usual)) if usual else []
         per = "m per step" if inputs.time_is_index else "m/s"
-        odd += [f"moved more than {JUMP:g} times faster than the usual {usual:.3g} {per}: {text}" for text in jumps]
+        about = f"moved more than {JUMP:g} times faster than the usual {usual:.3g} {per}"
+        add(about, "frame", 1 + np.flatnonzero(speed > JUMP * usual) if usual else np.zeros(0, np.int64))
     if label is not None:
-        twice = _places("observation", repeated_in_frame(o.frame, label))
-        odd += [f"label seen already in the same frame: {text}" for text in twice]
-    landmarks = inputs.map
-    if label is not None and landmarks is not None:
-        strangers = np.setdiff1d(label[label >= 0], landmarks.id)
-        odd += [f"not in the map: {text}" for text in _places("label", strangers)]
+        add("label repeated in the same frame", "observation", repeated_in_frame(inputs.observations.frame, label))
+        if inputs.map is not None:
+            add("not in the map", "label", np.setdiff1d(label[label >= 0], inputs.map.id))
     return odd

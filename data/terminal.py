@@ -1,6 +1,6 @@
-"""How a command ends: what a person can mend is one line on stderr and exit status 2, never a traceback, never 1.
+"""How a command ends: a user's error is one line on stderr and exit status 2, never a traceback.
 
-Status 1 says that an estimator was rejected, so nothing that merely went wrong may end with it.
+Exit status 1 means that an estimator was rejected.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import os
 import stat
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from data.errors import SlamrefError
@@ -21,15 +22,15 @@ FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def ended(body: Callable[[], int | None], interrupted: Callable[[], str] | str = "interrupted") -> int:
-    """Run the body of a command; its exit status.
+    """Run the body of a command; returns its exit status.
 
-    A reader that has seen enough (`... | head -1`) is no error. `interrupted` is what is said after Ctrl-C, known then.
+    A closed pipe (`... | head -1`) is no error. `interrupted`: message after Ctrl-C.
     """
     try:
         try:
             return body() or FINE
         finally:
-            sys.stdout.flush()  # here, where an error can still be said, and not when the interpreter ends
+            sys.stdout.flush()  # while an error can still be reported
     except SlamrefError as fault:
         return _wrong(str(fault))
     except ModuleNotFoundError as fault:
@@ -39,19 +40,19 @@ def ended(body: Callable[[], int | None], interrupted: Callable[[], str] | str =
     except MemoryError as fault:
         return _wrong(f"out of memory ({fault}); a shorter log, or a machine with more memory would help")
     except BrokenPipeError as fault:
-        return FINE if unread() else _wrong(told(fault))
+        return FINE if unread() else _wrong(message_of(fault))
     except OSError as fault:
         _silence()
-        return _wrong(told(fault))
+        return _wrong(message_of(fault))
     except KeyboardInterrupt:
         return _wrong(interrupted if isinstance(interrupted, str) else interrupted(), INTERRUPTED, "")
 
 
 def unread() -> bool:
-    """After a BrokenPipeError: whether it was standard output's; if so, what is left to print goes nowhere."""
+    """After a BrokenPipeError: whether standard output was the pipe; if so, the rest of it is discarded."""
     try:
         mode = os.fstat(sys.stdout.fileno()).st_mode
-    except (AttributeError, OSError, ValueError):  # not a file: a test or a notebook looks on
+    except (AttributeError, OSError, ValueError):  # no file: a test or a notebook
         return False
     piped = stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode)
     if piped:
@@ -59,20 +60,20 @@ def unread() -> bool:
     return piped
 
 
-def told(fault: OSError) -> str:
-    """What went wrong with a file, the disk or a connection, and what would help, in a sentence."""
-    what = fault.strerror or str(fault) or type(fault).__name__
-    where = f"{fault.filename}: " if fault.filename is not None else "output cannot be written: " * _is_full(fault)
-    return f"{where}{what}{'; free some space, or write to another place' if _is_full(fault) else ''}"
+def message_of(fault: OSError) -> str:
+    """The message of a failed file, disk or connection, with a remedy."""
+    what, full = fault.strerror or str(fault) or type(fault).__name__, fault.errno in FULL
+    where = f"{fault.filename}: " if fault.filename is not None else "output cannot be written: " * full
+    return f"{where}{what}{'; free some space, or write to another place' * full}"
 
 
 def missing(module: str) -> str:
-    """What to do about a module that is not there: a package that was not installed, or one that hides ours."""
+    """The message of a missing module: a package that is not installed, or one that hides ours."""
     package = module.partition(".")[0]
     if package in OURS:
         return (
-            f"no module {module!r}: another package {package!r} hides that of slamref in {ROOT}; start from another"
-            " folder, or use the command `slamref`, which looks there first"
+            f"no module {module!r}: another package {package!r} hides that of slamref in {ROOT}; start in another"
+            " folder, or use the command `slamref`"
         )
     if package == "tomllib":
         return f"slamref needs Python 3.11 or newer, not {sys.version.split()[0]}"
@@ -83,15 +84,11 @@ def missing(module: str) -> str:
     return f"the package {package!r} is not installed for {sys.executable}; {how}"
 
 
-def _is_full(fault: OSError) -> bool:
-    return fault.errno in FULL
-
-
 def _silence() -> None:
-    """What is left to print goes nowhere, or it would fail once more, with a traceback, when the interpreter ends."""
+    """Discard the rest of the output, which would fail again when the interpreter ends."""
     try:
         descriptor = sys.stdout.fileno()
-    except (AttributeError, OSError, ValueError):  # not a file: a test or a notebook looks on
+    except (AttributeError, OSError, ValueError):  # no file: a test or a notebook
         return
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(nowhere, descriptor)
@@ -99,21 +96,19 @@ def _silence() -> None:
 
 
 def _wrong(text: str, status: int = WRONG, mark: str = "slamref: ") -> int:
-    """Say it on stderr, if that can be written to."""
-    try:
+    """Report on stderr, if that is writable."""
+    with suppress(OSError):
         sys.stderr.write(f"{mark}{text}\n")
         sys.stderr.flush()
-    except OSError:
-        return status
     return status
 
 
 def counted(n: int | float, thing: str, things: str = "") -> str:
-    """`1 landmark`, `2 landmarks`; `things`: the plural, where it is not made with an s."""
+    """`1 landmark`, `2 landmarks`; `things`: an irregular plural."""
     return f"{n:.0f} {thing if n == 1 else things or f'{thing}s'}"
 
 
 def in_columns(rows: Sequence[Sequence[str]]) -> list[str]:
-    """A line for each row, its cells below those of the row before."""
+    """A line for each row, with aligned columns."""
     width = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
     return ["  ".join(cell.ljust(w) for cell, w in zip(row, width, strict=True)).rstrip() for row in rows]

@@ -1,7 +1,4 @@
-"""The instants at which a pose is estimated (frames), and the true poses at those instants.
-
-Shared by everything that turns asynchronous stamps (odometry, observations, motion capture) into a log.
-"""
+"""The instants at which poses are estimated (frames), and the true poses there."""
 
 from __future__ import annotations
 
@@ -12,26 +9,23 @@ from data import se2
 from data.se2 import Array
 
 MAX_GAP = 1.0
-"""s. Frames are never further apart; truth is not interpolated across more."""
+"""s, longest interval between frames, and across which truth is interpolated."""
 
 
 def frame_times(at: Array, first: float, last: float, max_gap: float = MAX_GAP) -> Array:
-    """Frames of a log: the instants `at` [s] once each, `first`, `last`, and keyframes in between, ascending.
+    """Frames of a log: the instants `at` [s] once each, `first`, `last`, and keyframes, ascending.
 
-    A gap longer than `max_gap` is cut into the fewest equal parts that are not longer. The given instants come back
-    bit for bit, so `np.searchsorted(frames, at)` finds the frame of each.
-
-    Raises:
-        ValueError: an instant outside [first, last], or not a number; max_gap not positive.
+    A gap longer than `max_gap` is cut into the fewest equal parts. The given instants are kept bit for bit, so
+    `np.searchsorted(frames, at)` finds the frame of each. Raises ValueError for an instant outside [first, last].
     """
     at = np.asarray(at, float).ravel()
     if not max_gap > 0.0:
-        raise ValueError(f"max_gap {max_gap}: a positive number of seconds")
+        raise ValueError(f"max_gap {max_gap}: a positive number of seconds is needed")
     if not (first <= last and np.all((at >= first) & (at <= last))):
         raise ValueError(f"every instant must lie within [{first}, {last}]")
     given = np.unique(np.concatenate([[first, last], at]))
     gap = np.diff(given)
-    # a gap of 1 s between unix stamps is 1 s give or take the rounding of the stamps
+    # unix stamps are rounded, so a gap of 1 s may seem longer
     rounding = 4.0 * np.spacing(max(abs(first), abs(last)))
     parts = np.maximum(np.ceil((gap - rounding) / max_gap), 1.0).astype(np.int64)
     owner = np.repeat(np.arange(len(gap)), parts - 1)
@@ -41,11 +35,10 @@ def frame_times(at: Array, first: float, last: float, max_gap: float = MAX_GAP) 
 
 
 def truth_at(time: Array, pose: Array, at: Array, max_gap: float = MAX_GAP) -> Array:
-    """True poses (N, 3) at the instants `at` [s], from poses (K, 3) at the ascending stamps `time` [s].
+    """True poses (N, 3) at the instants `at` [s], from poses (K, 3) at ascending stamps `time` [s].
 
-    Interpolated between the two rows around an instant (headings along the shorter way). NaN outside the span of
-    `time`, where those rows are further apart than `max_gap`, or where one of them is NaN (a row is known whole or not
-    at all); at a stamp only that stamp's row counts.
+    Interpolated between neighbouring rows, headings along the shorter arc. NaN outside the span of `time`, where these
+    rows are further apart than `max_gap`, or where one of them is NaN; at a stamp only its own row counts.
     """
     time, pose, at = np.asarray(time, float), np.asarray(pose, float).reshape(-1, 3), np.asarray(at, float)
     result = np.full((len(at), 3), np.nan)
@@ -55,7 +48,7 @@ def truth_at(time: Array, pose: Array, at: Array, max_gap: float = MAX_GAP) -> A
     after = np.clip(np.searchsorted(time, at, side="left"), 0, len(time) - 1)
     before = np.clip(np.searchsorted(time, at, side="right") - 1, 0, len(time) - 1)
     inside = (at >= time[0]) & (at <= time[-1])
-    # at a stamp `before` and `after` are that stamp, so the distance is 0
+    # at a stamp `before` and `after` are that row
     usable = inside & known[before] & known[after] & (time[after] - time[before] <= max_gap)
     result[usable] = se2.interpolate(time[known], pose[known], at[usable])
     return result

@@ -1,6 +1,6 @@
-"""TOML files that people write: tables whose keys are all known, and values that are checked when they are asked for.
+"""TOML files written by people: tables with known keys, and values that are checked when read.
 
-What is wrong is raised by `fault`, a function that makes the error out of a sentence, and so says in which file it is.
+`fault` makes the error of a message and names the file.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from data.se2 import Array
 Fault = Callable[[str], SlamrefError]
 Known = Mapping[str, Collection[str]]
 SHOWN = 60
-"""Characters of a value that a message shows."""
+"""Most characters of a value in a message."""
 DEEPEST = 100
-"""Parts of a dotted key; tomllib takes memory by the square of their number."""
+"""Most parts of a dotted key; tomllib's memory grows with the square of their number."""
 _DEEP = re.compile(rb"(?:\.[\w\"'\t -]{1,64}){%d}" % DEEPEST)
 
 
 def load_toml(path: Path, fault: Fault, missing: str = "no such file") -> dict[str, object]:
-    """Contents of a file; `missing` says it where there is none."""
+    """Contents of a file; `missing` is the message where there is none."""
     try:
         content = path.read_bytes()
         if _DEEP.search(content):
@@ -41,12 +41,12 @@ def load_toml(path: Path, fault: Fault, missing: str = "no such file") -> dict[s
 
 
 class TomlTable:
-    """One table of a file; every question either gives a checked value or raises."""
+    """One table of a file; its methods return a checked value or raise."""
 
     def __init__(self, fault: Fault, table: Mapping[str, object], known: Known, where: str = "") -> None:
-        """`known`: keys by table, "" for the top; `where` names this one. Raises for a key that does not belong here.
+        """`known`: keys by table name (dotted, "" for the top); a table not in `known` may have any keys.
 
-        Names of tables in tables have dots, as in the file. A table that is not in `known` may have any keys.
+        `where` names this table. Raises for an unknown key.
         """
         self.fault, self.table, self.known, self.where = fault, table, known, where
         keys = known.get(where, table)
@@ -60,7 +60,7 @@ class TomlTable:
         return key in self.table
 
     def error(self, key: str, what: str) -> SlamrefError:
-        """What is wrong with a key."""
+        """The error of a key."""
         place = f"[{self.where}] {key}" if self.where else key
         if key in self.table and not isinstance(self.table[key], dict):
             shown = repr(self.table[key])
@@ -77,14 +77,14 @@ class TomlTable:
         return TomlTable(self.fault, value, known, self._below(key))
 
     def optional_table(self, key: str, keys: Collection[str] | None = None) -> TomlTable | None:
-        """The table of that name, if there is one; `keys`: those it may have, where `known` does not say."""
+        """The table of that name, if there is one; `keys`: its keys, where `known` does not list them."""
         return self._open(key, self.table[key], keys) if key in self.table else None
 
     def table_of(self, key: str, keys: Collection[str] | None = None) -> TomlTable:
         """The table of that name."""
         found = self.optional_table(key, keys)
         if found is None:
-            raise self.fault(f"no [{self._below(key)}] table")
+            raise self.fault(f"no [{self._below(key)}] table; one is needed")
         return found
 
     def tables_of(self, key: str) -> list[TomlTable]:
@@ -102,7 +102,7 @@ class TomlTable:
         raise self.error(key, f"{'missing' if value is None else 'unknown'}; known: {', '.join(known)}")
 
     def names(self, key: str, known: Collection[str], default: tuple[str, ...]) -> tuple[str, ...]:
-        """A list of different names, at least one, of those known."""
+        """A list of distinct known names, at least one."""
         if key not in self.table:
             return default
         value = self.table[key]
@@ -112,11 +112,11 @@ class TomlTable:
             if not isinstance(name, str) or name not in known:
                 raise self.error(key, f"{name!r} is unknown; known: {', '.join(known)}")
         if not value or len(set(value)) != len(value):
-            raise self.error(key, "at least one name, and none twice")
+            raise self.error(key, "at least one name, none of them twice, is needed")
         return tuple(value)
 
     def text(self, key: str, default: str | None = None) -> str:
-        """A text; one is needed without a default."""
+        """A text; required without a default."""
         value = self.table.get(key, default)
         if isinstance(value, str):
             return value
@@ -141,7 +141,7 @@ class TomlTable:
     def number(
         self, key: str, default: float | None, what: str, fine: Callable[[float], bool] = lambda _: True
     ) -> float:
-        """A number that is `fine`, `what` says in the message which one would be; one is needed without a default."""
+        """A number that is `fine`; `what` names such a number in the message. Required without a default."""
         if key not in self.table:
             if default is None:
                 raise self.error(key, "missing; a number is needed")
@@ -152,7 +152,7 @@ class TomlTable:
         return value
 
     def numbers(self, key: str, length: int | None, what: str, fine: Callable[[float], bool] = lambda _: True) -> Array:
-        """A list (length,) of numbers that are `fine`; any length where it is None."""
+        """A list (length,) of numbers that are `fine`; any length if None."""
         value = self.table.get(key)
         if isinstance(value, list) and length in (None, len(value)):
             found = [_number(v) for v in value]
@@ -162,7 +162,7 @@ class TomlTable:
 
 
 def _number(value: object) -> float | None:
-    """A TOML number as a float, infinity included; None for anything else."""
+    """A TOML number as a float, infinity included; else None."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     if abs(value) <= LARGEST or value in (math.inf, -math.inf):
@@ -170,16 +170,14 @@ def _number(value: object) -> float | None:
     return None
 
 
-def finite(value: float) -> bool:
-    """An ordinary number."""
-    return math.isfinite(value)
+finite = math.isfinite
 
 
 def not_negative(value: float) -> bool:
-    """From 0 up."""
+    """Finite and >= 0."""
     return 0.0 <= value < math.inf
 
 
 def positive(value: float) -> bool:
-    """Above 0, and its square, too."""
+    """Finite and > 0, its square included."""
     return 0.0 < value < math.inf and value * value > 0.0

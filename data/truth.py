@@ -1,4 +1,4 @@
-"""What only the referee may see of a log: true poses, true landmarks, and which landmark each observation shows."""
+"""The referee's side of a log: true poses, true landmarks, and the true landmark of each observation."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from data.result import Systematics
 from data.se2 import Array
 
 UNKNOWN_ID = -2
-"""True id of an observation about which nothing is known (blank in the file)."""
+"""True id of an observation whose id is unknown (blank in the file)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Relations(Locked):
-    """Reference relations: the pose at one frame in the frame of the pose at another, known without a true path.
+    """Reference relations: relative poses between frames, known without a true path.
 
     Attributes:
         row1, row2: (K,) frames.
-        relative: (K, 3), the pose of row2 in the frame of row1 [m, m, rad].
-        exact: (K,) 1 where both rows are sure, 0 where they are not; None: not said.
-        stamp: (K, 2) s, what the reference's author tied the relations to; None: rows only.
-        frame_stamp: (N,) s, the frames' stamps as recorded, not made monotone; None: the log's time.
+        relative: (K, 3), pose of row2 in the frame of row1 [m, m, rad].
+        exact: (K,) 1 where both rows are certain, else 0; None: not stated.
+        stamp: (K, 2) s, the reference's own stamps; None: rows only.
+        frame_stamp: (N,) s, the frames' recorded stamps, not made monotone; None: the log's time.
     """
 
     row1: IntArray
@@ -39,14 +39,14 @@ class Relations(Locked):
 
 @dataclass(frozen=True, eq=False)
 class Truth(Locked):
-    """Ground truth; any part may be absent (None), and metrics that need it are then left blank.
+    """Ground truth; any part may be None, and metrics that need it are then blank.
 
     Attributes:
-        pose: (N, 3), NaN rows where the truth is missing or marked bad.
+        pose: (N, 3), NaN rows where missing or marked bad.
         landmarks: true landmark positions by id.
-        landmark_of: (M,) true id per observation, `CLUTTER` for none, `UNKNOWN_ID` where not known.
+        landmark_of: (M,) true id per observation, `CLUTTER` for false alarms, `UNKNOWN_ID` if unknown.
         relations: reference relations of a laser log.
-        errors: systematic errors that a simulated robot has, by frame (sigma is zero).
+        errors: true systematic errors of a simulated robot, by frame (sigma is zero).
     """
 
     pose: Array | None = None

@@ -1,7 +1,7 @@
-"""Files and folders that appear whole or not at all: written beside their place, then moved into it.
+"""Atomic writing: files and folders are written beside their place, then moved into it.
 
-An error or an interruption leaves what was there before, and nothing beside it. A process that is killed outright
-cannot clean up; the next one that writes the same folder does it.
+An error or an interruption leaves the former contents and nothing beside them. Leftovers of a killed process are
+removed by the next one that writes the same folder.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ PARTIAL, OLD = "partial", "old"
 
 @contextmanager
 def whole_file(path: str | PathLike[str]) -> Iterator[Path]:
-    """A path to write to, with the same ending; it takes the place of `path` when the block ends well."""
+    """A temporary path with the same suffix, which replaces `path` when the block ends without error."""
     target = Path(os.path.abspath(path))
     partial = target.with_name(f".{target.stem}.{PARTIAL}-{_process()}{target.suffix}")
     try:
@@ -32,9 +32,9 @@ def whole_file(path: str | PathLike[str]) -> Iterator[Path]:
 
 @contextmanager
 def whole_folder(path: str | PathLike[str]) -> Iterator[Path]:
-    """An empty folder to fill; it takes the place of the folder `path` when the block ends well.
+    """An empty folder to fill, which replaces the folder `path` when the block ends without error.
 
-    Parents are made. Whether a folder that is there may be replaced is for the caller to check.
+    Parents are created. The caller checks whether an existing folder may be replaced.
     """
     target = Path(os.path.abspath(path))
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -50,7 +50,7 @@ def whole_folder(path: str | PathLike[str]) -> Iterator[Path]:
 
 
 def _replace(target: Path, partial: Path) -> None:
-    """Put the finished folder in place; the old one comes back if that fails."""
+    """Move the finished folder into place; the old one is restored if that fails."""
     if not target.exists():
         partial.rename(target)
         return
@@ -66,7 +66,7 @@ def _replace(target: Path, partial: Path) -> None:
 
 
 def _sweep(target: Path) -> None:
-    """Remove what killed processes left; where one died between its two renames, its old folder comes back."""
+    """Remove what killed processes left; a folder that was moved away but not replaced is restored."""
     host = f"{platform.node()}-"
     for kind in (OLD, PARTIAL):
         for left in target.parent.glob(f".{escape(target.name)}.{kind}-{escape(host)}*"):
@@ -84,12 +84,12 @@ def _beside(target: Path, kind: str) -> Path:
 
 
 def _process() -> str:
-    """This process, among those of all machines that share a disk."""
+    """This process, unique among machines that share a disk."""
     return f"{platform.node()}-{os.getpid()}"
 
 
 def _is_alive(process: int) -> bool:
-    """Whether a process of this machine runs; where that cannot be asked without harm, it may."""
+    """Whether a process of this machine runs; True where that cannot be checked."""
     if os.name != "posix":
         return True
     with suppress(PermissionError):

@@ -1,4 +1,4 @@
-"""Words of judgements: the only place where a notice becomes a sentence, for terminal, Markdown, HTML and CSV alike."""
+"""The words of notices, for terminal, Markdown, HTML and CSV alike."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ if TYPE_CHECKING:
     from jinja2 import Environment
 
 NOTICES = "notices.j2"
-"""A macro for each `Code`, its dashes as underscores; it gets the notice, and its values by name."""
+"""A macro for each `Code`, with underscores for dashes; its arguments are the notice, and its values by name."""
 
 
 @cache
 def environment(package: str) -> Environment:
-    """The templates of a package's folder `templates`, with the filters that numbers and counts need."""
+    """The templates of a package's folder `templates`, with filters for numbers and counts."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    # Markdown, not HTML: the page escapes what it renders
+    # Markdown: the page escapes what it renders
     env = Environment(
         loader=PackageLoader(package, "templates"),
         undefined=StrictUndefined,
@@ -42,18 +42,18 @@ def environment(package: str) -> Environment:
 
 
 def sentence(notice: Notice) -> str:
-    """A notice in words, without a full stop and without whom it is about."""
+    """A notice in words, without its subject and a full stop."""
     macro = getattr(environment("data").get_template(NOTICES).module, notice.code.replace("-", "_"))
     return str(macro(notice, **notice.named)).strip()
 
 
 def title(notice: Notice) -> str:
-    """What it is about, in a word or two."""
+    """The subject of a notice in a word or two."""
     return notice.code.replace("-", " ")
 
 
 def number(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits, without exponent between 1e-4 and 1e6."""
+    """A number with `digits` significant digits, without exponent between 1e-4 and 1e6."""
     if value == 0.0 or not math.isfinite(value):
         return f"{value:g}"
     if not 1e-4 <= abs(value) < 1e6:
@@ -63,11 +63,11 @@ def number(value: float, digits: int = 3) -> str:
 
 
 def percent(share: float, digits: int = 1) -> str:
-    """A share in percent, with so many decimals and the sign."""
+    """A share in percent."""
     return f"{100.0 * share:.{digits}f} %"
 
 
 def told_apart(values: tuple[float, float]) -> tuple[str, str]:
-    """Two numbers with so many decimals that their difference has three digits."""
+    """Two numbers with as many decimals as give their difference three digits."""
     digits = max(0, 2 - math.floor(math.log10(abs(values[1] - values[0]))))
     return f"{values[0]:.{digits}f}", f"{values[1]:.{digits}f}"

@@ -1,12 +1,10 @@
-"""EKF-SLAM over a whole log with decisions that were made beforehand, most of a large map parked at any time.
+"""EKF-SLAM over a whole log with known decisions, with most of a large map parked at any time (compressed filter).
 
-As `ekf.whole_run`, with the compressed filter of `ekf.parking`: the log is cut into epochs; in each one the state holds
-the robot (pose and systematic errors) and the landmarks that the epoch will see, all others are parked. No landmark
-comes back within an epoch, so the carried y is as long as the active part at its beginning, and
+As `ekf.whole_run`, with the equations of `ekf.parking`. The log is cut into epochs. In each epoch the state holds the
+robot (pose and systematic errors) and the landmarks observed in it; all others are parked. No landmark is restored
+within an epoch, so y is as long as the active part, and at the end of the epoch
 
     x_B += C y,    P_BB += C P_yy C',    P_BA = C P_yA          (C = P_BA at the beginning)
-
-at its end. How long an epoch is to be is known beforehand as well: see `plan`.
 """
 
 from __future__ import annotations
@@ -21,29 +19,24 @@ from data.inputs import Inputs, IntArray
 from data.result import NEW, MapState
 from data.se2 import Array
 from ekf import kernels, systematic
-from ekf.filter import DEFAULT, FilterOptions
+from ekf.filter import DEFAULT, FilterOptions, frame_of
 from ekf.kernels import NEWEST
 from ekf.parking import Triangle, root, symmetric, whitened
-from ekf.walls import frame_of
-from ekf.whole_run import FilterRun, Steps, Track, blank, filter_run, rules_of, run
+from ekf.whole_run import FilterRun, Steps, Track, empty_track, filter_run, rules_of, run
 
 LEAST = 300
-"""Landmarks. A smaller map is never parked: some tenths of a second are gained at most, and it keeps its bytes."""
-STEP, READING = 1.0e-9, 2.0e-10
-"""s. A frame costs so much per squared length of the state, and so much more with each of its pairings."""
+"""Landmarks. A smaller map is never parked: at most some tenths of a second would be gained."""
+STEP, PAIRING = 1.0e-9, 2.0e-10
+"""s. Cost of a frame per squared length of the state, and additional cost per pairing."""
 PRODUCT, MOVED = 8.0e-11, 2.0e-8
-"""s. The end of an epoch costs so much per squared length of the map and column of C, and so much more per entry.
-Measured on one core. With 600 and 2400 landmarks half and twice as much of these two change the time of a run by less
-than a tenth; a sixth of it costs a fifth more."""
+"""s. Cost of an epoch's end per squared length of the map and column of C, and additional cost per entry. Measured on
+one core. With 600 and 2400 landmarks half or twice as much changes the time of a run by less than a tenth."""
 WORTH = 0.7
-"""Parking must be expected to take less than this part of the time."""
+"""Parking must be expected to take less than this share of the time."""
 
 
 class Epoch(NamedTuple):
-    """Frames from `begin` before `end`, and the landmarks (a,) in the state from its beginning, ascending.
-
-    all_active: no landmark is parked.
-    """
+    """Frames `begin` to `end` - 1, landmarks (a,) in the state at the beginning, and whether none is parked."""
 
     begin: int
     end: int
@@ -52,15 +45,15 @@ class Epoch(NamedTuple):
 
 
 class Plan(NamedTuple):
-    """Epochs, and how long they and the filter that never parks are expected to take [s]."""
+    """Epochs, and the expected computing time [s] with them and without parking."""
 
     epochs: list[Epoch]
     seconds: float
     plain: float
 
 
-def numbers_of(decisions: IntArray) -> tuple[IntArray, int]:
-    """Landmark number (M,) that each observation is paired with or initializes, negative for none, and how many."""
+def landmark_numbers(decisions: IntArray) -> tuple[IntArray, int]:
+    """Landmark number (M,) that each observation is paired with or initializes, negative for none, and their number."""
     new = decisions == NEW
     return np.where(new, np.cumsum(new) - 1, decisions), int(new.sum())
 
@@ -68,13 +61,13 @@ def numbers_of(decisions: IntArray) -> tuple[IntArray, int]:
 def plan(decisions: IntArray, start: IntArray) -> Plan:
     """Epochs for decisions (M,) of frames whose observations begin at `start` (N + 1,).
 
-    Each one is as long as makes its frames cheapest on the average: a longer one has more landmarks in its state, a
-    shorter one brings the whole map up to date more often. Greedy, from one epoch to the next.
+    Each epoch has the length of least mean cost per frame: a longer one has a longer state, a shorter one updates the
+    whole map more often. Greedy, from one epoch to the next.
     """
-    number, _ = numbers_of(decisions)
+    number, _ = landmark_numbers(decisions)
     created = np.concatenate([[0], np.cumsum(decisions == NEW)])[start]
     paired = np.diff(np.concatenate([[0], np.cumsum(decisions >= 0)])[start])
-    step = STEP + READING * paired
+    step = STEP + PAIRING * paired
     plain = float((step * (3.0 + 2.0 * created[1:]) ** 2).sum())
     epochs, seconds, begin, frames = list[Epoch](), 0.0, 0, len(start) - 1
     while begin < frames:
@@ -101,10 +94,8 @@ def plan(decisions: IntArray, start: IntArray) -> Plan:
 
 
 def worthwhile(inputs: Inputs, decisions: IntArray, options: FilterOptions = DEFAULT) -> list[Epoch] | None:
-    """Epochs in which the filter is faster than without, or None.
-
-    None, too, for filters that parking would change: the invariant one moves all landmarks, and an iterated one ends by
-    how far all of them moved.
+    """Epochs in which the filter is faster than without, or None. None also for filters that parking would change: the
+    invariant one moves all landmarks, and an iterated one ends by the largest motion of all of them.
     """
     if inputs.map is not None or options.invariant or options.iterations > 1 or (decisions == NEW).sum() < LEAST:
         return None
@@ -113,7 +104,7 @@ def worthwhile(inputs: Inputs, decisions: IntArray, options: FilterOptions = DEF
 
 
 @dataclass
-class Whole:
+class FullMap:
     """The map between two epochs: mean (2n,), P, cross-covariance with the robot (2n, 3 + p), first estimates (2n,)."""
 
     mean: Array
@@ -130,16 +121,16 @@ def run_in_epochs(
     threshold: float = np.inf,
     options: FilterOptions = DEFAULT,
 ) -> FilterRun:
-    """What `ekf.whole_run.run_filter` gives for EKF-SLAM, up to rounding; arguments as there."""
+    """The result of `ekf.whole_run.run_filter` for EKF-SLAM, up to rounding; arguments as there."""
     n, o = len(inputs), inputs.observations
-    number, total = numbers_of(decisions)
+    number, total = landmark_numbers(decisions)
     decided = np.array(decisions, np.int64)
     of = inputs.systematic
     frame = frame_of(of, inputs.sensor, inputs.prior, options, slam=True)
     errors, sensor = systematic.as_states(of, frame), frame.sensor(inputs.sensor)
     base = 3 + len(errors.place)
-    track = blank(n, base, len(o.z))
-    whole = Whole(np.zeros(2 * total), Triangle(), np.zeros((2 * total, base)), np.zeros(2 * total))
+    track = empty_track(n, base, len(o.z))
+    whole = FullMap(np.zeros(2 * total), Triangle(), np.zeros((2 * total, base)), np.zeros(2 * total))
     mean, P = systematic.begin(inputs.prior, of, frame)
     robot = np.array(mean, float), np.array(P, float), np.array(mean, float)
     created, failure = 0, None
@@ -147,7 +138,7 @@ def run_in_epochs(
     for epoch in epochs:
         rows = slice(inputs.start[epoch.begin], inputs.start[epoch.end])
         new = int((decisions[rows] == NEW).sum())
-        state = begun(whole, robot, epoch, created, new, options.first_estimates)
+        state = begin_epoch(whole, robot, epoch, created, new, options.first_estimates)
         slot_of[epoch.active] = np.arange(len(epoch.active))
         slot_of[created : created + new] = (state.d - base) // 2 + np.arange(new)
         decided[rows] = np.where(decisions[rows] >= 0, slot_of[np.maximum(number[rows], 0)], decisions[rows])
@@ -169,8 +160,8 @@ def run_in_epochs(
         reached = epoch.end if status == kernels.OK else epoch.begin + int(stopped) + 1
         track.size[epoch.begin : reached] += base + 2 * created - state.d
         new = (d - state.d) // 2
-        with np.errstate(all="ignore"):  # a filter that failed may hold anything
-            robot = ended(whole, state, epoch, created, new)
+        with np.errstate(all="ignore"):  # the state of a failed filter is undefined
+            robot = end_epoch(whole, state, epoch, created, new)
         created += new
         if status != kernels.OK:
             failure = (reached - 1, kernels.FAILURES[status])
@@ -185,10 +176,8 @@ def run_in_epochs(
 
 
 class State(NamedTuple):
-    """Buffers of an epoch: robot, active landmarks, y and (if that is odd) nothing, then room for new landmarks.
-
-    d: length without the new ones; y: length of y; C: (2b, y), D of `ekf.parking`; of active
-    landmarks its rows mean nothing.
+    """Buffers of an epoch: robot, active landmarks, y, padding to an even length, then room for new landmarks. d:
+    length without new landmarks; y: length of y; C: (2b, y), D of `ekf.parking`, undefined in rows of active landmarks.
     """
 
     mean: Array
@@ -203,7 +192,7 @@ Robot = tuple[Array, Array, Array]
 """Mean (3 + p,), covariance (3 + p, 3 + p) and first estimate (3 + p,) of pose and systematic errors."""
 
 
-def begun(whole: Whole, robot: Robot, epoch: Epoch, created: int, new: int, first_estimates: bool) -> State:
+def begin_epoch(whole: FullMap, robot: Robot, epoch: Epoch, created: int, new: int, first_estimates: bool) -> State:
     """The state at the beginning of an epoch that will initialize `new` landmarks."""
     at = coordinates(epoch.active)
     base = len(robot[0])
@@ -228,8 +217,8 @@ def begun(whole: Whole, robot: Robot, epoch: Epoch, created: int, new: int, firs
     return State(mean, P, first, d, y, D)
 
 
-def ended(whole: Whole, state: State, epoch: Epoch, created: int, new: int) -> Robot:
-    """Bring the map up to date after an epoch that initialized `new` landmarks; the robot."""
+def end_epoch(whole: FullMap, state: State, epoch: Epoch, created: int, new: int) -> Robot:
+    """Update the map after an epoch that initialized `new` landmarks; returns the robot."""
     at = coordinates(epoch.active)
     base = whole.robot.shape[1]
     a, end = base + len(at), state.d + 2 * new

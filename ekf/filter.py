@@ -1,4 +1,4 @@
-"""What localizer and SLAM filter share: the state buffers, prediction, and the expectation formed from them."""
+"""The common part of localizer and SLAM filter: state buffers, prediction, and the expectation."""
 
 from __future__ import annotations
 
@@ -9,25 +9,26 @@ import numpy as np
 from association.expectation import Expectation
 from data.blocks import coordinates_from
 from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic
-from data.result import PoseEstimate
+from data.motion.systematic import SensorFrame, sensor_frame
+from data.result import PoseEstimate, Updated
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
 from ekf import kernels, systematic, updates
-from ekf.walls import frame_of
+from ekf.walls import WallFrame
 
 
 class FilterDivergedError(Exception):
-    """The filter cannot go on: its state is not finite or a covariance is not positive semidefinite."""
+    """The state is not finite, or a covariance is not positive semidefinite."""
 
 
 @dataclass(frozen=True)
 class FilterOptions:
-    """How the update is done; the defaults are what every report uses unless it says otherwise.
+    """Variants of the update; reports use the defaults unless they say otherwise.
 
     Attributes:
         each: one update per observation (linearized one after the other) instead of one stacked update per frame.
-        invariant: the correction moves pose and landmarks together (right-invariant EKF); Jacobians stay as they are.
-        iterations: how often an update is linearized at most, each time where the last one led (1: the plain EKF).
+        invariant: the correction moves pose and landmarks together (right-invariant EKF).
+        iterations: largest number of linearizations of an update (1: the plain EKF).
         first_estimates: Jacobians at the first estimates, predicted poses and landmarks as initialized (FEJ-EKF).
         new_variance: m^2; a new landmark gets this variance and no correlation (None: the exact augmentation).
         new_variance_per_square: the same as a share of its squared distance from the sensor; step by step only.
@@ -46,17 +47,12 @@ class FilterOptions:
                 "first estimates exclude iterations and the invariant correction, which linearize elsewhere"
             )
 
-    @property
-    def rule(self) -> tuple[int, int]:
-        """How the correction is found and applied, as the kernels take it."""
-        return self.rule_with(0)
-
-    def rule_with(self, errors: int) -> tuple[int, int]:
-        """The same for a state with so many systematic errors between pose and landmarks."""
+    def rule(self, errors: int = 0) -> tuple[int, int]:
+        """Retraction and iterations for the kernels, for a state with this many systematic errors."""
         return updates.INVARIANT + errors if self.invariant else updates.ADDITIVE, self.iterations
 
     def augment_variance(self, distance: float) -> float:
-        """Variance of a new landmark at a distance [m], as the kernels take it: negative for the exact augmentation."""
+        """Variance of a new landmark at a distance [m]; negative for the exact augmentation."""
         if self.new_variance_per_square is not None:
             return self.new_variance_per_square * distance**2
         return -1.0 if self.new_variance is None else self.new_variance
@@ -66,21 +62,43 @@ DEFAULT = FilterOptions()
 """One stacked update per frame, exact augmentation."""
 
 
+def frame_of(
+    systematic: Systematic | None, sensor: Sensor, prior: Prior, options: FilterOptions, *, slam: bool
+) -> SensorFrame:
+    """The frame of a filter's state. Raises ValueError for options that walls exclude (see `lack`)."""
+    if not sensor.sees_points:
+        if why := lack(options, systematic, slam=slam):
+            raise ValueError(why)
+        if slam:
+            return WallFrame(np.zeros(3), np.array(prior.mean[:2]), -1, -1)
+    return sensor_frame(systematic, sensor, prior)
+
+
+def lack(options: FilterOptions, systematic: Systematic | None, *, slam: bool) -> str | None:
+    """Why a filter with these options and errors cannot use walls, in a sentence; None if it can."""
+    if slam and options.invariant:
+        return "the invariant correction moves landmarks as points; walls need another filter"
+    if slam and (options.new_variance is not None or options.new_variance_per_square is not None):
+        return "a new wall has a distance and a direction, which have no variance in common"
+    if systematic is not None and systematic.of_sensor:
+        return "errors of range and bearing need a sensor of points; with walls only odometry's errors can be estimated"
+    return None
+
+
 class Filter:
-    """State mean and covariance in buffers that grow in place; see `ekf.kernels` for the layout.
+    """State mean and covariance in growing buffers; see `ekf.kernels` for the layout.
 
-    The state is the leading `size` entries. The `_carried` entries behind it go through every step with it but are no
-    part of it (see `ekf.parking`; only a SLAM filter with parked landmarks has any).
+    The state is the leading `size` entries. The `_carried` entries behind it are updated along with it (see
+    `ekf.parking`).
 
-    With systematic errors, these are states behind the pose. Where the sensor's are among them, everything inside,
-    expectations included, is in the sensor's frame, and in SLAM with walls about the first pose (`ekf.walls`); poses
-    and maps that are handed in and out are in the world.
+    Systematic errors are states behind the pose. With errors of the sensor, state and expectations are in the sensor's
+    frame; in SLAM with walls, about the first pose (`ekf.walls`). Poses and maps go in and out in the world frame.
 
     Attributes:
         smooths: False: a filter does not revise its past.
         sensor: in the frame of the state.
-        size: length of the state, errors included, parked landmarks aside.
-        base: where the landmarks begin, behind pose and errors.
+        size: length of the state with systematic errors, without parked landmarks.
+        base: offset of the landmarks, behind pose and systematic errors.
     """
 
     smooths = False
@@ -88,13 +106,13 @@ class Filter:
     def __init__(
         self, prior: Prior, sensor: Sensor, options: FilterOptions, errors: Systematic | None, landmarks: int = 0
     ) -> None:
-        """Start at the prior. `landmarks`: how many to have room for; none of them are states in a known map."""
+        """Start at the prior with room for `landmarks`; 0 in a known map."""
         self._frame, self._systematic = frame_of(errors, sensor, prior, options, slam=landmarks > 0), errors
         self._errors = systematic.as_states(errors, self._frame)
         self.sensor, self.options = self._frame.sensor(sensor), options
         self._kind, self._extrinsic = self.sensor.kind, self.sensor.extrinsic
         self.base = self.size = 3 + len(self._errors.place)
-        self._rule = options.rule_with(len(self._errors.place))
+        self._rule = options.rule(len(self._errors.place))
         capacity, start = self.base + 2 * landmarks, slice(0, self.base)
         self._mean, self._P = np.zeros(capacity), np.zeros((capacity, capacity))
         self._mean[start], self._P[start, start] = systematic.begin(prior, errors, self._frame)
@@ -104,11 +122,11 @@ class Filter:
 
     @property
     def _used(self) -> int:
-        """How much of the buffers is in use."""
+        """Length of the buffers in use."""
         return self.size + self._carried
 
     def _grow(self, extra: int) -> None:
-        """Room for `extra` more landmarks; capacity at least doubles, so growing is rare."""
+        """Room for `extra` more landmarks; the capacity at least doubles."""
         need, old = self._used + 2 * extra, len(self._mean)
         if need > old:
             capacity = max(need, 2 * old)
@@ -119,7 +137,7 @@ class Filter:
                 self._first = np.concatenate([self._first, np.zeros(capacity - old)])
 
     def predict(self, increment: Increment) -> None:
-        """Move by an increment."""
+        """Predict with an increment."""
         self._version += 1
         state = self._mean, self._P, self._used, increment.mean, increment.covariance, self._first
         if self._systematic is None:
@@ -128,7 +146,7 @@ class Filter:
             systematic.predict_with_errors(*state, self._errors)
 
     def inflate(self, covariance: Array) -> None:
-        """The last motion is not to be believed: so much covariance (3, 3), world frame, is added to the pose's."""
+        """Add covariance (3, 3), world frame, to the pose's after an unreliable motion."""
         self._version += 1
         if not self._frame.same:
             inside = self._inside()
@@ -136,7 +154,7 @@ class Filter:
         self._P[:3, :3] += covariance
 
     def _inside(self) -> Array:
-        """Jacobian (3, 3) of the pose in the state to that in the world, at the present estimates."""
+        """Jacobian (3, 3) of the pose in the state with respect to the pose in the world."""
         _, J = self._frame.poses_out(self._mean[None, :3], self._mean[None, 3 : self.base])
         return np.asarray(np.linalg.inv(J[0, :, :3]), np.float64)
 
@@ -150,13 +168,13 @@ class Filter:
 
     @property
     def errors(self) -> tuple[Array, Array] | None:
-        """Systematic errors (p,) and their covariance (p, p), in the order of their names (copies); None: no such."""
+        """Systematic errors (p,) and their covariance (p, p) (copies), or None."""
         b = slice(3, self.base)
         return None if self._systematic is None else (self._mean[b].copy(), self._P[b, b].copy())
 
     @property
     def mean(self) -> Array:
-        """The whole state vector (d,), a copy: pose, errors, landmarks."""
+        """The whole state vector (d,), a copy: pose, systematic errors, landmarks."""
         return self._mean[: self.size].copy()
 
     @property
@@ -165,7 +183,7 @@ class Filter:
         return self._P[: self.size, : self.size].copy()
 
     def _state_at(self, pose: Array) -> Array:
-        """A copy of the state with this pose (3,), its heading not wrapped: differences to the mean are as they are."""
+        """A copy of the state with this pose (3,), its heading within half a turn of the mean's."""
         state = self._mean[: self._used].copy()
         if not self._frame.same:
             pose = self._frame.poses_in(pose[None], state[None, 3 : self.base])[0]
@@ -175,35 +193,34 @@ class Filter:
     def _expect(
         self, observations: FrameObservations, number: IntArray, at: IntArray, known: Array, pose: Array | None = None
     ) -> Expectation:
-        """Expectation over candidates that stand at offsets `at` of the state, or in `known` where `at` is negative.
-
-        It is linearized at the mean, or at another `pose` (3,).
+        """Expectation of candidates at state offsets `at`, or in `known` where negative, linearized at the mean or
+        `pose`.
         """
         n, m = len(number), len(observations.z)
         z_hat, blocks = np.empty((n, 2)), np.empty((n, 2, 2))
-        version, state = self._version, self._mean
+        version, state = self._version, self._mean if pose is None else self._state_at(pose)
+        self._predict_measurements(state, at, known, z_hat, blocks)
         if pose is not None:
-            state = self._state_at(pose)
-        self._look(state, at, known, z_hat, blocks)
-        if pose is not None:
-            xy = np.where(at[:, None] >= 0, state[np.maximum(at, 0)[:, None] + np.arange(2)], self._seen_at(known))
+            xy = np.where(at[:, None] >= 0, state[np.maximum(at, 0)[:, None] + np.arange(2)], self._in_frame(known))
             z_hat += self.sensor.jacobians(state[:3], xy)[0] @ (self._mean[:3] - state[:3])
 
-        def joint(indices: IntArray) -> Array:
+        def check() -> None:
             if version != self._version:
-                raise RuntimeError("the filter has moved on since this expectation was formed")
+                raise RuntimeError("the filter was updated since this expectation was formed; form a new one")
+
+        def joint(indices: IntArray) -> Array:
+            check()
             chosen = np.asarray(indices, np.int64)
             k = len(chosen)
-            mean, P, first, moved = self._gathered(state, at[chosen], known[chosen])
+            mean, P, first, moved = self._substate(state, at[chosen], known[chosen])
             d = len(mean)
-            seen = kernels.Seen(moved, known[chosen], z_hat[chosen], np.zeros((k, 2, 2)))
+            seen = kernels.Pairings(moved, known[chosen], z_hat[chosen], np.zeros((k, 2, 2)))
             found = kernels.Innovation(np.empty(2 * k), np.empty((d, 2 * k)), np.empty((2 * k, 2 * k)))
             kernels.innovate(self._kind, self._extrinsic, mean, mean, P, d, seen, found, first)
             return found.S
 
         def elsewhere(pose: Array) -> Expectation:
-            if version != self._version:
-                raise RuntimeError("the filter has moved on since this expectation was formed")
+            check()
             return self._expect(observations, number, at, known, pose)
 
         frames = np.zeros(n, np.int64), np.zeros(m, np.int64)
@@ -212,17 +229,17 @@ class Filter:
             None if len(self._first) else elsewhere,
         )  # fmt: skip
 
-    def _look(self, state: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array) -> None:
+    def _predict_measurements(self, state: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array) -> None:
         """Expected measurements z_hat (n, 2) and their covariances (n, 2, 2) of candidates; see `_expect`."""
         kernels.expect(self._kind, self._extrinsic, state, self._P, at, known, z_hat, blocks, self._first)
 
-    def _seen_at(self, known: Array) -> Array:
-        """Where known landmarks (n, 2) stand in the frame of the state."""
+    def _in_frame(self, known: Array) -> Array:
+        """Known landmarks (n, 2) in the frame of the state."""
         return known
 
-    def _gathered(self, state: Array, at: IntArray, known: Array) -> tuple[Array, Array, Array, IntArray]:
-        """Mean, covariance and first estimates of the pose and the landmarks at offsets `at` (k,), and these' offsets
-        there: what enters a joint innovation, so that the cost does not grow with the map.
+    def _substate(self, state: Array, at: IntArray, known: Array) -> tuple[Array, Array, Array, IntArray]:
+        """Mean, covariance and first estimates of the pose and the landmarks at offsets `at` (k,), and the new offsets.
+        The cost of a joint innovation then does not grow with the map.
         """
         held = at >= 0
         index = np.concatenate([np.arange(3), coordinates_from(at[held])])
@@ -230,6 +247,21 @@ class Filter:
         moved[held] = np.arange(3, len(index), 2)
         first = self._first[index] if len(self._first) else self._first
         return state[index], self._P[np.ix_(index, index)], first, moved
+
+    def _updated(
+        self,
+        observations: FrameObservations,
+        decisions: IntArray,
+        at: IntArray,
+        known: Array,
+        threshold: float,
+        pose: Array | None,
+    ) -> Updated:
+        """`_correct` with the paired observations, without new landmarks."""
+        paired, m = np.flatnonzero(decisions >= 0), len(decisions)
+        used, white, created = np.zeros(m, np.bool_), np.full((m, 2), np.nan), np.full(m, -1, np.int64)
+        used[paired], stats, white[paired] = self._correct(observations, paired, at, known, threshold, pose)
+        return Updated(used, created, float(stats[0]), int(stats[2]), float(stats[1]), white)
 
     def _correct(
         self,
@@ -240,15 +272,16 @@ class Filter:
         threshold: float,
         pose: Array | None = None,
     ) -> tuple[BoolArray, Array, Array]:
-        """Update with the observations `rows` (k,); returns which passed the gate, (NIS, log-likelihood, dof), and each
-        innovation in units of its own standard deviation (k, 2). It is first linearized at the mean, or at `pose` (3,);
-        with first estimates, at these in any case.
+        """Update with the observations `rows` (k,), linearized at the mean, at `pose` (3,), or at the first estimates.
+
+        Returns which passed the gate, (NIS, log-likelihood, dof), and each innovation divided by its standard deviation
+        (k, 2).
         """
         self._version += 1
-        done = updates.Done(np.ones(len(rows), np.bool_), np.zeros(3), np.full((len(rows), 2), np.nan))
+        done = updates.Outcome(np.ones(len(rows), np.bool_), np.zeros(3), np.full((len(rows), 2), np.nan))
         if len(rows):
-            seen = kernels.Seen(at, known, observations.z[rows], observations.R[rows])
-            how = updates.How(threshold, *self._rule, self._first)
+            seen = kernels.Pairings(at, known, observations.z[rows], observations.R[rows])
+            how = updates.UpdateRule(threshold, *self._rule, self._first)
             rest = self._mean, self._P, self._used, seen, how, done
             if pose is not None and not len(self._first):
                 status = updates.update_from(self._kind, self._extrinsic, self._state_at(pose), *rest)

@@ -1,12 +1,11 @@
-"""The filter's compiled steps: predict, expect, innovate, augment, on buffers that grow in place (see `ekf.updates`).
+"""Compiled steps of the filter: predict, expect, innovate, augment, on growing buffers (see `ekf.updates`).
 
-State vector [x, y, theta, l1x, l1y, ...]; `mean` (C,) and `P` (C, C) are buffers of which the leading `d` entries are
-in use. P is the covariance of the additive world-frame error. One set of these functions serves the step-by-step
-filters and the whole-run loop (`run`): same arithmetic, same bytes.
+State vector [x, y, theta, l1x, l1y, ...]; the leading `d` entries of `mean` (C,) and `P` (C, C) are in use. P is the
+covariance of the additive world-frame error. Step-by-step filters and the whole-run loop (`run`) use the same
+functions, with the same bytes.
 
-`first` (C,) holds the first estimates (the last predicted pose, each landmark where it was initialized) of a filter
-that takes its Jacobians there (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010, section 5.2); empty: at the newest
-ones.
+`first` (C,) holds the first estimates (last predicted pose, landmarks as initialized) at which an FEJ filter takes its
+Jacobians (Huang, Mourikis and Roumeliotis, IJRR 29(5), 2010, section 5.2); empty: at the newest estimates.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from data.se2 import Array, BoolArray
 from data.sensors import LINE, invert, measure, name_as_read, residual, wrap_angle_jit
 
 NEWEST = np.empty(0)
-"""First estimates of a filter that has none: Jacobians at the newest estimates."""
+"""First estimates of a filter without any: Jacobians at the newest estimates."""
 NEW = -1
 DISCARD = -2
 OK = 0
@@ -31,11 +30,9 @@ NOT_PSD = 2
 FAILURES = {NOT_FINITE: "the state is no longer finite", NOT_PSD: "a covariance lost positive definiteness"}
 
 
-class Seen(NamedTuple):
-    """Observations z (k, 2), R (k, 2, 2) and the landmarks that they are paired with.
-
-    `at` (k,) is the offset of each landmark in the state; where it is negative the landmark is known and stands in
-    `known` (k, 2).
+class Pairings(NamedTuple):
+    """Observations z (k, 2), R (k, 2, 2) and the landmarks that they are paired with. `at` (k,) is the offset of each
+    landmark in the state; where it is negative, the landmark is known and is row `known` (k, 2).
     """
 
     at: IntArray
@@ -45,7 +42,7 @@ class Seen(NamedTuple):
 
 
 class Innovation(NamedTuple):
-    """nu (2k,), its covariance S (2k, 2k), and PHt (d, 2k), that of the state with it."""
+    """nu (2k,), its covariance S (2k, 2k), and its cross-covariance PHt (d, 2k) with the state."""
 
     nu: Array
     PHt: Array
@@ -54,10 +51,8 @@ class Innovation(NamedTuple):
 
 @numba.njit(cache=True)
 def predict(mean: Array, P: Array, d: int, motion: Array, M: Array, first: Array) -> None:
-    """Move by a body-frame increment `motion` (3,) with covariance M (3, 3): P <- F P F' + G M G', map untouched.
-
-    F differs from I in its third column only, so the cross-covariances with the map change by multiples of row 2. With
-    first estimates that column is the displacement between one predicted position and the next.
+    """Move by a body-frame increment `motion` (3,) with covariance M (3, 3): P <- F P F' + G M G', map unchanged. F
+    differs from I only in its third column: with first estimates, the displacement between predicted positions.
     """
     c, s = math.cos(mean[2]), math.sin(mean[2])
     wx, wy = c * motion[0] - s * motion[1], s * motion[0] + c * motion[1]
@@ -93,11 +88,18 @@ def predict(mean: Array, P: Array, d: int, motion: Array, M: Array, first: Array
 
 @numba.njit(cache=True)
 def innovate(
-    kind: int, extrinsic: Array, mean: Array, base: Array, P: Array, d: int, seen: Seen, out: Innovation, first: Array
+    kind: int,
+    extrinsic: Array,
+    mean: Array,
+    base: Array,
+    P: Array,
+    d: int,
+    seen: Pairings,
+    out: Innovation,
+    first: Array,
 ) -> None:
-    """Fill `out` with the innovation of k paired observations, all Jacobians at `mean` or `first`.
-
-    `base` is the prediction: nu = z - h(mean) - H (base - mean), so the two differ only where an update is iterated.
+    """Fill `out` with the innovation of k paired observations, all Jacobians at `mean` or `first`. `base` is the
+    prediction: nu = z - h(mean) - H (base - mean), so the two differ only in an iterated update.
     """
     at, known, z, R = seen
     nu, PHt, S = out
@@ -106,7 +108,7 @@ def innovate(
     z_hat, Hx, Hl = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
     for i in range(k):
         a = at[i]
-        look(kind, extrinsic, mean, a, known[i], first, z_hat, Hx, Hl)
+        measure_landmark(kind, extrinsic, mean, a, known[i], first, z_hat, Hx, Hl)
         name_as_read(kind, z[i], z_hat, Hx, Hl)
         residual(kind, z[i], z_hat, nu[2 * i : 2 * i + 2])
         H[i, :, :3] = Hx
@@ -139,10 +141,10 @@ def innovate(
 
 
 @numba.njit(cache=True)
-def look(
+def measure_landmark(
     kind: int, extrinsic: Array, mean: Array, a: int, known: Array, first: Array, z_hat: Array, Hx: Array, Hl: Array
 ) -> None:
-    """`measure` a landmark: at offset `a` of the state, or `known` (2,) where a < 0; Jacobians at `first` if given."""
+    """`measure` a landmark at offset `a` of the state, or `known` (2,) where a < 0; Jacobians at `first` if given."""
     measure(kind, extrinsic, mean, known if a < 0 else mean[a : a + 2], z_hat, Hx, Hl)
     if len(first):
         at_first = np.empty(2)
@@ -166,10 +168,10 @@ def healthy(mean: Array, P: Array) -> int:
 def augment(
     kind: int, extrinsic: Array, mean: Array, P: Array, d: int, z: Array, R: Array, variance: float, first: Array
 ) -> None:
-    """Append the landmark that z (2,) shows from the present pose; the caller has room for d + 2 states.
+    """Append the landmark observed at z (2,) from the present pose; the buffers have room for d + 2 states.
 
     P_new = [[P, P Gx'], [Gx P, Gx P Gx' + Gz R Gz']]. With `variance` >= 0 the landmark instead gets variance * I and
-    no correlation (the classic tutorials' way, overconfident by construction).
+    no correlation (as in the classic tutorials, overconfident by construction).
     """
     landmark, Gx, Gz = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
     invert(kind, extrinsic, mean, z, landmark, Gx, Gz)
@@ -203,7 +205,7 @@ def augment(
 
 @numba.njit(cache=True)
 def gate(nu: Array, S: Array, threshold: float, keep: BoolArray) -> int:
-    """Set keep (k,): is each observation's own squared Mahalanobis distance below `threshold`? Returns the count."""
+    """Set keep (k,) where an observation's squared Mahalanobis distance is below `threshold`; returns the count."""
     count = 0
     for i in range(len(keep)):
         a, b, c = S[2 * i, 2 * i], S[2 * i, 2 * i + 1], S[2 * i + 1, 2 * i + 1]
@@ -232,14 +234,20 @@ def expect(
     for i in range(len(at)):
         a = at[i]
         n = 3 if a < 0 else 5
-        look(kind, extrinsic, mean, a, known[i], first, z_hat[i], Hx, Hl)
+        measure_landmark(kind, extrinsic, mean, a, known[i], first, z_hat[i], Hx, Hl)
         H[:, :3], H[:, 3:] = Hx, Hl
         columns[0], columns[1], columns[2], columns[3], columns[4] = 0, 1, 2, a, a + 1
-        for q in range(2):
-            for p in range(q + 1):
-                total = 0.0
-                for r in range(n):
-                    for c in range(n):
-                        total += H[q, r] * P[columns[r], columns[c]] * H[p, c]
-                blocks[i, q, p] = total
-                blocks[i, p, q] = total
+        propagate(H, columns[:n], P, blocks[i])
+
+
+@numba.njit(cache=True)
+def propagate(H: Array, columns: IntArray, P: Array, out: Array) -> None:
+    """H P H' (2, 2) of the states `columns` (n,)."""
+    for q in range(2):
+        for p in range(q + 1):
+            total = 0.0
+            for r in range(len(columns)):
+                for c in range(len(columns)):
+                    total += H[q, r] * P[columns[r], columns[c]] * H[p, c]
+            out[q, p] = total
+            out[p, q] = total

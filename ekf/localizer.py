@@ -1,4 +1,4 @@
-"""EKF localization: the pose (and systematic errors), a known map, observations paired with the map's ids."""
+"""EKF localization: pose and systematic errors, with a known map."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from association.candidates import Places, reading_radius
+from association.candidates import Places, gate_radius
 from association.expectation import Expectation
 from data.inputs import FrameObservations, IntArray, LandmarkMap, Prior, Systematic
 from data.result import Finished, MapState, Updated
@@ -21,7 +21,7 @@ class EkfLocalizer(Filter):
 
     Attributes:
         map: the known landmarks.
-        within: `expect` may leave out landmarks that are beyond this squared distance of every reading.
+        within: squared distance from every observation beyond which `expect` may omit landmarks.
     """
 
     def __init__(
@@ -33,50 +33,41 @@ class EkfLocalizer(Filter):
         *,
         systematic: Systematic | None = None,
     ) -> None:
-        """Start at the prior with a map taken as exact; `systematic`: errors to estimate along."""
+        """Start at the prior with an exact map; `systematic`: errors to estimate."""
         super().__init__(prior, sensor, options, systematic)
         self.map, self.within = known, math.inf
         self._places = Places(known.xy)
 
-    def rows_of(self, decisions: IntArray) -> IntArray:
-        """Row of the map for each decision; raises ValueError for an id the map does not have."""
-        rows = self.map.rows(decisions)
-        if np.any(rows < 0):
-            raise ValueError(f"decisions {decisions.tolist()} name a landmark the map does not have")
-        return rows
-
     def expect(self, observations: FrameObservations) -> Expectation:
-        """What the filter expects of the landmarks of the map. Valid until the next `predict` or `update`."""
-        near = self._places.around(*self._surroundings(observations))
+        """Expectation of the map's landmarks, valid until the next `predict` or `update`."""
+        near = self._places.around(*self._search_circle(observations))
         return self._expect(observations, self.map.id[near], np.full(len(near), -1, np.int64), self.map.xy[near])
 
-    def _surroundings(self, observations: FrameObservations) -> tuple[Array, float]:
-        """Where (2,) in the world, and within what radius [m], the landmarks of `within` must be."""
+    def _search_circle(self, observations: FrameObservations) -> tuple[Array, float]:
+        """Centre (2,) in the world and radius [m] of a circle around all landmarks of `within`."""
         P, a = self._P, self._errors.range_at
-        radius = reading_radius(self.sensor, P[:3, :3], observations, self.within)
+        radius = gate_radius(self.sensor, P[:3, :3], observations, self.within)
         if a < 0 or not math.isfinite(radius):
             return self._mean[:2], radius
-        # a landmark that stands r from the sensor in the world and q from the origin is expected at (1 + range) r, and
-        # that is uncertain by at most the sum of what the pose and what q, at most r and the sensor's own way, bring
+        # a landmark at r from the sensor and q from the origin is expected at (1 + range) r, uncertain by at most the
+        # sum of the pose's part and that of q, which is at most r and the sensor's distance from the origin
         size, sigmas = 1.0 + self._mean[a], math.sqrt(self.within * P[a, a])
         centre = self._frame.points_out(self._mean[None, :2], self._mean[3 : self.base])[0][0]
         swing = math.hypot(*(centre - self._errors.origin)) * sigmas
         return centre, (radius + swing) / (size - sigmas) if size > sigmas else math.inf
 
-    def _look(self, state: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array) -> None:
+    def _predict_measurements(self, state: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array) -> None:
         if self._errors.range_at < 0:
-            super()._look(state, at, known, z_hat, blocks)
+            super()._predict_measurements(state, at, known, z_hat, blocks)
             return
-        expect_known(
-            self._kind, self._extrinsic, state, self._P, known, z_hat, blocks, self._first, self._errors
-        )  # fmt: skip
+        expect_known(self._kind, self._extrinsic, state, self._P, known, z_hat, blocks, self._first, self._errors)
 
-    def _seen_at(self, known: Array) -> Array:
+    def _in_frame(self, known: Array) -> Array:
         return self._frame.points_in(known, self._mean[3 : self.base])[0]
 
-    def _gathered(self, state: Array, at: IntArray, known: Array) -> tuple[Array, Array, Array, IntArray]:
+    def _substate(self, state: Array, at: IntArray, known: Array) -> tuple[Array, Array, Array, IntArray]:
         if self._errors.range_at < 0:
-            return super()._gathered(state, at, known)
+            return super()._substate(state, at, known)
         d, b = self.base + 2 * len(at), self.base
         mean, P, first = np.zeros(d), np.zeros((d, d)), self._first
         mean[:b], P[:b, :b] = state[:b], self._P[:b, :b]
@@ -95,27 +86,25 @@ class EkfLocalizer(Filter):
         innovations: bool = True,
     ) -> Updated:
         """One update with every observation whose decision is a landmark id and whose d^2 is below `threshold`.
-
-        It is first linearized at the prediction, or at the pose `at` (3,) if that is known to be better. A filter
-        forms its innovations whether they are asked for or not.
+        Linearized first at the prediction, or at a pose `at` (3,). A filter always forms its innovations.
         """
         paired = np.flatnonzero(decisions >= 0)
-        known = self.map.xy[self.rows_of(decisions[paired])]
+        rows = self.map.rows(decisions[paired])
+        if np.any(rows < 0):
+            raise ValueError(f"decisions {decisions[paired].tolist()} name a landmark the map does not have")
+        known = self.map.xy[rows]
         given = np.full(len(paired), -1, np.int64)
         if self._errors.range_at >= 0:
-            # states while the update lasts
+            # temporary states of the update
             self._grow(len(paired))
             hold_known(self._mean, self._P, self.base, known, self._first, self._errors)
             given, self._carried = self.base + 2 * np.arange(len(paired), dtype=np.int64), 2 * len(paired)
-        keep, stats, white = self._correct(observations, paired, given, known, threshold, at)
+        updated = self._updated(observations, decisions, given, known, threshold, at)
         self._carried = 0
-        used, whitened = np.zeros(len(decisions), np.bool_), np.full((len(decisions), 2), np.nan)
-        used[paired], whitened[paired] = keep, white
-        nothing = np.full(len(decisions), -1, np.int64)
-        return Updated(used, nothing, float(stats[0]), int(stats[2]), float(stats[1]), whitened)
+        return updated
 
     def reset(self, mean: Array, covariance: Array) -> None:
-        """Believe another pose (3,) of covariance (3, 3), whatever was believed before; errors are as they were."""
+        """Set pose (3,) and covariance (3, 3), and keep the systematic errors."""
         self._version += 1
         b = self.base
         self._mean[:3] = self._frame.poses_in(mean[None], self._mean[None, 3:b])[0]
@@ -135,5 +124,5 @@ class EkfLocalizer(Filter):
         return MapState(self.map.id, self.map.xy, np.zeros((len(self.map.id), 2, 2)))
 
     def finish(self) -> Finished:
-        """Nothing to smooth, no map of its own."""
+        """No smoothed path, and no map of its own."""
         return Finished(None, None)

@@ -1,16 +1,16 @@
-"""Which parked landmarks a reading could be paired with, told without taking any of them back.
+"""Parked landmarks that an observation could be paired with, found without restoring any.
 
-Everything used here is a bound, so that no landmark is missed. Since the epoch began (t0) a landmark's position l and
-the pose x0 that the robot had then are both constant, so
+All tests are bounds, so no landmark is missed. A landmark's position l and the pose x0 at the beginning of the epoch
+(t0) are constant, so
 
     the covariance of l, and of l - x0, can only have become smaller, and
     the estimate of l - x0 has moved by at most |y| times its standard deviation at t0
 
-(a constant s = m + D y with |D|^2 at most its variance at t0, see `ekf.parking`). A reading z of l within a squared
-distance g has |range(z) - range(l)| <= sqrt(g S) with S the variance of the expected range and of the noise
-(Cauchy-Schwarz). Landmarks too far away for that are left out block by block, by the boxes around them; of the others
-mean and cross-covariance with the pose are formed, and the squared distance with P_ll as it was at t0, which is too
-small if anything. Walls are at no place: none of them is left out by where it is.
+(a constant s = m + D y with |D|^2 at most its variance at t0, see `ekf.parking`). An observation z of l within a
+squared distance g has |range(z) - range(l)| <= sqrt(g S) with S the variance of the expected range and of the noise
+(Cauchy-Schwarz). Bounding boxes exclude distant blocks of landmarks. Of the others, mean and cross-covariance with the
+pose are formed, and the squared distance with P_ll of t0, which is too small if anything. Walls are never excluded by
+their position.
 """
 
 from __future__ import annotations
@@ -21,23 +21,21 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from association.candidates import reading_radius
+from association.candidates import gate_radius
 from data.inputs import FrameObservations
 from data.se2 import Array, BoolArray
 from data.sensors import LINE, Sensor, measure, residual
 from ekf.parking import Parked
 
 BLOCK = 64
-"""Landmarks in a box, by number: they were initialized one after the other, so they are near each other."""
+"""Landmarks in a bounding box, by number: successive landmarks are near each other."""
 MARGIN = 1.0 + 1e-6
-"""Of squared distances: rounding must not leave a landmark out."""
+"""Factor on squared distances, so that rounding excludes no landmark."""
 
 
-class Surroundings(NamedTuple):
-    """The parked landmarks of an epoch: covariance (n, 2, 2) and sigma [m] of the position relative to x0 (n,).
-
-    boxes: (n / 64, 5) smallest and largest x, smallest and largest y [m], largest sigma [m]; not a number where nobody
-    is parked.
+class ParkedBounds(NamedTuple):
+    """Parked landmarks of an epoch: covariance (n, 2, 2) and sigma [m] (n,) of the position relative to x0. boxes: (n /
+    64, 5) smallest and largest x, smallest and largest y [m], largest sigma [m]; NaN where none is parked.
     """
 
     own: Array
@@ -45,12 +43,12 @@ class Surroundings(NamedTuple):
     boxes: Array
 
 
-EMPTY = Surroundings(np.empty((0, 2, 2)), np.empty(0), np.empty((0, 5)))
+EMPTY = ParkedBounds(np.empty((0, 2, 2)), np.empty(0), np.empty((0, 5)))
 """No landmark is parked."""
 
 
-def surroundings(parked: Parked, C: Array, P_xx: Array) -> Surroundings:
-    """At the beginning of an epoch; C (2n, 3) and P_xx (3, 3) are the covariances with and of the pose."""
+def parked_bounds(parked: Parked, C: Array, P_xx: Array) -> ParkedBounds:
+    """Bounds at the beginning of an epoch; C (2n, 3) and P_xx (3, 3) are the covariances with and of the pose."""
     own = parked.P.blocks()
     trace = np.trace(own, axis1=1, axis2=2) + P_xx[0, 0] + P_xx[1, 1] - 2.0 * (C[0::2, 0] + C[1::2, 1])
     sigma = np.sqrt(np.maximum(trace, 0.0))
@@ -61,50 +59,39 @@ def surroundings(parked: Parked, C: Array, P_xx: Array) -> Surroundings:
         here = b * BLOCK + np.flatnonzero(parked.based[b * BLOCK : (b + 1) * BLOCK])
         if len(here):
             boxes[b] = *np.stack([xy[here].min(0), xy[here].max(0)], 1).ravel(), sigma[here].max()
-    return Surroundings(own, sigma, boxes)
+    return ParkedBounds(own, sigma, boxes)
 
 
-def may_be_read(
+def may_be_observed(
     parked: Parked,
-    around: Surroundings,
+    around: ParkedBounds,
     sensor: Sensor,
     x: Array,
     P: Array,
     observations: FrameObservations,
     within: float,
 ) -> BoolArray:
-    """Which landmarks (n,) of these rows may be within a squared distance of some reading.
-
-    Args:
-        parked: the parked landmarks.
-        around: what was known of them when the epoch began.
-        sensor: of the readings.
-        x: (3 + k,) present mean of the pose and of y.
-        P: (3 + k, 3 + k) their covariance.
-        observations: the readings.
-        within: the squared Mahalanobis distance.
+    """Which landmarks (n,) of these rows may be within a squared distance of some observation. `around`: bounds at the
+    beginning of the epoch; x (3 + k,), P (3 + k, 3 + k): present mean and covariance of pose and y.
     """
     k, robot = parked.k, parked.robot[:2]
     y, P_yy = x[3:], P[3:, 3:]
     gate = math.sqrt(within * MARGIN)
-    # x - x0: how uncertain, and where the robot is in terms of x0 as it was believed to be
+    # covariance of x - x0, and the position relative to the estimate of x0 at that time
     step = robot @ (P_yy[:3, :3] + np.eye(3)) @ robot.T - 2.0 * P[:2, 3:6] @ robot.T + P[:2, :2]
     centre = x[:2] - robot @ y[:3]
     since = np.diag([step[0, 0], step[1, 1], P[2, 2]])
-    reach = reading_radius(sensor, np.maximum(since, 0.0), observations, within * MARGIN)
+    reach = gate_radius(sensor, np.maximum(since, 0.0), observations, within * MARGIN)
     found = np.zeros(len(parked.based), np.bool_)
     seen = FrameObservations(np.array(observations.z, float), np.array(observations.R, float))
-    near = Near(centre, reach, gate + float(np.linalg.norm(y[:k])), within * MARGIN)
+    near = Query(centre, reach, gate + float(np.linalg.norm(y[:k])), within * MARGIN)
     held = parked.mean, parked.D, parked.based
     _search(sensor.kind, sensor.extrinsic, x, P, held, around, near, seen, found)
     return found
 
 
-class Near(NamedTuple):
-    """What is looked for: within a squared distance of some reading.
-
-    Landmarks farther from `centre` (2,) than `reach` [m] and so many of their `sigmas` are left out at once.
-    """
+class Query(NamedTuple):
+    """A search without landmarks farther from `centre` (2,) than `reach` [m] plus `sigmas` standard deviations."""
 
     centre: Array
     reach: float
@@ -119,12 +106,12 @@ def _search(
     x: Array,
     P: Array,
     held: tuple[Array, Array, BoolArray],
-    around: Surroundings,
-    near: Near,
+    around: ParkedBounds,
+    near: Query,
     seen: FrameObservations,
     found: BoolArray,
 ) -> None:
-    """See `may_be_read`; `held` = means, D and which are based, as of `Parked`."""
+    """See `may_be_observed`; `held` = means, D and which are based, as of `Parked`."""
     mean, D, based = held
     own, sigma, boxes = around
     centre, reach, sigmas, within = near
@@ -158,7 +145,7 @@ def _search(
             HPHt = Hx @ np.ascontiguousarray(P[:3, :3]) @ Hx.T + mixed + mixed.T + Hl @ own[n] @ Hl.T
             for i in range(len(z)):
                 residual(kind, z[i], z_hat, nu)
-                # the noise of a wall's reading is that of its own name
+                # the noise of a wall's observation has the sign of its own normal
                 side = -1.0 if kind == LINE and math.cos(z[i, 1] - z_hat[1]) < 0.0 else 1.0
                 a, c = HPHt[0, 0] + R[i, 0, 0], HPHt[1, 1] + R[i, 1, 1]
                 off = 0.5 * (HPHt[0, 1] + HPHt[1, 0] + side * (R[i, 0, 1] + R[i, 1, 0]))

@@ -1,36 +1,33 @@
-"""Parking: landmarks leave the active state of EKF-SLAM and come back, without any approximation.
+"""Parking: landmarks leave the active state of EKF-SLAM and return, without approximation.
 
 Source: Guivant & Nebot 2001, "Optimization of the simultaneous localization and map-building algorithm for real-time
-implementation" (compressed EKF). A is the active part (pose and active landmarks), B the parked landmarks. As long as
-no measurement involves B, all that happens to B follows from what happens to A. With A0 the active part at an epoch,
-C = P_BA0, and F, H, S, K, nu of the steps since then:
+implementation" (compressed EKF). A is the active part (pose and active landmarks), B the parked landmarks. While no
+measurement involves B, the evolution of B follows from that of A. With A0 the active part at an epoch, C = P_BA0, and
+F, H, S, K, nu of the steps since then:
 
     P_AB = Phi C'                P_BB = P_BB0 - C Psi C'                   x_B = x_B0 + C theta
     predict:  Phi <- F Phi       new landmark: Phi <- [Phi; Gx Phi]
     update:   Psi += Phi' H' S^-1 H Phi,   theta += Phi' H' S^-1 nu,   Phi <- (I - K H) Phi
 
-These are the Kalman filter's own recursions for a vector that no measurement involves and that starts with mean 0,
-cross-covariance I with A0 and covariance 0. Psi is the inverse of a covariance in which many things are all but
-certain relative to each other, and C Psi C' a small difference of large terms; so what is carried is y = L' of that
-vector, with P_A0A0 = L L' and D = C L'^-1. It stands behind the active state in the filter's buffers, the compiled
-steps carry it along as they carry any landmark, and
+These are the Kalman recursions for a vector without measurements of its own, with mean 0, cross-covariance I with A0
+and covariance 0 at the start. Psi is ill-conditioned, and C Psi C' a small difference of large terms. So the filter
+carries y = L' of that vector, with P_A0A0 = L L' and D = C L'^-1, behind its active state, like a landmark:
 
     x_B = m + D y,    P_BA = D P_yA,    P_BB = P + D P_yy D'
 
-y begins with mean 0, P_yA0 = L', P_yy = 0: it is L^-1 A0, whose covariance is P_yy + I. (P_yy is no covariance, but no
-step asks it to be.) In this form no epoch need end for a landmark to move:
+y begins with mean 0, P_yA0 = L', P_yy = 0: it is L^-1 A0, whose covariance is P_yy + I. (P_yy itself need not be a
+covariance.) A landmark may move within an epoch:
 
-    parked p:    its entries move from A to the end of the buffers, behind y, for the time being (a recent landmark); if
-                 it comes back before the epoch ends, it moves back to A;
+    parked p:    its entries move from A to the end of the buffers, behind y (a recent landmark), and back to A if it is
+                 restored before the epoch ends;
     restored p:  x_p, P_pA, P_pp from the equations and P_py = D_p (P_yy + I). A0 now includes p as it was at the epoch:
                  L grows by [D_p, l], l l' = P_pp0 - D_p D_p', y by two entries with mean 0, P_yp = l' and otherwise 0,
                  and D by the columns (P_Bp0 - D D_p') l'^-1.
 
-So y grows by two entries with each landmark restored; when it has grown too long, B is brought up to date and an epoch
-begins. Where B is shorter than A, all of it is kept as if recent. So parking never makes the steps cost more than
-keeping the landmarks would.
+y grows by two entries with each landmark restored; when it has grown too long, B is updated and an epoch begins. Where
+B is shorter than A, all of it is kept as recent. So a step never costs more than without parking.
 
-A large symmetric matrix by its lower triangle, in blocks of rows: half the memory, changed in place by BLAS-3.
+Large symmetric matrices are lower triangles in blocks of rows: half the memory, changed in place by BLAS-3.
 """
 
 from __future__ import annotations
@@ -49,19 +46,18 @@ ROWS = 256
 
 
 class Triangle:
-    """Symmetric, grows by rows of zeros. Each block of rows reaches to its own diagonal and holds that block whole.
+    """A symmetric matrix that grows by rows of zeros; each block of rows includes its whole diagonal block.
 
     Attributes:
         size: rows in use.
     """
 
     def __init__(self) -> None:
-        """Of size 0."""
         self.size = 0
         self._block: list[Array] = []
 
     def grow(self, size: int) -> None:
-        """At least `size` rows, new ones of zeros."""
+        """Extend to at least `size` rows, new ones of zeros."""
         while len(self._block) * ROWS < size:
             self._block.append(np.zeros((ROWS, (len(self._block) + 1) * ROWS)))
         self.size = max(self.size, size)
@@ -102,7 +98,7 @@ class Triangle:
         return found
 
     def add_product(self, left: Array, right: Array) -> None:
-        """Add left @ right.T, of factors (size, c) that make it symmetric."""
+        """Add left @ right.T, of factors (size, c) with a symmetric product."""
         for b, block in enumerate(self._block):
             begin, end = b * ROWS, min((b + 1) * ROWS, self.size)
             block[: end - begin, :end] += left[begin:end] @ right[:end].T
@@ -121,12 +117,11 @@ class Triangle:
 
 
 LONGEST = 3
-"""y and what is recent may grow to this many times the length of A: longer steps against rarer epochs. Flat around
-here: 2 and 5 take as long."""
+"""Largest length of y and recent landmarks, relative to A: longer steps against rarer epochs. 2 and 5 take as long."""
 
 
 STRIP = 16
-"""Columns that are solved one by one; the others before them are taken off by BLAS."""
+"""Columns solved one by one; BLAS subtracts the ones before them."""
 
 
 def symmetric(P: Array) -> Array:
@@ -136,7 +131,7 @@ def symmetric(P: Array) -> Array:
 
 
 def root(P: Array) -> Array:
-    """A lower triangle L with L L' = P, or where P is semidefinite a little more than P; L is regular in any case."""
+    """A regular lower triangle L with L L' = P, or slightly more than a semidefinite P."""
     diagonal = np.diag(P)
     scale, share = np.where(diagonal > 0.0, diagonal, 1.0), 1e-15
     while share < 1.0:
@@ -169,22 +164,21 @@ def _forward(D: Array, L: Array, begin: int, end: int) -> None:
 
 
 class Parked:
-    """The parked landmarks, in terms of the carried y; landmark n has rows 2n and 2n + 1.
+    """The parked landmarks in terms of the carried y; landmark n has rows 2n and 2n + 1.
 
-    Rows of D for landmarks that are not parked, or recent, are zero; their mean and P mean nothing.
+    Rows of D for landmarks that are not parked, or recent, are zero; their mean and P are undefined.
 
     Attributes:
-        based: (n,) by landmark number, whether it is parked and stands in these rows.
+        based: (n,) by landmark number, whether it is parked and in these rows.
         recent: (r,) numbers of landmarks parked since the epoch began, in the order of the buffers.
         k: length of y.
-        epochs: how many have begun.
+        epochs: number of epochs begun.
         mean: (2n,) m, means at the epoch.
         P: (2n, 2n) m^2, covariance at the epoch.
         robot: (3, 3) the root of the pose's covariance at the epoch.
     """
 
     def __init__(self) -> None:
-        """No landmark is parked, and there is no y."""
         self.based = np.empty(0, np.bool_)
         self.recent = np.empty(0, np.int64)
         self.k, self.epochs = 0, 0
@@ -198,16 +192,16 @@ class Parked:
 
     @property
     def count(self) -> int:
-        """How many landmarks are parked."""
+        """Number of parked landmarks."""
         return len(self.numbers)
 
     @cached_property
     def numbers(self) -> IntArray:
-        """Landmarks (b,) that are parked, ascending; `changed` forgets it."""
+        """Numbers (b,) of the parked landmarks, ascending; `changed` clears the cache."""
         return np.sort(np.concatenate([np.flatnonzero(self.based), self.recent]))
 
     def changed(self) -> None:
-        """Landmarks came or went."""
+        """Clear the cache of `numbers`."""
         self.__dict__.pop("numbers", None)
 
     def holds(self, number: int) -> bool:
@@ -215,10 +209,8 @@ class Parked:
         return bool((number < len(self.based) and self.based[number]) or (self.recent == number).any())
 
     def restoring(self, numbers: IntArray, y: Array, P_yy: Array) -> tuple[Array, Array, Array, Array]:
-        """Landmarks (r,) of these rows come back, and y grows by 2r.
-
-        Given the present mean (k,) and covariance of y, gives their mean (2r,), D_p (2r, k), covariance (2r, 2r)
-        and l (2r, 2r).
+        """Restore landmarks (r,) of these rows, with which y grows by 2r, given present mean (k,) and covariance of y.
+        Returns their mean (2r,), D_p (2r, k), covariance (2r, 2r) and l (2r, 2r).
         """
         at = coordinates(numbers)
         D_p, P_pp = self.D[at], symmetric(self.P.square(at))
@@ -234,19 +226,14 @@ class Parked:
         return mean, D_p, own, small
 
     def leave(self, numbers: IntArray) -> None:
-        """Landmarks of these rows are parked no more."""
+        """Remove landmarks of these rows."""
         self.based[numbers] = False
         self.D[coordinates(numbers)] = 0.0
         self.changed()
 
     def update(self, created: int, y: Array, P_yy: Array, recent: tuple[Array, Array, Array]) -> None:
-        """Bring everything up to date, what is recent included; y means nothing afterwards (`begin`).
-
-        Args:
-            created: number of landmarks so far.
-            y: (k,) its mean.
-            P_yy: (k, k).
-            recent: mean (2r,), cross-covariance with y (2r, k) and covariance (2r, 2r) of what is recent.
+        """Update all means and covariances by y (k,) and P_yy (k, k); y is undefined afterwards (`begin`). `recent`:
+        mean (2r,), cross-covariance with y (2r, k) and covariance (2r, 2r) of the recent landmarks.
         """
         self._room(2 * created, self.k)
         D, at = self.D, coordinates(self.recent)
@@ -259,7 +246,7 @@ class Parked:
             self.P.put(at, cross)
 
     def begin(self, C: Array, P_AA: Array) -> Array:
-        """An epoch begins with everything in its rows, given P_BA (2n, d), zero where nobody is parked; L (d, d)."""
+        """Begin an epoch with all parked landmarks in these rows, given P_BA (2n, d), zero elsewhere; L (d, d)."""
         self.based[self.recent] = True
         self.recent = self.recent[:0]
         L = root(P_AA)
@@ -272,7 +259,7 @@ class Parked:
         return L
 
     def empty(self) -> tuple[Array, Array]:
-        """Everything becomes recent, by ascending number: mean (2b,) and covariance (2b, 2b); there is no y."""
+        """Make all landmarks recent, by ascending number, without y: mean (2b,) and covariance (2b, 2b)."""
         self.recent = self.numbers
         at = coordinates(self.recent)
         self.based[:] = False
@@ -281,7 +268,7 @@ class Parked:
         return self.mean[at], symmetric(self.P.square(at))
 
     def _room(self, rows: int, columns: int) -> None:
-        """At least so many rows, new ones of zeros, and room for so many columns of D."""
+        """At least this many rows, new ones of zeros, and room for this many columns of D."""
         have, k, old = self._D.shape, self.k, len(self.mean)
         if rows > have[0] or columns > have[1]:
             larger = np.zeros((max(rows, 2 * have[0]) if rows > have[0] else have[0], columns + columns // 2))

@@ -1,8 +1,8 @@
-"""EKF over key poses: every key pose stays in the state (augmentation), loop closures are updates of all of them.
+"""EKF over key poses: augmentation by every key pose, and loop closures as updates of all of them.
 
 Durrant-Whyte, Majumder, Thrun, de Battista and Scheding, "A Bayesian algorithm for simultaneous localisation and map
-building", 2001, kept no landmarks but poses; Eustice, Singh and Leonard, "Exactly sparse delayed-state filters", IEEE
-TRO 22(6), 2006, do the same in information form. Here it is the covariance form, dense: P grows to 3K x 3K.
+building", 2001, kept poses without landmarks; Eustice, Singh and Leonard, "Exactly sparse delayed-state filters", IEEE
+TRO 22(6), 2006, in information form. Here in covariance form, dense: P grows to 3K x 3K.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import wrap_angle_jit as wrapped
 
 GROWTH = 1.5
-"""Of the room for the covariance, where it has become too small."""
+"""Factor by which a full covariance buffer grows."""
 
 
 class LoopUpdate(NamedTuple):
-    """What an update did: used (m,), d2 (m,) squared innovation of each by itself, nis of those used together."""
+    """Result of an update: used (m,), d2 (m,) squared innovation of each by itself, nis of those used together."""
 
     used: BoolArray
     d2: Array
@@ -33,10 +33,10 @@ class LoopUpdate(NamedTuple):
 
 
 class PoseChainFilter:
-    """A filter whose state is every key pose so far, world frame, errors additive."""
+    """A filter whose state is every key pose so far, world frame, additive errors."""
 
     def __init__(self, prior: Prior, room: int = 64) -> None:
-        """Key pose 0 is where the prior puts it; `room`: key poses to have space for from the start."""
+        """Start at the prior with key pose 0; `room`: key poses to allocate."""
         self.keys = 1
         self._pose = np.zeros((max(room, 1), 3))
         self._P = np.empty((3 * max(room, 1), 3 * max(room, 1)))  # lower triangle, diagonal blocks in full
@@ -58,8 +58,8 @@ class PoseChainFilter:
     ) -> LoopUpdate:
         """One update with loop closures (m,): poses (m, 3) of key2 in the frames of key1, with (m, 3, 3).
 
-        Those whose squared innovation (3 dof) is not below the threshold are rejected, each by itself. Raises
-        LinAlgError where the innovations' covariance is not positive definite.
+        Each is rejected by itself if its squared innovation (3 dof) is not below the threshold. Raises LinAlgError if
+        the innovation covariance is not positive definite.
         """
         m, n = len(key1), 3 * self.keys
         nu, H = _innovations(self._pose, key1, key2, np.array(relative, float))
@@ -85,7 +85,7 @@ class PoseChainFilter:
         return LoopUpdate(used, d2, float(white @ white))
 
     def poses(self) -> Array:
-        """All key poses (K, 3) as the state has them now."""
+        """The present key poses (K, 3)."""
         return self._pose[: self.keys].copy()
 
     def newest(self) -> tuple[Array, Array]:
@@ -107,7 +107,7 @@ def _augment(pose: Array, P: Array, keys: int, motion: Array, M: Array) -> None:
     for j in range(n):
         for i in range(3):
             P[n + i, j] = P[n - 3 + i, j] + F[i, 2] * P[n - 1, j] if i < 2 else P[n - 1, j]
-    # the newest one's own: F P F' + B M B'
+    # the newest block: F P F' + B M B'
     corner = F @ np.ascontiguousarray(P[n - 3 : n, n - 3 : n]) @ F.T + B @ M @ B.T
     for i in range(3):
         for j in range(3):
@@ -132,7 +132,7 @@ def _innovations(pose: Array, key1: IntArray, key2: IntArray, relative: Array) -
 
 @numba.njit(cache=True)
 def _columns(P: Array, n: int, key1: IntArray, key2: IntArray, H: Array) -> Array:
-    """H P (3m, n), of the lower triangle."""
+    """H P (3m, n) from the lower triangle."""
     W = np.zeros((3 * len(key1), n))
     for i in range(len(key1)):
         for half in range(2):
@@ -166,7 +166,7 @@ class PoseChainRun(NamedTuple):
 
     online, online_covariance: (K, 3), (K, 3, 3) of each key pose when it was the newest, its loop closures included;
     pose, covariance: (K, 3), (K, 3, 3) of all of them in the last state; used: (L,) loop closures that passed the gate;
-    d2: (L,) their squared innovations, NaN: never looked at; nis, dof: (K,) of the update at each key pose.
+    d2: (L,) their squared innovations, NaN: not tested; nis, dof: (K,) of the update at each key pose.
     """
 
     online: Array
@@ -193,8 +193,7 @@ def run_pose_chain(
     threshold: float = math.inf,
 ) -> PoseChainRun:
     """The filter over motion (K, 3), (K, 3, 3), row 0 unused, and loop closures (L,), each at key pose `joined` (L,).
-
-    All loop closures that join at one key pose are one update. `joined` < 0: never; `threshold` as of `close`.
+    All loop closures of one key pose are one update. `joined` < 0: never; `threshold` as of `close`.
     """
     K = len(motion)
     filter_ = PoseChainFilter(prior, K)

@@ -1,29 +1,221 @@
-"""EKF-SLAM: landmarks behind pose and errors, added with their full cross-covariance, removable and parkable."""
+"""EKF-SLAM: landmarks behind pose and systematic errors, with full cross-covariance, removable and parkable."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from association.expectation import Expectation
-from data.inputs import FrameObservations, IntArray
-from data.result import NEW, Finished, Updated
+from data.blocks import coordinates, coordinates_from
+from data.inputs import FrameObservations, IntArray, Prior, Systematic
+from data.result import NEW, Finished, MapState, Updated
 from data.se2 import Array, wrap_angle
-from ekf import kernels
-from ekf.parkable import SlamState
-from ekf.parking import symmetric
+from data.sensors import Sensor
+from ekf import kernels, systematic
+from ekf.filter import DEFAULT, Filter, FilterOptions
+from ekf.nearby import EMPTY, MARGIN, may_be_observed, parked_bounds
+from ekf.parking import LONGEST, Parked, symmetric
 
 JOINED = 1e-4
-"""m, of a wall also rad; standard deviation of the difference of two landmarks that are one."""
+"""m, of a wall also rad; standard deviation of the difference of two merged landmarks."""
 
 
-class EkfSlam(SlamState):
+class EkfSlam(Filter):
     """Extended Kalman filter over the pose and all landmarks (Probabilistic Robotics, section 10.2).
 
-    For its buffers, and for landmarks that are parked, see `ekf.parkable`.
+    The buffers hold pose, systematic errors, active landmarks, y and recent landmarks (`ekf.parking`), in this order. A
+    landmark number is the order of creation and is never reused; landmark `self._number[i]` is at offset base + 2 i.
+    Numbers ascend with the slots. Parked landmarks have no slot and no cost until they are restored.
     """
 
+    def __init__(
+        self, prior: Prior, sensor: Sensor, options: FilterOptions = DEFAULT, *, systematic: Systematic | None = None
+    ) -> None:
+        """Start at the prior with an empty map; `systematic`: errors to estimate."""
+        super().__init__(prior, sensor, options, systematic, landmarks=16)
+        self._number = np.empty(0, np.int64)
+        self._offset: dict[int, int] = {}
+        self._parked, self._bounds = Parked(), EMPTY
+        self.created = 0
+
+    def _select(self, index: IntArray) -> None:
+        """Keep the buffer entries `index`, in that order."""
+        d = len(index)
+        self._mean[:d] = self._mean[index]
+        self._P[:d, :d] = self._P[np.ix_(index, index)]
+        if len(self._first):
+            self._first[:d] = self._first[index]
+
+    def _renumber(self, number: IntArray) -> None:
+        """Set the landmark numbers of the slots."""
+        self._number = number
+        self._offset = {int(n): self.base + 2 * i for i, n in enumerate(number)}
+
+    @property
+    def _recent(self) -> int:
+        """Offset of the landmarks parked since the epoch began."""
+        return self.size + self._parked.k
+
+    @property
+    def active(self) -> IntArray:
+        """Numbers (a,) of the active landmarks, ascending."""
+        return self._number
+
+    @property
+    def parked(self) -> IntArray:
+        """Numbers (b,) of the parked landmarks, ascending."""
+        return self._parked.numbers
+
+    @property
+    def carried(self) -> int:
+        """Number of states carried besides the active ones."""
+        return self._carried
+
+    def parked_xy(self) -> Array:
+        """Present means (b, 2) of the parked landmarks, ordered as `parked`."""
+        p, d, r = self._parked, self.size, self._recent
+        number = np.concatenate([np.flatnonzero(p.based), p.recent])
+        xy = np.concatenate([p.xy(self._mean[d:r]), self._mean[r : self._used][: 2 * len(p.recent)].reshape(-1, 2)])
+        return self._frame.points_out(xy[np.argsort(number)], self._mean[3 : self.base])[0]
+
+    def parked_within(self, observations: FrameObservations, within: float) -> IntArray:
+        """Parked landmarks (r,) that may be within a squared Mahalanobis distance of some observation."""
+        parked, d, r = self._parked, self.size, self._recent
+        if not len(observations.z) or not np.isfinite(within):
+            return parked.numbers if len(observations.z) else np.empty(0, np.int64)
+        count = len(parked.recent)
+        e = self._expect(observations, parked.recent, r + 2 * np.arange(count), np.zeros((count, 2)))
+        found = parked.recent[(e.individual_distances() <= within * MARGIN).any(axis=0)]
+        if not parked.based.any():
+            return found
+        used = np.concatenate([np.arange(3), np.arange(d, r)])
+        x, P = self._mean[used], self._P[np.ix_(used, used)]
+        near = may_be_observed(parked, self._bounds, self.sensor, x, P, observations, within)
+        return np.concatenate([found, np.flatnonzero(near)])
+
+    def park(self, numbers: IntArray, *, begin_epoch: bool = False) -> None:
+        """Move active landmarks out of the state without loss; `restore` is the inverse.
+
+        A new epoch begins when the carried part has grown too long, or with `begin_epoch`.
+
+        Raises ValueError for a landmark that is parked already or not in the map, in the invariant filter, which moves
+        every landmark, and with first estimates, which a parked landmark would lose.
+        """
+        if self.options.invariant:
+            raise ValueError("the invariant filter moves all landmarks together; none can be parked")
+        if self.options.first_estimates:
+            raise ValueError("a parked landmark would lose its first estimate; none can be parked")
+        away = np.unique(np.asarray(numbers, np.int64))
+        for n in away.tolist():
+            if n not in self._offset:
+                why = "it is parked already" if self._parked.holds(n) else "no landmark has this number"
+                raise ValueError(f"cannot park landmark {n}: {why}")
+        if not len(away):
+            return
+        self._version += 1
+        out = np.isin(self._number, away)
+        moved = self.base + coordinates(np.flatnonzero(out))
+        self._select(np.concatenate([np.delete(np.arange(self._used), moved), moved]))
+        self.size -= len(moved)
+        self._carried += len(moved)
+        self._parked.recent = np.concatenate([self._parked.recent, away])
+        self._parked.changed()
+        self._renumber(self._number[~out])
+        self._begin_epoch_if_due(begin_epoch)
+
+    def restore(self, numbers: IntArray) -> None:
+        """Return parked landmarks to the state. Raises ValueError for a landmark that is not parked."""
+        back = np.unique(np.asarray(numbers, np.int64))
+        for n in back.tolist():
+            if not self._parked.holds(n):
+                raise ValueError(f"cannot restore landmark {n}: it is not parked")
+        if not len(back):
+            return
+        self._version += 1
+        parked, d, r, e = self._parked, self.size, self._recent, self._used
+        again = np.isin(parked.recent, back)
+        place = r + coordinates(np.arange(len(again))).reshape(-1, 2)
+        number = np.concatenate([self._number, parked.recent[again]])
+        slots = [np.arange(self.base, d).reshape(-1, 2), place[again]]
+        grown = np.empty(0, np.int64)
+        old = back[~np.isin(back, parked.recent)]
+        if len(old):
+            n = 2 * len(old)
+            self._grow(2 * len(old))
+            x, P = self._mean, self._P
+            mean, D_p, own, small = parked.restoring(old, x[d:r], P[d:r, d:r])
+            # append the present landmarks and the new end of y
+            cross = D_p @ P[d:r, :e]
+            cross[:, d:r] += D_p
+            x[e : e + n], x[e + n : e + 2 * n] = mean, 0.0
+            P[e : e + n, :e], P[:e, e : e + n], P[e : e + n, e : e + n] = cross, cross.T, own
+            P[e + n : e + 2 * n, : e + 2 * n], P[: e + 2 * n, e + n : e + 2 * n] = 0.0, 0.0
+            P[e : e + n, e + n : e + 2 * n], P[e + n : e + 2 * n, e : e + n] = small, small.T
+            number = np.concatenate([number, old])
+            slots.append(np.arange(e, e + n).reshape(-1, 2))
+            grown = np.arange(e + n, e + 2 * n)
+        parked.recent = parked.recent[~again]
+        parked.changed()
+        order = np.argsort(number)
+        rows = np.concatenate(slots)[order].ravel()
+        self._select(np.concatenate([np.arange(self.base), rows, np.arange(d, r), grown, place[~again].ravel()]))
+        self.size = self.base + len(rows)
+        self._carried += len(grown) - 2 * int(again.sum())
+        self._renumber(number[order])
+        self._begin_epoch_if_due()
+
+    def _marginalize_parked(self, removed: IntArray) -> None:
+        """Marginalize parked landmarks out."""
+        parked = self._parked
+        out = np.isin(parked.recent, removed)
+        if out.any():
+            place = self._recent + coordinates(np.flatnonzero(out))
+            self._select(np.delete(np.arange(self._used), place))
+            self._carried -= len(place)
+            parked.recent = parked.recent[~out]
+        parked.leave(removed[~np.isin(removed, parked.recent) & np.isin(removed, np.flatnonzero(parked.based))])
+        self._begin_epoch_if_due()
+
+    def _begin_epoch_if_due(self, begin_epoch: bool = False) -> None:
+        """Begin an epoch if asked to, or if the carried part has grown too long."""
+        if begin_epoch or self._carried > min(LONGEST * self.size, 2 * self._parked.count):
+            self._begin_epoch()
+
+    def _begin_epoch(self) -> None:
+        """Update all parked landmarks, which makes the carried part as short as possible."""
+        parked, d, r, e = self._parked, self.size, self._recent, self._used
+        x, P = self._mean, self._P
+        self._version += 1
+        parked.update(self.created, x[d:r], P[d:r, d:r], (x[r:e], P[r:e, d:r], P[r:e, r:e]))
+        at = coordinates(parked.recent)
+        C = np.zeros((len(parked.mean), d))
+        if parked.k:
+            np.matmul(parked.D, P[d:r, :d], out=C)
+        C[at] = P[r:e, :d]
+        short = 2 * parked.count <= d
+        self._carried = 2 * parked.count if short else d
+        self._grow(0)
+        x, P = self._mean, self._P
+        e = self._used
+        if short:
+            all_of_them = coordinates(parked.numbers)
+            x[d:e], P[d:e, d:e] = parked.empty()
+            self._bounds = EMPTY
+            P[d:e, :d] = C[all_of_them]
+            P[:d, d:e] = P[d:e, :d].T
+        else:
+            L = parked.begin(C, P[:d, :d])
+            self._bounds = parked_bounds(parked, C, P[:3, :3])
+            x[d:e], P[d:e, d:e] = 0.0, 0.0
+            P[:d, d:e], P[d:e, :d] = L, L.T
+        if len(x) > 4 * e:  # far too large once most of a map is parked
+            self._mean, self._P = x[: 2 * e].copy(), P[: 2 * e, : 2 * e].copy()
+
+    def _at(self, numbers: IntArray) -> IntArray:
+        """Offsets of the coordinates of active landmarks (n,) in the state (2n,)."""
+        return coordinates_from(np.array([self._offset[n] for n in numbers.tolist()], np.int64))
+
     def expect(self, observations: FrameObservations) -> Expectation:
-        """What the filter expects of every active landmark. Valid until the next `predict` or `update`."""
+        """Expectation of every active landmark, valid until the next `predict` or `update`."""
         at = self.base + 2 * np.arange(len(self._number), dtype=np.int64)
         return self._expect(observations, self._number, at, np.zeros((len(self._number), 2)))
 
@@ -38,21 +230,16 @@ class EkfSlam(SlamState):
     ) -> Updated:
         """One update with all pairings below `threshold`, then new landmarks in order, from the updated pose.
 
-        It is first linearized at the prediction, or at the pose `at` (3,) if that is known to be better. A filter
-        forms its innovations whether they are asked for or not.
-        Raises ValueError for a decision that names a landmark which is not in the map, or parked.
+        Linearized first at the prediction, or at a pose `at` (3,). A filter always forms its innovations. Raises
+        ValueError for a decision that names a landmark that is not in the map, or parked.
         """
-        paired = np.flatnonzero(decisions >= 0)
         try:
-            offset = np.array([self._offset[int(n)] for n in decisions[paired]], np.int64)
+            offset = np.array([self._offset[n] for n in decisions[decisions >= 0].tolist()], np.int64)
         except KeyError as unknown:
             if self._parked.holds(unknown.args[0]):
                 raise ValueError(f"landmark {unknown} is parked: restore it first") from None
             raise ValueError(f"no landmark has number {unknown}") from None
-        keep, stats, white = self._correct(observations, paired, offset, np.zeros((len(paired), 2)), threshold, at)
-        used, whitened = np.zeros(len(decisions), np.bool_), np.full((len(decisions), 2), np.nan)
-        used[paired], whitened[paired] = keep, white
-        created = np.full(len(decisions), -1, np.int64)
+        updated = self._updated(observations, decisions, offset, np.zeros((len(offset), 2)), threshold, at)
         fresh = np.flatnonzero(decisions == NEW)
         self._grow(len(fresh))
         end = self._used
@@ -73,24 +260,24 @@ class EkfSlam(SlamState):
                 self._first[d:end] = self._first[order]
         for i in fresh:
             self._offset[self.created] = self.size
-            created[i] = self.created
+            updated.created[i] = self.created
             self._number = np.append(self._number, self.created)
             self.created += 1
             self.size += 2
-        return Updated(used, created, float(stats[0]), int(stats[2]), float(stats[1]), whitened)
+        return updated
 
     def remove(self, numbers: IntArray) -> None:
-        """Marginalize landmarks out, active or parked: their rows and columns go, the rest stays as it is."""
-        gone, parked = np.isin(self._number, numbers), np.isin(self.parked, numbers)
-        if gone.sum() + parked.sum() != len(set(np.asarray(numbers).tolist())):
+        """Marginalize landmarks out, active or parked."""
+        removed, parked = np.isin(self._number, numbers), np.isin(self.parked, numbers)
+        if removed.sum() + parked.sum() != len(set(np.asarray(numbers).tolist())):
             raise ValueError(f"cannot remove {np.asarray(numbers).tolist()}: not all are in the map")
         self._version += 1
-        stay = np.concatenate([np.ones(self.base, np.bool_), np.repeat(~gone, 2), np.ones(self._carried, np.bool_)])
-        self._select(np.flatnonzero(stay))
-        self.size -= 2 * int(gone.sum())
-        self._renumber(self._number[~gone])
+        kept = np.concatenate([np.ones(self.base, np.bool_), np.repeat(~removed, 2), np.ones(self._carried, np.bool_)])
+        self._select(np.flatnonzero(kept))
+        self.size -= 2 * int(removed.sum())
+        self._renumber(self._number[~removed])
         if parked.any():
-            self._leave(self.parked[parked])
+            self._marginalize_parked(self.parked[parked])
 
     @property
     def xy(self) -> Array:
@@ -103,15 +290,12 @@ class EkfSlam(SlamState):
         return self._mean[at], self._P[np.ix_(at, at)]
 
     def places(self, numbers: IntArray) -> tuple[Array, Array]:
-        """The same of each by itself: means (n, 2), and the variance of x plus that of y (n,)."""
+        """Means (n, 2) of active landmarks, and the variance of x plus that of y (n,)."""
         at = self._at(numbers).reshape(-1, 2)
         return self._mean[at], self._P[at, at].sum(axis=1)
 
     def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """Landmarks `merged` (k,) are the same as `kept` (k,), all of them active: both estimates become one.
-
-        An update with the measurement that their difference is zero.
-        """
+        """Merge active landmarks `merged` (k,) into `kept` (k,) by the measurement that their difference is zero."""
         self._version += 1
         e, a, b = self._used, self._at(merged), self._at(kept)
         P, mean = self._P[:e, :e], self._mean[:e]
@@ -125,13 +309,28 @@ class EkfSlam(SlamState):
         gain = np.linalg.solve(S, PHt.T).T
         mean -= gain @ apart
         mean[2] = wrap_angle(float(mean[2]))
-        # Joseph's form: what is certain of the difference afterwards must not be rounding
+        # Joseph's form, so that the small variance of the difference is not rounding
         P -= gain @ PHt.T
         PHt = sign * P[:, a] - P[:, b]
         P -= PHt @ gain.T
         P += JOINED**2 * gain @ gain.T
         P[:] = symmetric(P)
         self.remove(merged)
+
+    def landmarks(self) -> MapState:
+        """The present map, active and parked landmarks."""
+        d, r, b = self.size, self._recent, slice(3, self.base)
+        based = coordinates(np.flatnonzero(self._parked.based))
+        number, xy, blocks = self._parked.now(self._mean[d:r], self._P[d:r, d:r])
+        here = np.concatenate([np.arange(self.base, d), r + np.arange(2 * len(self._parked.recent))]).reshape(-1, 2)
+        number = np.concatenate([self._number, self._parked.recent, number])
+        xy = np.concatenate([self._mean[here], xy])
+        blocks = np.concatenate([self._P[here[:, :, None], here[:, None, :]], blocks])
+        cross = np.concatenate([self._P[here.ravel(), b], self._parked.D[based] @ self._P[d:r, b]])
+        order = np.argsort(number)
+        found = MapState(number[order], xy[order], blocks[order])
+        cross = cross.reshape(len(number), 2, self.base - 3)[order]
+        return systematic.landmarks(found, cross, self._mean[b], self._P[b, b], self._frame)
 
     def finish(self) -> Finished:
         """The last map; a filter does not revise its path."""

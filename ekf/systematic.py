@@ -1,11 +1,11 @@
-"""Systematic errors as states of a filter: p of them right behind the pose, landmarks after them (see `ekf.kernels`).
+"""Systematic errors as p states of a filter behind the pose, landmarks after them (see `ekf.kernels`).
 
-An increment is corrected by what is known of the errors (`data.motion.systematic`), and pose and errors become
-correlated through its Jacobian A: with D = R(theta) A, x <- x + R(theta) m(b), P <- J P J' + R G M G' R',
-J = [[F, D], [0, I]]. The drift is forgotten a little at every knot.
+An increment is corrected by the estimated errors (`data.motion.systematic`), and its Jacobian A correlates pose and
+errors: with D = R(theta) A, x <- x + R(theta) m(b), P <- J P J' + R G M G' R', J = [[F, D], [0, I]]. The drift decays
+at every knot.
 
-Where a sensor's errors are among them the state stands in the sensor's frame (`data.motion.systematic`); a known
-landmark then depends on the range error, so an update holds it as a state of its own, and drops it.
+With errors of the sensor the state is in the sensor's frame (`data.motion.systematic`). A known landmark then depends
+on the range error, so it is a temporary state of an update.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from data.inputs import IntArray, Prior, Systematic
 from data.motion.systematic import BETWEEN_KNOTS, SensorFrame, correct, forgotten, knot, places
 from data.result import MapState, Systematics
 from data.se2 import Array
-from ekf.kernels import look, predict
+from ekf.kernels import measure_landmark, predict, propagate
 from ekf.walls import WallFrame
 
 
 class Errors(NamedTuple):
-    """The errors of a run as the kernels take them.
+    """The systematic errors of a run for the kernels.
 
-    place: (p,) where each stands among all errors; mount: (3,) as of `data.motion.systematic.correct`.
-    drift_at: row of the drift in the state, -1: none; drift: (3,) its variance, its length [m], metres between knots.
-    range_at: row of the range error, -1: none; origin: (2,) m, what it scales the world about.
-    since: (1,) m since the last knot; a prediction advances it.
+    place: (p,) index of each among all errors; mount: (3,) as of `data.motion.systematic.correct`. drift_at: row of the
+    drift in the state, -1: none; drift: (3,) its variance, its length [m], metres between knots. range_at: row of the
+    range error, -1: none; origin: (2,) m, fixed point of the scale of the world. since: (1,) m since the last knot; a
+    prediction advances it.
     """
 
     place: IntArray
@@ -43,7 +43,7 @@ class Errors(NamedTuple):
 
 
 def as_states(systematic: Systematic | None, frame: SensorFrame) -> Errors:
-    """Before the first increment; None: there are no errors."""
+    """The errors before the first increment; None: there are none."""
     if systematic is None:
         return Errors(np.empty(0, np.int64), np.zeros(3), -1, np.ones(3), -1, np.zeros(2), np.zeros(1))
     drift_at, drift = -1, np.ones(3)
@@ -71,14 +71,14 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
     if a >= 0:
         ended, errors.since[0] = knot(errors.since[0], motion, errors.drift[2])
         if ended > 0.0:
-            stays, anew = forgotten(ended, errors.drift[1])
-            mean[a] *= stays
+            decay, fresh = forgotten(ended, errors.drift[1])
+            mean[a] *= decay
             for j in range(d):
-                P[a, j] *= stays
+                P[a, j] *= decay
             for j in range(d):
                 P[j, a] = P[a, j]
-            # the entry on the diagonal was met once
-            P[a, a] = stays * P[a, a] + anew * errors.drift[0]
+            # the diagonal entry was scaled once
+            P[a, a] = decay * P[a, a] + fresh * errors.drift[0]
     every, corrected, A, G = np.zeros(7), np.empty(3), np.empty((3, 7)), np.empty((3, 3))
     for q in range(p):
         every[errors.place[q]] = mean[3 + q]
@@ -105,9 +105,8 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
 
 @numba.njit(cache=True)
 def hold_known(mean: Array, P: Array, d: int, known: Array, first: Array, errors: Errors) -> None:
-    """Append landmarks `known` (k, 2) of the world as states, as they stand in the sensor's frame under its errors.
-
-    The caller has room for d + 2k states. They follow from the range error alone: l' = o + (l - o) (1 + range).
+    """Append known landmarks (k, 2), world frame, as states in the sensor's frame; the buffers have room for d + 2k.
+    They depend on the range error alone: l' = o + (l - o) (1 + range).
     """
     a = errors.range_at
     for i in range(len(known)):
@@ -134,25 +133,18 @@ def expect_known(
     first: Array,
     errors: Errors,
 ) -> None:
-    """`ekf.kernels.expect` of landmarks `known` (n, 2) of the world that the filter sees under its range error."""
+    """`ekf.kernels.expect` of known landmarks (n, 2), world frame, under the range error."""
     Hx, Hl, H, columns = np.empty((2, 3)), np.empty((2, 2)), np.empty((2, 4)), np.empty(4, np.int64)
     columns[:3], columns[3] = np.arange(3), errors.range_at
     for i in range(len(known)):
         away = known[i] - errors.origin
-        look(kind, extrinsic, mean, -1, known[i] + away * mean[errors.range_at], first, z_hat[i], Hx, Hl)
+        measure_landmark(kind, extrinsic, mean, -1, known[i] + away * mean[errors.range_at], first, z_hat[i], Hx, Hl)
         H[:, :3], H[:, 3] = Hx, Hl @ away
-        for q in range(2):
-            for p in range(q + 1):
-                total = 0.0
-                for r in range(4):
-                    for c in range(4):
-                        total += H[q, r] * P[columns[r], columns[c]] * H[p, c]
-                blocks[i, q, p] = total
-                blocks[i, p, q] = total
+        propagate(H, columns, P, blocks[i])
 
 
 def poses(state: Array, P: Array, frame: SensorFrame) -> tuple[Array, Array]:
-    """The robot's poses (n, 3) and their covariances, of poses and errors (n, 3 + p) and theirs (n, 3 + p, 3 + p)."""
+    """World poses (n, 3) and covariances from pose and errors (n, 3 + p) with theirs (n, 3 + p, 3 + p)."""
     if frame.same:
         return state[:, :3], P[:, :3, :3]
     pose, J = frame.poses_out(state[:, :3], state[:, 3:])
@@ -161,7 +153,7 @@ def poses(state: Array, P: Array, frame: SensorFrame) -> tuple[Array, Array]:
 
 
 def of_frames(systematic: Systematic | None, state: Array, P: Array) -> Systematics | None:
-    """The errors as each frame knew them; arguments as of `poses`."""
+    """The errors estimated at each frame; arguments as of `poses`."""
     if systematic is None:
         return None
     variance = np.diagonal(P, axis1=1, axis2=2)[:, 3:]
@@ -169,10 +161,7 @@ def of_frames(systematic: Systematic | None, state: Array, P: Array) -> Systemat
 
 
 def landmarks(map_: MapState, cross: Array, errors: Array, P_bb: Array, frame: SensorFrame) -> MapState:
-    """The map in the world of the one in the filter's frame.
-
-    `cross` (n, 2, p): its covariance with the errors, of mean `errors` (p,) and covariance P_bb (p, p).
-    """
+    """The map in the world; `cross` (n, 2, p): its covariance with the errors, of mean (p,) and covariance P_bb."""
     if isinstance(frame, WallFrame):
         return frame.walls_out(map_)
     if frame.range_at < 0:

@@ -1,4 +1,4 @@
-"""The filter's compiled update, with its variants: plain, iterated, invariant; same buffers as `ekf.kernels`."""
+"""Compiled updates of the filter: plain, iterated, invariant; same buffers as `ekf.kernels`."""
 
 from __future__ import annotations
 
@@ -10,27 +10,24 @@ import numpy as np
 
 from data.se2 import Array, BoolArray
 from data.sensors import wrap_angle_jit
-from ekf.kernels import NEWEST, NOT_PSD, OK, Innovation, Seen, gate, healthy, innovate
+from ekf.kernels import NEWEST, NOT_PSD, OK, Innovation, Pairings, gate, healthy, innovate
 
 ADDITIVE = 0
-"""Correction: mean += K nu."""
+"""Retraction mean += K nu."""
 INVARIANT = 3
-"""Correction: pose and landmarks are moved together by exp(xi), the right-invariant error of SE_(1+n)(2).
+"""Retraction by exp(xi), the right-invariant error of SE_(1+n)(2), of pose and landmarks together.
 
-This or more: the row of the state where the landmarks begin; what stands before them is corrected additively."""
+This or more is the offset of the landmarks; states between them and the pose are corrected additively."""
 
 BY_ROWS = (64, 800)
-"""States; in between the update of P goes by whole rows. Fewer do not fill them, more of them do not stay in cache."""
+"""States; within these limits the update of P goes by whole rows. Fewer do not fill them, more exceed the cache."""
 TILE = 16
 """States; rows and columns of a tile stay in the nearest cache while it is mirrored."""
 
 
-class How(NamedTuple):
-    """How an update is made.
-
-    threshold: squared distance of the gate, inf for none; retraction: of the correction (`ADDITIVE`, `INVARIANT` or
-    more); iterations: how often to linearize at most (1: at the start only); first: see `ekf.kernels`, not together
-    with iterations.
+class UpdateRule(NamedTuple):
+    """Rule of an update. threshold: squared distance of the gate, inf for none; retraction: `ADDITIVE`, `INVARIANT` or
+    more; iterations: largest number of linearizations; first: see `ekf.kernels`, not together with iterations.
     """
 
     threshold: float
@@ -39,11 +36,9 @@ class How(NamedTuple):
     first: Array
 
 
-class Done(NamedTuple):
-    """What an update writes down of its k observations.
-
-    keep: (k,) passed the gate; stats: (3,) collects NIS, log-likelihood and degrees of freedom; white: (k, 2) each
-    innovation in units of its own standard deviation, NaN where it was not used.
+class Outcome(NamedTuple):
+    """Outputs of an update with k observations. keep: (k,) passed the gate; stats: (3,) sums of NIS, log-likelihood and
+    degrees of freedom; white: (k, 2) each innovation divided by its standard deviation, NaN where it was not used.
     """
 
     keep: BoolArray
@@ -80,10 +75,8 @@ def forward(L: Array, b: Array, x: Array) -> None:
 
 @numba.njit(cache=True)
 def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, retraction: int) -> int:
-    """The Kalman update: mean += K nu (or see `move`), P -= W W' with W = PHt L^-T, S = L L'.
-
-    Adds NIS and log-likelihood to `stats` (2,). The subtraction is computed once per pair and mirrored, so P stays
-    symmetric to the bit. Returns a status.
+    """The Kalman update: mean += K nu (or see `move`), P -= W W' with W = PHt L^-T, S = L L'. Adds NIS and
+    log-likelihood to `stats` (2,). P stays symmetric to the bit. Returns a status.
     """
     nu, PHt, S = found
     n = len(nu)
@@ -114,11 +107,10 @@ def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, retr
 
 @numba.njit(cache=True)
 def subtract(P: Array, d: int, W: Array) -> None:
-    """P -= W W' on the leading d entries, W (d, n): the lower triangle, mirrored, so that P stays symmetric to the bit.
+    """P -= W W' on the leading d entries, W (d, n): the lower triangle, then mirrored.
 
-    Every entry is summed over n in the same order however many there are, so the bytes do not depend on the way. By
-    rows it takes 0.7 of the time entry by entry with n = 4, 0.6 with 10, 0.45 with 20 (100 to 400 states); a product of
-    BLAS takes 0.65, 0.5 and 0.3 of it, in another order.
+    Every entry is summed over n in the same order, so both ways give the same bytes. By rows it takes 0.7 of the time
+    entry by entry with n = 4, 0.6 with 10, 0.45 with 20 (100 to 400 states).
     """
     n = W.shape[1]
     if not BY_ROWS[0] <= d <= BY_ROWS[1]:
@@ -150,30 +142,26 @@ def subtract(P: Array, d: int, W: Array) -> None:
 
 @numba.njit(cache=True)
 def move(mean: Array, P: Array, d: int, shift: Array, base: int) -> None:
-    """Move pose and landmarks by exp(xi) for the additive correction `shift` (d,), and take P along;
-    landmarks begin at `base`, and what stands between pose and landmarks is corrected as it is.
+    """Move pose and landmarks by exp(xi) for the additive correction `shift` (d,), and transform P.
 
-    xi_theta = shift_theta; for every point x, rho = shift_x - J x xi_theta and x <- R(xi_theta) x + V(xi_theta) rho
-    (Brossard, Barrau and Bonnabel, IEEE Sensors Journal 19(4), 2019). P is the additive covariance in the world frame
-    before and after: P <- N P N' with N = I + J (x+ - x-) e_theta' on the rows of each point.
+    Landmarks begin at `base`; states between them and the pose are corrected additively. xi_theta = shift_theta; for
+    every point x, rho = shift_x - J x xi_theta and x <- R(xi_theta) x + V(xi_theta) rho (Brossard, Barrau and Bonnabel,
+    IEEE Sensors Journal 19(4), 2019). P is the additive covariance in the world frame before and after: P <- N P N'
+    with N = I + J (x+ - x-) e_theta' on the rows of each point.
     """
     angle = shift[2]
     c, s = math.cos(angle), math.sin(angle)
-    if abs(angle) < 1e-4:  # the series to a rounding; (1 - c) / angle would lose digits
+    if abs(angle) < 1e-4:  # series; (1 - c) / angle would lose digits
         a, b = 1.0 - angle * angle / 6.0, 0.5 * angle
     else:
         a, b = s / angle, (1.0 - c) / angle
-    step = np.zeros(d)
+    step, column = np.zeros(d), np.zeros(d)
     r = 0
     while r < d:
         x, y = mean[r], mean[r + 1]
         u, v = shift[r] + y * angle, shift[r + 1] - x * angle
         step[r] = c * x - s * y + a * u - b * v - x
         step[r + 1] = s * x + c * y + b * u + a * v - y
-        r = base if r == 0 else r + 2
-    column = np.zeros(d)
-    r = 0
-    while r < d:
         column[r], column[r + 1] = -step[r + 1], step[r]
         r = base if r == 0 else r + 2
     for r in range(3, base):
@@ -201,15 +189,15 @@ def iterate(
     mean: Array,
     P: Array,
     d: int,
-    seen: Seen,
+    seen: Pairings,
     found: Innovation,
     iterations: int,
     stats: Array,
 ) -> Array:
-    """Where to linearize (d,): Gauss-Newton from `start`, at most `iterations` - 1 steps (Bell and Cathey 1993).
+    """Point of linearization (d,): Gauss-Newton from `start`, at most `iterations` - 1 steps (Bell and Cathey 1993).
 
-    `found` is at `start`, its NIS and log-likelihood are added to `stats`; it is overwritten.
-    Ends early where no state moves by 1e-6 sigma.
+    `found` is at `start`, and is overwritten; its NIS and log-likelihood are added to `stats`. Ends early where no
+    state moves by 1e-6 sigma.
     """
     nu, PHt, S = found
     point = start[:d].copy()
@@ -217,7 +205,7 @@ def iterate(
     L, white = np.empty((n, n)), np.empty(n)
     for turn in range(iterations - 1):
         if not cholesky(S, L, n):
-            return point  # the correction itself will say so
+            return point  # the correction returns the status
         forward(L, nu, white)
         if turn == 0:
             stats[0] += (white * white).sum()
@@ -239,20 +227,27 @@ def iterate(
 
 
 @numba.njit(cache=True)
-def update(kind: int, extrinsic: Array, mean: Array, P: Array, d: int, seen: Seen, how: How, done: Done) -> int:
-    """One stacked update with k pairings; those outside the gate are left out. Returns a status.
-
-    See `update_from`; the first linearization is at the prediction.
-    """
+def update(
+    kind: int, extrinsic: Array, mean: Array, P: Array, d: int, seen: Pairings, how: UpdateRule, done: Outcome
+) -> int:
+    """One stacked update with k pairings from the prediction; see `update_from`."""
     status: int = update_from(kind, extrinsic, mean, mean, P, d, seen, how, done)
     return status
 
 
 @numba.njit(cache=True)
 def update_from(
-    kind: int, extrinsic: Array, start: Array, mean: Array, P: Array, d: int, seen: Seen, how: How, done: Done
+    kind: int,
+    extrinsic: Array,
+    start: Array,
+    mean: Array,
+    P: Array,
+    d: int,
+    seen: Pairings,
+    how: UpdateRule,
+    done: Outcome,
 ) -> int:
-    """An update whose first linearization is at the state `start` (d,), which may be `mean` itself."""
+    """An update first linearized at the state `start` (d,), without pairings outside the gate. Returns a status."""
     keep, stats = done.keep, done.stats
     k = len(seen.at)
     nu, PHt, S = np.empty(2 * k), np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
@@ -275,7 +270,7 @@ def update_from(
     stats[2] += len(nu)
     found = Innovation(nu, PHt, S)
     if how.iterations > 1:
-        used = Seen(seen.at[keep], seen.known[keep], seen.z[keep], seen.R[keep])
+        used = Pairings(seen.at[keep], seen.known[keep], seen.z[keep], seen.R[keep])
         point = iterate(kind, extrinsic, start, mean, P, d, used, found, how.iterations, stats)
         innovate(kind, extrinsic, point, mean, P, d, used, found, NEWEST)
         stats = np.zeros(3)  # the innovation is the one at `start`
@@ -299,12 +294,14 @@ def whiten(nu: Array, S: Array, keep: BoolArray, white: Array) -> None:
 
 
 @numba.njit(cache=True)
-def update_each(kind: int, extrinsic: Array, mean: Array, P: Array, d: int, seen: Seen, how: How, done: Done) -> int:
-    """One update per observation, each linearized after the one before it (the classic tutorials' way)."""
+def update_each(
+    kind: int, extrinsic: Array, mean: Array, P: Array, d: int, seen: Pairings, how: UpdateRule, done: Outcome
+) -> int:
+    """One update per observation, each linearized after the previous one (as in the classic tutorials)."""
     for i in range(len(seen.at)):
         one = slice(i, i + 1)
-        single = Seen(seen.at[one], seen.known[one], seen.z[one], seen.R[one])
-        status = update(kind, extrinsic, mean, P, d, single, how, Done(done.keep[one], done.stats, done.white[one]))
+        single = Pairings(seen.at[one], seen.known[one], seen.z[one], seen.R[one])
+        status = update(kind, extrinsic, mean, P, d, single, how, Outcome(done.keep[one], done.stats, done.white[one]))
         if status != OK:
             return status
     return OK

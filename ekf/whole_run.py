@@ -1,7 +1,4 @@
-"""A filter over a whole log in one compiled loop, for decisions that were made beforehand (known association).
-
-The step-by-step filters give the same bytes; this spares them the way through the interpreter at every frame.
-"""
+"""A filter over a whole log in one compiled loop, for known decisions; the same bytes as step by step."""
 
 from __future__ import annotations
 
@@ -16,19 +13,17 @@ from data.motion.systematic import SensorFrame
 from data.result import DISCARD, NEW, MapState, Systematics
 from data.se2 import Array
 from ekf import kernels, systematic
-from ekf.filter import DEFAULT, FilterOptions
-from ekf.kernels import NEWEST, OK, Seen, augment, healthy, predict
+from ekf.filter import DEFAULT, FilterOptions, frame_of
+from ekf.kernels import NEWEST, OK, Pairings, augment, healthy, predict
 from ekf.systematic import Errors, hold_known, predict_with_errors
-from ekf.updates import Done, How, update, update_each
-from ekf.walls import frame_of
+from ekf.updates import Outcome, UpdateRule, update, update_each
 
 
 class FilterRun(NamedTuple):
     """Pose (N, 3), covariance (N, 3, 3); nis, dof, log_likelihood, state_size (N,) each.
 
-    `white` (M, 2) as in `Innovations`. `decisions` (M,) are the given ones, gated pairings turned into `DISCARD`;
-    `failure` is (frame, why) or None: the rows after it are NaN.
-    `errors`: the systematic ones, where the inputs have any.
+    `white` (M, 2) as in `Innovations`. `decisions` (M,) are the given ones, gated pairings turned into `DISCARD`.
+    `failure` is (frame, reason) or None; later rows are NaN. `errors`: the systematic ones, where the inputs have any.
     """
 
     pose: Array
@@ -45,15 +40,10 @@ class FilterRun(NamedTuple):
 
 
 def run_filter(
-    inputs: Inputs,
-    decisions: IntArray,
-    *,
-    threshold: float = np.inf,
-    options: FilterOptions = DEFAULT,
+    inputs: Inputs, decisions: IntArray, *, threshold: float = np.inf, options: FilterOptions = DEFAULT
 ) -> FilterRun:
-    """EKF localization (inputs with a map) or EKF-SLAM (without) with given decisions (M,).
-
-    SLAM: decisions are landmark numbers in order of creation, `NEW` or `DISCARD`; localization: map ids or `DISCARD`.
+    """EKF localization (inputs with a map) or EKF-SLAM (without) with given decisions (M,). SLAM: decisions are
+    landmark numbers in order of creation, `NEW` or `DISCARD`; localization: map ids or `DISCARD`.
     """
     if options.new_variance_per_square is not None:
         raise ValueError("a new landmark's variance depends on its distance only in the step-by-step filter")
@@ -78,7 +68,7 @@ def run_filter(
     capacity = base + 2 * room
     mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
     mean[:base], P[:base, :base] = systematic.begin(inputs.prior, of, frame)
-    track = blank(n, base, len(inputs.observations.z))
+    track = empty_track(n, base, len(inputs.observations.z))
     state, variance = track.pose, track.covariance
     first = mean.copy() if options.first_estimates else NEWEST
     o, moves = inputs.observations, inputs.increments
@@ -100,8 +90,8 @@ def run_filter(
     return filter_run(track, of, frame, decided, found, failure)
 
 
-def blank(frames: int, base: int, observations: int) -> Track:
-    """Before the first frame of so many, with `base` entries of pose and errors."""
+def empty_track(frames: int, base: int, observations: int) -> Track:
+    """An empty track, with `base` entries of pose and errors."""
     return Track(
         np.full((frames, base), np.nan),
         np.full((frames, base, base), np.nan),
@@ -112,8 +102,8 @@ def blank(frames: int, base: int, observations: int) -> Track:
 
 
 def rules_of(options: FilterOptions, threshold: float, errors: int, first: Array) -> Rules:
-    """Of a filter with so many systematic errors."""
-    how = How(float(threshold), *options.rule_with(errors), first)
+    """The rules of a filter with this many systematic errors."""
+    how = UpdateRule(float(threshold), *options.rule(errors), first)
     return Rules(options.each, options.augment_variance(0.0), how)
 
 
@@ -125,7 +115,7 @@ def filter_run(
     state: MapState | None,
     failure: tuple[int, str] | None,
 ) -> FilterRun:
-    """What the compiled loop wrote down, in the world."""
+    """The results of the compiled loop, in the world."""
     nis, log_likelihood, dof = track.stats.T
     errors = systematic.of_frames(of, track.pose, track.covariance)
     pose, covariance = systematic.poses(track.pose, track.covariance, frame)
@@ -136,7 +126,7 @@ def filter_run(
 
 
 class Steps(NamedTuple):
-    """The frames of a log with decisions made beforehand, as the compiled loop takes them.
+    """The frames of a log with known decisions for the compiled loop.
 
     motion (N, 3), M (N, 3, 3): increments. start (N + 1,): each frame's rows of z (M, 2), R (M, 2, 2), decision (M,),
     which is in SLAM (`known` empty) a landmark number, `NEW` or `DISCARD`; in localization a row of `known` (L, 2) or
@@ -153,17 +143,15 @@ class Steps(NamedTuple):
 
 
 class Rules(NamedTuple):
-    """each: one update per observation; variance: of a new landmark, negative: exact; how: to update."""
+    """each: one update per observation; variance: of a new landmark, negative: exact; how: the rule of the update."""
 
     each: bool
     variance: float
-    how: How
+    how: UpdateRule
 
 
 class Track(NamedTuple):
-    """By frame: pose and errors (N, 3 + p), their covariance (N, 3 + p, 3 + p), stats (N, 3) as of `Done`, size (N,) of
-    the state; white (M, 2) by observation.
-    """
+    """Outputs of the compiled loop, stats (N, 3) as of `Outcome`; white (M, 2) by observation, the others by frame."""
 
     pose: Array
     covariance: Array
@@ -176,9 +164,8 @@ class Track(NamedTuple):
 def run(
     kind: int, extrinsic: Array, mean: Array, P: Array, d: int, steps: Steps, rules: Rules, errors: Errors, track: Track
 ) -> tuple[int, int, int]:
-    """Fill `track`: what the step-by-step filter does, without leaving compiled code, from a state of d entries.
-
-    Rejected pairings become `DISCARD` in `steps.decision`. Returns (d, status, frame of the failure).
+    """Fill `track` by the steps of a filter, from a state of d entries, in compiled code. Rejected pairings become
+    `DISCARD` in `steps.decision`. Returns (d, status, frame of the failure).
     """
     motion, M, start, z, R, decision, known = steps
     first = rules.how.first
@@ -198,10 +185,10 @@ def run(
         status = OK
         if paired > 0:
             rows = np.empty(paired, np.int64)
-            seen = Seen(
+            seen = Pairings(
                 np.empty(paired, np.int64), np.empty((paired, 2)), np.empty((paired, 2)), np.empty((paired, 2, 2))
             )
-            done = Done(np.empty(paired, np.bool_), track.stats[f], np.empty((paired, 2)))
+            done = Outcome(np.empty(paired, np.bool_), track.stats[f], np.empty((paired, 2)))
             k = 0
             for i in range(begin, end):
                 if decision[i] >= 0:
@@ -213,7 +200,7 @@ def run(
                         seen.known[k] = known[decision[i]]
                     k += 1
             used = d
-            if held:  # known landmarks are states while the update lasts
+            if held:  # known landmarks are temporary states of the update
                 hold_known(mean, P, d, seen.known, first, errors)
                 seen.at[:], used = d + 2 * np.arange(paired), d + 2 * paired
             if rules.each:

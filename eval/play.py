@@ -12,7 +12,7 @@ from pathlib import Path
 
 from data.command import Command
 from data.errors import UsageError
-from data.terminal import ended, told
+from data.terminal import ended, message_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import Options, add_flags
 from eval.replay.flag import rows
@@ -98,7 +98,7 @@ def _play(wish: Wish) -> None:
     try:
         write_page(path, played(trials)[0], wish.options.setup)
     except OSError as fault:
-        raise UsageError(f"--out {path}: {told(fault)}") from fault
+        raise UsageError(f"--out {path}: {message_of(fault)}") from fault
     print(f"player: {path} ({path.stat().st_size / 1e6:.2f} MB)")
 
 

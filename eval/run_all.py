@@ -19,7 +19,7 @@ from typing import NoReturn
 
 from data.errors import UsageError
 from data.notice import Severity
-from data.terminal import INTERRUPTED, WRONG, counted, ended, told, unread
+from data.terminal import INTERRUPTED, WRONG, counted, ended, message_of, unread
 from data.whole import whole_folder
 from data.words import sentence
 from eval.open_report import show
@@ -152,7 +152,7 @@ def staged(out: Path) -> Iterator[Path]:
         try:
             partial = stack.enter_context(whole_folder(out))
         except OSError as fault:
-            raise UsageError(f"--out {out}: {told(fault)}") from fault
+            raise UsageError(f"--out {out}: {message_of(fault)}") from fault
         yield partial
 
 
@@ -166,11 +166,11 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.referee.diagnostics import questions_of_run
     from eval.referee.score import score
     from eval.report.contents import write_results
-    from eval.report.diagnostics import asked, said, together
     from eval.report.headline import headlines, lines, trust_line
     from eval.report.overview import trust_mark
     from eval.report.overview_facts import facts_of
     from eval.report.page.latex import check_columns
+    from eval.report.words import asked, said, together
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
 

@@ -1,6 +1,6 @@
-"""gtsam's iSAM2 made dependable: QR where Cholesky breaks, and a name for what the data leave free.
+"""gtsam's iSAM2 with recovery: QR where Cholesky fails, and the name of an undetermined variable.
 
-A `Window` can let go of variables, too: what they said about the others stays, as a linear factor.
+A `Window` can marginalize variables: their information about the others remains as a linear factor.
 """
 
 from __future__ import annotations
@@ -14,32 +14,32 @@ import numpy as np
 from gtsam.symbol_shorthand import L
 
 from data.se2 import Array
-from graph.factors import Factor, UnderConstrained, graph_of, name_of
+from graph.factors import Factor, UnderConstrained, graph_of, name_of, pose_array
 from graph.walls import lines_of, same_wall
 
 Answer = TypeVar("Answer")
 
 SIZES = {"x": 3, "l": 2}
-"""Of poses and landmarks."""
+"""Dimensions of poses and landmarks."""
 WALL_SIZES = {"l": 3, "p": 2}
-"""Where the landmarks are walls: of them, and of the points of the robot that they are seen from."""
+"""Dimensions of walls, and of the points of the robot that they are observed from."""
 
 FURTHER = 4.0
-"""In thresholds: what moved further than this of variables in which factors are almost linear is relinearized. With a
-quarter or five times of it the newest pose is as near to batch on Victoria Park (0.02 sigma), at the same time."""
+"""In thresholds: relinearization threshold of variables with almost linear factors. With a quarter or five times of it
+the newest pose is as near to batch on Victoria Park (0.02 sigma), at the same time."""
 WILDFIRE = 0.2
-"""In thresholds: a change smaller than this does not travel further back into the past."""
+"""In thresholds: a smaller change is not propagated further back into the past."""
 JUMP = 10.0
 """In thresholds: where an update moves the newest pose further (a loop was closed), another one follows, ..."""
 EXTRA = 5
-"""... at most so many times."""
+"""... at most this many times."""
 
 
 class Engine:
     """An ISAM2 object with stable handles on its factors.
 
-    After `Indeterminate linear system` an ISAM2 object is ruined; and Cholesky elimination raises it for problems that
-    QR solves (sums of information that differ by 1e10: a robot at rest). So QR takes over on request, or then.
+    An ISAM2 object is unusable after `Indeterminate linear system`. Cholesky elimination raises it for problems that QR
+    solves (information that differs by 1e10: a robot at rest). So QR takes over on request, or then.
     """
 
     def __init__(
@@ -51,21 +51,18 @@ class Engine:
         name: Callable[[int], str] = name_of,
         linear: Mapping[str, int] | None = None,
         walls: bool = False,
-        reuses_slots: bool = False,
     ) -> None:
-        """`threshold` [m, rad]: what moved further is relinearized, at every `skip`-th update; `name` words a key.
+        """`threshold` [m, rad]: variables that moved further are relinearized, at every `skip`-th update.
 
-        With `skip` 1 all variables are looked at, otherwise only the newest and those connected to one that moved.
-        `linear`: sizes of further variables, by the character of their keys, in which all factors are almost linear:
-        they are relinearized where they moved `FURTHER`.
-        `walls`: the landmarks are walls to be estimated, see `graph.walls`. `reuses_slots`: gtsam puts factors
-        where others have gone, which it looks for among all there are.
+        With `skip` 1 all variables are checked, otherwise only the newest and those connected to one that moved.
+        `name` names a key. `linear`: sizes of further variables with almost linear factors, by the character of their
+        keys; they are relinearized where they moved `FURTHER`. `walls`: the landmarks are estimated walls.
         """
         self.threshold, self.skip, self.qr, self.name = threshold, skip, qr, name
         self.linear, self.walls = dict(linear or {}), walls
         self._sizes = {**SIZES, **(WALL_SIZES if walls else {}), **self.linear}
-        self.reuses_slots = reuses_slots
-        self._factors: dict[int, Factor] = {}  # by handle; what has gone takes no room
+        self.reuses_slots = False  # gtsam puts factors in free slots, for which it searches all
+        self._factors: dict[int, Factor] = {}  # by handle
         self._slot: dict[int, int] = {}
         self._next = 0
         self.isam = self._fresh()
@@ -74,7 +71,7 @@ class Engine:
         parameters = gtsam.ISAM2Params()
         parameters.setRelinearizeThreshold(self._thresholds() if self.linear else self.threshold)
         parameters.relinearizeSkip = self.skip
-        # search only where the newest part of the tree moved: halves the time, but can leave the past behind
+        # search only where the newest part of the tree moved: half the time, but the past may be outdated
         parameters.enablePartialRelinearizationCheck = self.skip > 1
         parameters.setFactorization("QR" if self.qr else "CHOLESKY")
         steps = gtsam.ISAM2GaussNewtonParams()
@@ -82,34 +79,22 @@ class Engine:
         parameters.setOptimizationParams(steps)
         parameters.findUnusedFactorSlots = self.reuses_slots
         isam = gtsam.ISAM2(parameters)
-        # while somebody holds this reference, gtsam hands it to factors in Python, instead of a copy for each
+        # while this reference exists, gtsam gives it to factors in Python instead of copies
         self.point = isam.getLinearizationPoint()
         return isam
 
     def _thresholds(self) -> gtsam.ISAM2ThresholdMap:
-        """What moved further than this is relinearized, by kind of variable."""
+        """Relinearization thresholds by kind of variable."""
         found = gtsam.ISAM2ThresholdMap()
         for kind, size in self._sizes.items():
             found.insert((kind, np.full(size, (FURTHER if kind in self.linear else 1.0) * self.threshold)))
         return found
 
-    def add(
-        self,
-        factors: Sequence[Factor],
-        values: gtsam.Values,
-        instead_of: Sequence[int] = (),
-        last: Sequence[int] | None = None,
-    ) -> list[int]:
-        """Add factors and start values of their new variables; returns a handle for each factor.
-
-        `instead_of`: handles on factors that are removed in the same update. `last`: variables that are eliminated
-        after all others; without, those of the factors are.
-        """
-        slots = self._let_go(instead_of)
+    def add(self, factors: Sequence[Factor], values: gtsam.Values) -> list[int]:
+        """Add factors and start values of their new variables; returns a handle for each factor."""
         handles = [self._keep(f) for f in factors]
-        order = None if last is None else _order(last)
         try:
-            found = self.isam.update(graph_of(factors), values, slots, order)
+            found = self.isam.update(graph_of(factors), values)
         except RuntimeError as fault:
             self._recover(fault)
         else:
@@ -122,16 +107,16 @@ class Engine:
         self._next += 1
         return self._next - 1
 
-    def _let_go(self, handles: Sequence[int]) -> list[int]:
-        """Forget factors; the slots they had."""
+    def _release(self, handles: Sequence[int]) -> list[int]:
+        """Release factors; returns their slots."""
         for h in handles:
             del self._factors[h]
         return [self._slot.pop(h) for h in handles]
 
     def drop(self, handles: Sequence[int]) -> None:
-        """Remove factors; a variable that loses its last one goes with them."""
+        """Remove factors, and variables that lose their last one."""
         try:
-            self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._let_go(handles))
+            self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._release(handles))
         except RuntimeError as fault:
             self._recover(fault)
 
@@ -147,24 +132,26 @@ class Engine:
         return pose
 
     def jumped(self, before: gtsam.Pose2, pose: gtsam.Pose2, far: float = JUMP) -> bool:
-        """Whether the newest pose moved so `far`, in thresholds, that a loop must have been closed."""
+        """Whether the newest pose moved by `far` thresholds, as after a loop closure."""
         return bool(np.abs(before.localCoordinates(pose)).max() >= far * self.threshold)
 
     def update(self, root: int | None = None) -> None:
         """One more step towards the optimum: relinearize all that moved further than the threshold.
 
-        `root`: eliminate this variable last. The search for what moved begins at the root of the tree and ends where
-        nothing did: were the one variable that jumps deep in the tree, the next step would not find it.
+        `root`: eliminate this variable last. The search for moved variables begins at the root of the tree and stops
+        where nothing moved, so a jump deep in the tree would not be found.
         """
-        empty = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        last = None if root is None else _order([root])
+        last = None
+        if root is not None:
+            last = gtsam.KeyGroupMap()
+            last.insert2(root, 1)
         try:
-            self.isam.update(*empty, [], last, None, None, True)
+            self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], last, None, None, True)
         except RuntimeError as fault:
             self._recover(fault)
 
     def linearize_all(self, root: int) -> None:
-        """One more step, with everything linearized where it is now; `root` as of `update`."""
+        """One more step, with everything relinearized; `root` as of `update`."""
         parameters = self.isam.params()
         kept = self._thresholds() if self.linear else self.threshold
         parameters.setRelinearizeThreshold(0.0)
@@ -172,18 +159,16 @@ class Engine:
         parameters.setRelinearizeThreshold(kept)
 
     def use_qr(self) -> None:
-        """From now on QR, slower and safe."""
+        """Switch to QR, slower and safe."""
         if not self.qr:
             self.qr = True
             self._rebuild()
 
     def pose(self, key: int, joining: gtsam.Values | None = None) -> Array:
-        """Estimate of a pose (3,), or where it starts that is only about to join."""
+        """Estimate of a pose (3,), or its start value in `joining`."""
         if joining is not None and joining.exists(key):
-            p = joining.atPose2(key)
-        else:
-            p = self._ask(lambda: self.isam.calculateEstimatePose2(key))
-        return np.array([p.x(), p.y(), p.theta()])
+            return pose_array(joining.atPose2(key))
+        return pose_array(self._ask(lambda: self.isam.calculateEstimatePose2(key)))
 
     def points(self, numbers: Sequence[int]) -> Array:
         """Landmarks (n, 2): positions, or (rho, alpha) of walls."""
@@ -193,7 +178,7 @@ class Engine:
         return np.array(found, float).reshape(-1, 2)
 
     def _poses(self, numbers: Sequence[int]) -> list[gtsam.Pose2]:
-        """Walls as they are in the graph."""
+        """Walls as poses in the graph."""
         return self._ask(lambda: [self.isam.calculateEstimatePose2(L(n)) for n in numbers])
 
     def with_landmarks(self, keys: Sequence[int], numbers: Sequence[int]) -> Array:
@@ -213,9 +198,8 @@ class Engine:
         return np.asarray(self._ask(lambda: self.isam.calculateEstimateVector(key)), float)
 
     def newest(self, keys: Sequence[int]) -> tuple[Array, Array]:
-        """How far variables are from where they are linearized (n,), and their joint covariance (n, n).
-
-        Poses in their body frames. What is next to the root of the tree is found without looking at the rest of it.
+        """Offset of variables from their linearization point (n,), and their joint covariance (n, n). Poses in their
+        body frames. Variables next to the root of the tree need no search of the rest.
         """
 
         def found() -> tuple[Array, Array]:
@@ -226,7 +210,7 @@ class Engine:
         return self._ask(found)
 
     def covariance(self, keys: Sequence[int]) -> Array:
-        """Joint covariance of variables in the order asked for, poses in their body frames."""
+        """Joint covariance of variables in the order given, poses in their body frames."""
         if len(keys) == 1:
             return np.asarray(self._ask(lambda: self.isam.marginalCovariance(keys[0])), float)
         if len(keys) == 2:
@@ -239,11 +223,10 @@ class Engine:
         return self._in_parts(keys)
 
     def _in_parts(self, keys: Sequence[int]) -> Array:
-        """The joint covariance of three or more variables, put together from those of two thirds of them each.
+        """The joint covariance of three or more variables, composed from those of two thirds of them each.
 
-        gtsam takes pivots of very different size (a turn that is all but unknown, landmarks known to millimetres) for a
-        system that is indeterminate; that happens in large joint marginals, with QR as well. A block of a covariance
-        is the same whatever else was asked for.
+        gtsam takes pivots of very different size (an almost unknown turn, landmarks known to millimetres) for an
+        indeterminate system, in large joint marginals even with QR.
         """
         size = np.array([self._sizes[chr(gtsam.symbolChr(k))] for k in keys])
         end = np.cumsum(size)
@@ -259,7 +242,7 @@ class Engine:
         return self.isam.calculateEstimate()
 
     def _ask(self, question: Callable[[], Answer]) -> Answer:
-        """An answer that needs the elimination; once more with QR if it fails."""
+        """Result of a query that needs the elimination; once more with QR if it fails."""
         try:
             return question()
         except RuntimeError as fault:
@@ -267,7 +250,7 @@ class Engine:
             return question()
 
     def _recover(self, fault: RuntimeError) -> None:
-        """After a failed elimination: start again with QR, or say which variable is free."""
+        """After a failed elimination: start again with QR, or report the undetermined variable."""
         if "Indeterminate linear system" not in str(fault):
             raise fault
         if self.qr:
@@ -295,73 +278,50 @@ class Engine:
         return UnderConstrained(f"{name} is not determined by the data so far")
 
 
-def _order(last: Sequence[int]) -> gtsam.KeyGroupMap:
-    """Places in the order of elimination: `last` after all others."""
-    found = gtsam.KeyGroupMap()
-    for key in last:
-        found.insert2(key, 1)
-    return found
-
-
 MANY = 1 << 17
-"""Factors, gone ones included, of the longest logs: of several hours. gtsam looks through all their slots in a step."""
+"""Factors, removed ones included, in the longest logs of several hours: gtsam visits all their slots in a step."""
 FIRST, MIDDLE, LAST = 0, 1, 2
-"""Places in the order of elimination."""
+"""Groups in the order of elimination."""
 
 
 class Window(Engine):
     """An `Engine` whose variables can be marginalized.
 
     The means are those of gtsam's IncrementalFixedLagSmoother: an update that eliminates the leaving variables first,
-    then ISAM2's `marginalizeLeaves`. It is done here on the engine's own ISAM2 object, so that recovery by QR, handles
-    on factors and joint covariances are those of the incremental smoother, a landmark stays without a new time stamp at
-    every update, and a pose can be read before it goes.
+    then ISAM2's `marginalizeLeaves`. Here this is done on the engine's own ISAM2 object, which keeps the recovery by
+    QR, the handles and the joint covariances; landmarks need no time stamps, and a pose can be read before it is
+    marginalized.
     """
 
-    def __init__(
-        self,
-        threshold: float,
-        skip: int,
-        *,
-        qr: bool,
-        name: Callable[[int], str] = name_of,
-        linear: Mapping[str, int] | None = None,
-        walls: bool = False,
-    ) -> None:
-        """As `Engine`."""
-        # of points, numbers stay those of other slots to the bit as long as logs are: slots are used again when there
-        # are more than that
-        super().__init__(threshold, skip, qr=qr, name=name, linear=linear, walls=walls, reuses_slots=walls)
+    def __init__(self, like: Engine) -> None:
+        """Empty, with the parameters of an engine."""
+        super().__init__(like.threshold, like.skip, qr=like.qr, name=like.name, linear=like.linear, walls=like.walls)
+        # slots of points are reused only beyond `MANY`, since reuse changes the last bits
+        self.reuses_slots = self.isam.params().findUnusedFactorSlots = like.walls
         self._handle: dict[int, int] = {}
-        # linear factors that hold about the present linearization point, which is not theirs in a new ISAM2 object
+        # linear factors at the present linearization point, which a new ISAM2 object would not keep
         self._linear: list[int] = []
 
-    def add(
-        self,
-        factors: Sequence[Factor],
-        values: gtsam.Values,
-        instead_of: Sequence[int] = (),
-        last: Sequence[int] | None = None,
-    ) -> list[int]:
+    def add(self, factors: Sequence[Factor], values: gtsam.Values) -> list[int]:
         """As `Engine.add`."""
-        handles = super().add(factors, values, instead_of, last)
+        handles = super().add(factors, values)
         if handles and not self.reuses_slots and self._slot[handles[-1]] > MANY:
             self.reuses_slots = self.isam.params().findUnusedFactorSlots = True
         self._handle.update((self._slot[h], h) for h in handles)
         return handles
 
     def drop(self, handles: Sequence[int]) -> None:
-        """Remove those factors that did not go with a variable; a variable that loses its last one goes with them."""
+        """Remove those factors that were not marginalized, and variables that lose their last one."""
         super().drop([h for h in handles if self.alive(h)])
 
-    def _let_go(self, handles: Sequence[int]) -> list[int]:
-        slots = super()._let_go(handles)
+    def _release(self, handles: Sequence[int]) -> list[int]:
+        slots = super()._release(handles)
         for slot in slots:
             self._handle.pop(slot, None)
         return slots
 
     def alive(self, handle: int) -> bool:
-        """Whether a factor is there: it goes with its variables."""
+        """Whether a factor is there: it is marginalized with its variables."""
         return handle in self._factors
 
     def holds(self, key: int) -> bool:
@@ -369,7 +329,7 @@ class Window(Engine):
         return bool(self.isam.valueExists(key))
 
     def same(self, pairs: Mapping[int, int], sigma: float) -> list[Factor]:
-        """Landmarks are the others named here, but for a standard deviation [m] in each direction."""
+        """Factors that equate pairs of landmarks, with a standard deviation [m] in each direction."""
         if self.walls:
             of = dict(zip([*pairs, *pairs.values()], self._poses([*pairs, *pairs.values()]), strict=True))
             return [same_wall(a, b, (of[a], of[b]), sigma) for a, b in pairs.items()]
@@ -377,12 +337,11 @@ class Window(Engine):
         return [gtsam.BetweenFactorPoint2(L(a), L(b), np.zeros(2), model) for a, b in pairs.items()]
 
     def marginalize(self, keys: Sequence[int], last: Sequence[int]) -> None:
-        """Let go of variables; `last` stay the last ones in the order of elimination.
-
-        What hangs on those that go keeps its linearization point from now on, so it gets the newest one before.
+        """Marginalize variables; `last` stay the last ones in the order of elimination. Their neighbours are
+        relinearized first, since they keep their linearization point afterwards.
         """
-        # gtsam 4.3 leaves garbage in what remains of a clique with a hard constraint (it takes rows out of the
-        # conditional, not out of its noise model); the factors are right, so that is eliminated once more
+        # gtsam 4.3 corrupts the rest of a clique with a hard constraint (it removes rows of the conditional, not of its
+        # noise model); the factors are right, so it is eliminated once more
         hard = any(_is_hard(self._factors[h]) for h in self._handle.values())
         try:
             self._eliminate_first(keys, last)
@@ -390,7 +349,7 @@ class Window(Engine):
             self._recover(fault)
             self._eliminate_first(keys, last)
         added, deleted = self.isam.marginalizeLeavesWithIndices(_key_list(keys))
-        self._let_go([self._handle[slot] for slot in deleted])
+        self._release([self._handle[slot] for slot in deleted])
         factors = self.isam.getFactorsUnsafe()
         self._linear = [h for h in self._linear if self.alive(h)]
         for slot in added:
@@ -401,19 +360,19 @@ class Window(Engine):
             self._eliminate_first([], last)
 
     def _eliminate_first(self, keys: Sequence[int], last: Sequence[int]) -> None:
-        """Make leaves of these variables: eliminate everything anew, with them first."""
+        """Eliminate everything again with these variables first, which makes leaves of them."""
         every = self.isam.getLinearizationPoint().keys()
         place = gtsam.KeyGroupMap()
         for key in last:
-            place.insert2(key, min(LAST, len(every) - 1))  # CCOLAMD takes no place beyond the number of variables
+            place.insert2(key, min(LAST, len(every) - 1))  # CCOLAMD allows no group beyond the number of variables
         for key in keys:
             place.insert2(key, FIRST)
         for key in every:
-            place.insert2(key, MIDDLE)  # changes none that has its place
+            place.insert2(key, MIDDLE)  # keeps existing groups
         self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], place, None, _key_list(every), True)
 
     def _rebuild(self) -> None:
-        """The same problem in a new ISAM2 object; linear factors take their linearization point along."""
+        """The same problem in a new ISAM2 object; linear factors keep their linearization point."""
         point = self.isam.getLinearizationPoint()
         for h in self._linear:
             factor = self._factors.get(h)
@@ -425,7 +384,7 @@ class Window(Engine):
 
 
 def _is_hard(factor: Factor | None) -> bool:
-    """Whether a factor has a hard constraint, or is what marginalization made of one."""
+    """Whether a factor is a hard constraint, or results from the marginalization of one."""
     if isinstance(factor, gtsam.LinearContainerFactor):
         linear = factor.factor()
         return isinstance(linear, gtsam.JacobianFactor) and isinstance(linear.get_model(), gtsam.noiseModel.Constrained)

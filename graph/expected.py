@@ -1,4 +1,4 @@
-"""What a smoother expects to see: expected measurements of its candidates, and their covariance."""
+"""Expected measurements of a smoother's candidates, and their covariance."""
 
 from __future__ import annotations
 
@@ -6,98 +6,87 @@ from collections.abc import Callable
 
 import numpy as np
 
-from association.candidates import MARGIN, SIGMAS, Drift, Places, may_be_in_view
+from association.candidates import MARGIN, SIGMAS, Places, UncertaintyBounds, may_be_in_view
 from association.expectation import Expectation
 from data.blocks import coordinates, diagonal_blocks
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.se2 import Array, pose_error
 from data.sensors import Sensor
 
-LOOKED = 50
-"""Frames after which all positions are looked up again; a twentieth of what it takes to do so in every one."""
+REFRESH = 50
+"""Frames between two queries of all positions, which then take a twentieth of the time of a query in every frame."""
 STEADY = 1.0
-"""m. They are looked up at once where the newest pose was corrected by so much in sum, or a landmark near it moved by
-half of that: a loop was closed."""
+"""m. All positions are queried at once if the newest pose was corrected by this in sum, or a landmark near it by half
+of that: a loop was closed."""
 
 UNKNOWN = 1e12
-"""m^2, rad^2. Stands in for the variances of a wall that were never asked for."""
+"""m^2, rad^2. Stands in for the variances of a wall that were never queried."""
 
 
-class Near:
-    """Landmarks of a smoother that may be near the robot, without asking for the positions of all in every frame.
+class PositionCache:
+    """Landmarks of a smoother that may be near the robot, without a query of all positions in every frame.
 
-    Where a landmark was when it was looked up last, and `STEADY` around that, tells whether it may be near; what may be
-    is looked up anew. No landmark is missed that has not moved by more than that since, while neither the newest pose
-    nor any landmark around it did.
+    Landmarks within `STEADY` of the search radius, by their cached positions, are queried again. None is missed that
+    has moved by less than that since, while neither the newest pose nor a landmark near it moved.
     """
 
     def __init__(self) -> None:
-        """Nothing was looked up."""
         self._number, self._xy = np.empty(0, np.int64), np.empty((0, 2))
         self._frames, self._corrected = 0, 0.0
 
     def corrected(self, step: Array) -> None:
-        """The newest pose was corrected by (2,) [m]."""
+        """Add a correction (2,) [m] of the newest pose."""
         self._corrected += float(np.hypot(*step))
 
     def around(
-        self, number: IntArray, point: Array, radius: Array, look: Callable[[list[int]], Array]
+        self, number: IntArray, point: Array, radius: Array, positions_of: Callable[[list[int]], Array]
     ) -> tuple[IntArray, Array]:
-        """Indices (m,) of landmarks (n,) at most a radius (n,) [m] from a point (2,), and positions (m, 2).
-
-        Some more may be among them. `look` gives the positions of landmarks.
-        """
+        """A superset of the landmarks (n,) within radii (n,) [m] of a point (2,): indices (m,) and positions (m, 2)."""
         self._frames += 1
-        stale = self._frames >= LOOKED or self._corrected > STEADY or not np.isfinite(radius).all()
+        stale = self._frames >= REFRESH or self._corrected > STEADY or not np.isfinite(radius).all()
         if not stale and not np.array_equal(number, self._number):
-            stale = not self._follow(number, look)
+            old = len(self._number)
+            stale = len(number) < old or not np.array_equal(number[:old], self._number)
+            if not stale:
+                self._number, self._xy = number, np.concatenate([self._xy, positions_of(number[old:].tolist())])
         if not stale:
             near = np.flatnonzero(np.hypot(*(self._xy - point).T) <= radius + STEADY)
-            xy = look(number[near].tolist())
+            xy = positions_of(number[near].tolist())
             stale = bool((np.abs(xy - self._xy[near]) > 0.5 * STEADY).any())
             self._xy[near] = xy
         if stale:
-            self._number, self._xy = number, look(number.tolist())
+            self._number, self._xy = number, positions_of(number.tolist())
             self._frames, self._corrected = 0, 0.0
             near = np.flatnonzero(np.hypot(*(self._xy - point).T) <= radius)
             xy = self._xy[near].copy()
         return near, xy
 
-    def _follow(self, number: IntArray, look: Callable[[list[int]], Array]) -> bool:
-        """Look up what is new; False where something else changed."""
-        old = len(self._number)
-        if len(number) < old or not np.array_equal(number[:old], self._number):
-            return False
-        self._number, self._xy = number, np.concatenate([self._xy, look(number[old:].tolist())])
-        return True
-
 
 class Candidates:
-    """Landmarks that may be in view, without a joint covariance of all. Those of a known map of walls are few: all."""
+    """Landmarks that may be in view, without a joint covariance of all. A known map of walls is small: all of it."""
 
     def __init__(self, sensor: Sensor, known: LandmarkMap | None) -> None:
-        """Nothing seen, nothing driven."""
         self.sensor, self.map = sensor, known
-        self._drift, self._near = Drift(), Near()
+        self._drift, self._near = UncertaintyBounds(), PositionCache()
         self._places = Places(np.empty((0, 2)) if known is None else known.xy)
         self._walls = np.empty((0, 2, 2))
-        """By number, covariance of walls when it was asked for last: more data can only make it smaller."""
+        """By number, last known covariance of walls, an upper bound of the present one."""
 
     def move(self, increment: Increment) -> None:
-        """The robot moved."""
+        """Add the uncertainty of an increment."""
         self._drift.move(increment)
 
     def corrected(self, step: Array) -> None:
-        """The newest pose was corrected by (2,) [m]."""
+        """Add a correction (2,) [m] of the newest pose."""
         self._near.corrected(step)
 
     def see(self, observations: FrameObservations, number: IntArray, P: Array) -> None:
-        """Landmarks (m,) of SLAM were seen from a pose of covariance P (3, 3)."""
+        """Landmarks (m,) of SLAM were observed from a pose of covariance P (3, 3)."""
         if self.sensor.sees_points:
             self._drift.see(self.sensor, observations, number, P)
 
     def know(self, number: IntArray, J: Array) -> None:
-        """J: joint covariance in the world of others and, last, landmarks (n,) of SLAM."""
+        """Joint covariance J, world frame, of some variables and, last, landmarks (n,) of SLAM."""
         if self.sensor.sees_points:
             self._drift.know(number, np.sqrt(np.diag(J)[-2 * len(number) :].reshape(-1, 2).sum(1)))
         elif len(number):
@@ -115,20 +104,20 @@ class Candidates:
             self._drift.expect(self.sensor, number, z_hat, HPHt)
 
     def known(self, point: Array, radius: float) -> tuple[IntArray, Array]:
-        """Ids (n,) and places (n, 2) of known landmarks at most a radius [m] from a point (2,)."""
+        """Ids (n,) and positions (n, 2) of known landmarks at most a radius [m] from a point (2,)."""
         assert self.map is not None
         rows = self._places.around(point, radius if self.sensor.sees_points else np.inf)
         return self.map.id[rows], self.map.xy[rows]
 
     def of_slam(
-        self, number: IntArray, pose: Array, P: Array, look: Callable[[list[int]], Array]
+        self, number: IntArray, pose: Array, P: Array, positions_of: Callable[[list[int]], Array]
     ) -> tuple[IntArray, Array]:
-        """Landmarks among (n,), and their places (m, 2), from a pose (3,) of covariance P; `look` as of `Near`."""
+        """Landmarks among (n,) near a pose (3,) of covariance P, and their positions (m, 2)."""
         if not self.sensor.sees_points:
-            lines = look(number.tolist())
+            lines = positions_of(number.tolist())
             self._room(number)
             z_hat, Hx, Hl = self.sensor.linearize(pose, lines)
-            # of a sum, whatever the correlation
+            # bound of a sum for any correlation
             sigma = np.sqrt(np.einsum("nqi,ij,nqj->nq", Hx, P, Hx))
             sigma += np.sqrt(np.einsum("nqi,nij,nqj->nq", Hl, self._walls[number], Hl))
             angle = np.minimum(SIGMAS * sigma[:, 1] + MARGIN, np.pi)
@@ -137,7 +126,7 @@ class Candidates:
         sigma, heading = self._drift.sigmas(number, P)
         lever = np.hypot(*self.sensor.translation)
         radius = self.sensor.max_range + lever + SIGMAS * (sigma + lever * heading)
-        around, xy = self._near.around(number, pose[:2], radius, look)
+        around, xy = self._near.around(number, pose[:2], radius, positions_of)
         near = may_be_in_view(self.sensor, pose, xy, sigma[around], heading[around])
         return number[around][near], xy[near]
 
@@ -152,11 +141,10 @@ def form(
     at: Array | None = None,
     inside: Callable[[Array], Array] | None = None,
 ) -> Expectation:
-    """Expectation over landmarks `number` (n,) at xy (n, 2), seen from `pose` (3,), linearized there or `at` (3,).
+    """Expectation over landmarks `number` (n,) at xy (n, 2) from `pose` (3,), linearized there or `at` (3,).
 
-    `inside`: what becomes of a robot's pose where all of this is; None: nothing.
-
-    `covariance`, world frame: (3 + 2n, 3 + 2n) of pose and landmarks, or (3, 3) of the pose where they are known.
+    `inside` maps a robot's pose into the frame of the arguments; None: identity. `covariance`, world frame: (3 + 2n, 3
+    + 2n) of pose and landmarks, or (3, 3) of the pose where they are known.
     """
     n, m = len(number), len(observations.z)
     z_hat, Hx, Hl = sensor.linearize(pose if at is None else at, xy)

@@ -1,9 +1,8 @@
-"""Our inputs as gtsam factors: prior, increments, observations of landmarks.
+"""Inputs as gtsam factors: prior, increments, observations of landmarks.
 
-Conventions that differ: gtsam's pose covariances live in the body frame of the pose they belong to (ours: world frame);
-noise of a relative pose lives at its *end* (ours: in the frame it starts from); bearing comes before range (ours:
-after), both of the body frame. Keys: X(frame) for poses, L(number) for landmarks; in localization L(row of the
-observation).
+Conventions that differ: gtsam's pose covariances are in the body frame of the pose (ours: world frame); noise of a
+relative pose is at its end (ours: in the frame it starts from); bearing comes before range (ours: after), both in the
+body frame. Keys: X(frame) for poses, L(number) for landmarks; in localization L(row of the observation).
 """
 
 from __future__ import annotations
@@ -23,17 +22,15 @@ from data.se2 import Array, BoolArray, covariances_in_body, world_from_body
 from data.sensors import RANGE_BEARING, Sensor
 
 NEAR = 3.0
-"""Sigmas of a range. A reading that is shorter than so many is taken as a point, see `is_point`. In parks whose trees
-stand on the way, searches got stuck at the kink with 1 and none with 2; 3 spares a third of steps."""
+"""Sigmas of a range; a shorter observation is taken as a point, see `is_point`. In parks with trees on the path,
+searches got stuck at the singularity with 1 and none with 2; 3 saves a third of the steps."""
 UNMEASURED = 10.0
-"""Ranges long, and m. A sigma of the range from there on says that it was not measured: a bearing is no near point."""
+"""Multiples of the range, and m: a range sigma above both marks a bearing-only observation, never a near point."""
 
 
 def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
-    """[bearing, range] (m, 2) in the body frame, gtsam's order, with covariances (m, 2, 2).
-
-    A rotated sensor only shifts the bearing; one mounted off the robot's centre is converted through the point, to
-    first order in the noise.
+    """[bearing, range] (m, 2) in the body frame, gtsam's order, with covariances (m, 2, 2). A rotated sensor only
+    shifts the bearing; one off the robot's centre is converted through the point, to first order.
     """
     if sensor.translation == (0.0, 0.0):
         return np.stack([z[:, 1] - sensor.rotation, z[:, 0]], 1), R[:, ::-1, ::-1]
@@ -44,10 +41,8 @@ def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
 
 
 def relative_point(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
-    """Point (m, 2) in the body frame with covariances (m, 2, 2): exact for a sensor of points.
-
-    Of ranges and bearings to first order in their noise, and the bearing's at the true range, whose square is on the
-    average larger than the reading's by the range's variance.
+    """Point (m, 2) in the body frame with covariances (m, 2, 2): exact for a sensor of points. Of ranges and bearings
+    to first order in their noise, the bearing's at the expected squared range.
     """
     points, C = sensor.body_points(z, R)
     if sensor.kind == RANGE_BEARING:
@@ -58,10 +53,8 @@ def relative_point(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
 
 
 def is_point(sensor: Sensor, z: Array, R: Array) -> BoolArray:
-    """Which observations z (m, 2), R (m, 2, 2) become relative points: all of a sensor of points, and the nearest.
-
-    Where the landmark may as well stand on the robot, its bearing has no derivative there, and a smoother could get
-    stuck at that kink or leave it for the other end of the world.
+    """Which observations z (m, 2), R (m, 2, 2) become relative points: all of a sensor of points, and the nearest. A
+    landmark that may coincide with the robot has a singular bearing, where a smoother could get stuck or diverge.
     """
     sigma = np.sqrt(R[:, 0, 0])
     near: BoolArray = (z[:, 0] < NEAR * sigma) & (sigma < UNMEASURED * np.maximum(z[:, 0], 1.0))
@@ -72,22 +65,21 @@ noise = gtsam.noiseModel
 Factor = gtsam.NonlinearFactor
 
 EXACT = 1e-6
-"""m, rad. A direction in which the prior's sigma is smaller gets this one; all three smaller: the pose is held exactly.
-gtsam has no noise that is exact in an arbitrary direction. The covariances of batch and finish do not depend on this.
-"""
+"""m, rad. Least sigma of the prior in a direction; all three smaller: the pose is held exactly. gtsam has no exact
+noise in an arbitrary direction. The covariances of batch and finish do not depend on this."""
 BEACON = 1e7
-"""m. Distance of the beacons that stand for the coordinates of a relative point; see `coordinate_factors`."""
+"""m. Distance of the beacons that represent the coordinates of a relative point; see `coordinate_factors`."""
 SINGULAR = 1e-13
-"""m^2, rad^2. An increment that is known better than this in some direction has no information matrix to speak of."""
+"""m^2, rad^2. Variance of an increment below which its information matrix is not computed."""
 HUBER, CAUCHY = 1.345, 1.0
-"""Sigmas at which the losses bend: 95 % efficient on Gaussian noise, and usual."""
+"""Sigmas at which the losses bend: 95 % efficient on Gaussian noise, and the usual value."""
 KERNELS = {"huber": noise.mEstimator.Huber.Create(HUBER), "cauchy": noise.mEstimator.Cauchy.Create(CAUCHY)}
 LOSSES = ("gaussian", *KERNELS)
 _HELD = noise.Constrained.All(2)
 
 
 class UnderConstrained(SlamrefError):  # noqa: N818 - a condition of the problem, named as surveyors name it
-    """The data do not determine a variable; the message names it in plain words."""
+    """The data do not determine the variable named in the message."""
 
 
 def name_of(key: int) -> str:
@@ -97,16 +89,16 @@ def name_of(key: int) -> str:
 
 
 @dataclass(frozen=True)
-class Sighted:
+class ObservationFactors:
     """One observation as factors.
 
     Attributes:
-        frame: from which the landmark was seen.
+        frame: of the observation.
         number: landmark number (localization: the map's id).
         key: the landmark's variable; None where the factor needs none.
         measured: the factors of the measurement, two residuals in all.
-        pin: holds a known landmark where the map has it; None in SLAM.
-        xy: where a known landmark is; None in SLAM.
+        pin: holds a known landmark at its position in the map; None in SLAM.
+        xy: position of a known landmark; None in SLAM.
     """
 
     frame: int
@@ -118,21 +110,21 @@ class Sighted:
 
     @property
     def factors(self) -> list[Factor]:
-        """All of them."""
+        """All factors."""
         return self.measured if self.pin is None else [*self.measured, self.pin]
 
     @property
-    def alone(self) -> list[int]:
-        """Variables that no other observation has: the copy of a known landmark."""
+    def own_variables(self) -> list[int]:
+        """Variables of this observation alone: the copy of a known landmark."""
         return [] if self.key is None or self.xy is None else [self.key]
 
     @property
-    def starts(self) -> list[tuple[int, Array | gtsam.Pose2]]:
-        """Start values of the variables that come with it."""
+    def start_values(self) -> list[tuple[int, Array | gtsam.Pose2]]:
+        """Start values of its own variables."""
         return [] if self.key is None or self.xy is None else [(self.key, self.xy)]
 
-    def renumbered(self, number: int, *, opposite: bool = False) -> Sighted:
-        """The same observation (SLAM) taken for another landmark; `opposite` is for walls alone."""
+    def renumbered(self, number: int, *, opposite: bool = False) -> ObservationFactors:
+        """The same observation (SLAM) of another landmark; `opposite` is for walls alone."""
         keys = [X(self.frame), L(number)]
         return replace(self, number=number, key=L(number), measured=[f.rekey(keys) for f in self.measured])
 
@@ -142,13 +134,18 @@ def pose2(pose: Array) -> gtsam.Pose2:
     return gtsam.Pose2(float(pose[0]), float(pose[1]), float(pose[2]))
 
 
+def pose_array(pose: gtsam.Pose2) -> Array:
+    """A pose of gtsam as (3,)."""
+    return np.array([pose.x(), pose.y(), pose.theta()])
+
+
 @numba.njit(cache=True)
 def root_information(covariance: Array) -> tuple[Array, Array]:
     """Upper triangular R (n, d, d) with R'R = C^-1 for C (n, d, d), and the smallest pivot (n,) of each C.
 
-    A pivot is the variance of one coordinate given those after it; where it is not positive, R is not filled in.
-    gtsam's own `Gaussian.Covariance` inverts C instead: for a nearly singular C it gets the well-known direction right
-    and the other one wrong (a rank-one prior of sigma 0.17, floored at 1e-6, came out as 0.002).
+    A pivot is the variance of one coordinate given those after it; R is undefined where one is not positive. gtsam's
+    own `Gaussian.Covariance` inverts C, which is inaccurate for nearly singular C (a rank-one prior of sigma 0.17,
+    floored at 1e-6, came out as 0.002).
     """
     n, d = len(covariance), covariance.shape[1]
     R, pivot = np.zeros((n, d, d)), np.full(n, np.inf)
@@ -180,9 +177,8 @@ def root_information(covariance: Array) -> tuple[Array, Array]:
 
 
 def invertible_roots(covariance: Array, name: Callable[[int], str], remedy: str) -> tuple[Array, float]:
-    """`root_information` of covariances (n, d, d) of motions, and the smallest pivot of all.
-
-    Raises DataError for a singular one: a smoother needs the `remedy`; `name` says which row it is.
+    """`root_information` of covariances (n, d, d) of motions, and the smallest pivot of all. Raises DataError for a
+    singular one, with the name of its row and the `remedy`.
     """
     roots, pivot = root_information(covariance)
     bad = np.flatnonzero(~(pivot > SINGULAR))
@@ -195,15 +191,14 @@ def invertible_roots(covariance: Array, name: Callable[[int], str], remedy: str)
 
 
 def increment_roots(first_frame: int, covariance: Array) -> tuple[Array, float]:
-    """The same of increments (n, 3, 3) into the frames from `first_frame` on."""
+    """`invertible_roots` of increments (n, 3, 3) into the frames from `first_frame` on."""
     return invertible_roots(
         covariance, lambda i: f"increment into frame {first_frame + i}", "a covariance_floor of 1e-10 or so"
     )
 
 
-def reading_roots(covariance: Array, R: Array, frame: IntArray) -> Array:
-    """`root_information` of covariances (m, d, d) made of R (m, 2, 2), those of readings from frames (m,).
-
+def observation_roots(covariance: Array, R: Array, frame: IntArray) -> Array:
+    """`root_information` of covariances (m, d, d) derived from R (m, 2, 2), those of observations from frames (m,).
     Raises DataError for one that is not positive definite.
     """
     roots, pivot = root_information(covariance)
@@ -237,8 +232,8 @@ def prior_factor(prior: Prior) -> Factor:
 def between_factors(first_frame: int, mean: Array, covariance: Array) -> tuple[list[gtsam.BetweenFactorPose2], float]:
     """Motions (n, 3) with covariances (n, 3, 3) into the frames from `first_frame` on, and their smallest pivot.
 
-    Our increment's error is additive in the previous body frame, gtsam's sits at the end pose. Raises DataError for a
-    singular covariance: a smoother needs its inverse.
+    The increment's error is additive in the previous body frame, and turned to the end pose for gtsam. Raises DataError
+    for a singular covariance.
     """
     roots, pivot = increment_roots(first_frame, covariances_in_body(mean[:, 2], covariance))
     factors = [
@@ -260,17 +255,17 @@ def measured(sensor: Sensor, z: Array, R: Array, frame: IntArray) -> tuple[BoolA
     for which, convert in ((point, relative_point), (~point, bearing_range)):
         if which.any():
             h[which], C[which] = convert(sensor, z[which], R[which])
-    return point, h, reading_roots(C, R, frame)
+    return point, h, observation_roots(C, R, frame)
 
 
 def coordinate_factors(pose: int, landmark: int, point: Array, root: Array, loss: str) -> list[Factor]:
     """A relative point (2,) as two independent scalars, one for each row of its root information (2, 2).
 
-    gtsam's Python API has no Pose2-Point2 factor for a relative point. But the coordinate of a point along an axis is
-    its range to a beacon far behind on that axis, and that factor exists, in C++. The range differs from the
-    coordinate by y^2 / 2D: a micrometre for a residual of 1 m across at 20 m (D = `BEACON`), and its rounding is
-    nanometres. The usual conversion to bearing and range is biased instead: 0.4 m of path on Victoria Park, where
-    that is more than a sigma. A robust kernel acts on each scalar by itself.
+    gtsam's Python API has no Pose2-Point2 factor for a relative point. But a coordinate along an axis is the range to a
+    beacon far behind on that axis, and that factor exists in C++. The range differs from the coordinate by y^2 / 2D: a
+    micrometre for a residual of 1 m across at 20 m (D = `BEACON`), and its rounding is nanometres. A conversion to
+    bearing and range is biased by 0.4 m of path on Victoria Park, more than a sigma. A robust kernel acts on each
+    scalar.
     """
     factors: list[Factor] = []
     px, py = point.tolist()
@@ -283,9 +278,9 @@ def coordinate_factors(pose: int, landmark: int, point: Array, root: Array, loss
     return factors
 
 
-def sight_landmarks(
+def landmark_factors(
     sensor: Sensor, z: Array, R: Array, frame: IntArray, number: IntArray, loss: str = "gaussian"
-) -> list[Sighted]:
+) -> list[ObservationFactors]:
     """SLAM: observations z (m, 2), R (m, 2, 2) of landmarks `number` (m,) from frames (m,)."""
     result = []
     for f, n, point, h, root in zip(frame.tolist(), number.tolist(), *measured(sensor, z, R, frame), strict=True):
@@ -294,11 +289,11 @@ def sight_landmarks(
         else:
             model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
             factors = [gtsam.BearingRangeFactor2D(X(f), L(n), gtsam.Rot2(h[0]), h[1], model)]
-        result.append(Sighted(f, n, L(n), factors))
+        result.append(ObservationFactors(f, n, L(n), factors))
     return result
 
 
-def sight_known(
+def known_landmark_factors(
     sensor: Sensor,
     z: Array,
     R: Array,
@@ -307,22 +302,22 @@ def sight_known(
     xy: Array,
     first_row: int,
     loss: str = "gaussian",
-) -> list[Sighted]:
+) -> list[ObservationFactors]:
     """Localization: observations z (m, 2), R (m, 2, 2) from frames (m,) of known landmarks at xy (m, 2).
 
-    A relative point has a factor of its own. Range and bearing need a landmark variable, held where the map has it: a
-    fresh copy for each observation (L(first_row), ...), so that the graph stays a chain. One variable per landmark
-    would tie the whole past together: ten times slower in iSAM2, five times in gtsam's Marginals, the same numbers.
+    A relative point has a factor of its own. Range and bearing need a landmark variable, held at its position in the
+    map. A copy for each observation (L(first_row), ...) keeps the graph a chain; shared variables would be ten times
+    slower in iSAM2 and five times in gtsam's Marginals.
     """
     result = []
     seen = zip(frame.tolist(), number.tolist(), *measured(sensor, z, R, frame), xy, strict=True)
     for row, (f, n, point, h, root, at) in enumerate(seen, first_row):
         model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
         if point:
-            result.append(Sighted(f, n, None, [gtsam.KnownLandmarkFactorPose2(X(f), at, h, model)], xy=at))
+            result.append(ObservationFactors(f, n, None, [gtsam.KnownLandmarkFactorPose2(X(f), at, h, model)], xy=at))
         else:
             factor = gtsam.BearingRangeFactor2D(X(f), L(row), gtsam.Rot2(h[0]), h[1], model)
-            result.append(Sighted(f, n, L(row), [factor], gtsam.PriorFactorPoint2(L(row), at, _HELD), at))
+            result.append(ObservationFactors(f, n, L(row), [factor], gtsam.PriorFactorPoint2(L(row), at, _HELD), at))
     return result
 
 

@@ -1,7 +1,7 @@
-"""iSAM2 frame by frame, with the verbs of the filters: localization in a known map, and SLAM.
+"""iSAM2 frame by frame, with the interface of the filters: localization in a known map, and SLAM.
 
-A frame in which nothing is used costs no update: its pose is composed from the increments and joins the graph with the
-next frame that sees something, so every frame is a variable and the estimate is the same.
+A frame without used observations costs no update: its pose is composed from the increments and joins the graph with the
+next observation. So every frame is a variable, with the same estimate.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from data.sensors import Sensor
 from graph import expected
 from graph.calibration.open_end import CalibratedEnd
 from graph.engine import Engine
-from graph.factors import Factor, Sighted
+from graph.factors import Factor, ObservationFactors
 from graph.observed import Observed
 from graph.open_end import OpenEnd
 from graph.optimum import optimize
@@ -29,23 +29,23 @@ from graph.systematic import errors_of
 from graph.walls import refuse
 
 THRESHOLD = 0.05
-"""m, rad. Relinearize what moved further than this, ..."""
+"""m, rad. Relinearize variables that moved further than this, ..."""
 SKIP = 10
 """... at every so many updates."""
 SETTLE = 3
-"""Updates after a removal, and where more are asked for."""
+"""Updates after a removal, and default of `refine`."""
 DELICATE = 1e-8
-"""m^2, rad^2. Below this eigenvalue of an increment or the prior the elimination is done by QR, a fifth slower."""
+"""m^2, rad^2. Below this eigenvalue of an increment or the prior the elimination uses QR, a fifth slower."""
 
 
 class Isam2Smoother:
     """Incremental smoothing and mapping (Kaess et al., IJRR 2012) over the same inputs as the filters.
 
-    The parameters were chosen on Victoria Park, newest pose against the batch solution of the same data at 25 frames:
-    within 4 % of a sigma everywhere, 0.2 % in the median, at half the time of relinearizing in every update.
+    Parameters chosen on Victoria Park at 25 frames: the newest pose is within 4 % of a sigma of the batch solution, 0.2
+    % in the median, at half the time of relinearizing in every update.
 
     Attributes:
-        smooths: True: it revises its path as more is seen.
+        smooths: True: it revises its path.
     """
 
     smooths = True
@@ -61,10 +61,7 @@ class Isam2Smoother:
         loss: str = "gaussian",
         systematic: Systematic | None = None,
     ) -> None:
-        """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`.
-
-        `systematic`: errors of odometry and sensor to be estimated along.
-        """
+        """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`."""
         refuse(systematic, sensor)
         self.prior, self.sensor, self.map, self.loss = prior, sensor, known, loss
         self.threshold, self.skip = threshold, skip
@@ -81,13 +78,13 @@ class Isam2Smoother:
         self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=linear, walls=walls)
 
     def predict(self, increment: Increment) -> None:
-        """Move by an increment; the graph grows only when something is seen."""
+        """Predict with an increment; the graph grows only with an observation."""
         self.frame += 1
         self._end.move(increment)
         self._candidates.move(increment)
 
     def inflate(self, covariance: Array) -> None:
-        """The last motion is not to be believed: so much covariance (3, 3), alike in all directions, is added to it."""
+        """Add an isotropic covariance (3, 3) to the last motion."""
         self._end.inflate(covariance)
         self._candidates.move(Increment(np.zeros(3), covariance))
 
@@ -97,7 +94,7 @@ class Isam2Smoother:
 
     @property
     def errors(self) -> tuple[Array, Array] | None:
-        """Newest mean (p,) and covariance (p, p) of the systematic errors; None where none are estimated."""
+        """Newest mean (p,) and covariance (p, p) of the systematic errors, or None."""
         return self._end.errors
 
     @property
@@ -106,7 +103,7 @@ class Isam2Smoother:
         return self._observed.numbers
 
     def expect(self, observations: FrameObservations) -> Expectation:
-        """What it expects of the landmarks in view: sensor range and angles, widened by 3 sigma and 5 degrees."""
+        """Expectation of the landmarks in view: sensor range and angles, widened by 3 sigma and 5 degrees."""
         if self.map is not None:
             number, xy = self._candidates.known(*self._end.reach(view_radius(self.sensor, self._end.P)))
             xy, joint = self._end.known(xy)
@@ -130,7 +127,7 @@ class Isam2Smoother:
         return self._end.carried(self._anchored(number)) if len(number) else self._end.P
 
     def _anchored(self, number: IntArray) -> Array:
-        """Covariance of the newest pose in the graph (and systematic errors) and landmarks, as the graph has them."""
+        """Covariance of the newest pose in the graph (and systematic errors) and landmarks, in graph coordinates."""
         J = self._engine.with_landmarks(self._end.keys, number.tolist())
         self._candidates.know(number, J)
         return J
@@ -146,8 +143,8 @@ class Isam2Smoother:
     ) -> Updated:
         """Add all pairings below `threshold` and the new landmarks; in localization decisions are ids of the map.
 
-        The newest pose starts at the prediction, or `at` (3,). Where there is no threshold and no `innovations` are
-        asked for, none are formed: NIS and likelihood are NaN, dof 0.
+        The newest pose starts at the prediction, or `at` (3,). With neither a threshold nor `innovations`, none are
+        formed: NIS and likelihood are NaN, dof 0.
         """
         used, at = decisions >= 0, None if at is None else self._end.inside(at)
         if unknown := self._observed.missing(decisions[used]):
@@ -172,7 +169,7 @@ class Isam2Smoother:
     def _gate(
         self, observations: FrameObservations, decisions: IntArray, used: BoolArray, threshold: float, at: Array | None
     ) -> tuple[float, int, float]:
-        """Take pairings with d^2 not below the threshold out of `used`; NIS, dof and log-likelihood of the others."""
+        """Remove pairings with d^2 not below the threshold from `used`; NIS, dof and log-likelihood of the others."""
         rows = np.flatnonzero(used)
         number, which = np.unique(decisions[rows], return_inverse=True)
         if self.map is not None:
@@ -189,7 +186,7 @@ class Isam2Smoother:
     def _extend(self, observations: FrameObservations, number: IntArray) -> None:
         """Add the motion since the anchor and these observations to the graph, and read the newest pose."""
         motion, values = self._flush()
-        seen = self._observed.sight(
+        seen = self._observed.factors_of(
             observations, np.full(len(number), self.frame), number, self._end, self._engine, values
         )
         if self.map is None:
@@ -198,31 +195,32 @@ class Isam2Smoother:
         self._add(motion, seen, values)
         self._read()
 
-    def _add(self, motion: list[Factor], seen: Sequence[Sighted], values: gtsam.Values, *, late: bool = False) -> None:
-        """Give factors to the engine; those of a landmark, or of a frame in a known map, can be taken back."""
+    def _add(
+        self, motion: list[Factor], seen: Sequence[ObservationFactors], values: gtsam.Values, *, late: bool = False
+    ) -> None:
+        """Give factors to the engine; those of a landmark, or of a frame in a known map, can be removed again."""
         handles = self._engine.add([*motion, *self._observed.add(seen, values, late=late)], values)
         self._observed.hold(seen, handles[len(motion) :])
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """Take what frames (m,) up to now saw (m) for other landmarks than before; negative decisions (m,) for none.
-
-        These frames' former pairings are forgotten. In SLAM it is for `finish` alone, and of all that was seen.
+        """Replace the pairings of frames (m,) up to now by observations (m) and decisions (m,), negative for none. In
+        SLAM this is only for `finish`, and for all observations.
         """
         if self.map is None:
             self._observed.replace(frames, observations, decisions)
             return
         again, take = np.unique(frames).tolist(), np.flatnonzero(decisions >= 0)
-        former = self._observed.take_back(again)
+        former = self._observed.withdraw(again)
         if former:
             self._engine.drop(former)
         motion, values = self._flush()
         again_seen = FrameObservations(observations.z[take], observations.R[take])
-        seen = self._observed.sight(again_seen, frames[take], decisions[take], self._end, self._engine, values)
+        seen = self._observed.factors_of(again_seen, frames[take], decisions[take], self._end, self._engine, values)
         self._add(motion, seen, values, late=True)
         self.refine()
 
     def _flush(self) -> tuple[list[Factor], gtsam.Values]:
-        """Factors and start values of the motion since the anchor (and the prior), which becomes part of the graph."""
+        """Factors and start values of the motion since the anchor (and the prior), which joins the graph."""
         values = gtsam.Values()
         factors, pivot = self._end.join_graph(values)
         if pivot < DELICATE:
@@ -230,39 +228,36 @@ class Isam2Smoother:
         return factors, values
 
     def _read(self) -> None:
-        """The newest pose from the engine."""
+        """Read the newest pose from the engine."""
         before = self._end.mean
         self._end.read(self._engine)
         self._candidates.corrected(self._end.mean[:2] - before[:2])
 
     def remove(self, numbers: IntArray) -> None:
-        """Drop landmarks with all their observations, as if they had never been seen."""
+        """Remove landmarks with all their observations."""
         if self.map is not None:
             raise ValueError("a known map is given; landmarks cannot be removed from it")
-        gone = np.unique(numbers)
-        if self._observed.missing(gone):
-            raise ValueError(f"cannot remove {gone.tolist()}: not all are in the map")
-        self._engine.drop(self._observed.take_back(gone.tolist()))
+        removed = np.unique(numbers)
+        if self._observed.missing(removed):
+            raise ValueError(f"cannot remove {removed.tolist()}: not all are in the map")
+        self._engine.drop(self._observed.withdraw(removed.tolist()))
         self.refine()
 
     def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """Landmarks `merged` (k,) are the same as `kept` (k,): what was seen of the first was seen of the second.
-
-        Their factors are removed, and put in again with the other landmark.
-        """
+        """Merge landmarks `merged` (k,) into `kept` (k,): their factors are added again with the other landmark."""
         other = self._pairs_to_merge(merged, kept)
         moved = self._observed.renumbered(other, self._engine)
-        self._engine.drop(self._observed.take_back(list(other)))
+        self._engine.drop(self._observed.withdraw(list(other)))
         self._add([], moved, gtsam.Values(), late=True)
         self.refine()
 
     def _pairs_to_merge(self, merged: IntArray, kept: IntArray) -> dict[int, int]:
-        """Which landmark becomes which. Raises ValueError for a request that makes no sense."""
+        """Kept landmark by merged one. Raises ValueError if one is unknown, or both merged and kept."""
         if self.map is not None:
-            raise ValueError("a known map is given; its landmarks cannot be joined")
+            raise ValueError("a known map is given; its landmarks cannot be merged")
         other = dict(zip(merged.tolist(), kept.tolist(), strict=True))
         if self._observed.missing(np.concatenate([merged, kept])) or other.keys() & other.values():
-            raise ValueError(f"cannot join {other}: not all are in the map, or one is to go and to stay")
+            raise ValueError(f"cannot merge {other}: not all are in the map, or one is both merged and kept")
         return other
 
     def refine(self, updates: int = SETTLE) -> None:
@@ -273,7 +268,7 @@ class Isam2Smoother:
             self._read()
 
     def landmarks(self) -> MapState:
-        """The map as it is now, in SLAM; `finish` gives the final one. A given map has no covariance."""
+        """The present map, in SLAM; `finish` gives the final one. A given map has no covariance."""
         if self.map is not None:
             return MapState(self.map.id, self.map.xy, np.zeros((len(self.map.id), 2, 2)))
         number = self.numbers
@@ -282,11 +277,11 @@ class Isam2Smoother:
         return self._end.map_of(number, self._engine.points(number.tolist()), self._anchored(number))
 
     def positions(self, numbers: IntArray) -> Array:
-        """Landmarks (n,) of SLAM where they are now (n, 2); asking changes nothing."""
+        """Present positions (n, 2) of landmarks (n,) of SLAM."""
         return self._end.points(self._engine.points(numbers.tolist()))
 
     def _complete(self) -> None:
-        """Motion since the last observation joins the graph."""
+        """Add the motion since the last observation to the graph."""
         motion, values = self._flush()
         if motion:
             self._add(motion, [], values)
@@ -299,6 +294,6 @@ class Isam2Smoother:
         problem = self._observed.problem(self._end, values)
         for n in [] if self.map is not None else np.setdiff1d(self.numbers, problem.numbers).tolist():
             values.erase(L(n))
-        found = optimize(problem, self._end.start(values, problem))
-        total = (2.0 * found.error, problem.dof) if self.loss == "gaussian" else None
-        return Finished(found.trajectory, found.map, total, found.iterations, found.last_step, found.systematic)
+        found = optimize(problem, self._end.start(values, problem), loss=self.loss)
+        effort = found.iterations, found.last_step
+        return Finished(found.trajectory, found.map, found.total_nis, *effort, found.systematic)

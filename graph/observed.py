@@ -1,4 +1,4 @@
-"""What was observed, as factors that can be taken back: by landmark in SLAM, by frame where the landmarks are known."""
+"""Removable observations in the graph: by landmark in SLAM, by frame where the landmarks are known."""
 
 from __future__ import annotations
 
@@ -14,47 +14,47 @@ from gtsam.symbol_shorthand import L, X
 from data.inputs import FrameObservations, IntArray, LandmarkMap
 from data.se2 import Array
 from data.sensors import Sensor
-from graph.calibration.factors import sight_pinned
+from graph.calibration.factors import pinned_landmark_factors
 from graph.engine import Engine
-from graph.factors import Factor, Sighted, name_of, sight_known, sight_landmarks
+from graph.factors import Factor, ObservationFactors, known_landmark_factors, landmark_factors, name_of
 from graph.open_end import OpenEnd
 from graph.problem import Problem
 from graph.systematic import Errors
-from graph.walls import SightedWall, as_vectors, sight_known_walls, sight_lines, sight_walls
+from graph.walls import WallObservation, as_vectors, known_wall_factors, line_factors, wall_factors
 
 
 class Observed:
     """All observations in the graph, in the order of frames, and the engine's handles on their factors."""
 
     def __init__(self, sensor: Sensor, known: LandmarkMap | None, loss: str, errors: Errors | None = None) -> None:
-        """Nothing observed. `loss` as in `graph.batch.smooth`; `errors`: what a known map depends on in this graph."""
+        """`loss` as in `graph.batch.smooth`; `errors`: on which a known map depends in this graph."""
         self.sensor, self.map, self.loss = sensor, known, loss
-        self.sighted: list[Sighted] = []
+        self.observations: list[ObservationFactors] = []
         self._handles: dict[int, list[int]] = {}
         depends = known is not None and errors is not None and errors.frame.range_at >= 0
         self._errors = errors if depends else None
-        self._plain: dict[int, Sighted] = {}
+        self._plain: dict[int, ObservationFactors] = {}
         self._copies = 0
         self._numbers: IntArray | None = None
 
     @property
     def numbers(self) -> IntArray:
-        """Landmark numbers that SLAM has in its map, ascending."""
+        """Landmark numbers in the map of SLAM, ascending."""
         if self._numbers is None:
             self._numbers = np.array(sorted(self._handles) if self.map is None else [], np.int64)
         return self._numbers
 
     def missing(self, numbers: IntArray) -> list[int]:
-        """Those of some numbers (n,) that name no landmark."""
+        """Numbers that are absent from the map."""
         if self.map is not None:
             return [int(n) for n in np.setdiff1d(numbers, self.map.id)]
         return [n for n in numbers.tolist() if n not in self._handles]
 
     def name(self, key: int) -> str:
-        """A variable in words; the copies of known landmarks are numbered by observation."""
-        return next((f"landmark {s.number}" for s in self.sighted if key in s.alone), name_of(key))
+        """Name of a variable; the copies of known landmarks are numbered by observation."""
+        return next((f"landmark {s.number}" for s in self.observations if key in s.own_variables), name_of(key))
 
-    def sight(
+    def factors_of(
         self,
         seen: FrameObservations,
         frames: IntArray,
@@ -62,47 +62,36 @@ class Observed:
         end: OpenEnd,
         engine: Engine,
         joining: gtsam.Values,
-    ) -> Sequence[Sighted]:
-        """Observations (m) of landmarks (m,) from frames (m,), not taken in yet; the newest of the frames may only be
-        `joining` the graph.
-        """
-        if self.sensor.sees_points:
-            return self._points(seen, frames, number, end.errors)
+    ) -> Sequence[ObservationFactors]:
+        """Factors of observations (m) of landmarks (m,) from frames (m,), of which the newest may be `joining`."""
+        row, walls = self._copies, not self.sensor.sees_points
         self._copies += len(number)
-        row = self._copies - len(number)
-        pose = np.array([engine.pose(X(k), joining) for k in frames.tolist()]).reshape(-1, 3)
-        if self.map is not None:
-            lines = self.map.positions(number)
-            return sight_known_walls(self.sensor, seen, frames, number, pose, lines, row, self.loss)
-        there = [n for n in dict.fromkeys(number.tolist()) if n in self._handles]
-        old = dict(zip(there, engine.points(there), strict=True))
-        return sight_walls(self.sensor, seen, frames, number, pose, old, row, self.loss)
-
-    def _points(
-        self, observations: FrameObservations, frames: IntArray, number: IntArray, errors: tuple[Array, Array] | None
-    ) -> list[Sighted]:
-        """Observations of points; `errors` as known now."""
+        pose = np.array([engine.pose(X(k), joining) for k in frames.tolist() if walls]).reshape(-1, 3)
         if self.map is None:
-            return sight_landmarks(self.sensor, *observations, frames, number, self.loss)
-        xy = self.map.positions(number)
-        self._copies += len(number)
-        row = self._copies - len(number)
-        plain = sight_known(self.sensor, *observations, frames, number, xy, row, self.loss)
-        if self._errors is None or errors is None:
+            if not walls:
+                return landmark_factors(self.sensor, *seen, frames, number, self.loss)
+            there = [n for n in dict.fromkeys(number.tolist()) if n in self._handles]
+            old = dict(zip(there, engine.points(there), strict=True))
+            return wall_factors(self.sensor, seen, frames, number, pose, old, row, self.loss)
+        at = self.map.positions(number)
+        if walls:
+            return known_wall_factors(self.sensor, seen, frames, number, pose, at, row, self.loss)
+        plain = known_landmark_factors(self.sensor, *seen, frames, number, at, row, self.loss)
+        if self._errors is None or end.errors is None:
             return plain
         self._plain.update(enumerate(plain, row))
-        pinned = sight_pinned(self._errors, self.sensor, observations, frames, number, xy, row, self.loss, errors[0])
-        return pinned
+        observed = seen, frames, number, at, row, self.loss
+        return pinned_landmark_factors(self._errors, self.sensor, *observed, end.errors[0])
 
     def start(self, seen: FrameObservations, number: IntArray, pose: Array, values: gtsam.Values) -> None:
-        """Start values of the points that are new, seen from a pose (3,); walls bring theirs along."""
+        """Add start values of new points, observed from a pose (3,); walls have their own."""
         for n in dict.fromkeys(self.missing(number) if self.sensor.sees_points else []):
             i = int(np.flatnonzero(number == n)[0])
             values.insert(L(n), self.sensor.inverse(pose, seen.z[i : i + 1])[0][0])
 
-    def renumbered(self, other: dict[int, int], engine: Engine) -> list[Sighted]:
-        """The observations (SLAM) of some landmarks, taken for the others that they are said to be."""
-        moved = [s for s in self.sighted if s.number in other]
+    def renumbered(self, other: dict[int, int], engine: Engine) -> list[ObservationFactors]:
+        """The observations (SLAM) of some landmarks, assigned to the others of `other`."""
+        moved = [s for s in self.observations if s.number in other]
         turned = set[int]()
         if not self.sensor.sees_points:
             a, b = engine.points([*other])[:, 1], engine.points([*other.values()])[:, 1]
@@ -110,67 +99,66 @@ class Observed:
         return [s.renumbered(other[s.number], opposite=s.number in turned) for s in moved]
 
     def replace(self, frames: IntArray, seen: FrameObservations, number: IntArray) -> None:
-        """In SLAM, for `problem` alone: what points were seen, ascending by frame; number (m,), negative for none."""
+        """Replace the observed points of SLAM, for `problem` alone; by ascending frame, number negative for none."""
         take = np.flatnonzero(number >= 0)
         found = FrameObservations(seen.z[take], seen.R[take])
-        self.sighted = sight_landmarks(self.sensor, *found, frames[take], number[take], self.loss)
+        self.observations = landmark_factors(self.sensor, *found, frames[take], number[take], self.loss)
 
     def problem(self, end: OpenEnd, values: gtsam.Values) -> Problem:
-        """All of the run as a problem, where known landmarks are where the map has them; `values` become its own."""
+        """The whole run as a problem, with known landmarks at their positions; `values` are converted to it."""
         if self.sensor.sees_points:
-            plain = [self._plain.get(symbolIndex(s.key), s) if s.key is not None else s for s in self.sighted]
+            plain = [self._plain.get(symbolIndex(s.key), s) if s.key is not None else s for s in self.observations]
             return end.problem(plain, self.map is not None)
         about = end.prior.mean[:2]
         problem = replace(end.problem(self._lines(about), self.map is not None), about=about)
         as_vectors(values, problem.numbers, about)
         return problem
 
-    def _lines(self, about: Array) -> list[Sighted]:
-        """Walls as factors of a problem that counts distances from a point (2,)."""
-        walls = [s for s in self.sighted if isinstance(s, SightedWall)]
+    def _lines(self, about: Array) -> list[ObservationFactors]:
+        """Walls as factors of a problem with distances from a point (2,)."""
+        walls = [s for s in self.observations if isinstance(s, WallObservation)]
         if not walls:
             return []
         z, R = np.array([s.z for s in walls]), np.array([s.R for s in walls])
         frame, number = np.array([[s.frame, s.number] for s in walls]).T
         known = None if self.map is None else self.map.positions(number)
-        return sight_lines(self.sensor, z, R, frame, number, about, self.loss, known)
+        return line_factors(self.sensor, z, R, frame, number, about, self.loss, known)
 
-    def alone(self, frames: range, numbers: Sequence[int] | None = None) -> list[int]:
-        """Variables that single observations from some frames (of some landmarks alone) have to themselves."""
-        first, end = (bisect_left(self.sighted, f, key=lambda s: s.frame) for f in (frames.start, frames.stop))
-        of = self.sighted[first:end]
-        return [key for s in of if numbers is None or s.number in numbers for key in s.alone]
+    def own_variables(self, frames: range, numbers: Sequence[int] | None = None) -> list[int]:
+        """Variables of single observations from some frames (of some landmarks only)."""
+        first, end = (bisect_left(self.observations, f, key=lambda s: s.frame) for f in (frames.start, frames.stop))
+        of = self.observations[first:end]
+        return [key for s in of if numbers is None or s.number in numbers for key in s.own_variables]
 
     def forget(self, oldest: int, alive: Callable[[int], bool]) -> None:
-        """Observations from frames before `oldest` have left the graph; `alive` says it of a handle."""
-        first = bisect_left(self.sighted, oldest, key=lambda s: s.frame)
-        gone, self.sighted = self.sighted[:first], self.sighted[first:]
-        for s in gone:
+        """Remove observations from frames before `oldest`, which left the graph; `alive` tests a handle."""
+        first = bisect_left(self.observations, oldest, key=lambda s: s.frame)
+        removed, self.observations = self.observations[:first], self.observations[first:]
+        for s in removed:
             if s.key is not None:
                 self._plain.pop(symbolIndex(s.key), None)
         if self.map is not None:
-            for frame in {s.frame for s in gone}:
+            for frame in {s.frame for s in removed}:
                 self._handles.pop(frame, None)
             return
-        for number in {s.number for s in gone}:
+        for number in {s.number for s in removed}:
             if number in self._handles:
                 self._handles[number] = [h for h in self._handles[number] if alive(h)]
 
-    def add(self, seen: Sequence[Sighted], values: gtsam.Values, *, late: bool = False) -> list[Factor]:
-        """Take observations in, start values of their own variables into `values`; returns their factors.
-
-        `late`: they may be from frames before the newest one.
+    def add(self, seen: Sequence[ObservationFactors], values: gtsam.Values, *, late: bool = False) -> list[Factor]:
+        """Add observations, and start values of their own variables to `values`; returns their factors. `late`: they
+        may be from frames before the newest one.
         """
-        self.sighted += seen
+        self.observations += seen
         if late:
-            self.sighted.sort(key=lambda s: s.frame)
+            self.observations.sort(key=lambda s: s.frame)
         for s in seen:
-            for key, start in s.starts:
+            for key, start in s.start_values:
                 values.insert(key, start)
         return [f for s in seen for f in s.factors]
 
-    def hold(self, seen: Sequence[Sighted], handles: Sequence[int]) -> None:
-        """The engine's handles on the factors of `add`, in their order."""
+    def hold(self, seen: Sequence[ObservationFactors], handles: Sequence[int]) -> None:
+        """Store the engine's handles on the factors of `add`, in their order."""
         begin, count = 0, len(self._handles)
         for s in seen:
             end = begin + len(s.factors)
@@ -179,8 +167,8 @@ class Observed:
         if len(self._handles) != count:
             self._numbers = None
 
-    def take_back(self, which: Sequence[int]) -> list[int]:
-        """Forget the observations of some landmarks, or from some frames of a known map; handles on their factors."""
-        gone, self._numbers = set(which), None
-        self.sighted = [s for s in self.sighted if (s.number if self.map is None else s.frame) not in gone]
+    def withdraw(self, which: Sequence[int]) -> list[int]:
+        """Remove the observations of some landmarks, or from some frames of a known map; handles on their factors."""
+        removed, self._numbers = set(which), None
+        self.observations = [s for s in self.observations if (s.number if self.map is None else s.frame) not in removed]
         return [h for n in which for h in self._handles.pop(n, [])]

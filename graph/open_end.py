@@ -1,4 +1,4 @@
-"""The open end of the graph: the newest pose, composed from the motion since the newest pose that is in the graph."""
+"""The open end of the graph: the newest pose, composed from the motion since the newest pose in the graph."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from data.result import MapState, PoseEstimate, Systematics
 from data.se2 import Array, world_from_body
 from data.sensors import wrap_angle_jit
 from graph.engine import Engine, Window
-from graph.factors import Factor, Sighted, between_factors, is_exact, pose2, prior_factor
+from graph.factors import Factor, ObservationFactors, between_factors, is_exact, pose2, pose_array, prior_factor
 from graph.problem import Problem
 
 
@@ -37,8 +37,8 @@ def transport(displacement: Array) -> Array:
     return F
 
 
-class Left(NamedTuple):
-    """A pose (3,) of the robot with covariance (3, 3), body frame; errors (p,) and sigmas (p,), as they were there."""
+class MarginalizedPose(NamedTuple):
+    """A marginalized pose (3,) with covariance (3, 3), body frame; errors (p,) and sigmas (p,) at that time."""
 
     pose: Array
     covariance: Array
@@ -55,7 +55,6 @@ class OpenEnd:
     """
 
     def __init__(self, prior: Prior) -> None:
-        """At the prior."""
         self.prior = prior
         self.mean, self.P = prior.mean.copy(), prior.covariance.copy()
         self.anchor = -1
@@ -67,13 +66,8 @@ class OpenEnd:
         """Covariance gathered since the anchor."""
 
     @property
-    def moved(self) -> bool:
-        """Whether there was motion since the anchor."""
-        return len(self._increments) > 0
-
-    @property
     def keys(self) -> list[int]:
-        """Variables of the graph that the newest pose follows from."""
+        """Variables of the graph that determine the newest pose."""
         return [int(X(self.anchor))]
 
     @property
@@ -91,63 +85,62 @@ class OpenEnd:
         return transport(self.mean - pose) @ world_from_body(pose[2]), self._Q
 
     def carried(self, J: Array) -> Array:
-        """Joint covariance of the newest pose and landmarks (as in the graph) from that of `keys` and landmarks."""
+        """Joint covariance of the newest pose and landmarks from that of `keys` and landmarks, in graph coordinates."""
         T, Q = self._since_anchor()
-        n, J = T.shape[1], self._free(J)
+        n, J = T.shape[1], self._fix_anchor(J)
         found = np.empty((len(J) - n + 3,) * 2)
         across = T @ J[:n]
         found[:3, :3] = across[:, :n] @ T.T + Q
         found[:3, 3:], found[3:, :3], found[3:, 3:] = across[:, n:], across[:, n:].T, J[n:, n:]
         return found
 
-    def _free(self, J: Array) -> Array:
-        """Joint covariance of the anchor and others, as it is where a hard constraint holds the anchor."""
+    def _fix_anchor(self, J: Array) -> Array:
+        """Joint covariance of the anchor and others, corrected where a hard constraint holds the anchor."""
         if self.anchor == 0 and self._known_exactly:
-            J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal takes it for a variance of about 1
+            J[:3], J[:, :3] = 0.0, 0.0  # gtsam's joint marginal has a variance of about 1
         return J
 
     def move(self, increment: Increment) -> None:
-        """One increment further."""
+        """Add an increment."""
         self._increments.append(increment)
         self._advance(increment)
 
     def _advance(self, increment: Increment) -> None:
-        """The newest pose and its covariance by one increment (the same arithmetic as a filter's prediction)."""
+        """Propagate the newest pose and its covariance by one increment (the arithmetic of a filter's prediction)."""
         self.mean, self.P, self._Q = advance(self.mean, self.P, self._Q, increment.mean, increment.covariance)
         self._path.append(self.mean)
 
     def inflate(self, covariance: Array) -> None:
-        """So much covariance (3, 3), alike in all directions, is added to the last increment's."""
+        """Add an isotropic covariance (3, 3) to the last increment's."""
         if not self._increments:
             raise ValueError("there was no motion since the last observation")
         mean, stated = self._increments[-1]
         self._increments[-1] = Increment(mean, stated + covariance)
-        self._again()
+        self._propagate_again()
 
-    def _again(self) -> None:
-        """All increments since the anchor once more."""
-        self._back()
+    def _propagate_again(self) -> None:
+        """Propagate all increments since the anchor again."""
+        self._reset()
         self._path = []
         for increment in self._increments:
             self._advance(increment)
 
-    def _back(self) -> None:
-        """To where the newest pose is the anchor."""
+    def _reset(self) -> None:
+        """Reset the newest pose to the anchor."""
         (self.mean, self.P), self._Q = self._anchor, np.zeros((3, 3))
 
     def inside(self, pose: Array) -> Array:
-        """A pose (3,) of the robot as it is in the graph."""
+        """A robot's pose (3,) in the frame of the graph."""
         return pose
 
     def place(self, pose: Array) -> None:
-        """The newest pose starts at another place (3,) of the graph, where there was motion that can have led there."""
+        """Start the newest pose at another pose (3,) of the graph, if there was motion."""
         if self._increments:
             self.mean = self._path[-1] = pose.copy()
 
     def join_graph(self, values: gtsam.Values) -> tuple[list[Factor], float]:
         """Factors of the increments (and the prior), start values added to `values`: the newest pose is the anchor.
-
-        Also returned: the smallest pivot of their covariances (see `graph.factors.between_factors`).
+        Also returns the smallest pivot of their covariances (see `graph.factors.between_factors`).
         """
         first = list[Factor]()
         if self.anchor < 0:
@@ -163,7 +156,7 @@ class OpenEnd:
         return first + factors, pivot
 
     def _first_factors(self, values: gtsam.Values) -> list[Factor]:
-        """What is known before the first frame."""
+        """Prior factors, and their start values."""
         values.insert(X(0), pose2(self.prior.mean))
         return [prior_factor(self.prior)]
 
@@ -175,50 +168,50 @@ class OpenEnd:
         return [*factors], pivot
 
     def read(self, engine: Engine) -> None:
-        """The graph has a new estimate of the anchor: the newest pose follows from it."""
+        """Propagate the newest pose from the new estimate of the anchor."""
         self._settle(engine, pose2(self.mean))
-        self._again()
+        self._propagate_again()
 
     def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
-        """The anchor as the graph has it, after more updates if it jumped away from `before`."""
+        """Read the anchor from the graph, after more updates if it jumped away from `before`."""
         pose = engine.settle(self.keys[0], before)
         B = world_from_body(pose.theta())
         P = B @ engine.covariance(self.keys) @ B.T
-        self._anchor = np.array([pose.x(), pose.y(), pose.theta()]), 0.5 * (P + P.T)
+        self._anchor = pose_array(pose), 0.5 * (P + P.T)
 
     def points(self, xy: Array) -> Array:
         """Points (n, 2) of the world from those of the graph."""
         return xy
 
     def reach(self, radius: float) -> tuple[Array, float]:
-        """Where the newest pose (2,) is on a known map, and a radius [m] around it there."""
+        """Position (2,) of the newest pose on a known map, and a radius [m] around it there."""
         return self.mean[:2], radius
 
     def known(self, xy: Array) -> tuple[Array, Array]:
-        """Known landmarks (n, 2) as they are in the graph; covariance of the newest pose, and of them if not known."""
+        """Known landmarks (n, 2) in the graph's frame; covariance of the newest pose, and theirs if not exact."""
         return xy, self.P
 
     def map_of(self, number: IntArray, xy: Array, J: Array) -> MapState:
-        """Landmarks (n,) of the graph, at xy (n, 2) there; J: joint covariance of the variables `keys` and them."""
+        """Map of landmarks (n,) at xy (n, 2) in the graph; J: joint covariance of the variables `keys` and them."""
         return MapState(number, xy, diagonal_blocks(J[3:, 3:]))
 
-    def leaving(self, window: Window, frame: int) -> Left:
-        """The pose of a frame in a window, which may leave it."""
-        return Left(window.pose(X(frame)), window.covariance([X(frame)]))
+    def leaving(self, window: Window, frame: int) -> MarginalizedPose:
+        """The pose of a frame in a window, before its marginalization."""
+        return MarginalizedPose(window.pose(X(frame)), window.covariance([X(frame)]))
 
     def forget(self, oldest: int) -> list[int]:
-        """Frame `oldest` becomes the first one in the graph: further variables that leave it."""
+        """Make frame `oldest` the first one in the graph; returns further variables that leave it."""
         self._motion.clear()
         return []
 
     def history(self, left: Array) -> Systematics | None:
-        """Systematic errors of frames that left, from these and their sigmas (N, 2, p) then: none."""
+        """Systematic errors (N, 2, p) with sigmas of frames that left: none."""
         return None
 
-    def problem(self, sighted: Sequence[Sighted], known_map: bool) -> Problem:
-        """All of the run as a problem."""
-        return Problem(self.prior, self._motion, sighted, known_map)
+    def problem(self, observations: Sequence[ObservationFactors], known_map: bool) -> Problem:
+        """The whole run as a problem."""
+        return Problem(self.prior, self._motion, observations, known_map)
 
     def start(self, values: gtsam.Values, problem: Problem) -> gtsam.Values:
-        """Where the search for the optimum starts: the present estimate."""
+        """Start of the search for the optimum: the present estimate."""
         return values

@@ -1,8 +1,8 @@
 """The optimum of a smoothing problem with its exact covariances: Gauss-Newton on gtsam's factors, by sparse QR.
 
-Every step is the exact one of the linearized problem (`graph.qr`), cut down where the cost would not fall, and its
-length in sigmas says how far the optimum is. gtsam's own optimizers stop on a small decrease of the error instead and
-never complain; by Cholesky they stall where increments are known much better in one direction than in another.
+Every step is the exact one of the linearized problem (`graph.qr`), shortened where the cost would not fall; its length
+in sigmas measures the distance from the optimum. gtsam's own optimizers stop on a small decrease of the error instead;
+by Cholesky they stall where increments are known much better in one direction than in another.
 """
 
 from __future__ import annotations
@@ -17,73 +17,80 @@ from gtsam.symbol_shorthand import L, X
 
 from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array, covariances_in_world
-from graph.factors import UnderConstrained
+from graph.factors import UnderConstrained, pose_array
 from graph.problem import Problem
-from graph.qr.calibrated import turned_out
+from graph.qr.calibrated import results_in_world
 from graph.qr.elimination import Rows, Triangle, eliminate
 from graph.qr.rows import Linearizer
 from graph.qr.solution import Solution, covariances, solve
 from graph.walls import about_origin
 
 STEP = 1e-6
-"""sigma. A step ends the search that is smaller, as a root sum of squares over all directions."""
+"""sigma. A shorter step ends the search, as a root sum of squares over all directions."""
 ROUNDING = 2e-5
 """sigma. So does one that hardly shrank and is smaller than this in every direction: gtsam's logarithm of a pose is
-good to 1e-5 sigma or so."""
+accurate to about 1e-5 sigma."""
 CONVERGED = 1e-3
-"""sigma. The largest component of the step that is left at what may be called an optimum."""
+"""sigma. Largest component of the remaining step at an optimum."""
 SHRANK = 0.9
-"""Hardly: to more than this share. The steps of a robust loss shrink to half or so each time."""
+"""Share above which a step hardly shrank. The steps of a robust loss shrink to half or so each time."""
 MOST = 200
-"""Steps of one search. Five to fifteen are usual, a robust loss converges linearly and may take fifty."""
+"""Steps of one search. Five to fifteen are usual; a robust loss converges linearly and may take fifty."""
 SHORTEST = 1e-3
-"""Share of a step below which it is not cut down further: the search is stuck."""
+"""Share of a step below which it is not shortened further: the search is stuck."""
 ARMIJO = 0.1
-"""Share of the decrease promised by the linearized problem that a step must keep."""
+"""Share of the predicted decrease of the linearized problem that a step must reach."""
 ERROR_ROUNDING = 1e-9
-"""Of the cost: what a step towards the optimum may seem to lose (the ranges to beacons are rounded to nanometres)."""
+"""Relative increase of the cost allowed in a step (the ranges to beacons are rounded to nanometres)."""
 SLACK = (1.0, 0.3)
-"""Shares of the worst sigma of an increment that its best is loosened to, where the direct search ends badly: the
-valley of a stiff path bends, and is crossed more easily while it is wide."""
+"""Shares of the worst sigma of an increment to which its best is loosened if the direct search fails: the curved valley
+of a stiff path is crossed more easily while it is wide."""
 SUSPECT = 2.0
 """Cost per degree of freedom (its half the expectation) above which a minimum may be a wrong one."""
 ON_THE_ROBOT = 0.01
-"""m. A landmark that is estimated nearer to a pose that saw it has no bearing to speak of."""
+"""m. A landmark estimated nearer to a pose that observed it has no well-defined bearing."""
 TINY = 1e-9
-"""m, rad. Stands in for a sigma of zero when a step is measured in sigmas."""
+"""m, rad. Replaces a sigma of zero when a step is measured in sigmas."""
 
 
 class NotConvergedError(UnderConstrained):
-    """The search did not reach an optimum; the message says how far it came."""
+    """The search did not reach an optimum; the message gives the remaining step."""
 
 
 @dataclass(frozen=True)
-class Optimum:
-    """The minimum of a problem.
+class Smoothed:
+    """The optimum of a smoothing problem.
 
     Attributes:
-        trajectory, map: with exact marginal covariances (map is None where it was known).
-        error: half the cost; without a robust loss half the chi-square.
+        trajectory: poses and exact world-frame covariances; under a robust loss, of the information as weighted.
+        map: landmarks, or None in localization.
+        cost: twice the sum of all losses; without a robust loss the chi-square.
+        dof: degrees of freedom of the chi-square.
         iterations: steps in all.
-        last_step: sigmas, largest component of the step that was left.
-        systematic: the systematic errors, where they were estimated along.
+        last_step: sigmas, largest component of the remaining Newton step: near zero at an optimum.
+        suspect: the cost is so high that there may be a lower minimum elsewhere.
+        robust: the cost is of a robust loss.
+        systematic: the systematic errors, if estimated.
     """
 
     trajectory: Trajectory
     map: MapState | None
-    error: float
+    cost: float
+    dof: int
     iterations: int
     last_step: float
+    suspect: bool
+    robust: bool
     systematic: Systematics | None = None
 
-
-def suspect(error: float, problem: Problem) -> bool:
-    """Whether a minimum of so much (half the cost) may be a wrong one."""
-    return 2.0 * error > SUSPECT * max(problem.dof, 1)
+    @property
+    def total_nis(self) -> tuple[float, int] | None:
+        """(chi-square, degrees of freedom), or None under a robust loss."""
+        return None if self.robust else (self.cost, self.dof)
 
 
 class _Found(NamedTuple):
-    """Where a search ended: estimate, half the cost, steps made; linearized, eliminated, and the step left."""
+    """End of a search: estimate, half the cost, number of steps; linearized, eliminated, and the remaining step."""
 
     values: gtsam.Values
     error: float
@@ -93,29 +100,35 @@ class _Found(NamedTuple):
     solution: Solution
 
 
-def optimize(problem: Problem, start: gtsam.Values) -> Optimum:
-    """Minimize from `start`; if that ends badly, by way of looser increments, too, and the lowest minimum counts.
+def _suspect(error: float, problem: Problem) -> bool:
+    return 2.0 * error > SUSPECT * max(problem.dof, 1)
+
+
+def optimize(problem: Problem, start: gtsam.Values, *, loss: str = "gaussian") -> Smoothed:
+    """Minimize from `start`; if that fails, also by way of looser increments, and take the lowest minimum.
+
+    `loss` names the loss of the problem's factors.
 
     Raises:
-        UnderConstrained: naming a variable that the data leave free.
+        UnderConstrained: naming a variable that the data do not determine.
         NotConvergedError: no optimum was reached.
     """
     linearizer = Linearizer(problem)
     best = _descend(linearizer, start)
     iterations = best.iterations
     short = CONVERGED * math.sqrt(3 * len(linearizer.structure.variable))
-    if best.solution.length > short or suspect(best.error, problem):
+    if best.solution.length > short or _suspect(best.error, problem):
         for share in SLACK:
             first = _descend(Linearizer(problem.loosened(share)), start, enough=1.0)
             second = _descend(linearizer, first.values)
             iterations += first.iterations + second.iterations
             if second.error < best.error * (1.0 - ERROR_ROUNDING):
                 best = second
-    return _optimum(problem, linearizer, best, iterations)
+    return _smoothed(problem, linearizer, best, iterations, loss)
 
 
 def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = STEP) -> _Found:
-    """Gauss-Newton steps, each cut down until the cost falls, until one is short `enough` or leads no further down."""
+    """Gauss-Newton steps, each shortened until the cost falls, until one is short `enough` or none descends."""
     error, before, first = linearizer.cost(values), math.inf, 1.0
     rounding = ROUNDING * math.sqrt(3 * len(linearizer.structure.variable))
     for step in range(MOST + 1):
@@ -127,7 +140,7 @@ def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = ST
         left = solution.length
         if left < enough or SHRANK * before < left < rounding or step == MOST:
             break
-        # beyond what the cost can resolve, a step that grew went too far: large residuals bend the valley
+        # below the resolution of the cost, a step that grew went too far: large residuals bend the valley
         if left > before and left < 1.0:
             first *= 0.5
         elif left < 0.1 * before:
@@ -147,8 +160,8 @@ def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = ST
     return _Found(values, error, step, rows, triangle, solution)
 
 
-def _optimum(problem: Problem, linearizer: Linearizer, found: _Found, iterations: int) -> Optimum:
-    """Where a search ended, with covariances. Raises `NotConvergedError` where that is no optimum."""
+def _smoothed(problem: Problem, linearizer: Linearizer, found: _Found, iterations: int, loss: str) -> Smoothed:
+    """The end of a search with covariances. Raises `NotConvergedError` if it is no optimum."""
     n = linearizer.frames
     covariance = covariances(found.rows, linearizer.structure, found.triangle, found.solution)
     root = linearizer.first(found.values)[2]
@@ -175,30 +188,28 @@ def _optimum(problem: Problem, linearizer: Linearizer, found: _Found, iterations
         if problem.about is not None:
             xy, spread = about_origin(xy, spread, problem.about)
         state = MapState(linearizer.numbers, xy, spread)
-    c = problem.calibrated
-    if c is not None:
-        path, state, systematic = turned_out(c, c.errors(found.values), found.solution, pose, covariance, state)
-        return Optimum(path, state, found.error, iterations, last_step, systematic)
-    return Optimum(Trajectory(pose, in_world(pose, covariance[:n])), state, found.error, iterations, last_step)
+    c, systematic = problem.calibrated, None
+    if c is None:
+        path = Trajectory(pose, in_world(pose, covariance[:n]))
+    else:
+        path, state, systematic = results_in_world(c, c.errors(found.values), found.solution, pose, covariance, state)
+    effort = iterations, last_step, _suspect(found.error, problem), loss != "gaussian"
+    return Smoothed(path, state, 2.0 * found.error, problem.dof, *effort, systematic)
 
 
 def _on_the_robot(problem: Problem, values: gtsam.Values) -> str:
-    """A likely reason in words: a landmark that was drawn to where it was seen from, where no bearing has a slope."""
-    for s in problem.sighted:
+    """A likely reason: a landmark that converged to the robot's position, where its bearing is singular."""
+    for s in problem.observations:
         if s.key is not None and problem.about is None:
             gap = float(np.hypot(*(values.atPoint2(s.key) - values.atPose2(X(s.frame)).translation())))
             if gap < ON_THE_ROBOT:
-                return f"; landmark {s.number} has come to lie {gap:.1g} m from the robot at frame {s.frame}"
+                return f"; landmark {s.number} is only {gap:.1g} m from the robot at frame {s.frame}"
     return ""
 
 
 def poses_of(values: gtsam.Values, n: int) -> Array:
     """Poses (n, 3) of frames 0 ... n - 1."""
-    poses = np.empty((n, 3))
-    for k in range(n):
-        p = values.atPose2(X(k))
-        poses[k] = p.x(), p.y(), p.theta()
-    return poses
+    return np.array([pose_array(values.atPose2(X(k))) for k in range(n)])
 
 
 def in_world(pose: Array, covariance: Array) -> Array:

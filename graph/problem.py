@@ -11,7 +11,7 @@ from gtsam.symbol_shorthand import L, X
 
 from data.inputs import IntArray, Prior
 from data.se2 import Array
-from graph.factors import Sighted, graph_of, noise, pose2, prior_factor, root_information
+from graph.factors import ObservationFactors, graph_of, noise, pose2, prior_factor, root_information
 from graph.systematic import Calibrated
 from graph.walls import about
 
@@ -23,44 +23,42 @@ class Problem:
     Attributes:
         prior: on the robot's pose of frame 0.
         motion: [k - 1] leads into frame k.
-        sighted: the observations in use, ascending by frame.
+        observations: the observations in use, ascending by frame.
         known_map: the landmarks are known, so that none is estimated.
-        calibrated: systematic errors that are estimated along. Poses and landmarks are then in its frame, `sighted` as
-            of the sensor there (with known landmarks where the map has them), and `motion` is that under no errors.
-        about: (2,) where the landmarks are walls: a point that their distances in the graph are counted from.
+        calibrated: systematic errors to estimate. Poses, landmarks and observations are then in its frame (with known
+            landmarks at their positions in the map), and `motion` is that without errors.
+        about: (2,) where the landmarks are walls: origin of their distances in the graph.
     """
 
     prior: Prior
     motion: Sequence[gtsam.BetweenFactorPose2]
-    sighted: Sequence[Sighted]
+    observations: Sequence[ObservationFactors]
     known_map: bool
     calibrated: Calibrated | None = None
     about: Array | None = None
 
     def graph(self) -> gtsam.NonlinearFactorGraph:
-        """Everything, as gtsam takes it; systematic errors as zero."""
-        return graph_of([prior_factor(self.prior), *self.motion, *(f for s in self.sighted for f in s.factors)])
+        """The whole problem as a gtsam graph; systematic errors as zero."""
+        return graph_of([prior_factor(self.prior), *self.motion, *(f for s in self.observations for f in s.factors)])
 
     @property
     def numbers(self) -> IntArray:
         """Landmarks that are estimated, ascending."""
-        return np.unique([s.number for s in self.sighted if not self.known_map]).astype(np.int64)
+        return np.unique([s.number for s in self.observations if not self.known_map]).astype(np.int64)
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of the chi-square: two for each observation, less two for each landmark.
-
-        A systematic error does not count: it is an unknown with a residual of its own, that of its prior.
+        """Degrees of freedom of the chi-square: two for each observation, minus two for each landmark. A systematic
+        error does not count: it has a residual of its own, that of its prior.
         """
-        return 2 * len(self.sighted) - 2 * len(self.numbers)
+        return 2 * len(self.observations) - 2 * len(self.numbers)
 
     def values(self, pose: Array, landmark: dict[int, Array], errors: Array | None = None) -> gtsam.Values:
-        """Start values from poses (N, 3) and landmarks (2,) by number, those of the robot in the world.
-
-        `errors` (N, p): where systematic errors start; without, at zero.
+        """Start values from poses (N, 3) and landmarks (2,) by number, of the robot in the world. `errors` (N, p):
+        start of systematic errors; without, zero.
         """
         values = gtsam.Values()
-        known = {s.key: s.xy for s in self.sighted if s.xy is not None and s.key is not None}
+        known = {s.key: s.xy for s in self.observations if s.xy is not None and s.key is not None}
         if self.calibrated is not None:
             if errors is None:
                 errors = np.zeros((len(pose), len(self.calibrated.place)))
@@ -80,7 +78,7 @@ class Problem:
         return values
 
     def loosened(self, share: float) -> Problem:
-        """The same with increments known nowhere better than to a `share` of the sigma of their worst direction."""
+        """The same with increments whose sigmas are at least a `share` of their worst direction's."""
         if self.calibrated is not None:
             covariance = _loosened(self.calibrated.increments.covariance, share)
             calibrated = replace(self.calibrated, increments=replace(self.calibrated.increments, covariance=covariance))
@@ -95,29 +93,29 @@ class Problem:
         return replace(self, motion=motion)
 
     def held(self, errors: Array) -> Problem:
-        """The same in its frame with the systematic errors held at `errors` (N, p)."""
+        """The same in its frame with the systematic errors fixed at `errors` (N, p)."""
         c = self.calibrated
         assert c is not None
         there = c.frame.poses_in(self.prior.mean[None], errors[:1])
         back = np.linalg.inv(c.frame.poses_out(there, errors[:1])[1][0, :, :3])
         prior = Prior(there[0], back @ self.prior.covariance @ back.T)
-        sighted = self.sighted
+        observations = self.observations
         if self.known_map and c.frame.range_at >= 0:
-            xy = c.frame.points_in(np.array([s.xy for s in sighted]).reshape(-1, 2), errors[-1])[0]
-            sighted = [displaced(s, at) for s, at in zip(sighted, xy, strict=True)]
-        return Problem(prior, c.motion(errors), sighted, self.known_map, about=self.about)
+            xy = c.frame.points_in(np.array([s.xy for s in observations]).reshape(-1, 2), errors[-1])[0]
+            observations = [displaced(s, at) for s, at in zip(observations, xy, strict=True)]
+        return Problem(prior, c.motion(errors), observations, self.known_map, about=self.about)
 
 
-def displaced(sighted: Sighted, xy: Array) -> Sighted:
-    """An observation of a known landmark that is elsewhere, at xy (2,)."""
-    if sighted.key is not None:
-        return replace(sighted, xy=xy, pin=gtsam.PriorFactorPoint2(sighted.key, xy, noise.Constrained.All(2)))
-    (factor,) = sighted.measured
+def displaced(observations: ObservationFactors, xy: Array) -> ObservationFactors:
+    """An observation of a known landmark moved to xy (2,)."""
+    if observations.key is not None:
+        return replace(observations, xy=xy, pin=gtsam.PriorFactorPoint2(observations.key, xy, noise.Constrained.All(2)))
+    (factor,) = observations.measured
     assert isinstance(factor, gtsam.KnownLandmarkFactorPose2)
-    assert sighted.xy is not None
-    point = sighted.xy - factor.evaluateError(gtsam.Pose2())
-    moved = gtsam.KnownLandmarkFactorPose2(X(sighted.frame), xy, point, factor.noiseModel())
-    return replace(sighted, xy=xy, measured=[moved])
+    assert observations.xy is not None
+    point = observations.xy - factor.evaluateError(gtsam.Pose2())
+    moved = gtsam.KnownLandmarkFactorPose2(X(observations.frame), xy, point, factor.noiseModel())
+    return replace(observations, xy=xy, measured=[moved])
 
 
 def _loosened(covariance: Array, share: float) -> Array:

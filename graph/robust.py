@@ -1,4 +1,4 @@
-"""Batch smoothing against wrong associations: graduated non-convexity chooses the observations to believe.
+"""Batch smoothing robust to wrong associations: graduated non-convexity selects the accepted observations.
 
 Yang, Antonante, Tzoumas and Carlone, "Graduated Non-Convexity for Robust Spatial Perception", IEEE RA-L 5(2), 2020,
 with truncated least squares: minimize the sum of min(d^2, c^2), d^2 the squared whitened residual of an observation.
@@ -16,24 +16,23 @@ from association.expectation import gate_threshold
 from data.inputs import FrameObservations, Inputs, IntArray, Prior
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
-from graph.batch import Smoothed, Start, build, smooth, start_values
-from graph.factors import EXACT, Factor, Sighted, graph_of, is_exact, noise, prior_factor
+from graph.batch import Start, build, smooth, start_values
+from graph.factors import EXACT, Factor, ObservationFactors, graph_of, is_exact, noise, prior_factor
 from graph.incremental import DELICATE
-from graph.optimum import poses_of
+from graph.optimum import Smoothed, poses_of
 from graph.problem import Problem
-from graph.walls import along, lines_of, placed, sight_known_walls, sight_walls
+from graph.walls import along, known_wall_factors, lines_of, placed, wall_factors
 
 
 def gnc(
     inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, probability: float = 0.99
 ) -> tuple[Smoothed, BoolArray]:
-    """The exact optimum over the accepted observations, and which ones those are: (M,), False where not used at all.
+    """The exact optimum over the accepted observations, and which ones those are: (M,), False where unused.
 
-    Conventions of `graph.batch.smooth`. Prior, motion and known landmarks are believed. An observation is rejected
-    where its squared whitened residual (2 dof), at this optimum, is not below the chi-square quantile of `probability`:
-    so many of the right ones stay, and without the others chi-square and covariances come out a little small. A
-    landmark that loses all its observations leaves the map. It is a local method: where wrong pairings agree with each
-    other better than the right ones do, they win.
+    Conventions of `graph.batch.smooth`. Prior, motion and known landmarks are trusted. An observation is rejected if
+    its squared whitened residual (2 dof), at this optimum, is not below the chi-square quantile of `probability`; so
+    chi-square and covariances are slightly too small. A landmark without accepted observations leaves the map. It is a
+    local method: consistent wrong pairings can win.
 
     Raises `UnderConstrained`, DataError for a singular covariance, ValueError for a probability not in (0, 1).
     """
@@ -42,12 +41,12 @@ def gnc(
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     if problem.calibrated is not None:
-        # held at wrong errors, right readings look wrong
+        # with wrong errors, right pairings would be rejected
         start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start)
     walls = None if inputs.sensor.sees_points else _walls(inputs, used, number, start)
     start, believed = _graduate(problem, start, probability, qr=is_delicate(inputs), walls=walls)
-    # block-coordinate descent on the truncated cost, from gtsam's choice: its weights need not be those of its
-    # solution, and it judges the two scalars of a relative point apart
+    # block-coordinate descent on the truncated cost, from gtsam's weights, which need not match its solution and are
+    # separate for the two scalars of a relative point
     before = np.inf
     while True:
         accepted = np.zeros(len(decisions), np.bool_)
@@ -57,8 +56,8 @@ def gnc(
         start = _as_start(result, start)
         square = _squares(problem, start)
         if result.map is not None:
-            # a landmark without an observation has no position that could win one back
-            square[~np.isin([s.number for s in problem.sighted], result.map.number)] = np.inf
+            # a landmark without accepted observations has no position
+            square[~np.isin([s.number for s in problem.observations], result.map.number)] = np.inf
         cost = float(np.minimum(square, threshold).sum())
         believed, last = square < threshold, believed
         if (believed == last).all() or not cost < before:
@@ -67,16 +66,16 @@ def gnc(
 
 
 def is_delicate(inputs: Inputs) -> bool:
-    """Whether Cholesky elimination would fail so often that Levenberg-Marquardt crawls."""
+    """Whether Cholesky elimination would fail so often that Levenberg-Marquardt is slow."""
     prior = np.linalg.eigvalsh(inputs.prior.covariance)
     motion = np.linalg.eigvalsh(inputs.increments.covariance[1:])
     return bool(prior[0] < DELICATE < prior[-1] or motion.min(initial=np.inf) < DELICATE)
 
 
 class _Walls(NamedTuple):
-    """Observations of walls as factors of gtsam's own, what else is believed, and start values of their variables."""
+    """Observations of walls as gtsam's own factors, further trusted factors, and start values of their variables."""
 
-    sighted: list[Sighted]
+    observations: list[ObservationFactors]
     believed: list[Factor]
     values: gtsam.Values
 
@@ -87,16 +86,16 @@ def _walls(inputs: Inputs, used: IntArray, number: IntArray, start: Start) -> _W
     seen, frame, of = FrameObservations(o.z[used], o.R[used]), o.frame[used], number[used]
     pose = start.pose[frame]
     if inputs.map is not None:
-        found = sight_known_walls(inputs.sensor, seen, frame, of, pose, inputs.map.positions(of), 0)
+        found = known_wall_factors(inputs.sensor, seen, frame, of, pose, inputs.map.positions(of), 0)
     else:
-        found = sight_walls(inputs.sensor, seen, frame, of, pose, dict(enumerate(start.landmark)), 0)
+        found = wall_factors(inputs.sensor, seen, frame, of, pose, dict(enumerate(start.landmark)), 0)
         for n, first in zip(*np.unique(of, return_index=True), strict=True):
             wall = placed(start.landmark[n], pose[first, :2])
             believed.append(along(int(n), wall))
             values.insert(gtsam.symbol("l", int(n)), wall)
     for s in found:
         believed += s.measured[2:]
-        for key, at in s.starts:
+        for key, at in s.start_values:
             values.insert(key, at)
     return _Walls([replace(s, measured=s.measured[:2]) for s in found], believed, values)
 
@@ -106,13 +105,11 @@ def _graduate(
 ) -> tuple[Start, BoolArray]:
     """The solution of gtsam, and which observations have a weight above one half there: all their factors.
 
-    Systematic errors stay as they are at the start: what is believed then is judged again while they are estimated.
+    Systematic errors stay at the start; accepted observations are tested again while they are estimated.
 
-    What gtsam 4.3's GncOptimizer gets wrong, and what is done about it: it gives hard constraints the information zero,
-    that is, it drops them without a word (here they have a sigma of `EXACT`); and it stops where the cost hardly
-    changes, which may be before a weight has (here only weights of 0 and 1 stop it, or its 100 iterations). Its control
-    parameter starts from the residuals at `start`, not from those of the first least-squares solution as in the paper
-    (so a good start is not given away; nothing is done).
+    Two defects of gtsam 4.3's GncOptimizer are worked around. It drops hard constraints, so here they have a sigma of
+    `EXACT`. It stops where the cost hardly changes, so here only weights of 0 and 1 stop it, or its 100 iterations. Its
+    control parameter starts from the residuals at `start`, not at the first least-squares solution as in the paper.
     """
     values, calibrated = start_values(problem, start), problem.calibrated
     errors = np.empty((0, 0))
@@ -124,11 +121,14 @@ def _graduate(
         for n in problem.numbers.tolist():
             values.erase(gtsam.symbol("l", n))
         values.insert(walls.values)
-        problem = replace(problem, sighted=walls.sighted)
-    believed: list[Factor] = [_soft_prior(problem.prior), *problem.motion, *([] if walls is None else walls.believed)]
+        problem = replace(problem, observations=walls.observations)
+    prior = problem.prior
+    if is_exact(prior):  # no hard constraint
+        prior = Prior(prior.mean, (2.0 * EXACT) ** 2 * np.eye(3))
+    believed: list[Factor] = [prior_factor(prior), *problem.motion, *([] if walls is None else walls.believed)]
     believed += [
         gtsam.PriorFactorPoint2(s.key, s.xy, noise.Isotropic.Sigma(2, EXACT))
-        for s in problem.sighted
+        for s in problem.observations
         if s.key is not None and s.xy is not None
     ]
     steps = gtsam.LevenbergMarquardtParams()
@@ -137,11 +137,10 @@ def _graduate(
     parameters.setLossType(gtsam.GncLossType.TLS)
     parameters.setKnownInliers(range(len(believed)))
     parameters.setRelativeCostTol(0.0)
-    graph = graph_of([*believed, *(f for s in problem.sighted for f in s.measured)])
+    graph = graph_of([*believed, *(f for s in problem.observations for f in s.measured)])
     optimizer = gtsam.GncLMOptimizer(graph, values, parameters)
-    count = np.array([len(s.measured) for s in problem.sighted], np.int64)
-    # one quantile for all: two independent scalars both pass theirs as often as the pair would pass its own; where only
-    # the nearest readings are points, theirs is the pair's until they are judged together
+    count = np.array([len(s.measured) for s in problem.observations], np.int64)
+    # one quantile for all: of the pair, or such that two independent scalars both pass as often as the pair
     quantile = gate_threshold(np.sqrt(probability), 1) if (count == 2).all() else gate_threshold(probability)
     optimizer.setInlierCostThresholds(0.5 * quantile)
     values = optimizer.optimize()
@@ -157,13 +156,8 @@ def _graduate(
     return found, smallest > 0.5
 
 
-def _soft_prior(prior: Prior) -> Factor:
-    """The prior without a hard constraint."""
-    return prior_factor(Prior(prior.mean, (2.0 * EXACT) ** 2 * np.eye(3)) if is_exact(prior) else prior)
-
-
 def _start_of(problem: Problem, values: gtsam.Values, start: Start) -> Start:
-    """Values as a start; landmarks that are not in the problem stay as they were."""
+    """Values as a start; landmarks that are not in the problem are unchanged."""
     landmark = start.landmark.copy()
     keys = [gtsam.symbol("l", n) for n in problem.numbers.tolist()]
     if problem.about is None:
@@ -174,7 +168,7 @@ def _start_of(problem: Problem, values: gtsam.Values, start: Start) -> Start:
 
 
 def _as_start(result: Smoothed, start: Start) -> Start:
-    """A solution as a start; landmarks that are not in it stay as they were."""
+    """A solution as a start; landmarks that are not in it are unchanged."""
     landmark = start.landmark.copy()
     if result.map is not None:
         landmark[result.map.number] = result.map.xy
@@ -186,4 +180,4 @@ def _squares(problem: Problem, at: Start) -> Array:
     values = start_values(problem, at)
     if problem.calibrated is not None:
         problem = problem.held(problem.calibrated.errors(values))
-    return np.array([2.0 * sum(f.error(values) for f in s.measured) for s in problem.sighted], float)
+    return np.array([2.0 * sum(f.error(values) for f in s.measured) for s in problem.observations], float)

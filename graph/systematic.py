@@ -1,4 +1,4 @@
-"""Systematic errors as variables of a graph: the constants in one vector, the drift knot by knot, in prior sigmas."""
+"""Systematic errors as variables of a graph: the constants in one vector, the drift by knot, in prior sigmas."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ def drift_key(knot: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Systematic errors that are estimated along, and where each (p,) is found in the graph; q of them are constant.
+    """Systematic errors to estimate, and the place of each (p,) in the graph; q of them are constant.
 
     Attributes:
         systematic: names, sigmas, length of the drift.
-        frame: in which the sensor has no errors; all of the graph is there.
+        frame: in which the sensor has no errors; the frame of the graph.
     """
 
     systematic: Systematic
@@ -38,17 +38,17 @@ class Errors:
 
     @cached_property
     def place(self) -> IntArray:
-        """Where each error (p,) stands among all."""
+        """Index of each error (p,) among all."""
         return places(self.systematic)
 
     @cached_property
     def drift(self) -> int:
-        """Which of them is the drift, -1: none."""
+        """Index of the drift, -1: none."""
         return self.systematic.names.index("drift") if self.systematic.drifts else -1
 
     @cached_property
     def constant(self) -> IntArray:
-        """Which of them (q,) are constant."""
+        """Indices (q,) of the constant errors."""
         return np.array([j for j in range(len(self.systematic.names)) if j != self.drift], np.int64)
 
     @property
@@ -58,12 +58,12 @@ class Errors:
 
     @property
     def order(self) -> IntArray:
-        """Which error (p,) each coordinate of the variables is: the constants, then the drift."""
+        """Error (p,) of each coordinate of the variables: the constants, then the drift."""
         return np.append(self.constant, [self.drift] * (self.drift >= 0)).astype(np.int64)
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Of the variables, by the character of their keys."""
+        """Dimensions of the variables, by the character of their keys."""
         found = {"c": len(self.constant), "d": int(self.drift >= 0)}
         return {name: size for name, size in found.items() if size}
 
@@ -72,20 +72,20 @@ class Errors:
         return [CONSTANTS] * bool(len(self.constant)) + [drift_key(knot)] * (self.drift >= 0)
 
     def zero(self, keys: Iterable[int]) -> gtsam.Values:
-        """Some of the variables at zero, from where they count."""
+        """Some of the variables at zero."""
         values, sizes = gtsam.Values(), self.sizes
         for key in keys:
             values.insert(key, np.zeros(sizes[chr(gtsam.symbolChr(key))]))
         return values
 
     def of_variables(self, at: Array) -> Array:
-        """The errors (p,), or their sigmas, from those of the variables (p,) in their order."""
+        """The errors (p,), or their sigmas, from those of the variables (p,)."""
         found = np.empty(len(self.place))
         found[self.order] = at
         return found * self.systematic.sigma
 
     def terms(self, J: Array, knot: int) -> list[tuple[int, Array]]:
-        """A Jacobian (m, p) to the errors in prior sigmas, in terms of their variables."""
+        """A Jacobian (m, p) to the errors in prior sigmas, by variable."""
         found = [(CONSTANTS, J[:, self.constant])] if len(self.constant) else []
         if self.drift >= 0:
             found.append((drift_key(knot), J[:, self.drift : self.drift + 1]))
@@ -93,16 +93,16 @@ class Errors:
 
 
 def errors_of(systematic: Systematic, sensor: Sensor, prior: Prior) -> Errors:
-    """The errors to be estimated by a smoother that begins at the prior."""
+    """The errors to estimate by a smoother that begins at the prior."""
     return Errors(systematic, sensor_frame(systematic, sensor, prior))
 
 
 @dataclass(frozen=True, eq=False)
 class Calibrated(Errors):
-    """The same along a whole path of N poses.
+    """Systematic errors along a whole path of N poses.
 
     Attributes:
-        increments: of the log, as odometry states them.
+        increments: of the log, as stated by odometry.
     """
 
     increments: Increments
@@ -118,12 +118,12 @@ class Calibrated(Errors):
 
     @property
     def ended(self) -> Array:
-        """Metres (K - 1,) that each knot but the last held."""
+        """Length [m] (K - 1,) of each knot but the last."""
         return self._knots[1]
 
     @property
     def knots(self) -> int:
-        """How many the drift has, 0 without one."""
+        """Number of knots, 0 without a drift."""
         return len(self.ended) + 1 if self.drift >= 0 else 0
 
     def errors(self, values: gtsam.Values) -> Array:
@@ -144,7 +144,7 @@ class Calibrated(Errors):
             values.insert(drift_key(j), units[k, [self.drift]])
 
     def remove(self, values: gtsam.Values) -> None:
-        """The errors out of `values`."""
+        """Erase the errors from `values`."""
         keys = [CONSTANTS] if len(self.constant) else []
         for key in [*keys, *(drift_key(j) for j in range(self.knots))]:
             values.erase(key)

@@ -1,14 +1,13 @@
-"""Walls as landmarks: in iSAM2 as poses with factors of gtsam's own, in batch problems as vectors with exact factors.
+"""Walls as landmarks: in iSAM2 as poses with gtsam's own factors, in batch problems as vectors with exact factors.
 
-gtsam's Python API has no line in the plane. In iSAM2, which is to linearize anew without calling Python, a wall is a
-pose W on it whose x axis is the wall's normal. Where along the wall it is, no measurement says: a prior of its own
-holds it there, and changes nothing else. The direction of a reading is a difference of headings; its distance is that
-to a beacon far behind the wall, as for relative points (`graph.factors.coordinate_factors`). A factor between the poses
-would be one, but couples the place along the wall to the error of the direction: its rows are those of the logarithm,
-which turns the residual by half of that error.
+gtsam's Python API has no line in the plane. In iSAM2, which should relinearize without calls of Python, a wall is a
+pose W on it whose x axis is the wall's normal. A prior of its own holds its unobservable position along the wall. The
+direction of an observation is a difference of headings; its distance is that to a beacon far behind the wall, as for
+relative points (`graph.factors.coordinate_factors`). A single factor between the poses would couple the position along
+the wall to the error of the direction, by the rows of the logarithm.
 
-Batch problems have custom factors of a vector of two, in Python. These are exact, and cheap where the values are our
-own, as in `graph.qr`; gtsam's own optimizers would copy all values in every call.
+Batch problems have custom factors of a vector of two, in Python. These are exact, and cheap in `graph.qr`; gtsam's own
+optimizers would copy all values in every call.
 """
 
 from __future__ import annotations
@@ -27,15 +26,23 @@ from data.errors import UsageError
 from data.inputs import FrameObservations, IntArray, Systematic
 from data.se2 import Array, wrap_angle
 from data.sensors import Sensor
-from graph.factors import BEACON, Factor, Sighted, coordinate_factors, noise, reading_roots, with_loss
+from graph.factors import (
+    BEACON,
+    Factor,
+    ObservationFactors,
+    coordinate_factors,
+    noise,
+    observation_roots,
+    pose_array,
+    with_loss,
+)
 
 
 def refuse(systematic: Systematic | None, sensor: Sensor) -> None:
-    """Raises UsageError where errors of a sensor of walls are to be estimated."""
+    """Raises UsageError if errors of a sensor of walls are to be estimated."""
     if systematic is not None and systematic.of_sensor and not sensor.sees_points:
         raise UsageError(
-            "errors of range and bearing are those of a sensor of points; of a sensor of walls only odometry's errors "
-            "can be estimated"
+            "errors of range and bearing need a sensor of points; with walls only odometry's errors can be estimated"
         )
 
 
@@ -54,7 +61,7 @@ def about_origin(lines: Array, covariance: Array, point: Array) -> tuple[Array, 
     return about(lines, -point), J @ covariance @ J.transpose(0, 2, 1)
 
 
-def sight_lines(
+def line_factors(
     sensor: Sensor,
     z: Array,
     R: Array,
@@ -63,33 +70,30 @@ def sight_lines(
     point: Array,
     loss: str = "gaussian",
     known: Array | None = None,
-) -> list[Sighted]:
+) -> list[ObservationFactors]:
     """Observations z (m, 2), R (m, 2, 2) of walls `number` (m,) from frames (m,), each one factor.
 
-    SLAM: of poses and walls, vectors [rho, alpha] about a point (2,); `known` (m, 2): where the walls are, about the
+    SLAM: of poses and walls, vectors [rho, alpha] about a point (2,); `known` (m, 2): positions of the walls, about the
     origin. A loss acts on each observation as a whole.
     """
     result = []
-    for i, (f, n, root) in enumerate(zip(frame.tolist(), number.tolist(), reading_roots(R, R, frame), strict=True)):
+    for i, (f, n, root) in enumerate(zip(frame.tolist(), number.tolist(), observation_roots(R, R, frame), strict=True)):
         model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
         if known is None:
             keys = [X(f), L(n)]
             factor = gtsam.CustomFactor(model, keys, _error(sensor, z[i], keys, point, None))
-            result.append(Sighted(f, n, L(n), [factor]))
+            result.append(ObservationFactors(f, n, L(n), [factor]))
         else:
             line = about(known[i], point)[0]
             factor = gtsam.CustomFactor(model, [X(f)], _error(sensor, z[i], [X(f)], point, line))
-            result.append(Sighted(f, n, None, [factor], xy=known[i]))
+            result.append(ObservationFactors(f, n, None, [factor], xy=known[i]))
     return result
 
 
 def _error(
     sensor: Sensor, z: Array, keys: list[int], point: Array, line: Array | None
 ) -> Callable[[gtsam.CustomFactor, gtsam.Values, Any], Array]:
-    """Expected less measured (2,), of the two names of the wall the one whose normal is nearer, with Jacobians.
-
-    Nothing changes side where the robot comes to be beyond the wall: its distance is negative there.
-    """
+    """Expected minus measured (2,) with Jacobians, for the nearer normal; beyond the wall the distance is negative."""
     rotation, tx, ty = sensor.extrinsic.tolist()
     ax, ay = point.tolist()
     distance, direction = z.tolist()
@@ -117,27 +121,26 @@ def _error(
 
 
 SHARE = 0.3
-"""Of a distance's sigma: that of the point of the robot that it is measured from, where that is not its origin. The
-rest is the range's; so the sum is right, and no weight is much larger than the others."""
+"""Share of a distance's sigma at the point of the robot from which it is measured, unless that is the robot's origin.
+The range has the rest, so the sum is right, and no weight is much larger than the others."""
 ALONG = 1.0
 """m. Sigma of the prior that holds a wall's pose along the wall."""
 CENTRED = 1e-9
 """m. A point of the robot nearer to its origin is its origin."""
 JOINED = 1e-4
-"""rad; standard deviation of the difference of two walls that are one."""
+"""rad; standard deviation of the difference of two merged walls."""
 _HELD = noise.Constrained.All(2)
 _FREE = np.zeros((3, 3))
 
 
 @dataclass(frozen=True, kw_only=True)
-class SightedWall(Sighted):
-    """One observation of a wall as factors of gtsam's own.
+class WallObservation(ObservationFactors):
+    """One observation of a wall as gtsam's own factors.
 
     Attributes:
         sensor: that measured it; z: (2,), R: (2, 2), in its frame.
         loss: as in `graph.batch.smooth`.
         name: 0 where the wall's normal is the one measured, 1 where it is the opposite one.
-        foot: (2,) m, world: a point of a known wall near where it was seen from.
         point: variable and start value (2,) of the robot's point that the distance is measured from, if it has one.
         wall: start value of the wall, where this is its first observation.
     """
@@ -147,38 +150,36 @@ class SightedWall(Sighted):
     R: Array
     loss: str
     name: int
-    foot: Array | None = None
     point: tuple[int, Array] | None = None
     wall: gtsam.Pose2 | None = None
 
     @property
-    def starts(self) -> list[tuple[int, Array | gtsam.Pose2]]:
-        """Start values of the variables that come with it."""
-        found = super().starts
+    def start_values(self) -> list[tuple[int, Array | gtsam.Pose2]]:
+        """Start values of its own variables."""
+        found = super().start_values
         found += [] if self.point is None else [self.point]
         return found if self.wall is None or self.key is None else [*found, (self.key, self.wall)]
 
     @property
-    def alone(self) -> list[int]:
-        """Variables that no other observation has."""
-        return super().alone + ([] if self.point is None else [self.point[0]])
+    def own_variables(self) -> list[int]:
+        """Variables of this observation alone."""
+        return super().own_variables + ([] if self.point is None else [self.point[0]])
 
-    def renumbered(self, number: int, *, opposite: bool = False) -> SightedWall:
-        """The same observation (SLAM) taken for another wall; `opposite`: one whose normal is the opposite one."""
+    def renumbered(self, number: int, *, opposite: bool = False) -> WallObservation:
+        """The same observation (SLAM) of another wall; `opposite`: one with the opposite normal."""
         row = 0 if self.point is None else gtsam.symbolIndex(self.point[0])
         other = replace(self, number=number, key=L(number), name=self.name ^ opposite, wall=None)
         return replace(other, measured=_slam_factors(other, row))
 
 
-def _direction(s: SightedWall) -> float:
-    """Of the wall's normal, in the body frame."""
+def _direction(s: WallObservation) -> float:
+    """Direction of the wall's normal, in the body frame."""
     return float(s.z[1]) - s.sensor.rotation + s.name * math.pi
 
 
 def _body_point(sensor: Sensor, z: Array, R: Array) -> Array:
-    """The point (2,) of the body whose distance from the wall is independent of the error of the direction.
-
-    For independent errors it is the sensor's place, for others one along the wall from there.
+    """The point (2,) of the body whose distance from the wall is independent of the error of the direction. For
+    independent errors it is the sensor's position, for others one along the wall from there.
     """
     rotation, tx, ty = sensor.extrinsic.tolist()
     c, s = math.cos(rotation), math.sin(rotation)
@@ -187,17 +188,17 @@ def _body_point(sensor: Sensor, z: Array, R: Array) -> Array:
 
 
 def _sigmas(R: Array) -> tuple[float, float]:
-    """Of the distance given the direction, and of the direction."""
+    """Sigmas of the distance given the direction, and of the direction."""
     return math.sqrt(R[0, 0] - R[0, 1] ** 2 / R[1, 1]), math.sqrt(R[1, 1])
 
 
-def _signed(s: SightedWall) -> float:
+def _signed(s: WallObservation) -> float:
     """The distance along the wall's normal."""
     return -float(s.z[0]) if s.name else float(s.z[0])
 
 
-def _slam_factors(s: SightedWall, row: int) -> list[Factor]:
-    """Direction and distance of a wall W; the robot's point is variable `row`, where it is not its origin."""
+def _slam_factors(s: WallObservation, row: int) -> list[Factor]:
+    """Direction and distance of a wall W; the robot's point is variable `row`, unless it is the robot's origin."""
     sigma, sigma_phi = _sigmas(s.R)
     turn = _FREE.copy()
     turn[2, 2] = 1.0 / sigma_phi
@@ -214,7 +215,7 @@ def _slam_factors(s: SightedWall, row: int) -> list[Factor]:
     return found + coordinate_factors(X(s.frame), key, _body_point(s.sensor, s.z, s.R), root, "gaussian")
 
 
-def _known_factors(s: SightedWall, xy: Array, alpha: float) -> list[Factor]:
+def _known_factors(s: WallObservation, xy: Array, alpha: float) -> list[Factor]:
     """Direction and distance of a known wall, whose beacon (2,) is L(row)."""
     sigma, sigma_phi = _sigmas(s.R)
     heading = gtsam.Rot2(alpha - _direction(s))
@@ -240,7 +241,7 @@ def _name(alpha: float, theta: float, sensor: Sensor, z: Array) -> int:
     return int(abs(turn) > 0.5 * math.pi)
 
 
-def sight_walls(
+def wall_factors(
     sensor: Sensor,
     seen: FrameObservations,
     frame: IntArray,
@@ -249,15 +250,15 @@ def sight_walls(
     lines: Mapping[int, Array],
     first_row: int,
     loss: str = "gaussian",
-) -> list[SightedWall]:
+) -> list[WallObservation]:
     """SLAM: observations (m) of walls `number` (m,) from frames (m,) at about `pose` (m, 3).
 
-    `lines`: (rho, alpha) by number of walls that are there; others start at their first observation. The robot's points
+    `lines`: (rho, alpha) by number of walls in the graph; others start at their first observation. The robot's points
     are variables p(first_row), ...
     """
     result, alpha = [], {n: float(line[1]) for n, line in lines.items()}
-    made = partial(SightedWall, sensor=sensor, loss=loss)
-    reading_roots(seen.R, seen.R, frame)
+    made = partial(WallObservation, sensor=sensor, loss=loss)
+    observation_roots(seen.R, seen.R, frame)
     for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
         z, R, wall, own = seen.z[i], seen.R[i], None, list[Factor]()
         if n not in alpha:
@@ -272,7 +273,7 @@ def sight_walls(
     return result
 
 
-def sight_known_walls(
+def known_wall_factors(
     sensor: Sensor,
     seen: FrameObservations,
     frame: IntArray,
@@ -281,13 +282,12 @@ def sight_known_walls(
     lines: Array,
     first_row: int,
     loss: str = "gaussian",
-) -> list[SightedWall]:
-    """Localization: observations (m) of known walls (m, 2) from frames (m,) at about `pose` (m, 3).
-
-    Each has a beacon L(first_row), ... of its own far behind the wall, that is held.
+) -> list[WallObservation]:
+    """Localization: observations (m) of known walls (m, 2) from frames (m,) at about `pose` (m, 3). Each has its own
+    fixed beacon L(first_row), ... far behind the wall.
     """
-    result, made = [], partial(SightedWall, sensor=sensor, loss=loss)
-    reading_roots(seen.R, seen.R, frame)
+    result, made = [], partial(WallObservation, sensor=sensor, loss=loss)
+    observation_roots(seen.R, seen.R, frame)
     for i, (f, n) in enumerate(zip(frame.tolist(), number.tolist(), strict=True)):
         normal = np.array([math.cos(lines[i, 1]), math.sin(lines[i, 1])])
         beacon = pose[i, :2] + (float(about(lines[i], pose[i, :2])[0, 0]) + BEACON) * normal
@@ -313,7 +313,7 @@ def along(number: int, wall: gtsam.Pose2) -> Factor:
 
 
 def same_wall(merged: int, kept: int, pose: Sequence[gtsam.Pose2], sigma: float) -> Factor:
-    """Two walls at about these two poses are the same, with a standard deviation [m] of their distance."""
+    """Factor that equates two walls at about these two poses, with a standard deviation [m] of their distance."""
     between = pose[0].between(pose[1])
     opposite = abs(between.theta()) > 0.5 * math.pi
     along = gtsam.Pose2(0.0, between.y(), math.pi if opposite else 0.0)
@@ -323,7 +323,7 @@ def same_wall(merged: int, kept: int, pose: Sequence[gtsam.Pose2], sigma: float)
 
 def lines_of(poses: Sequence[gtsam.Pose2]) -> tuple[Array, Array]:
     """Walls as lines (n, 2), [rho, alpha] about the origin, with Jacobians (n, 2, 3) to their tangent coordinates."""
-    found = np.array([[p.x(), p.y(), p.theta()] for p in poses], float).reshape(-1, 3)
+    found = np.array([pose_array(p) for p in poses], float).reshape(-1, 3)
     c, s = np.cos(found[:, 2]), np.sin(found[:, 2])
     J = np.zeros((len(found), 2, 3))
     J[:, 0, 0] = J[:, 1, 2] = 1.0
@@ -333,7 +333,7 @@ def lines_of(poses: Sequence[gtsam.Pose2]) -> tuple[Array, Array]:
 
 
 def as_vectors(values: gtsam.Values, numbers: IntArray, point: Array) -> None:
-    """Walls (n,) among values, poses, become what they are in a `Problem`: vectors, about a point (2,)."""
+    """Convert walls (n,) among `values` from poses to the vectors of a `Problem`, about a point (2,)."""
     lines, _ = lines_of([values.atPose2(L(n)) for n in numbers.tolist()])
     for n, line in zip(numbers.tolist(), about(lines, point), strict=True):
         values.erase(L(n))

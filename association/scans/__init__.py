@@ -1,1 +1,1 @@
-"""Laser scans: matched to each other, searched for loop closures, drawn as a grid."""
+"""Laser scans: matching, loop-closure checks, corners and occupancy grids."""

@@ -1,4 +1,4 @@
-"""What a laser front end hands to every back end alike, key poses in a chain and loop closures; and a run over them."""
+"""Constraints that a laser front end gives every back end: key poses in a chain and loop closures; and a laser run."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from data.se2 import Array
 
 @dataclass(frozen=True, eq=False)
 class Chain:
-    """Key poses, and the way from each to the next; all other frames hang on the key pose before them.
+    """Key poses and the relative pose from each to the next; all other frames are relative to the key pose before them.
 
-    Covariances are of the additive error [m, m, rad] of the relative pose, in the body frame of the pose it starts at.
+    Covariances are of the additive error [m, m, rad] of the relative pose, in the body frame where it starts.
 
     Attributes:
         frame: (K,) frame of each key pose, ascending; the first is frame 0.
@@ -37,14 +37,14 @@ class Chain:
 
 @dataclass(frozen=True, eq=False)
 class Loops:
-    """Loop closures that were looked at, in the order of their finding, believed or not.
+    """Loop-closure candidates in the order in which they were found, accepted or not.
 
     Attributes:
         key1, key2: (L,) key poses, key1 < key2; key2 was the newest when the loop was found.
         relative: (L, 3) pose of key2 in the frame of key1.
         covariance: (L, 3, 3) of its additive error.
         score: (L,) share of the points of one scan that fit the other.
-        believed: (L,) the newest key pose when it joined the graph, -1 if it never did.
+        believed: (L,) the newest key pose when it joined the graph, -1 if it was rejected.
     """
 
     key1: IntArray
@@ -62,22 +62,21 @@ class Loops:
 
 
 SCAN = "scan"
-"""The way of association: scans matched to each other, loop closures found in them."""
+"""Name of the association method of laser logs: scan matching with loop closures."""
 
 
 @dataclass(frozen=True, eq=False)
 class LaserRun(Run):
-    """A run over a laser log, and what only such a log has; all of it there but in dead reckoning.
+    """A run over a laser log; dead reckoning has none of the attributes.
 
     Attributes:
         chain, loops: the constraints that every back end was given.
-        frame_seconds: (N,) s, of the front end at each frame, matching, loop closures and graph.
-        key_pose: (K, 3) of all key poses in the end, a filter's last state, too.
-        weight: (L,) of each loop closure in the end; 0: left out, NaN: never believed.
+        frame_seconds: (N,) s, computing time of the front end at each frame.
+        key_pose: (K, 3) final estimate of all key poses; of a filter its last state.
+        weight: (L,) final weight of each loop closure; 0: left out, NaN: never accepted.
         last: (N, 3) the path that belongs to `key_pose`; a smoother's final one.
-        scale: factor on the variances that scan matching claims, learned from how loop closures fit, and its standard
-            error; None: not learned.
-        with_gate: of a filter without a gate, the same with one, and with one and covariances as scan matching claims.
+        scale: variance scale of scan matching and its standard error, from the residuals of loop closures, or None.
+        with_gate: of a filter without a gate, the same with one, and with one and unscaled covariances.
     """
 
     chain: Chain | None = None
@@ -91,5 +90,5 @@ class LaserRun(Run):
 
     @property
     def decides(self) -> bool:
-        """It decides about loop closures, or corners of walls, and about no observation of its log."""
+        """False: it decides about loop closures, not about observations of its log."""
         return False

@@ -1,10 +1,9 @@
-"""Corners of walls in a scan, as point landmarks: where two fitted straight lines meet, with the covariance of that.
+"""Corners of walls in a scan as point landmarks with covariances: the intersection of two fitted straight lines.
 
 A scan is cut where it is not continuous, then at the points farthest from chords (iterative end-point fit; Nguyen,
 Gächter, Martinelli, Tomatis, Siegwart, "A comparison of line extraction algorithms using 2D range data for indoor
-mobile robotics", Autonomous Robots 23, 2007). Lines are fitted with the range noise as their normals see it, and their
-covariance is carried to the point where they meet. That point stands still even where one line ends a little before the
-other, as a cabinet does before a wall.
+mobile robotics", Autonomous Robots 23, 2007). Lines are fitted with the range noise along their normals, and their
+covariance is propagated to the intersection. The intersection is stable even where one line ends before the other.
 """
 
 from __future__ import annotations
@@ -19,31 +18,28 @@ from data.inputs import IntArray, Scanner
 from data.se2 import Array
 
 LONGEST_STEP, STEP_SPACINGS = 0.3, 4.0
-"""m, and in spacings of beams at right angles: two neighbouring points further apart than both are not on one thing."""
+"""m, and in beam spacings: two neighbouring points further apart than both are not on one surface."""
 SPLIT, SPLIT_SIGMAS = 0.05, 5.0
-"""m, and in sigmas of the range: a chord with a point further off than both is cut there. Both ends of the chord and
-the point have noise: 5 sigma is 3 of their difference."""
+"""m, and in sigmas of the range: a chord is cut at a point further off than both. Chord ends and point are noisy: 5
+sigma of the range are 3 of their difference."""
 TRIM = 0.1
-"""m about a corner, and about the other end of a line, whose points do not count: noise decides to which line they
-seem to belong. In simulation NEES / 2 of the corners is 1.01 with it, 1.04 with 0.07 m and 1.19 with 0.05 m."""
+"""m about a corner and the other end of a line, whose points are ignored: noise decides which line they seem to be on.
+In simulation NEES / 2 of the corners is 1.01, 1.04 with 0.07 m and 1.19 with 0.05 m."""
 SHORTEST, FEWEST = 0.25, 5
-"""m and points that a line needs without those. In simulation 0.5 m and 6 points leave three quarters as many corners,
-no better ones."""
+"""m and points that a line needs. In simulation 0.5 m and 6 points leave three quarters as many corners, no better
+ones."""
 STEEPEST = math.sin(math.radians(45.0))
-"""Sine of the angle between two lines, at least; below it the corner is not sure along them."""
+"""Sine of the least angle between two lines; below it the corner is uncertain along them."""
 REACH = 0.25
-"""m from the corner to the nearest point of each line that counts, at most, beside two of their spacings."""
+"""m from the corner to the nearest point of each line, at most, besides two of their spacings."""
 WORST_FIT = 3.0
-"""Mean squared residual of a line in sigmas. That of a straight wall is below in 97 % of all cases with 5 points, and
-more often with more. In simulation NEES / 2 is 1.04 with 4."""
+"""Mean squared residual of a line in sigmas. A straight wall of 5 points passes in 97 % of all cases. In simulation
+NEES / 2 is 1.04 with 4."""
 
 
 def corners(ranges: Array, scanner: Scanner) -> tuple[Array, Array]:
     """Corners of one scan: xy (m, 2) in the body frame [m], and their covariances R (m, 2, 2), in the order of beams.
-
-    Args:
-        ranges: (B,) m; 0, NaN or max_range and beyond: nothing came back.
-        scanner: its angles, extrinsic and range noise, which R is in proportion to.
+    `ranges` (B,) m; 0, NaN or max_range and beyond: no return. R is proportional to the scanner's range variance.
     """
     n = len(ranges)
     beams = beams_of(scanner, n)
@@ -55,7 +51,7 @@ def corners(ranges: Array, scanner: Scanner) -> tuple[Array, Array]:
 
 @numba.njit(cache=True)
 def _corners(ranges: Array, beams: Beams, max_range: float, sigma: float, xy: Array, R: Array) -> int:
-    """Fill xy and R, return how many."""
+    """Fill xy and R; returns the number of corners."""
     direction, origin, step = beams.direction, beams.origin, beams.step
     n, count = len(ranges), 0
     p = np.empty((n, 2))
@@ -80,7 +76,7 @@ def _corners(ranges: Array, beams: Beams, max_range: float, sigma: float, xy: Ar
             before, at, after = vertex[v - 1], vertex[v], vertex[v + 1]
             c[0], c[1] = p[at, 0], p[at, 1]
             middle, met = at, True
-            # once about the farthest point, and again about where the lines met: no noise of a single point in it
+            # about the farthest point, then about the intersection, without the noise of a single point
             for _ in range(2):
                 met = met and _line(p, direction, before, middle, c, sigma, one)
                 met = met and _line(p, direction, after, middle, c, sigma, two)
@@ -95,7 +91,7 @@ def _corners(ranges: Array, beams: Beams, max_range: float, sigma: float, xy: Ar
 
 @numba.njit(cache=True)
 def _farthest(p: Array, a: int, b: int) -> tuple[int, float]:
-    """The point between two that is farthest from their chord, and how far."""
+    """The point between two that is farthest from their chord, and its distance."""
     ex, ey = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1]
     length = max(math.hypot(ex, ey), 1e-9)
     worst, where = -1.0, a
@@ -108,11 +104,12 @@ def _farthest(p: Array, a: int, b: int) -> tuple[int, float]:
 
 @numba.njit(cache=True)
 def _vertices(p: Array, ranges: Array, step: float, begin: int, end: int, tolerance: float, vertex: IntArray) -> int:
-    """Fill `vertex` with the corners of a polyline that all points begin..end - 1 are near to, ends included.
+    """Fill `vertex` with the vertices of a polyline that fits points begin..end - 1, ends included; returns their
+    number.
 
-    Split at the farthest point from a chord, again and again; then each vertex is taken out if the chord without it is
-    near enough, or else moved to the farthest point from that: the first chords have little to do with the walls. Two
-    that are too near to each other for a line between them are one corner, whose very point no beam has met.
+    Split at the farthest point from a chord, repeatedly. Then remove each vertex whose neighbours' chord is near
+    enough, or move it to the farthest point from that chord. Two vertices too close for a line between them become one
+    corner.
     """
     vertex[0], vertex[1] = begin, end - 1
     count, v = 2, 0
@@ -169,7 +166,7 @@ def _line(p: Array, direction: Array, outer: int, middle: int, c: Array, sigma: 
         return False
     angle = math.atan2(p[far, 1] - p[near, 1], p[far, 0] - p[near, 0]) + 0.5 * math.pi
     mx, my, sw, stt, square = 0.0, 0.0, 0.0, 0.0, 0.0
-    for _ in range(3):  # Gauss-Newton; a wall is straight, so that the third step is rounding
+    for _ in range(3):  # Gauss-Newton; the third step is rounding
         nx, ny = math.cos(angle), math.sin(angle)
         sw, mx, my = 0.0, 0.0, 0.0
         for i in range(near, far + towards, towards):
@@ -199,10 +196,10 @@ def _line(p: Array, direction: Array, outer: int, middle: int, c: Array, sigma: 
 
 @numba.njit(cache=True)
 def _meet(one: Array, two: Array, c: Array, S: Array) -> bool:
-    """Fill c (2,) with the point where two lines meet and S (2, 2) with its covariance; false if they are too parallel.
+    """Fill c (2,) with the intersection of two lines and S (2, 2) with its covariance; false if they are too parallel.
 
-    N c = (n1 m1, n2 m2), rows of N the normals; an offset moves the right side by itself, an angle by n' (c - m), n'
-    along the line. S = N^-1 diag(v) N^-T with v = var(offset) + (n' (c - m))^2 var(angle) of either line.
+    N c = (n1 m1, n2 m2), rows of N the normals; S = N^-1 diag(v) N^-T with v = var(offset) + (n' (c - m))^2 var(angle)
+    of either line, n' along the line.
     """
     det = one[0] * two[1] - one[1] * two[0]
     if abs(det) < STEEPEST:
@@ -232,7 +229,7 @@ def _beam_of(c: Array, origin: Array, direction: Array, first: int, last: int) -
 
 @numba.njit(cache=True)
 def _ends_near(p: Array, one: Array, two: Array, c: Array, step: float, ranges: Array) -> bool:
-    """Whether both lines come near the corner: lines that meet far from both are no landmark that can be recognized."""
+    """Whether both lines come near the corner; otherwise it cannot be recognized."""
     for line in (one, two):
         i = int(line[6])
         if math.hypot(p[i, 0] - c[0], p[i, 1] - c[1]) > REACH + 2.0 * step * ranges[i]:

@@ -1,8 +1,8 @@
-"""Scan matching: correlative over a window, then point to line.
+"""Scan matching: multi-resolution correlative matching over a window, then point-to-line matching.
 
-Multi-resolution correlative matching gives the best pose of a whole window (Olson 2009b; Hess et al. 2016).
-Point-to-line matching has robust residuals and a robust motion prior (Censi 2008; Cauchy weights by IRLS), and a grid
-that knows for each of its cells the nearest reference point: a look-up instead of a search.
+Correlative matching gives the best pose of a whole window (Olson 2009b; Hess et al. 2016). Point-to-line matching has
+robust residuals and a robust motion prior (Censi 2008; Cauchy weights by IRLS), with a grid of the nearest reference
+point of each cell instead of a search.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from data.se2 import Array, wrap_angle
 CELL = 0.1
 """m, of the finest grid; point-to-line matching converges from there."""
 SPREAD = 0.1
-"""m, standard deviation of the bell around each reference point: what the grid and the scans differ by."""
+"""m, standard deviation of the score around each reference point."""
 LEVELS = 6
-"""Grids, each pooled over twice the cells of the one before: the coarsest looks at 3.2 m at once."""
+"""Grids, each pooled over twice the cells of the one before: the coarsest covers 3.2 m."""
 HIGHEST = 100
-"""A reference point's value on the grid."""
+"""Score of a cell at a reference point."""
 
 
 class Pyramid(NamedTuple):
-    """Scores (LEVELS, n, n) uint8 about the frame's origin; at (h, i, j) the most of the 2^h cells on from there."""
+    """Scores (LEVELS, n, n) uint8 about the frame's origin; at (h, i, j) the maximum of the 2^h cells from there."""
 
     grid: NDArray[np.uint8]
     half: float
@@ -42,10 +42,10 @@ def pyramid(xy: Array, half: float) -> Pyramid:
 
 
 def best_pose(points: Array, reference: Pyramid, centre: Array, window: Array, least: float) -> tuple[Array, float]:
-    """The pose (3,) of the points (n, 2) within centre (3,) +- window (3,) [m, m, rad] that scores most, and its score.
+    """The pose (3,) of the points (n, 2) within centre (3,) +- window (3,) [m, m, rad] of highest score, and its score.
 
-    The score is the mean value of the cells the points fall on, 0 to 1; where none reaches `least` it comes back as 0.
-    Branch and bound: exact on its grid of poses (cells of `CELL`; angles by which the farthest points move one cell).
+    The score is the mean value of the cells the points fall on, 0 to 1; below `least` it is returned as 0. Branch and
+    bound: exact on its grid of poses (cells of `CELL`; angles by which the farthest points move one cell).
     """
     far = math.sqrt(float((points**2).sum(axis=1).max(initial=1.0)))
     step = CELL / max(far, 1.0)
@@ -53,7 +53,7 @@ def best_pose(points: Array, reference: Pyramid, centre: Array, window: Array, l
     angles = centre[2] + step * np.arange(-turns, turns + 1)
     reach = np.ceil(window[:2] / CELL).astype(np.int64)
     floor = least * len(points) * HIGHEST
-    points = np.ascontiguousarray(points)  # one compiled version, whatever was sliced
+    points = np.ascontiguousarray(points)  # one compiled version for all layouts
     best, score = _search(points, reference.grid, reference.half, centre, angles, reach, floor)
     return best, score / max(len(points) * HIGHEST, 1)
 
@@ -99,13 +99,7 @@ def _score(cells: IntArray, grid: NDArray[np.uint8], level: int, bx: int, by: in
 
 @numba.njit(cache=True)
 def _search(
-    points: Array,
-    grid: NDArray[np.uint8],
-    half: float,
-    centre: Array,
-    angles: Array,
-    reach: IntArray,
-    floor: float,
+    points: Array, grid: NDArray[np.uint8], half: float, centre: Array, angles: Array, reach: IntArray, floor: float
 ) -> tuple[Array, float]:
     reach_x, reach_y = reach[0], reach[1]
     n = len(points)
@@ -169,7 +163,7 @@ def _search(
 
 
 LOOKUP_CELL = 0.05
-"""m; the nearest point is that of the cell's centre, half a cell off at most: no error along a line."""
+"""m; the nearest point is that of the cell's centre, half a cell off at most."""
 
 
 class Reference(NamedTuple):
@@ -187,7 +181,7 @@ class Reference(NamedTuple):
 
 
 class NearestGrid:
-    """Makes `Reference`s on one grid that is used again and again: a reference is good until the next is made."""
+    """Makes a `Reference` on one reused grid; it is valid until the next is made."""
 
     def __init__(self, half: float, reach: float, cell: float = LOOKUP_CELL) -> None:
         side = 2 * int(np.ceil(half / cell))
@@ -198,29 +192,23 @@ class NearestGrid:
 
     def reference(self, xy: Array, normal: Array) -> Reference:
         """Index points (P, 2) with normals (P, 2); those outside the grid are never found."""
-        _clear(self._index, self._distance, self._drawn, self.half, self.cell, self.reach)
-        _draw(self._index, self._distance, xy, self.half, self.cell, self.reach)
+        for points, clear in ((self._drawn, True), (xy, False)):
+            _draw(self._index, self._distance, points, self.half, self.cell, self.reach, clear)
         self._drawn = xy
         return Reference(xy, normal, self._index, self.half, self.cell)
 
 
 @numba.njit(cache=True)
-def _clear(
-    index: NDArray[np.int32], distance: NDArray[np.float32], xy: Array, half: float, cell: float, reach: float
-) -> None:
-    side, r = len(index), int(np.ceil(reach / cell))
-    for k in range(len(xy)):
-        ci, cj = int(np.floor((xy[k, 0] + half) / cell)), int(np.floor((xy[k, 1] + half) / cell))
-        for i in range(max(ci - r, 0), min(ci + r + 1, side)):
-            for j in range(max(cj - r, 0), min(cj + r + 1, side)):
-                index[i, j] = -1
-                distance[i, j] = np.inf
-
-
-@numba.njit(cache=True)
 def _draw(
-    index: NDArray[np.int32], distance: NDArray[np.float32], xy: Array, half: float, cell: float, reach: float
+    index: NDArray[np.int32],
+    distance: NDArray[np.float32],
+    xy: Array,
+    half: float,
+    cell: float,
+    reach: float,
+    clear: bool,
 ) -> None:
+    """Enter points (P, 2) into the cells within reach, or `clear` these."""
     side, r = len(index), int(np.ceil(reach / cell))
     for k in range(len(xy)):
         x, y = xy[k, 0] + half, xy[k, 1] + half
@@ -228,6 +216,9 @@ def _draw(
         for i in range(max(ci - r, 0), min(ci + r + 1, side)):
             dx = (i + 0.5) * cell - x
             for j in range(max(cj - r, 0), min(cj + r + 1, side)):
+                if clear:
+                    index[i, j], distance[i, j] = -1, np.inf
+                    continue
                 dy = (j + 0.5) * cell - y
                 d = np.float32(dx * dx + dy * dy)
                 if d <= reach * reach and d < distance[i, j]:
@@ -236,29 +227,29 @@ def _draw(
 
 
 SAME_SIDE = 0.5
-"""Smallest cosine between two normals that may belong to one surface (60 degrees): never the other side of a wall."""
+"""Smallest cosine between normals of one surface (60 degrees), which excludes the other side of a wall."""
 WIDE, NARROW = 0.3, 0.03
-"""m, the Cauchy scale of the first and of the later iterations: first find the place, then count good pairs only."""
+"""m, the Cauchy scale of the first and of the later iterations: first converge, then weight good pairs only."""
 ITERATIONS = 30
 SMALL_STEP = 1e-5
-"""m and rad: a step below it ends the iterations; a hundredth of the spread that a match has."""
+"""m and rad: a smaller step ends the iterations; a hundredth of the standard deviation of a match."""
 
 
 class MotionPrior(NamedTuple):
-    """What is known of the pose before matching: mean (3,), information (3, 3), in the reference's frame."""
+    """Prior of the pose before matching: mean (3,), information (3, 3), in the reference's frame."""
 
     mean: Array
     information: Array
 
 
 class Match(NamedTuple):
-    """Where a scan lies in the frame of the reference.
+    """Pose of a scan in the frame of the reference.
 
     Attributes:
         pose: (3,) of the body.
         covariance: (3, 3) of its additive error, unscaled: from the Hessian, points independent with `sigma`.
-        cost: robust cost of the points alone per point: smaller is better, at most 1.
-        share: of the scan's points, how many have a partner nearer than twice `NARROW` across its surface.
+        cost: robust cost of the points alone per point, at most 1; smaller is better.
+        share: of the scan's points, those with a partner nearer than twice `NARROW` across its surface.
     """
 
     pose: Array
@@ -272,9 +263,8 @@ def match(
 ) -> Match:
     """Match a scan's points to a reference from a start pose (3,).
 
-    Minimizes the sum of Cauchy losses of the distances from each point to the line through its nearest reference
-    point, and of the prior's Mahalanobis distance (scale `prior_scale` standard deviations); `sigma` [m] is a
-    distance's standard deviation.
+    Minimizes the sum of Cauchy losses of the point-to-line distances (standard deviation `sigma` [m]) and of the
+    prior's Mahalanobis distance (scale `prior_scale` standard deviations).
     """
     pose, hessian, cost, share = _match(points, reference, start, prior, sigma, prior_scale)
     pose[2] = wrap_angle(float(pose[2]))

@@ -1,8 +1,8 @@
-"""Occupancy grid of laser scans from known poses (log odds, each cell changed once by a scan); do two contradict?
+"""Occupancy grid of laser scans from known poses, and a test whether two scans contradict each other.
 
 Moravec and Elfes, "High resolution maps from wide angle sonar", ICRA 1985; Probabilistic Robotics, Table 9.1. Cells
 along a beam: Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing", Eurographics 1987. Two scans
-contradict each other where one has a surface and the other looked through.
+contradict each other where one has a surface and a beam of the other passes through it.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from data.se2 import Array, compose, inverse
 
 HIT, MISS = 0.85, -0.41
 """Log odds of a cell in which a beam ends (0.70) and of one that it crosses (0.40): Hornung et al., "OctoMap",
-Autonomous Robots 34, 2013, section 5.2. A wall is kept where it is hit in a third of the scans that look at it."""
+Autonomous Robots 34, 2013, section 5.2. A wall remains if a third of the scans that observe it hit it."""
 LEAST, MOST = -2.0, 3.5
-"""Log odds are kept between these (0.12 and 0.97; same source), so that a place that has changed is soon seen to."""
+"""Bounds of the log odds (0.12 and 0.97; same source), so that a changed place is updated soon."""
 MARGIN = 0.5
-"""m of unknown cells about all that was seen."""
+"""m of unknown cells around the observed area."""
 MOST_CELLS = 100_000_000
-"""A larger grid is refused: 500 m a side at 5 cm, 1.2 GB with what it is worked out in."""
+"""Largest grid: 500 m a side at 5 cm, 1.2 GB while it is computed."""
 _FREE, _ENDS = 1, 2
 
 
@@ -36,7 +36,7 @@ class Grid:
     Attributes:
         origin: (2,) m, the lower left corner of cell [0, 0] in the world.
         resolution: m, side of a cell.
-        log_odds: (H, W) of being occupied, row by y and column by x; 0 where nothing is known.
+        log_odds: (H, W) of occupancy, row by y and column by x; 0 where unknown.
     """
 
     origin: Array
@@ -48,7 +48,7 @@ class Grid:
 
     @property
     def probability(self) -> Array:
-        """(H, W) of being occupied, 0.5 where nothing is known."""
+        """Probability of occupancy (H, W), 0.5 where unknown."""
         p: Array = 1.0 / (1.0 + np.exp(-self.log_odds))
         return p
 
@@ -66,8 +66,8 @@ def _add_scans(
 ) -> None:
     """Add scans to log_odds (H, W), all in cells: origins (K, 2), ends (K, B, 2), reach (K, B).
 
-    reach: 0 nothing is known of the beam, 1 all before its end is free, 2 its end is occupied too. `touched` (H, W)
-    holds 3 k + what scan k did to a cell, so that it is done once, and a cell with an end in it is not free.
+    reach: 0 beam unknown, 1 free before its end, 2 its end occupied too. `touched` (H, W) holds 3 k + the change by
+    scan k, so that a cell changes once per scan, and a cell with an end in it is not free.
     """
     for k in range(len(ends)):
         for b in range(ends.shape[1]):
@@ -83,12 +83,12 @@ def _add_scans(
             column, row = math.floor(x), math.floor(y)
             dx, dy = ends[k, b, 0] - x, ends[k, b, 1] - y
             right, up = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
-            # share of the beam to the next line between columns, or rows, and from each to the one after
+            # share of the beam to the next boundary of columns, or rows, and between boundaries
             across = 1.0 / abs(dx) if dx != 0.0 else np.inf
             along = 1.0 / abs(dy) if dy != 0.0 else np.inf
             next_column = ((column + 1 - x) if dx > 0.0 else (x - column)) * across if dx != 0.0 else np.inf
             next_row = ((row + 1 - y) if dy > 0.0 else (y - row)) * along if dy != 0.0 else np.inf
-            # as many steps as lines between the two cells: the end is met whatever rounding does
+            # as many steps as boundaries between the two cells, so rounding cannot miss the end
             steps = abs(math.floor(ends[k, b, 0]) - column) + abs(math.floor(ends[k, b, 1]) - row)
             for _ in range(steps):
                 if touched[row, column] < 3 * k + _FREE:
@@ -105,18 +105,17 @@ def _add_scans(
 def occupancy_grid(
     poses: Array, ranges: Array, scanner: Scanner, *, resolution: float = 0.05, free_without_return: float = 0.0
 ) -> Grid:
-    """The grid of all that scans from known poses show.
+    """The occupancy grid of scans from known poses.
 
     Args:
-        poses: (K, 3) of the body in the world; those that are not finite are left out.
-        ranges: (K, B) m; 0, NaN or max_range and beyond: nothing came back.
+        poses: (K, 3) of the body in the world; non-finite ones are left out.
+        ranges: (K, B) m; 0, NaN or max_range and beyond: no return.
         scanner: its angles and extrinsic.
         resolution: m, side of a cell.
-        free_without_return: m, how far a beam that did not come back is taken to have gone through free space. 0 as it
-            is: the beam may have met glass.
+        free_without_return: m, length of free space along a beam without a return; 0, as the beam may have met glass.
 
     Raises:
-        ValueError: the grid would have more than `MOST_CELLS` cells, as when poses run away.
+        ValueError: the grid would have more than `MOST_CELLS` cells, as when poses diverge.
     """
     poses, ranges = np.asarray(poses, float), np.asarray(ranges, float)
     sure = np.isfinite(poses).all(axis=1)
@@ -139,22 +138,22 @@ def occupancy_grid(
     log_odds = np.zeros((int(height), int(width)))
     touched = np.full(log_odds.shape, -1, np.int32)
     _add_scans(at[:, :2] / resolution - low, ends / resolution - low, reach, log_odds, touched)
-    # rounded, so that it reads well in a file: 1.15, not 1.1500000000000001
+    # rounded for files: 1.15, not 1.1500000000000001
     return Grid(np.round(low * resolution, 9), resolution, log_odds)
 
 
 TOLERANCE = 0.3
 """m, by which a surface must lie before another, besides ..."""
 TOLERANCE_SHARE = 0.05
-"""... this share of its range, to contradict it: what a heading error and a grazing wall make."""
+"""... this share of its range, to contradict it: the effect of a heading error at a grazing wall."""
 
 
 def contradiction(ranges: Array, others: Array, relative: Array, scanner: Scanner, max_range: float) -> float:
     """Share of the shared beams of two scans (B,) that contradict, 0 where none is shared.
 
     `relative` (3,) is the body's pose at the second scan in its frame at the first. Each end point of either scan is
-    looked up in the other: nearer than that beam's surface (and its neighbours') it contradicts, at the same range it
-    agrees, behind it nothing is known.
+    compared with the other scan: nearer than that beam's surface (and its neighbours') it contradicts, at the same
+    range it agrees, behind it nothing is known.
     """
     mount = scanner.rotation, scanner.translation[0], scanner.translation[1]
     seen, against = _compare(ranges, others, relative, (scanner.angle_min, scanner.angle_step), mount, max_range)
@@ -170,15 +169,14 @@ def _compare(
     mount: tuple[float, float, float],
     max_range: float,
 ) -> tuple[int, int]:
-    """How many beams are shared, and how many contradict.
-
-    `beams`: first angle and step [rad]; `mount`: rotation [rad] and translation [m] of the scanner on the body.
+    """Numbers of shared and of contradicting beams. `beams`: first angle and step [rad]; `mount`: rotation [rad] and
+    translation [m] of the scanner on the body.
     """
     (first, step), (rotation, tx, ty) = beams, mount
     seen = against = 0
     n = len(ranges)
-    for way in range(2):
-        mine, theirs = (others, ranges) if way == 0 else (ranges, others)
+    for turn in range(2):
+        mine, theirs = (others, ranges) if turn == 0 else (ranges, others)
         c, s = math.cos(relative[2]), math.sin(relative[2])
         for k in range(n):
             if not 0.0 < mine[k] < max_range:
@@ -187,7 +185,7 @@ def _compare(
             c0, s0 = math.cos(rotation), math.sin(rotation)
             x = mine[k] * math.cos(angle) - c0 * tx - s0 * ty
             y = mine[k] * math.sin(angle) + s0 * tx - c0 * ty
-            if way == 0:
+            if turn == 0:
                 x, y = c * x - s * y + relative[0], s * x + c * y + relative[1]
             else:
                 dx, dy = x - relative[0], y - relative[1]

@@ -1,4 +1,4 @@
-"""Range scans as points of surfaces: where each beam ended, and which way the surface there faces."""
+"""Range scans as points of surfaces with normals."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from data.se2 import Array
 NEIGHBOUR_RADIUS = 0.2
 """m, half the length of surface over which a normal is fitted: ten times a scanner's noise."""
 LEAST_NEIGHBOURS, MOST_NEIGHBOURS = 2, 12
-"""Beams on either side that may lie further off than that, as on far surfaces, and that are looked at at most."""
+"""Beams on either side that may lie beyond that radius, as on far surfaces, and that are used at most."""
 GAP_SPACINGS = 6.0
-"""Widest gap in a run of neighbours, in spacings of the beams at the point's range (never less than
-`NEIGHBOUR_RADIUS`): surfaces up to 80 degrees oblique stay whole. On the Intel log half as much loses the far walls of
-corridors, which hold the heading: path without loop closures 0.9 m off instead of 0.2 m."""
+"""Widest gap in a run of neighbours, in beam spacings at the point's range (never less than `NEIGHBOUR_RADIUS`):
+surfaces up to 80 degrees oblique are not split. On the Intel log half as much loses the far walls of corridors, and
+with them the heading: path without loop closures 0.9 m off instead of 0.2 m."""
 FLATNESS = 0.25
-"""Largest ratio of spread across to spread along the surface (standard deviations): else it is a corner, or clutter."""
+"""Largest ratio of standard deviations across and along a surface; above it the point is a corner or clutter."""
 
 
 class Points(NamedTuple):
@@ -31,7 +31,7 @@ class Points(NamedTuple):
 
 
 class Beams(NamedTuple):
-    """Unit directions (B, 2) of the beams, their spacing [rad], and the scanner's place (2,) [m]; body frame."""
+    """Unit directions (B, 2) of the beams, their spacing [rad], and the scanner's position (2,) [m]; body frame."""
 
     direction: Array
     step: float
@@ -39,7 +39,7 @@ class Beams(NamedTuple):
 
 
 def beams_of(scanner: Scanner, number: int) -> Beams:
-    """The `number` beams of a scanner, its extrinsic p_scanner = R p_body + T undone."""
+    """The `number` beams of a scanner in the body frame, its extrinsic p_scanner = R p_body + T inverted."""
     angle = scanner.angle_min + scanner.angle_step * np.arange(number) - scanner.rotation
     c, s = math.cos(scanner.rotation), math.sin(scanner.rotation)
     tx, ty = scanner.translation
@@ -48,10 +48,10 @@ def beams_of(scanner: Scanner, number: int) -> Beams:
 
 
 def scan_points(ranges: Array, beams: Beams, max_range: float) -> Points:
-    """Points and normals of a scan (B,) [m]; without returns beyond `max_range` and points off flat surfaces.
+    """Points and normals of a scan (B,) [m], without returns beyond `max_range` and points off flat surfaces.
 
-    The normal is the smaller principal axis of the unbroken run of neighbours around the point, and the point is moved
-    along it onto the line through them: a third less noise in the heading that matching finds.
+    The normal is the smaller principal axis of the unbroken run of neighbours. The point is projected onto the line
+    through them, which reduces the heading noise of matching by a third.
     """
     xy, normal = _points(ranges, beams, max_range)
     return Points(xy, normal)

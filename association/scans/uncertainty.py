@@ -1,6 +1,6 @@
-"""How far one key pose can be from another: covariances along the surest paths of the graph (Olson 2009, section 3).
+"""Uncertainty between key poses along the shortest paths of the graph (Olson 2009, section 3), and a variance scale.
 
-How much too small (or large) scan-matching covariances are is learned from how well loop closures fit the graph.
+The variance scale of scan-matching covariances is learned from the residuals of loop closures.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from data.se2 import Array, BoolArray, between, wrap_angle
 AnyArray = TypeVar("AnyArray", Array, IntArray)
 
 LEVER = 2.0
-"""m, what a heading error is weighed with when paths are compared: how far a scan sees surfaces."""
+"""m, weight of a heading error when paths are compared: the typical range of a scan."""
 
 
 class PoseEdges:
-    """Relative poses between key poses, in a list that grows; `project` gives uncertainties over them."""
+    """A growing list of relative poses between key poses; `project` gives uncertainties over them."""
 
     def __init__(self) -> None:
         self._count = 0
@@ -48,10 +48,10 @@ class PoseEdges:
         self._count += 1
 
     def project(self, root: int, keys: int) -> Array:
-        """Covariances (keys, 3, 3) of each key's pose in the frame of `root`, infinite where no path leads.
+        """Covariances (keys, 3, 3) of each key's pose in the frame of `root`, infinite where there is no path.
 
-        Each is carried along the one path whose steps have the least sum of variances (Dijkstra 1959): never less
-        than what all paths together would give, and found for all keys in one pass.
+        Each is propagated along the path of least summed variance (Dijkstra 1959): an upper bound of the covariance by
+        all paths together.
         """
         return _project(root, keys, self._head, self._next, self._keys, self._relative, self._covariance)
 
@@ -133,7 +133,7 @@ def _invert(pose: Array, covariance: Array, z: Array, C: Array) -> None:
 
 @numba.njit(cache=True)
 def compose_in_place(pose: Array, covariance: Array, z: Array, C: Array, out_pose: Array, out: Array) -> None:
-    """Pose (3,) and covariance of the motion z with covariance C from a pose, written to `out_pose` and `out`."""
+    """Compose a pose (3,) with the motion z, and their covariances, into `out_pose` and `out`."""
     c, s = math.cos(pose[2]), math.sin(pose[2])
     dx, dy = c * z[0] - s * z[1], s * z[0] + c * z[1]
     P = covariance
@@ -162,7 +162,7 @@ def nearest_first(distance: Array, apart: int, most: int) -> IntArray:
 
 DOF = 3
 TAILS = np.geomspace(2.5, 200.0, 40)
-"""Degrees of freedom of Student's t that are tried: 2.5 has hardly a variance, 200 is as good as Gaussian."""
+"""Degrees of freedom of Student's t that are tried: from almost no variance to almost Gaussian."""
 
 
 def residuals(poses: Array, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> Array:
@@ -174,9 +174,8 @@ def residuals(poses: Array, key1: IntArray, key2: IntArray, relative: Array, cov
 
 
 def spanned(keys: int, key1: IntArray, key2: IntArray) -> BoolArray:
-    """Which steps of the chain (K - 1,), from each of K key poses to the next, some loop closure key1 -> key2 spans.
-
-    The others fit exactly at the optimum, whatever their errors: they tell nothing of a scale.
+    """Which chain steps (K - 1,) lie between the key poses of some loop closure key1 -> key2. The others have a zero
+    residual at the optimum, whatever their errors, and carry no information about a scale.
     """
     ends = np.zeros(keys, np.int64)
     np.add.at(ends, np.minimum(key1, key2), 1)
@@ -185,17 +184,15 @@ def spanned(keys: int, key1: IntArray, key2: IntArray) -> BoolArray:
 
 
 def learned_scale(d2: Array, closures: int) -> tuple[float, float]:
-    """Factor for the covariances of a pose graph, and its standard error.
+    """Variance scale of a pose graph, and its standard error.
 
-    `d2` (E,) are the `residuals` of its loop closures and of the steps that they span, at its optimum; `closures` of
-    them are loop closures. The optimum has eaten as many residuals as there are poses, which leaves closures / E of
-    each one's variance (on average). The residuals' tails are heavy, so that a Student's t of three dimensions is
-    fitted (Lange, Little, Taylor 1989), its tail by likelihood; the factor is that of its covariance, the error that of
-    its scale (their Fisher information).
-    Raises ValueError without loop closures.
+    `d2` (E,) are the `residuals`, at the optimum, of its loop closures and of the steps that they span; `closures` of
+    them are loop closures. The optimum leaves closures / E of each one's variance, on average. A Student's t of three
+    dimensions models the heavy tails (Lange, Little, Taylor 1989), its degrees of freedom by likelihood. The scale is
+    that of its covariance, the standard error from the Fisher information. Raises ValueError without loop closures.
     """
     if closures < 1 or len(d2) < closures:
-        raise ValueError("a scale needs loop closures: a chain alone fits itself")
+        raise ValueError("a variance scale needs loop closures: a chain alone has no residuals")
     d2 = np.asarray(d2, float) * (len(d2) / closures)
     best = (-math.inf, 1.0, 1.0)
     for nu in TAILS:

@@ -1,1 +1,1 @@
-"""Every format in a file or folder of its own: read strictly, with file, line and value of whatever is wrong."""
+"""File formats, one per file or folder, read strictly: errors name file, line and value."""

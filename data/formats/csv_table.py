@@ -1,13 +1,14 @@
-"""Strict numeric CSV: columns by name as float64 arrays; errors name file, line, column and value.
+"""Strict numeric tables: columns by name as float64 arrays; errors name file, line, column and value.
 
-A file is a header and one row per line, without comments, quoted numbers or blank lines (but at its end). A byte
-order mark, CRLF line ends and spaces around fields are accepted. Columns come in any order.
+A CSV file is a header and one row per line, without comments, quoted numbers or blank lines (but at its end). A byte
+order mark, CRLF line ends and spaces around fields are accepted. Columns may have any order.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 
 FIRST_ROW = 2
-"""Line of the first row below a line of names."""
+"""Line of the first row below a header."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +26,10 @@ class Table:
     """Columns (K,) of a file by name, NaN where blank.
 
     Attributes:
-        path: how errors name the file.
+        path: the file's name in errors.
         columns: by name.
-        unknown: names of columns nobody asked for.
-        line: (K,) line of the file each row stands in; None: the rows follow one line of names without a gap.
+        unknown: names of columns that were not requested.
+        line: (K,) line of each row in the file; None: the rows follow a one-line header.
     """
 
     path: Path | str
@@ -43,11 +44,11 @@ class Table:
         return len(next(iter(self.columns.values())))
 
     def stack(self, names: Sequence[str]) -> Array:
-        """Some columns side by side, (K, len(names))."""
+        """Columns side by side, (K, len(names))."""
         return np.stack([self.columns[n] for n in names], axis=-1)
 
     def all(self) -> Array:
-        """All columns side by side, (K, columns), in the order of the file."""
+        """All columns side by side, (K, columns), in file order."""
         return self.stack(tuple(self.columns))
 
     def part(self, rows: IntArray | BoolArray) -> Table:
@@ -60,7 +61,7 @@ class Table:
         return symmetric(self.stack(names))
 
     def require(self, fine: BoolArray, name: str, what: str) -> None:
-        """Raise at the first row where `fine` (K,) is false; `{}` in `what` stands for the value in column `name`."""
+        """Raise at the first row where `fine` (K,) is false; `{}` in `what` is the value of column `name`."""
         if not fine.all():
             row = int(np.argmin(fine))
             value = float(self.columns[name][row])
@@ -68,12 +69,12 @@ class Table:
             raise self.error(row, name, what.format(int(value) if whole else repr(value)))
 
     def error(self, row: int, name: str | None, what: str) -> DataError:
-        """What is wrong at a row."""
+        """The error of a row."""
         line = row + FIRST_ROW if self.line is None else int(self.line[row])
         return DataError.at(self.path, what, line=line, column=name)
 
     def require_finite(self, names: Collection[str], *, blank: bool = False) -> None:
-        """Raise unless every value is an ordinary number no larger than `LARGEST`, or blank (NaN) where allowed."""
+        """Raise unless every value is finite and at most `LARGEST`, or blank (NaN) where allowed."""
         for name in names:
             values = self.columns[name]
             fine = np.abs(values) <= LARGEST
@@ -83,28 +84,27 @@ class Table:
             self.require(fine, name, f"{{}} is not a number between -1e15 and 1e15{hint}")
 
     def require_ascending(self, name: str, *, strictly: bool) -> None:
-        """Raise at the first row whose value is smaller than (or, `strictly`, equal to) the one before."""
+        """Raise at the first row whose value is smaller than (`strictly`: or equal to) the one before."""
         values = self.columns[name]
         fine = np.ones(len(values), bool)
         fine[1:] = values[1:] > values[:-1] if strictly else values[1:] >= values[:-1]
         if not fine.all():
             before = float(values[int(np.argmin(fine)) - 1])
-            rule = "must increase from row to row" if strictly else "must not decrease from row to row"
-            self.require(fine, name, f"{{}} follows {before!r}; {name} {rule}")
+            rule = "must increase" if strictly else "must not decrease"
+            self.require(fine, name, f"{{}} follows {before!r}; {name} {rule} from row to row")
 
     def integers(self, name: str, smallest: int, *, blank: int | None = None) -> IntArray:
         """A column of whole numbers >= `smallest`; blank fields become `blank`, or an error if that is None."""
         values = self.columns[name]
         empty = np.isnan(values) if blank is not None else np.zeros(len(values), bool)
         fine = empty | ((values >= smallest) & (values == np.floor(values)) & (values <= LARGEST))
-        self.require(
-            fine, name, f"{{}} is not a whole number from {smallest} up" + (" (or blank)" if blank is not None else "")
-        )
+        or_blank = " (or blank)" if blank is not None else ""
+        self.require(fine, name, f"{{}} is not a whole number from {smallest} up{or_blank}")
         return np.where(empty, 0 if blank is None else blank, np.where(empty, 0.0, values)).astype(np.int64)
 
 
 def symmetric(entries: Array, *, lower: bool = False) -> Array:
-    """Symmetric matrices (K, d, d) from their upper (or `lower`) triangles (K, d (d + 1) / 2), row by row."""
+    """Symmetric matrices (K, d, d) from their upper (or `lower`) triangles, row by row."""
     d = {1: 1, 3: 2, 6: 3, 21: 6}[entries.shape[1]]
     i, j = np.tril_indices(d) if lower else np.triu_indices(d)
     matrices = np.empty((len(entries), d, d))
@@ -113,13 +113,13 @@ def symmetric(entries: Array, *, lower: bool = False) -> Array:
 
 
 def shown(field: bytes) -> str:
-    """A field as an error message shows it: one line, not too long."""
+    """A field as in a message: one line, at most 40 characters."""
     text = field.decode("utf-8", "replace").strip()
     return repr(text if len(text) <= 40 else text[:37] + "...")
 
 
 def bytes_of(path: Path, *, missing: str = "") -> bytes:
-    """Contents of a file; DataError where it cannot be read, which says `missing` where there is none."""
+    """Contents of a file; DataError where it cannot be read, with `missing` as message where there is none."""
     try:
         return path.read_bytes()
     except OSError as error:
@@ -127,11 +127,38 @@ def bytes_of(path: Path, *, missing: str = "") -> bytes:
         raise DataError.at(path, gone or f"cannot be read: {error.strerror}") from None
 
 
-def _lines(path: Path) -> list[bytes]:
-    """Lines of a file without line ends, byte order mark and blank lines at the end."""
-    content = bytes_of(path, missing="no such file")
-    content = content.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n").rstrip()
-    return content.split(b"\n")
+def is_number(field: str | bytes) -> bool:
+    """Whether a field is a number, NaN and infinity included; unlike Python, 1_0 is none."""
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return (b"_" if isinstance(field, bytes) else "_") not in field  # type: ignore[operator]
+
+
+def number_rows(path: Path | str, lines: Sequence[int], rows: Sequence[Sequence[bytes]], names: Sequence[str]) -> Array:
+    """Fields (K, len(names)) as numbers, NaN and infinity included; DataError names the first that is none."""
+    try:
+        if not any(b"_" in b"".join(row) for row in rows):
+            flat = map(float, chain.from_iterable(rows))
+            return np.fromiter(flat, float, len(rows) * len(names)).reshape(-1, len(names))
+    except ValueError:
+        pass
+    for line, row in zip(lines, rows, strict=True):
+        for name, field in zip(names, row, strict=True):
+            if not is_number(field):
+                raise DataError.at(path, f"{shown(field)} is not a number", line=line, column=name)
+    raise AssertionError("every field is a number")
+
+
+def lines_of(content: bytes) -> list[bytes]:
+    """Lines without line ends and byte order mark."""
+    return content.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
+
+
+def cut_off(fields: int, needed: int, *, last: bool) -> str:
+    """Hint of a message about a row with too few fields in the `last` line."""
+    return " (the file ends here: was it cut off?)" if last and fields < needed else ""
 
 
 def _header(path: Path, line: bytes, required: Sequence[str]) -> list[str]:
@@ -139,9 +166,8 @@ def _header(path: Path, line: bytes, required: Sequence[str]) -> list[str]:
     for name in required:
         if name not in names:
             found = "the line is blank" if names == [""] else f"found {shown(line)}"
-            raise DataError.at(
-                path, f"no such column; {found}, wanted at least {','.join(required)}", line=1, column=name
-            )
+            what = f"no such column; {found}, wanted at least {','.join(required)}"
+            raise DataError.at(path, what, line=1, column=name)
     for i, name in enumerate(names):
         if name in names[:i]:
             raise DataError.at(path, "two columns of that name", line=1, column=name)
@@ -151,18 +177,12 @@ def _header(path: Path, line: bytes, required: Sequence[str]) -> list[str]:
 def read_table(
     path: Path, required: Sequence[str], optional: Sequence[str] = (), *, may_be_blank: Collection[str] = ()
 ) -> Table:
-    """Read a CSV's known columns; values are numbers, NaN and infinity included (`Table.require_finite` refuses those).
+    """Read known columns of a CSV; values are numbers, NaN and infinity included (see `Table.require_finite`).
 
-    Args:
-        path: the file.
-        required: columns that must be there.
-        optional: columns read if there. Any other column is left alone and named in `Table.unknown`.
-        may_be_blank: columns in which a field may be blank.
-
-    Raises:
-        DataError: file or column missing, too few or too many fields, blank line, or a field that is not a number.
+    `optional` columns are read if present, others are listed in `Table.unknown`; fields of `may_be_blank` may be blank.
+    Raises DataError for a missing file or column, a wrong number of fields, a blank line, or a field that is no number.
     """
-    header, *rows = _lines(path)
+    header, *rows = lines_of(bytes_of(path, missing="no such file").rstrip())
     names = _header(path, header, required)
     known = [n for n in names if n in required or n in optional]
     commas = len(names) - 1
@@ -171,47 +191,29 @@ def read_table(
     fields = b",".join(rows).split(b",") if rows else []
     columns = {}
     for name in known:
-        column = fields[names.index(name) :: len(names)]
+        column, blank = fields[names.index(name) :: len(names)], name in may_be_blank
         try:
             if b"_" in b"".join(column):  # Python reads 1_0 as ten
                 raise ValueError
-            values = (
-                [float(f) if f.strip() else np.nan for f in column]
-                if name in may_be_blank
-                else list(map(float, column))
-            )
+            columns[name] = np.array([float(f) if f.strip() or not blank else np.nan for f in column], float)
         except ValueError:
-            raise _not_a_number(path, name, column, blank=name in may_be_blank) from None
-        columns[name] = np.array(values, float)
+            raise _not_a_number(path, name, column, blank=blank) from None
     return Table(path, columns, tuple(n for n in names if n not in known and n))
 
 
 def _ragged(path: Path, rows: list[bytes], commas: int) -> DataError:
-    """The error at the first row whose number of fields is not the header's."""
-    for i, row in enumerate(rows):
-        if not row.strip():
-            return DataError.at(
-                path, "blank line between rows; a row of unknown values keeps its commas", line=i + FIRST_ROW
-            )
-        if row.count(b",") != commas:
-            n = row.count(b",") + 1
-            last = " (the file ends here: was it cut off?)" if i == len(rows) - 1 and n <= commas else ""
-            what = f"{n} field{'s' * (n > 1)} where the header names {commas + 1}{last}"
-            return DataError.at(path, what, line=i + FIRST_ROW)
-    raise AssertionError("called for a table whose rows are all complete")
+    """The error at the first row whose number of fields differs from the header's."""
+    k = next(i for i, row in enumerate(rows) if not row.strip() or row.count(b",") != commas)
+    n = rows[k].count(b",") + 1
+    what = f"{n} field{'s' * (n > 1)} where the header names {commas + 1}"
+    what += cut_off(n, commas + 1, last=k == len(rows) - 1)
+    if not rows[k].strip():
+        what = "blank line between rows; a row of unknown values keeps its commas"
+    return DataError.at(path, what, line=k + FIRST_ROW)
 
 
 def _not_a_number(path: Path, name: str, column: list[bytes], *, blank: bool) -> DataError:
     """The error at the first field of a column that is not a number."""
-    for i, field in enumerate(column):
-        if not field.strip():
-            if blank:
-                continue
-            return DataError.at(path, "blank; a number is needed", line=i + FIRST_ROW, column=name)
-        try:
-            float(field)
-        except ValueError:
-            return DataError.at(path, f"{shown(field)} is not a number", line=i + FIRST_ROW, column=name)
-        if b"_" in field:
-            return DataError.at(path, f"{shown(field)} is not a number", line=i + FIRST_ROW, column=name)
-    raise AssertionError("called for a column whose fields are all numbers")
+    k = next(i for i, field in enumerate(column) if not (is_number(field) or (blank and not field.strip())))
+    what = f"{shown(column[k])} is not a number" if column[k].strip() else "blank; a number is needed"
+    return DataError.at(path, what, line=k + FIRST_ROW, column=name)

@@ -1,15 +1,15 @@
-"""g2o graphs in the plane: their text read and written, a graph as a log, a log with decisions as a graph.
+"""g2o graphs in the plane: reading and writing, a graph as a log, and a log with decisions as a graph.
 
     VERTEX_SE2 id x y theta                        pose [m, m, rad]
     VERTEX_XY id x y                               landmark [m]
-    FIX id [id ...]                                held where they are
+    FIX id [id ...]                                fixed vertices
     EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33        pose j in the frame of pose i
     EDGE_SE2_XY i l x y I11 I12 I22                landmark l in the frame of pose i
     EDGE_BEARING_SE2_XY i l bearing I              direction of landmark l from pose i
 
-I: information matrix, upper triangle row by row. Poses and landmarks share one set of ids. An EDGE_SE2's error is that
-of the relative pose seen from its measured end, (R(dtheta)' (t - t_measured), theta - theta_measured); the landmark
-edges' errors are additive (g2o's types_slam2d).
+I: information matrix, upper triangle row by row. Poses and landmarks share one set of ids. The error of an EDGE_SE2 is
+that of the relative pose seen from its measured end, (R(dtheta)' (t - t_measured), theta - theta_measured); errors of
+landmark edges are additive (g2o's types_slam2d).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import numpy as np
 
 from data import se2
 from data.errors import LARGEST, DataError, UsageError
-from data.formats.csv_table import bytes_of, read_table, symmetric
+from data.formats.csv_table import bytes_of, is_number, read_table, symmetric
 from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
@@ -34,15 +34,15 @@ from data.sensors import RANGE_BEARING, RangeBearing, RelativePoint, Sensor
 from data.truth import Relations, Truth
 
 POSE, POINT, FIX = "VERTEX_SE2", "VERTEX_XY", "FIX"
-MOTION, SIGHTING, BEARING = "EDGE_SE2", "EDGE_SE2_XY", "EDGE_BEARING_SE2_XY"
-NUMBERS = {POSE: (1, 3, 0), POINT: (1, 2, 0), MOTION: (2, 3, 6), SIGHTING: (2, 2, 3), BEARING: (2, 1, 1)}
-"""Ids, measured numbers, and numbers of the information matrix after each tag."""
+MOTION, OBSERVATION, BEARING = "EDGE_SE2", "EDGE_SE2_XY", "EDGE_BEARING_SE2_XY"
+NUMBERS = {POSE: (1, 3, 0), POINT: (1, 2, 0), MOTION: (2, 3, 6), OBSERVATION: (2, 2, 3), BEARING: (2, 1, 1)}
+"""Numbers of ids, measured values, and entries of the information matrix after each tag."""
 SPATIAL = ("VERTEX_SE3:QUAT", "EDGE_SE3:QUAT", "VERTEX_SE3", "EDGE_SE3", "VERTEX_TRACKXYZ", "EDGE_SE3_TRACKXYZ")
 
 
 @dataclass(frozen=True, eq=False)
 class Edges:
-    """Edges of one kind: ends (K, 2) ids, measured (K, d), covariance (K, d, d), line (K,) of the file."""
+    """Edges of one kind: ends (K, 2) ids, measured (K, d), covariance (K, d, d), line (K,) in the file."""
 
     ends: IntArray
     measured: Array
@@ -58,11 +58,11 @@ class Graph:
     """A graph in the plane.
 
     Attributes:
-        path: where it was read, for messages.
-        pose, point: estimates by id, in the order of the file: id (K,), value (K, 3) or (K, 2).
-        fixed: ids held where they are.
+        path: of the file, for messages.
+        pose, point: vertices in file order: id (K,), value (K, 3) or (K, 2).
+        fixed: ids of fixed vertices.
         motion, observation, bearing: edges.
-        other: lines with any other tag, by tag.
+        other: numbers of lines with other tags.
     """
 
     path: Path
@@ -76,11 +76,10 @@ class Graph:
 
 
 def read_graph(path: Path) -> Graph:
-    """The graph of a file.
+    """Read a graph.
 
-    Raises:
-        DataError: not readable, a line with too few or other fields, an information matrix that is not positive
-            definite, an id twice, or a graph in space.
+    Raises DataError for an unreadable file, wrong fields of a line, an information matrix that is not positive
+    definite, a repeated id, or a graph in space.
     """
     text = bytes_of(path).decode("utf-8", "replace")
     rows: dict[str, list[tuple[int, list[float]]]] = {tag: [] for tag in NUMBERS}
@@ -93,15 +92,15 @@ def read_graph(path: Path) -> Graph:
         elif tag == FIX:
             fixed += [int(v) for v in _numbers(path, number, tag, fields, len(fields))]
         elif tag in SPATIAL:
-            raise DataError.at(path, f"{tag}: a graph in space; graphs in the plane ({POSE}) are read", line=number)
+            raise DataError.at(path, f"{tag}: a graph in space; a graph in the plane ({POSE}) is needed", line=number)
         elif tag:
             other[tag] += 1
     pose, point = _vertices(rows[POSE]), _vertices(rows[POINT])
     ids = np.concatenate([pose[0], point[0]])
     found, times = np.unique(ids, return_counts=True)
     if (times > 1).any():
-        raise DataError.at(path, f"vertex {found[np.argmax(times > 1)]} stands there twice; ids are for one each")
-    motion, observation, bearing = (_edges(path, rows[tag], tag) for tag in (MOTION, SIGHTING, BEARING))
+        raise DataError.at(path, f"vertex {found[np.argmax(times > 1)]} is repeated; ids must be unique")
+    motion, observation, bearing = (_edges(path, rows[tag], tag) for tag in (MOTION, OBSERVATION, BEARING))
     return Graph(path, pose, point, np.array(fixed, np.int64), motion, observation, bearing, dict(other))
 
 
@@ -110,12 +109,9 @@ def _numbers(path: Path, line: int, tag: str, fields: Sequence[str], count: int,
         raise DataError.at(path, f"{tag} with {len(fields)} numbers; {count} are needed", line=line)
     values = []
     for k, field in enumerate(fields):
-        try:
-            value = float(field)
-        except ValueError:
-            value = math.nan
+        value = float(field) if is_number(field) else math.nan
         whole = ids is None or k < ids
-        if "_" in field or not abs(value) <= LARGEST or (whole and (value < 0.0 or not value.is_integer())):
+        if not abs(value) <= LARGEST or (whole and (value < 0.0 or not value.is_integer())):
             wanted = "an id, a whole number from 0 up" if whole else "a number"
             raise DataError.at(path, f"{tag}: {field[:40]!r} is not {wanted}", line=line)
         values.append(value)
@@ -148,19 +144,20 @@ def written(
     fixed: Iterable[int],
     edges: Iterable[tuple[str, int, int, Array, Array]],
 ) -> str:
-    """Text of a graph: poses and points by id, ids held, and edges (tag, id, id, measured (d,), covariance (d, d)).
+    """Text of a graph from poses and points by id, fixed ids, and edges (tag, id, id, measured (d,), covariance (d,
+    d)).
 
-    An EDGE_SE2's covariance is that of the additive error in the frame of its start.
+    The covariance of an EDGE_SE2 is that of the additive error in the frame of its start.
     """
     lines = [_line(POSE, [i], p) for i, p in zip(*poses, strict=True)]
     lines += [_line(POINT, [i], p) for i, p in zip(*points, strict=True)]
     for tag, a, b, measured, covariance in edges:
         P = np.atleast_2d(covariance)
-        if tag == MOTION:  # g2o's error is at the end of the edge
+        if tag == MOTION:  # g2o's error is in the frame of the edge's end
             P = se2.covariances_in_body(measured[None, 2], P[None])[0]
         information = np.linalg.inv(P)
         lines.append(_line(tag, [a, b], [*np.ravel(measured), *information[np.triu_indices(len(P))]]))
-    # last: gtsam's reader stops there, g2o takes it anywhere
+    # last, because gtsam's reader stops there
     lines += [f"{FIX} {i}" for i in fixed]
     return "\n".join(lines) + "\n"
 
@@ -170,29 +167,26 @@ def _line(tag: str, ids: Sequence[int], values: Iterable[float]) -> str:
 
 
 UNSEEN = 100.0
-"""Standard deviations of a range that was not measured, in units of the range that the vertices give: it has 1e-4 of
-the information of a range known to its own length."""
+"""Standard deviation of an unmeasured range over the range from the vertices."""
 
 
 def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
-    """The log; `true`: the vertices are the true values, not estimates.
+    """The log of a graph; `true`: its vertices are the true values.
 
-    Frames are the poses in the order of their vertices (by id where the file has none). The first EDGE_SE2 between
-    neighbours, in either direction, is the motion; every other EDGE_SE2 becomes a reference relation, by which the
-    result is scored and which no estimator sees. Landmarks keep their ids as labels. A bearing without a range becomes
-    a reading whose range is as good as unknown. The first pose is fixed, where its vertex says.
+    Frames are the poses in the order of their vertices (by id without any). The first EDGE_SE2 between neighbours, in
+    either direction, is the motion; every other one becomes a reference relation for scoring. Labels are landmark ids.
+    A bearing becomes an observation with nearly unknown range. The first pose is fixed at its vertex.
 
-    Raises:
-        DataError: neighbours without an edge, an edge of a vertex that is not there, no pose.
+    Raises DataError for neighbours without an edge, an edge without its vertex, or no pose.
     """
     ids = _frames(graph)
     notes: list[str] = []
     mean, covariance, used = _chain(graph, ids)
     covariance, floored = floor_covariances(covariance, FLOOR)
     vertex = _estimates(graph.pose, ids)
-    frame, label, z, R, sensor = _readings(graph, ids, notes)
+    frame, label, z, R, sensor = _observations(graph, ids, notes)
     start = vertex[0] if np.isfinite(vertex[0]).all() else np.zeros(3)
-    notes += _said(graph, ids, used)
+    notes += _changes(graph, ids, used)
     relations = _relations(graph.motion, ids, used)
     landmarks = None
     if true and len(graph.point[0]):
@@ -222,28 +216,22 @@ def _frames(graph: Graph) -> IntArray:
     ids = graph.pose[0] if len(graph.pose[0]) else np.unique(np.concatenate(ends))
     if len(ids) == 0:
         raise DataError.at(graph.path, "no pose: neither VERTEX_SE2 nor EDGE_SE2")
-    strange = [(int(e), edges) for edges in (graph.motion,) for e in np.setdiff1d(edges.ends, ids)]
-    strange += [
-        (int(e), edges) for edges in (graph.observation, graph.bearing) for e in np.setdiff1d(edges.ends[:, 0], ids)
-    ]
-    for i, edges in strange:
-        line = int(edges.line[(edges.ends == i).any(axis=1)][0])
-        raise DataError.at(graph.path, f"no VERTEX_SE2 {i}, at which this edge ends", line=line)
+    for edges, columns in ((graph.motion, 2), (graph.observation, 1), (graph.bearing, 1)):
+        for i in np.setdiff1d(edges.ends[:, :columns], ids):
+            line = int(edges.line[(edges.ends == i).any(axis=1)][0])
+            raise DataError.at(graph.path, f"no VERTEX_SE2 {i}; this edge ends there", line=line)
     return ids
 
 
 def _estimates(vertices: tuple[IntArray, Array], ids: IntArray) -> Array:
     """Values of vertices by id, NaN where there is none."""
     rows = {int(i): value for i, value in zip(*vertices, strict=True)}
-    width = vertices[1].shape[1]
-    found = np.full((len(ids), width), np.nan)
-    for k, i in enumerate(ids.tolist()):
-        found[k] = rows.get(i, np.nan)
-    return found
+    unknown = np.full(vertices[1].shape[1], np.nan)
+    return np.array([rows.get(i, unknown) for i in ids.tolist()]).reshape(-1, len(unknown))
 
 
 def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
-    """Increments (N, 3), their covariances (N, 3, 3), and the numbers (N - 1,) of the edges they are."""
+    """Increments (N, 3), covariances (N, 3, 3), and numbers (N - 1,) of their edges."""
     at = {int(i): k for k, i in enumerate(ids)}
     edges, n = graph.motion, len(ids)
     first: dict[int, int] = {}
@@ -263,7 +251,7 @@ def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
     P = se2.covariances_in_world(motion[:, 2], edges.covariance[used])
     back = edges.ends[used, 0] != ids[:-1]
     if back.any():
-        # the inverse motion's additive error, to first order: J of (x, y, theta) -> inverse
+        # error of the inverse motion to first order: J of (x, y, theta) -> inverse
         x, y, a = motion[back].T
         c, s = np.cos(a), np.sin(a)
         J = np.zeros((len(a), 3, 3))
@@ -277,7 +265,7 @@ def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
     return mean, 0.5 * (covariance + covariance.transpose(0, 2, 1)), used
 
 
-def _readings(graph: Graph, ids: IntArray, notes: list[str]) -> tuple[IntArray, IntArray, Array, Array, Sensor]:
+def _observations(graph: Graph, ids: IntArray, notes: list[str]) -> tuple[IntArray, IntArray, Array, Array, Sensor]:
     """Frame (M,), label (M,), z (M, 2), R (M, 2, 2) by frame, and the sensor: points, or ranges with bearings."""
     at = {int(i): k for k, i in enumerate(ids)}
     points, rays = graph.observation, graph.bearing
@@ -294,15 +282,15 @@ def _readings(graph: Graph, ids: IntArray, notes: list[str]) -> tuple[IntArray, 
         z = np.concatenate([z, np.stack([guess, rays.measured[:, 0]], axis=1)])
         R = np.concatenate([R, far])
         notes.append(
-            f"{len(rays)} bearings without a range ({BEARING}): the range is that of the file's vertices, with a "
-            f"standard deviation {UNSEEN:g} times as large"
+            f"{len(rays)} bearings without a range ({BEARING}): it is taken from the file's vertices, with a standard "
+            f"deviation {UNSEEN:g} times as large"
         )
         if len(points):
-            notes.append(f"{len(points)} points ({SIGHTING}) became ranges and bearings, to first order")
+            notes.append(f"{len(points)} points ({OBSERVATION}) became ranges and bearings, to first order")
     order = np.argsort(frame, kind="stable")
     reach = float(kind().polar(z)[:, 0].max(initial=0.0))
     if len(rays) or len(points):
-        notes.append(f"max_range is {1.001 * reach:.4g} m, the farthest reading: a graph states no field of view")
+        notes.append(f"max_range is {1.001 * reach:.4g} m, the farthest observation: a graph states no field of view")
     sensor = kind(max_range=1.001 * reach if reach > 0.0 else np.inf)
     return frame[order], label[order], z[order], R[order], sensor
 
@@ -316,19 +304,19 @@ def _polar(z: Array, R: Array) -> tuple[Array, Array]:
 
 
 def _ranges(graph: Graph, rays: Edges) -> Array:
-    """Distances (K,) of bearings' ends by the file's vertices."""
+    """Distances (K,) between a bearing's vertices."""
     pose, point = _estimates(graph.pose, rays.ends[:, 0]), _estimates(graph.point, rays.ends[:, 1])
     missing = ~(np.isfinite(pose).all(axis=1) & np.isfinite(point).all(axis=1))
     if missing.any():
         k = int(np.argmax(missing))
-        what = f"{BEARING} of landmark {rays.ends[k, 1]}, which has no VERTEX_XY: without it nothing says how far it is"
+        what = f"{BEARING} of landmark {rays.ends[k, 1]}, which has no VERTEX_XY; it is needed for the distance"
         raise DataError.at(graph.path, what, line=int(rays.line[k]))
     ranges: Array = np.maximum(np.hypot(*(point - pose[:, :2]).T), 1e-3)
     return ranges
 
 
 def _relations(edges: Edges, ids: IntArray, used: IntArray) -> Relations | None:
-    """EDGE_SE2 that are no part of the chain."""
+    """EDGE_SE2 outside the chain."""
     rest = np.setdiff1d(np.arange(len(edges)), used)
     if not len(rest):
         return None
@@ -337,32 +325,29 @@ def _relations(edges: Edges, ids: IntArray, used: IntArray) -> Relations | None:
     return Relations(rows[:, 0], rows[:, 1], edges.measured[rest])
 
 
-def _said(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
-    """What is not as it stands in the file."""
+def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
+    """Notes about differences from the file."""
     notes = []
     loops = len(graph.motion) - len(used)
     if loops:
         notes.append(
-            f"{loops} {MOTION} besides the chain of successive poses (loop closures) became reference relations: "
-            "results are scored by them, and no estimator sees them"
+            f"{loops} {MOTION} outside the chain of poses (loop closures) became reference relations for scoring; no "
+            "estimator sees them"
         )
     if len(graph.fixed) and graph.fixed.tolist() != [int(ids[0])]:
-        notes.append(
-            f"FIX {' '.join(map(str, graph.fixed.tolist()[:5]))}: the first pose is fixed instead, which is another "
-            "frame of the same shape"
-        )
+        notes.append(f"FIX {' '.join(map(str, graph.fixed.tolist()[:5]))}: the first pose is fixed instead")
     notes += [f"{count} {tag} left out" for tag, count in graph.other.items()]
     return notes
 
 
 BLIND = 10.0
-"""A range whose sigma is so many times the range itself is none: the edge is a bearing alone."""
+"""Sigma over range from which an observation is written as a bearing alone."""
 Edge = tuple[str, int, int, Array, Array]
 
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
-    """What becomes the vertices: pose (N, 3), of (M,) the landmark number of each reading or -1, landmark by number."""
+    """The vertices to write: pose (N, 3), landmark number `of` (M,) of each observation or -1, landmark by number."""
 
     pose: Array
     of: IntArray
@@ -371,14 +356,10 @@ class Estimate:
 
 
 def labelled(log: Log) -> Estimate:
-    """Dead reckoning, pairings by label, and each landmark where its first reading puts it.
-
-    Raises:
-        UsageError: the log has no labels.
-    """
+    """Dead reckoning, pairings by label, and each landmark from its first observation; UsageError without labels."""
     label, inputs = log.granted, log.recorded
     if label is None and len(inputs.observations.frame):
-        raise UsageError(f"log {log.name!r} has no labels, so nobody knows its landmarks; name a run with --run FOLDER")
+        raise UsageError(f"log {log.name!r} has no labels, so its landmarks are unknown; name a run with --run FOLDER")
     label = np.zeros(0, np.int64) if label is None else label
     pose = se2.dead_reckoned(inputs.prior.mean, inputs.increments.mean)
     of = np.where(label >= 0, label, -1)
@@ -391,30 +372,25 @@ def labelled(log: Log) -> Estimate:
 
 
 def of_result(log: Log, folder: Path) -> Estimate:
-    """The last path, the map and the final decisions of `runs/<log>/<task>-<estimator>-<association>/` of a report.
-
-    Raises:
-        DataError: a file is missing, or is of another log.
+    """The last path, map and final decisions of a run's folder in a report; DataError if a file is missing or of
+    another log.
     """
     inputs = log.recorded
     path = next((p for p in (folder / "final.csv", folder / "online.csv") if p.exists()), None)
     if path is None:
-        raise DataError.at(folder, "neither final.csv nor online.csv: the folder of one run in a report is needed")
+        raise DataError.at(folder, "neither final.csv nor online.csv; the folder of one run in a report is needed")
     table = read_table(path, ("x", "y", "theta"), may_be_blank=("x", "y", "theta"))
     if len(table) != len(inputs):
         raise DataError.at(path, f"{len(table)} rows for the {len(inputs)} frames of log {log.name!r}; another log's?")
     pose = table.stack(("x", "y", "theta"))
     if not np.isfinite(pose).all():
-        raise DataError.at(path, "poses are missing: the run did not get to its end")
+        raise DataError.at(path, "poses are missing; a run that finished is needed")
     of = np.full(len(inputs.observations.frame), -1, np.int64)
     if len(of):
-        decided = read_table(
-            folder / "decisions.csv", ("frame", "decision", "final_decision"), may_be_blank=("final_decision",)
-        )
+        file = folder / "decisions.csv"
+        decided = read_table(file, ("frame", "decision", "final_decision"), may_be_blank=("final_decision",))
         if not np.array_equal(decided.columns["frame"], inputs.observations.frame):
-            raise DataError.at(
-                folder / "decisions.csv", f"its frames are not those of log {log.name!r}; another log's?"
-            )
+            raise DataError.at(file, f"its frames are not those of log {log.name!r}; another log's?")
         online, final = (decided.columns[c].astype(np.int64) for c in ("decision", "final_decision"))
         founded = np.where(online == -1, np.cumsum(online == -1) - 1, -1)
         of = np.where(final >= 0, final, np.where(final == -1, founded, -1))
@@ -433,14 +409,13 @@ def of_result(log: Log, folder: Path) -> Estimate:
 
 
 def graph_text(inputs: Inputs, estimate: Estimate) -> str:
-    """The graph; poses have the ids 0 to N - 1, landmarks those after them in the order of their numbers.
+    """The graph; poses have the ids 0 to N - 1, landmarks the following ones in the order of their numbers.
 
-    Readings become points in the body frame (to first order, where they are ranges and bearings), or bearings alone
-    where the range is as good as unknown. The first pose is fixed, and of a known map its landmarks.
-    Raises UsageError where landmarks are walls.
+    Observations become points in the body frame, to first order, or bearings where the range is nearly unknown. The
+    first pose is fixed, and so are landmarks of a known map. UsageError where landmarks are walls.
     """
     if not inputs.sensor.sees_points:
-        raise UsageError("the log's landmarks are walls; g2o has no vertex for a wall")
+        raise UsageError("the log's landmarks are walls, which g2o has no vertex for; a log of points is needed")
     n, o = len(inputs), inputs.observations
     numbers = sorted(set(estimate.of[estimate.of >= 0].tolist()))
     vertex = {number: n + k for k, number in enumerate(numbers)}
@@ -457,7 +432,7 @@ def graph_text(inputs: Inputs, estimate: Estimate) -> str:
             bearing = o.z[i, 1] - inputs.sensor.rotation
             edges.append((BEARING, *ends, np.array([bearing]), o.R[i, 1:, 1:]))
         else:
-            edges.append((SIGHTING, *ends, points[i], spread[i]))
+            edges.append((OBSERVATION, *ends, points[i], spread[i]))
     places = np.array([estimate.landmark[number] for number in numbers]).reshape(-1, 2)
     held = [0, *(vertex.values() if estimate.known else ())]
     return written((range(n), estimate.pose), (list(vertex.values()), places), held, edges)

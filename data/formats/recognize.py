@@ -1,4 +1,4 @@
-"""What is no log yet but can be made one: which recording a path holds, and the line to type."""
+"""Recordings that can be converted to logs, and the command to type."""
 
 from __future__ import annotations
 
@@ -8,15 +8,13 @@ from pathlib import Path
 from data.errors import DataError, UsageError
 
 MOST = 8
-"""Names of variables that a message lists."""
+"""Most names of variables in a message."""
 
 
 def door(name: str) -> list[str] | None:
     """Sentences and commands about a UTIAS MRCLAM dataset or a MATLAB file; None for anything else.
 
-    Raises:
-        UsageError: a MATLAB file that none of the formats here has.
-        DataError: one that cannot be read.
+    Raises UsageError for a MATLAB file in no known format, DataError for one that cannot be read.
     """
     path = Path(name)
     if path.suffix.lower() == ".mat" and path.is_file():
@@ -36,7 +34,7 @@ def _mrclam(path: Path) -> list[str]:
     robots = files.robots()
     try:
         corrected = corrected_landmarks(path)
-    except DataError:  # said again, and better, when it is converted
+    except DataError:  # the conversion reports it
         corrected = None
     landmarks = "" if corrected is None else f" --landmarks {shlex.quote(str(corrected))}"
     who = f"robot{'s' * (len(robots) > 1)} {', '.join(map(str, robots))}"
@@ -44,7 +42,7 @@ def _mrclam(path: Path) -> list[str]:
     source = shlex.quote(str(path))
     logs = {n: shlex.quote(f"logs/{out}-robot{n}") for n in robots}
     return [
-        f"{name_of(path)} is a UTIAS MRCLAM dataset, {who}: no log yet. Make one of a robot:",
+        f"{name_of(path)} is a UTIAS MRCLAM dataset, {who}. Convert a robot's data to a log:",
         *(f"  python -m data.convert mrclam {source} {log} --robot {n}{landmarks}" for n, log in logs.items()),
     ]
 
@@ -58,22 +56,22 @@ def _mat(path: Path) -> list[str]:
     folder = shlex.quote(str(path.absolute().parent))
     if set(NEEDED) <= set(names):
         return [
-            f"{name_of(path)} is a recorded run of a published study, which is replayed and not converted:",
+            f"{name_of(path)} is a recorded run of a published study. Replay it:",
             f"  python -m eval.run_all --scenario esde-replay --data {folder}",
         ]
     if is_lab(path.absolute().parent):
         out = shlex.quote(f"logs/{path.absolute().parent.name}")
         return [
-            f"{name_of(path)} belongs to a recording of the visual lab; its folder is a log, and as an open log:",
+            f"{name_of(path)} belongs to a recording of the visual lab, whose folder is a log. As an open log:",
             f"  python -m data.convert lab {folder} {out}",
         ]
     listed = ", ".join(names[:MOST]) + (", ..." if len(names) > MOST else "")
     raise UsageError(
-        f"{path}: a MATLAB file with {listed}, in none of the formats here; its numbers as CSV can be converted: "
+        f"{path}: a MATLAB file with {listed}, in no known format; save its numbers as CSV and convert them: "
         "python -m data.convert table --help"
     )
 
 
 def name_of(path: Path) -> str:
-    """What a path is called in a sentence."""
+    """The name of a path in a sentence."""
     return path.absolute().name

@@ -1,1 +1,1 @@
-"""What `python -m eval.benchmark` measures."""
+"""Measurements of `python -m eval.benchmark`."""

@@ -1,4 +1,4 @@
-"""How long association takes: JCBB on a hard frame, a corridor run, and the cost of a frame as the map grows."""
+"""Time of association: JCBB on a hard frame, a corridor run, and the cost of a frame as the map grows."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def hard_frame(observations: int, landmarks: int, ambiguous: int) -> Expectation
     side = int(np.ceil(np.sqrt(landmarks)))
     xy = 4.0 * np.stack(np.divmod(np.arange(landmarks), side), axis=1).astype(float)
     xy[observations : observations + ambiguous] = xy[:ambiguous] + np.array([0.12, 0.05])
-    pose = np.tile(np.eye(2), (landmarks, 1))  # an error of the robot shifts every expectation alike
+    pose = np.tile(np.eye(2), (landmarks, 1))  # a pose error shifts all expectations alike
     joint = pose @ (0.03 * np.eye(2)) @ pose.T + 1e-3 * np.eye(2 * landmarks)
     R = np.tile(1e-3 * np.eye(2), (observations, 1, 1))
     shift = rng.multivariate_normal(np.zeros(2), 0.03 * np.eye(2))
@@ -40,7 +40,7 @@ def hard_frame(observations: int, landmarks: int, ambiguous: int) -> Expectation
 
 
 def plain_jcbb(e: Expectation, gate: float) -> IntArray:
-    """The textbook in plain Python: depth first, one inverse of the joint covariance per node."""
+    """Textbook JCBB in plain Python: depth first, one inverse of the joint covariance per node."""
     compatible = e.individual_distances() < gate_threshold(gate)
     best: tuple[int, float, list[int]] = (0, 0.0, [-1] * len(compatible))
 
@@ -102,7 +102,7 @@ def line_world(landmarks: int) -> Inputs:
 
 
 def frame_seconds(estimator: str, inputs: Inputs, setup: Setup) -> tuple[float, int, int]:
-    """Seconds to expect and decide (JCBB) in the last frame, its observations, and how many candidates it has."""
+    """Seconds to expect and decide (JCBB) in the last frame, and its numbers of observations and candidates."""
     front = FrontEnd(estimator, "known", inputs, setup)
     last = len(inputs) - 1
     for k in range(last):
@@ -116,7 +116,7 @@ def frame_seconds(estimator: str, inputs: Inputs, setup: Setup) -> tuple[float, 
 
 
 def each_frame(estimator: str, association: str, inputs: Inputs) -> Array:
-    """Seconds (N,) of every frame of a log, all that is done for it."""
+    """Seconds (N,) of every frame of a log."""
     front = front_end(estimator, association, inputs, Setup())
     seconds = np.empty(len(inputs))
     with threadpool_limits(1):
@@ -153,40 +153,29 @@ def hindsight_lines(frames: int) -> list[Timed]:
 
 
 def association_lines(quick: bool) -> list[Timed]:
-    """Every line of the table about association."""
+    """Lines of the table about association."""
     from data.worlds.corridor import Corridor, simulate
 
     e = hard_frame(20, 1000, 10)
-    fast = median_seconds(lambda: jcbb(replace(e), GATE), 50)  # a copy knows no distances yet
+    fast = median_seconds(lambda: jcbb(replace(e), GATE), 50)  # a copy has no cached distances
     plain = median_seconds(lambda: plain_jcbb(e, GATE), 1)
     if not np.array_equal(jcbb(e, GATE), plain_jcbb(e, GATE)):
         raise AssertionError("the plain JCBB decides otherwise")
     log = simulate(Corridor(), 0)
     inputs = log.inputs().without_map()
     run = median_seconds(lambda: step_by_step("ekf", inputs, "slam", "jcbb"))
+    seen = len(log.recorded.observations.frame)
+    corridor = f"corridor ({len(inputs)} steps, {seen} observations), EKF and JCBB"
     lines = [
         Timed("JCBB, 20 observations x 1000 landmarks, 10 ambiguous", fast, 1, "frames", "1", "< 5 ms"),
         Timed("peer: JCBB in plain Python", plain, 1, "frames", f"{plain / fast:.0f}"),
-        Timed(
-            f"corridor ({len(inputs)} steps, {len(log.recorded.observations.frame)} observations), EKF and JCBB",
-            run,
-            len(inputs),
-            "frames",
-            "",
-            "< 0.25 s",
-        ),
+        Timed(corridor, run, len(inputs), "frames", "", "< 0.25 s"),
     ]
     for size in MAP_SIZES[:1] if quick else MAP_SIZES:
         world = line_world(size)
         for name, setup in (("ekf", Setup()), ("ekf", Setup(in_view=True)), ("isam2", Setup())):
             seconds, seen, candidates = frame_seconds(name, world, setup)
             cut = ", in view" if setup.in_view else ""
-            lines.append(
-                Timed(
-                    f"association of a frame, {name}{cut}, map of {size} ({seen} seen, {candidates} candidates)",
-                    seconds,
-                    1,
-                    "frames",
-                )
-            )
+            what = f"association of a frame, {name}{cut}, map of {size} ({seen} seen, {candidates} candidates)"
+            lines.append(Timed(what, seconds, 1, "frames"))
     return lines

@@ -1,4 +1,4 @@
-"""Time and memory against size: parks of a thousand to a hundred thousand frames, each run in a process of its own."""
+"""Time and memory against size: parks of a thousand to a hundred thousand frames, each in its own process."""
 
 from __future__ import annotations
 
@@ -25,33 +25,28 @@ SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 BARE = "bare isam2"
 BARE_BATCH = "bare batch"
 ESTIMATORS = ("ekf", "batch", BARE_BATCH, "isam2", BARE)
-LOG = "park:0:spacing=3.3+frames={}"  # about a landmark for every ten frames, five to seven readings a frame
+LOG = "park:0:spacing=3.3+frames={}"  # a landmark for every ten frames, five to seven observations a frame
 MEGABYTE = 1024.0  # KiB, the unit of `ru_maxrss`
 
 
 class Measured(NamedTuple):
-    """One run, its size, and what it cost.
-
-    seconds: wall time of the estimator alone; with_start: with the EKF that batch starts from; cpu_seconds: of the
-    processor, in all; peak_mb: memory of the process at most, log_mb: before the run, the log included; rmse_m: of the
-    positions, in the end.
-    """
+    """One run, its size, and its cost."""
 
     estimator: str
     frames: int
     landmarks: int
     readings: int
-    seconds: float
-    with_start: float
-    cpu_seconds: float
-    peak_mb: float
+    seconds: float  # wall time of the estimator alone
+    with_start: float  # with the EKF that batch starts from
+    cpu_seconds: float  # of the processor, in all
+    peak_mb: float  # memory of the process at most, log_mb: before the run, the log included
     log_mb: float
-    rmse_m: float
+    rmse_m: float  # of the positions, in the end
     status: str
 
 
 def measure(estimator: str, name: str) -> Measured:
-    """One estimator with labels on one simulated log, in this process: best in a fresh one."""
+    """One estimator with labels on one simulated log, in this process."""
     from association.decide import known_decisions
     from eval.compare import compare
     from eval.replay.batch import start_at
@@ -85,7 +80,7 @@ def measure(estimator: str, name: str) -> Measured:
 
 
 def measured_apart(estimator: str, name: str) -> Measured:
-    """The same in a process of its own, whose peak of memory is this run's."""
+    """The same in its own process, whose peak memory is this run's."""
     command = [sys.executable, "-m", "eval.benchmarks.large", estimator, name]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
     return Measured(*json.loads(done.stdout.splitlines()[-1]))
@@ -99,7 +94,7 @@ def measure_all(sizes: Sequence[int] = SIZES, estimators: Sequence[str] = ESTIMA
 
 
 def slope(sizes: Sequence[float], values: Sequence[float]) -> float:
-    """Exponent of growth: slope of log(values) against log(sizes), by least squares over the larger half and more."""
+    """Exponent of growth: slope of log(values) against log(sizes), by least squares over the larger two thirds."""
     x, y = np.log(np.asarray(sizes, float)), np.log(np.asarray(values, float))
     last = slice(len(x) // 3, None)
     return float(np.polyfit(x[last], y[last], 1)[0])
@@ -114,7 +109,7 @@ def write(found: Sequence[Measured], path: Path) -> None:
 
 
 def line_of(m: Measured) -> str:
-    """A measurement in a line of text."""
+    """A measurement as a line of text."""
     return (
         f"{m.estimator:10s} {m.frames:7d} frames {m.landmarks:6d} landmarks {m.readings:7d} readings:"
         f" {m.seconds:8.1f} s, {m.with_start:.1f} with its start"
@@ -124,7 +119,7 @@ def line_of(m: Measured) -> str:
 
 
 PEERS = {BARE: ("isam2", "bare gtsam loop"), BARE_BATCH: ("batch", "bare gtsam batch")}
-"""Whose peer each is, and what it is called."""
+"""Estimator that each bare loop is compared with, and its label."""
 
 
 def scaling_figure(found: Sequence[Measured]) -> Figure:
@@ -133,7 +128,7 @@ def scaling_figure(found: Sequence[Measured]) -> Figure:
         fig = Figure(figsize=(page_width(), 3.5))
         panels: tuple[tuple[str, Callable[[Measured], float]], ...] = (
             ("wall time [s]", lambda m: m.seconds),
-            ("memory beside the log [MB]", lambda m: max(m.peak_mb - m.log_mb, 1.0)),
+            ("memory without the log [MB]", lambda m: max(m.peak_mb - m.log_mb, 1.0)),
         )
         for ax, (label, value) in zip(fig.subplots(1, 2), panels, strict=True):
             for estimator in dict.fromkeys(m.estimator for m in found):
@@ -141,14 +136,8 @@ def scaling_figure(found: Sequence[Measured]) -> Figure:
                 frames, values = [m.frames for m in own], [value(m) for m in own]
                 style = _style(estimator)
                 exponent = f", $n^{{{slope(frames, values):.2f}}}$" if len(own) > 2 else ""
-                ax.plot(
-                    frames,
-                    values,
-                    color=style.colour,
-                    linestyle=style.line,
-                    marker=style.marker,
-                    label=style.label + exponent,
-                )
+                look = {"color": style.colour, "linestyle": style.line, "marker": style.marker}
+                ax.plot(frames, values, label=style.label + exponent, **look)
             ax.set(xscale="log", yscale="log", xlabel="frames n [–]", ylabel=label)
             ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)  # below: lines fill the panel
         return fig

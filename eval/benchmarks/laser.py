@@ -29,29 +29,25 @@ SEEDS = 50
 
 
 class PlanRun(NamedTuple):
-    """One simulated plan: RMSE [m] of iSAM2's final, the same aligned, its online path, the filter's, the wheels'.
-
-    nees_final, nees_online: mean pose NEES (3 expected); chain, loops: squared distances of the factors; scale: learned
-    of the claimed variances, and its standard error; seconds: of the front end, span: of the drive.
-    """
+    """One simulated plan: RMSE [m] of iSAM2's final, the same aligned, its online path, the filter's, the wheels'."""
 
     final: float
     aligned: float
     online: float
     filter: float
     wheels: float
-    nees_final: float
+    nees_final: float  # mean pose NEES (3 expected)
     nees_online: float
-    chain: Array
+    chain: Array  # squared distances of the factors
     loops: Array
     counts: ClosureCounts
-    scale: tuple[float, float]
-    seconds: float
-    span: float
+    scale: tuple[float, float]  # learned scale of the claimed variances, and its standard error
+    seconds: float  # of the front end
+    span: float  # of the drive
 
 
 def measure_plan(name: str) -> PlanRun:
-    """Everything about one log of a floor plan."""
+    """Measure one log of a floor plan."""
     log = named_log(name)
     truth = log.truth.pose
     assert truth is not None
@@ -63,24 +59,23 @@ def measure_plan(name: str) -> PlanRun:
     assert log.recorded.scans is not None
     final, online, keys = isam2.trajectory("final"), isam2.trajectory("online"), truth[isam2.chain.frame]
     points = scan_points_of(log.recorded.scans, isam2.chain.frame)
-
-    def error(pose: Array) -> float:
-        return rms(position_distance(pose, truth))
-
+    paths = {
+        "final": final,
+        "online": online,
+        "filter": ekf.trajectory("online"),
+        "wheels": wheels.trajectory("online"),
+    }
     return PlanRun(
-        error(final.pose),
-        aligned_rmse(final.pose, truth),
-        error(online.pose),
-        error(ekf.trajectory("online").pose),
-        error(wheels.trajectory("online").pose),
-        mean_or_nan(nees(final.pose, final.covariance, truth, "pose")),
-        mean_or_nan(nees(online.pose, online.covariance, truth, "pose")),
-        chain_squares(isam2.chain, keys),
-        loop_squares(isam2.loops, keys),
-        count_closures(isam2.loops, keys, revisits(keys, points), points),
-        isam2.scale or (np.nan, np.nan),
-        float(isam2.frame_seconds.sum()),
-        float(log.recorded.time[-1] - log.recorded.time[0]),
+        **{path: rms(position_distance(t.pose, truth)) for path, t in paths.items()},
+        aligned=aligned_rmse(final.pose, truth),
+        nees_final=mean_or_nan(nees(final.pose, final.covariance, truth, "pose")),
+        nees_online=mean_or_nan(nees(online.pose, online.covariance, truth, "pose")),
+        chain=chain_squares(isam2.chain, keys),
+        loops=loop_squares(isam2.loops, keys),
+        counts=count_closures(isam2.loops, keys, revisits(keys, points), points),
+        scale=isam2.scale or (np.nan, np.nan),
+        seconds=float(isam2.frame_seconds.sum()),
+        span=float(log.recorded.time[-1] - log.recorded.time[0]),
     )
 
 

@@ -1,10 +1,6 @@
-"""How fast the EKF localizer is, beside the same filter as a plain numpy loop and with filterpy.
-
-How fast a Monte Carlo study is: the circle scenario with one and two processes, and on a Dask cluster.
-
-How fast SLAM over Victoria Park is, iSAM2 beside a bare gtsam loop with the same factors.
-
-How fast pictures are found: frames of 640 x 480 with eight reference pictures, from image to corners.
+"""Speed of the EKF localizer against a plain numpy loop and filterpy, of a Monte Carlo study with one and two processes
+and on a Dask cluster, of SLAM over Victoria Park against a bare gtsam loop with the same factors, and of picture
+detection in frames of 640 x 480.
 """
 
 from __future__ import annotations
@@ -20,9 +16,11 @@ from statistics import median
 import numpy as np
 
 from association.decide import known_decisions
+from data.blocks import block_diagonal
 from data.formats.recordings.victoria_park import load_victoria_park
-from data.inputs import Inputs, LabelledObservations
+from data.inputs import Increment, Inputs, LabelledObservations
 from data.log import shortened
+from data.se2 import Array
 from data.visual.detector import Detector
 from data.visual.rendering.render import Rendered
 from data.worlds.arena import Arena, simulate
@@ -38,7 +36,7 @@ from graph.bare_loop import bare_isam2
 
 
 def localization_log(frames: int) -> Inputs:
-    """An arena log with exactly three readings in every frame."""
+    """An arena log with three observations in every frame."""
     log = simulate(Arena(frames=frames, landmarks=40, field_of_view=2 * math.pi), 0)
     inputs = log.inputs(labels=True)
     o = inputs.observations
@@ -49,86 +47,74 @@ def localization_log(frames: int) -> Inputs:
     return replace(inputs, observations=kept)
 
 
-def numpy_localizer(inputs: Inputs) -> None:
-    """The same filter as a plain numpy loop, the way it is usually written by hand."""
+def measured(x: Array, landmarks: Array) -> Array:
+    """Expected ranges and bearings (2m,) of landmarks (m, 2), interleaved."""
+    d = landmarks - x[:2]
+    return np.stack([np.hypot(d[:, 0], d[:, 1]), np.arctan2(d[:, 1], d[:, 0]) - x[2]], 1).ravel()
+
+
+def jacobian(x: Array, landmarks: Array) -> Array:
+    """Jacobian (2m, 3) of `measured`."""
+    d = landmarks - x[:2]
+    r = np.hypot(d[:, 0], d[:, 1])
+    J = np.zeros((2 * len(d), 3))
+    J[0::2, :2] = -d / r[:, None]
+    J[1::2, 0], J[1::2, 1], J[1::2, 2] = d[:, 1] / r**2, -d[:, 0] / r**2, -1
+    return J
+
+
+def residual(a: Array, b: Array) -> Array:
+    """Difference (2m,) of measurements with wrapped bearings."""
+    e = a - b
+    e[1::2] = (e[1::2] + math.pi) % (2 * math.pi) - math.pi
+    return e
+
+
+def predicted(x: Array, P: Array, increment: Increment) -> tuple[Array, Array]:
+    """Pose and covariance after an increment."""
+    (u, M), c, s = increment, math.cos(x[2]), math.sin(x[2])
+    F = np.array([[1, 0, -s * u[0] - c * u[1]], [0, 1, c * u[0] - s * u[1]], [0, 0, 1]])
+    B = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    return x + B @ u, F @ P @ F.T + B @ M @ B.T
+
+
+def seen_in(inputs: Inputs, k: int) -> tuple[Array, Array, Array]:
+    """Measurements (2m,) of a frame, their covariance (2m, 2m), and the landmarks (m, 2)."""
     assert inputs.map is not None
-    o = inputs.observations
+    o, rows = inputs.observations, slice(inputs.start[k], inputs.start[k + 1])
     assert isinstance(o, LabelledObservations)
+    return o.z[rows].ravel(), block_diagonal(o.R[rows]), inputs.map.xy[o.label[rows]]
+
+
+def numpy_localizer(inputs: Inputs) -> None:
+    """The same filter as a plain numpy loop."""
     x, P = inputs.prior.mean.copy(), inputs.prior.covariance.copy()
     for k in range(len(inputs)):
         if k:
-            u, M = inputs.increment(k)
-            c, s = math.cos(x[2]), math.sin(x[2])
-            F = np.array([[1, 0, -s * u[0] - c * u[1]], [0, 1, c * u[0] - s * u[1]], [0, 0, 1]])
-            B = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-            P = F @ P @ F.T + B @ M @ B.T
-            x = x + B @ u
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        d = inputs.map.xy[o.label[rows]] - x[:2]
-        m = len(d)
-        r = np.sqrt((d**2).sum(1))
-        nu = o.z[rows] - np.stack([r, np.arctan2(d[:, 1], d[:, 0]) - x[2]], 1)
-        nu[:, 1] = (nu[:, 1] + math.pi) % (2 * math.pi) - math.pi
-        H = np.zeros((2 * m, 3))
-        H[0::2, :2] = -d / r[:, None]
-        H[1::2, 0], H[1::2, 1], H[1::2, 2] = d[:, 1] / r**2, -d[:, 0] / r**2, -1
-        R = np.zeros((2 * m, 2 * m))
-        for i, Ri in enumerate(o.R[rows]):
-            R[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = Ri
+            x, P = predicted(x, P, inputs.increment(k))
+        z, R, landmarks = seen_in(inputs, k)
+        H = jacobian(x, landmarks)
         K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
-        x = x + K @ nu.ravel()
+        x = x + K @ residual(z, measured(x, landmarks))
         P = (np.eye(3) - K @ H) @ P
 
 
 def filterpy_localizer(inputs: Inputs) -> None:
-    """The same with filterpy's ExtendedKalmanFilter (its predict is replaced by ours: it has no nonlinear one)."""
+    """The same with filterpy's ExtendedKalmanFilter (with our predict: it has no nonlinear one)."""
     from filterpy.kalman import ExtendedKalmanFilter
-
-    assert inputs.map is not None
-    o = inputs.observations
-    assert isinstance(o, LabelledObservations)
-    known = inputs.map.xy
-
-    def h(x: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
-        d = landmarks - x[:2]
-        return np.stack([np.hypot(d[:, 0], d[:, 1]), np.arctan2(d[:, 1], d[:, 0]) - x[2]], 1).ravel()
-
-    def H(x: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
-        d = landmarks - x[:2]
-        r = np.hypot(d[:, 0], d[:, 1])
-        J = np.zeros((2 * len(d), 3))
-        J[0::2, :2] = -d / r[:, None]
-        J[1::2, 0], J[1::2, 1], J[1::2, 2] = d[:, 1] / r**2, -d[:, 0] / r**2, -1
-        return J
-
-    def residual(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        e: np.ndarray = a - b
-        e[1::2] = (e[1::2] + math.pi) % (2 * math.pi) - math.pi
-        return e
 
     f = ExtendedKalmanFilter(dim_x=3, dim_z=6)
     f.x, f.P = inputs.prior.mean.copy(), inputs.prior.covariance.copy()
     for k in range(len(inputs)):
         if k:
-            u, M = inputs.increment(k)
-            c, s = math.cos(f.x[2]), math.sin(f.x[2])
-            f.F = np.array([[1, 0, -s * u[0] - c * u[1]], [0, 1, c * u[0] - s * u[1]], [0, 0, 1]])
-            B = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-            f.P = f.F @ f.P @ f.F.T + B @ M @ B.T
-            f.x = f.x + B @ u
-        rows = slice(inputs.start[k], inputs.start[k + 1])
-        landmarks = known[o.label[rows]]
-        m = len(landmarks)
-        if m == 0:
-            continue
-        R = np.zeros((2 * m, 2 * m))
-        for i, Ri in enumerate(o.R[rows]):
-            R[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = Ri
-        f.update(o.z[rows].ravel(), H, h, R=R, args=(landmarks,), hx_args=(landmarks,), residual=residual)
+            f.x, f.P = predicted(f.x, f.P, inputs.increment(k))
+        z, R, landmarks = seen_in(inputs, k)
+        if len(z):
+            f.update(z, jacobian, measured, R=R, args=(landmarks,), hx_args=(landmarks,), residual=residual)
 
 
 def localization_lines(frames: int) -> list[Timed]:
-    """The EKF localizer with three readings a frame, and its peers."""
+    """The EKF localizer with three observations a frame, and its peers."""
     inputs = localization_log(frames)
     decisions, _ = known_decisions(inputs)
     whole = median_seconds(lambda: run_filter(inputs, decisions))
@@ -152,7 +138,7 @@ PROCESSES, TURNS = 2, 3
 
 
 def study_seconds(scenario: Scenario, runs: int, jobs: int, scheduler: str | None = None) -> float:
-    """Wall time of a study from nothing; the processes were started before, by a few runs of the same."""
+    """Wall time of a study; the processes were started before, by a few runs of the same."""
     taken = 0.0
     for n in (2 * jobs, runs):
         with tempfile.TemporaryDirectory() as folder:
@@ -164,7 +150,7 @@ def study_seconds(scenario: Scenario, runs: int, jobs: int, scheduler: str | Non
 
 
 def study_lines(quick: bool) -> list[Timed]:
-    """Every line of the table about studies."""
+    """Lines of the table about studies."""
     from distributed import LocalCluster
 
     scenario = load_scenario("circle").only(VARIANTS)
@@ -179,24 +165,24 @@ def study_lines(quick: bool) -> list[Timed]:
         worker_dashboard_address=None,
         silence_logs=50,
     ) as cluster:
-        for _ in range(1 if quick else TURNS):  # in turn, so that a drift of the machine's speed touches all
+        for _ in range(1 if quick else TURNS):  # in turn, so that changes of the machine's speed affect all
             one.append(study_seconds(scenario, runs, 1))
             two.append(study_seconds(scenario, runs, PROCESSES))
             dask.append(study_seconds(scenario, runs, PROCESSES, cluster.scheduler_address))
-    gain, beside = (median(a / b for a, b in zip(x, y, strict=True)) for x, y in ((one, two), (dask, two)))
+    gain, dask_ratio = (median(a / b for a, b in zip(x, y, strict=True)) for x, y in ((one, two), (dask, two)))
     few = 4 if quick else 10
     batch = study_seconds(scenario.only(("batch",)), few, PROCESSES)
     what = f"study: circle (2500 steps, 20 landmarks), {runs} runs, {len(VARIANTS)} filters"
     return [
         Timed(f"{what}, 1 process", median(one), runs, "runs", f"{gain:.2f}", ">= 1.70 (85 % efficiency)"),
         Timed(f"{what}, 2 processes", median(two), runs, "runs", "1", "< 60 s"),
-        Timed(f"{what}, Dask, 2 workers", median(dask), runs, "runs", f"{beside:.2f}", "<= 1.15"),
+        Timed(f"{what}, Dask, 2 workers", median(dask), runs, "runs", f"{dask_ratio:.2f}", "<= 1.15"),
         Timed(f"the same, batch smoother, {few} runs, 2 processes", batch, few, "runs"),
     ]
 
 
 def victoria_park_lines(frames: int) -> list[Timed]:
-    """EKF-SLAM and iSAM2 over Victoria Park, iSAM2 beside a bare gtsam loop with the same factors."""
+    """EKF-SLAM and iSAM2 over Victoria Park, against a bare gtsam loop with the same factors."""
     log = shortened(load_victoria_park(), frames)
     inputs = log.inputs(labels=True).without_map()
     decisions, created = known_decisions(inputs)
@@ -205,7 +191,7 @@ def victoria_park_lines(frames: int) -> list[Timed]:
     ours, bare = [], []
     first = shortened(log, 300).inputs(labels=True).without_map()
     step_by_step("isam2", first, "slam", finish=False)  # a warm-up for the compiled parts
-    for _ in range(REPEATS):  # in turn, so that a drift of the machine's speed touches both
+    for _ in range(REPEATS):  # in turn, so that changes of the machine's speed affect both
         begin = time.perf_counter()
         step_by_step("isam2", inputs, "slam", finish=False)
         ours.append(time.perf_counter() - begin)
@@ -222,7 +208,7 @@ def victoria_park_lines(frames: int) -> list[Timed]:
 
 
 def visual_lines(quick: bool) -> list[Timed]:
-    """Every line of the table about images."""
+    """Lines of the table about images."""
     recording = Rendered(Gallery(), 0, frames=6 if quick else 30)
     begin = time.perf_counter()
     frames = list(recording.frames())

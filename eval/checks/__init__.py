@@ -1,1 +1,1 @@
-"""Checks of anybody's estimator or way of association, as scikit-learn checks estimators: each result a sentence."""
+"""Checks of estimators and association methods, as scikit-learn checks estimators: each result is a sentence."""

@@ -1,8 +1,8 @@
-"""All checks of an estimator or of a way of association: as a list of findings, or as one error."""
+"""All checks of an estimator or an association method: as a list of findings, or as one error."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -11,8 +11,6 @@ from association.decide import METHODS, PLAIN
 from association.jcbb import jcbb, jcbb_first
 from data.errors import UsageError
 from eval.checks import associations, estimators
-from eval.checks import estimators as expected
-from eval.checks import estimators as handed
 from eval.checks.finding import CheckError, Finding
 from eval.replay.external.guard import ForeignError
 from eval.replay.external.load import load, text_of
@@ -21,13 +19,11 @@ from eval.replay.external.spec import is_foreign, name_of, one_settled
 from eval.replay.settings import STEPPING, TASKS
 
 ESTIMATOR = (
-    *(handed.purity, handed.covariances, estimators.runs, estimators.linear_world, estimators.without_noise),
+    *(estimators.purity, estimators.covariances, estimators.runs, estimators.linear_world, estimators.without_noise),
     *(estimators.seams, estimators.empty_frames, estimators.determinism, estimators.covariance, estimators.numbers),
-    *(expected.expectation, expected.removal),
+    *(estimators.expectation, estimators.removal),
 )
-
-
-OWN = {**PLAIN, "jcbb": jcbb, "jcbb-first": jcbb_first}  # our methods as functions
+OWN = {**PLAIN, "jcbb": jcbb, "jcbb-first": jcbb_first}
 
 
 def estimator_findings(estimator: str | Callable[..., Any]) -> list[Finding]:
@@ -45,22 +41,12 @@ def estimator_findings(estimator: str | Callable[..., Any]) -> list[Finding]:
     found = [Finding("interface", True, f"{name_of(text)} does {' and '.join(tasks)}")]
     with threadpool_limits(1):
         for task in tasks:
-            found += [
-                f._replace(check=f"{task}, {f.check}") for check in ESTIMATOR for f in sheltered(check, text, task)
-            ]
+            found += [f._replace(check=f"{task}, {f.check}") for check in ESTIMATOR for f in check(text, task)]
     return found
 
 
-def sheltered(check: Callable[[str, str], Iterator[Finding]], text: str, task: str) -> list[Finding]:
-    """What a check finds; where foreign code crashes outside a run, that."""
-    try:
-        return list(check(text, task))
-    except ForeignError as stop:
-        return [Finding(check.__name__.replace("_", " "), False, str(stop))]
-
-
 def association_findings(association: str | Callable[..., Any]) -> list[Finding]:
-    """Every check of a way of association: (check, passed, sentence).
+    """Every check of an association method: (check, passed, sentence).
 
     `association`: a function as in docs/extending.md, a text as after `--association`, or a name of ours.
     """
@@ -74,12 +60,11 @@ def association_findings(association: str | Callable[..., Any]) -> list[Finding]
     if text not in METHODS:
         raise UsageError(f"{text}: decides by more than one frame; {', '.join(METHODS)} can be checked")
 
-    own = OWN[text]
-    return list(associations.run(own, own))
+    return list(associations.run(OWN[text], OWN[text]))
 
 
 def check_estimator(estimator: str | Callable[..., Any]) -> None:
-    """Raises `CheckError`, an AssertionError with a sentence for each failed check, as scikit-learn's does."""
+    """Raises `CheckError`, an AssertionError with a sentence for each failed check."""
     _judge(estimator, estimator_findings(estimator))
 
 
@@ -94,7 +79,7 @@ def _judge(what: str | Callable[..., Any], findings: list[Finding]) -> None:
 
 
 def _text(what: str | Callable[..., Any], kind: str) -> str:
-    """A settled text for what may also be an object, or a name that an installed package adds."""
+    """A settled text for an object, a text, or a name of an installed package."""
     if isinstance(what, str) and not is_foreign(what):
         return one_settled("check", what, kind)
     return text_of(what, kind)

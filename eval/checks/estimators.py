@@ -1,4 +1,4 @@
-"""Checks of an estimator: one function each, which yields what it finds for a task."""
+"""Checks of an estimator for a task, one function each."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from data.inputs import Frame, FrameObservations, Increment, Inputs, LandmarkMap, Prior
-from data.result import DISCARD, Run
+from data.log import Log
+from data.result import DISCARD, Run, Trajectory
 from data.se2 import Array, world_from_body, wrap_angle
 from eval.checks import worlds
-from eval.checks.finding import Finding, graded
+from eval.checks.finding import FailedError, Finding, check, graded
 from eval.compare import compare
 from eval.referee.errors import named
 from eval.replay.external.guard import ForeignError
@@ -23,18 +24,16 @@ from eval.replay.settings import Beginning, Setup
 
 SETUP = Setup()
 TURNS = (math.pi, -2.0, 3.1)
-"""rad. The headings of the arena's first second are 0 to 0.2: turned so, they cross the seam at once, or soon."""
+"""rad; the arena's first headings are 0 to 0.2: rotated by these, they cross the seam at once, or soon."""
 LONG = np.diag([0.3, 0.03, 0.03]) ** 2
-"""Prior covariance [m^2, rad^2] that is ten times as long as wide, so that its direction shows."""
+"""Prior covariance [m^2, rad^2] ten times as long as wide, so that its direction matters."""
 LONG.setflags(write=False)
-BODY = 0.3
-"""Relative difference (Frobenius) from which two position covariances are not the same; a few hundred samples have
-0.1."""
+BODY = 0.3  # relative difference (Frobenius) of different position covariances; a few hundred samples have 0.1
 
 
-def inputs_for(log: Any, task: str) -> Inputs:
+def inputs_for(log: Log, task: str) -> Inputs:
     """A log's inputs with labels, for a task."""
-    inputs: Inputs = log.inputs(labels=True)
+    inputs = log.inputs(labels=True)
     return inputs if task == "localization" else inputs.without_map()
 
 
@@ -47,152 +46,117 @@ def off(poses: Array, right: Array, covariance: Array) -> float:
     return float(share.max()) if np.isfinite(difference).all() else math.inf
 
 
-def ours(inputs: Inputs, task: str) -> Run:
-    """Our EKF, whose standard deviations are the unit."""
-    return step_by_step("ekf", inputs, task)
-
-
-def newest(run: Run) -> Array:
-    """Poses (N, 3) as known at their instants."""
-    assert run.online is not None
-    return run.online.pose
-
-
-def runs(text: str, task: str) -> Iterator[Finding]:
-    """It gets through an ordinary log."""
-    inputs = inputs_for(worlds.arena_log(), task)
-    run = step_by_step(text, inputs, task)
+def completed(
+    text: str, inputs: Inputs, task: str, where: str = "", association: str = "known"
+) -> tuple[Run, Trajectory]:
+    """A run and its online path. Raises FailedError if it stopped; `where` begins the message."""
+    run = step_by_step(text, inputs, task, association)
     if run.failure is not None:
-        yield Finding("runs", False, f"stopped at {run.failure.text}")
-        return
-    r = ours(inputs, task)
-    assert r.online is not None
-    far = off(newest(run), newest(r), r.online.covariance)
-    yield Finding("runs", True, f"{worlds.FRAMES} frames of an ordinary log, at most {far:.2g} sigma from our EKF")
+        raise FailedError(f"{where}stopped at {run.failure.text}")
+    assert run.online is not None
+    return run, run.online
 
 
+@check("runs")
+def runs(text: str, task: str) -> Iterator[str]:
+    """It completes an ordinary log."""
+    inputs = inputs_for(worlds.arena_log(), task)
+    path, ours = (completed(name, inputs, task)[1] for name in (text, "ekf"))
+    far = off(path.pose, ours.pose, ours.covariance)
+    yield f"{worlds.FRAMES} frames of an ordinary log, at most {far:.2g} sigma from our EKF"
+
+
+@check("linear world")
 def linear_world(text: str, task: str) -> Iterator[Finding]:
     """In a linear world the exact estimate is known: least squares over all data up to the last frame."""
-    name = "linear world"
     inputs = inputs_for(worlds.linear_log(), task)
-    run, (exact,) = step_by_step(text, inputs, task), compare(inputs, task, ("batch",))
-    if run.failure is not None:
-        yield Finding(name, False, f"stopped at {run.failure.text}")
-        return
+    path, (exact,) = completed(text, inputs, task)[1], compare(inputs, task, ("batch",))
     assert exact.final is not None
-    assert run.online is not None
     right, P = exact.final.pose[-1:], exact.final.covariance[-1:]
-    yield graded(name, off(run.online.pose[-1:], right, P), "the exact solution (least squares) at the last frame")
-    claimed = run.online.covariance[-1]
+    yield graded("linear world", off(path.pose[-1:], right, P), "the exact solution (least squares) at the last frame")
+    claimed = path.covariance[-1]
     if np.isfinite(claimed).all():
         share = np.sqrt(np.diag(claimed) / np.diag(P[0]))
-        far = float(np.abs(np.log2(share)).max())
-        said = f"sigmas are {', '.join(f'{s:.3g}' for s in share)} times the exact ones (x, y, theta)"
-        yield Finding(
-            "linear world, sigmas", far <= 1.0, said if far <= 1.0 else f"{said}; a factor of 2 at most is right"
-        )
+        close = float(np.abs(np.log2(share)).max()) <= 1.0
+        text = f"sigmas are {', '.join(f'{s:.3g}' for s in share)} times the exact ones (x, y, theta)"
+        yield Finding("linear world, sigmas", close, text if close else f"{text}; a factor of 2 at most is right")
 
 
+@check("noise-free input")
 def without_noise(text: str, task: str) -> Iterator[Finding]:
-    """With exact prior, motion and readings it stays on the true path."""
+    """With exact prior, motion and observations it stays on the true path."""
     log = worlds.noise_free(worlds.arena_log())
-    inputs = inputs_for(log, task)
-    run, r = step_by_step(text, inputs, task), ours(inputs, task)
-    if run.failure is not None:
-        yield Finding("noise-free input", False, f"stopped at {run.failure.text}")
-        return
+    path, ours = (completed(name, inputs_for(log, task), task)[1] for name in (text, "ekf"))
     assert log.truth.pose is not None
-    assert r.online is not None
-    far = off(newest(run), log.truth.pose, r.online.covariance)
+    far = off(path.pose, log.truth.pose, ours.covariance)
     yield graded("noise-free input", far, "the true path from exact readings")
 
 
+@check("angle seams")
 def seams(text: str, task: str) -> Iterator[Finding]:
-    """A world that is turned gives the same path, turned: headings cross +-pi elsewhere."""
+    """A rotated world gives the same path, rotated: headings cross +-pi elsewhere."""
     inputs = inputs_for(worlds.arena_log(), task)
-    run, r = step_by_step(text, inputs, task), ours(inputs, task)
-    if run.failure is not None:
-        return  # said before
-    assert r.online is not None
+    path, ours = (completed(name, inputs, task)[1] for name in (text, "ekf"))
     worst, where = 0.0, 0.0
     for angle in TURNS:
-        other = step_by_step(text, worlds.turned(inputs, angle), task)
-        if other.failure is not None:
-            yield Finding("angle seams", False, f"the world turned by {angle:.3g} rad: stopped at {other.failure.text}")
-            return
-        far = off(worlds.turned_back(newest(other), angle), newest(run), r.online.covariance)
+        turned = f"the world turned by {angle:.3g} rad: "
+        other = completed(text, worlds.turned(inputs, angle), task, turned)[1]
+        far = off(worlds.turned_back(other.pose, angle), path.pose, ours.covariance)
         worst, where = max((worst, where), (far, angle))
     yield graded("angle seams", worst, f"the same path in a world turned by {where:.3g} rad")
 
 
-def empty_frames(text: str, task: str) -> Iterator[Finding]:
-    """Frames without readings, updates with none, and readings that are all discarded."""
-    name = "empty frames"
+@check("empty frames")
+def empty_frames(text: str, task: str) -> Iterator[Finding | str]:
+    """Frames without observations, updates with none, and observations that are all discarded."""
     inputs = inputs_for(worlds.silent(worlds.arena_log(), worlds.SILENT), task)
-    run, r = step_by_step(text, inputs, task), ours(inputs, task)
-    if run.failure is not None:
-        yield Finding(name, False, f"frames {worlds.SILENT.start} to {worlds.SILENT.stop - 1}: {run.failure.why}")
-        return
-    assert r.online is not None
-    far = off(newest(run), newest(r), r.online.covariance)
-    yield Finding(name, True, f"frames without readings are bridged, at most {far:.2g} sigma from our EKF")
+    silent = f"frames {worlds.SILENT.start} to {worlds.SILENT.stop - 1}: "
+    path, ours = completed(text, inputs, task, silent)[1], completed("ekf", inputs, task)[1]
+    far = off(path.pose, ours.pose, ours.covariance)
+    yield f"frames without readings are bridged, at most {far:.2g} sigma from our EKF"
     front = driven(text, inputs, task, 5)
     before = front.estimator.estimate()
-    seen = inputs.frame(5).observations
-    for what, observations in (
-        ("no reading", FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))),
-        ("DISCARD alone", seen),
-    ):
+    nothing = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
+    for what, observations in (("no reading", nothing), ("DISCARD alone", inputs.frame(5).observations)):
         front.estimator.update(observations, np.full(len(observations.z), DISCARD, np.int64))
         after = front.estimator.estimate()
-        moved = off(after.mean[None], before.mean[None], r.online.covariance[4:5])
-        yield graded(f"{name}, {what}", moved, f"an update with {what} leaves the pose where it is")
+        moved = off(after.mean[None], before.mean[None], ours.covariance[4:5])
+        yield graded(f"empty frames, {what}", moved, f"an update with {what} leaves the pose where it is")
 
 
-def determinism(text: str, task: str) -> Iterator[Finding]:
+@check("determinism")
+def determinism(text: str, task: str) -> Iterator[str]:
     """Constructed again, the same input gives the same bytes."""
     inputs = inputs_for(worlds.arena_log(), task)
-    first, second = (step_by_step(text, inputs, task) for _ in range(2))
-    a, b = newest(first), newest(second)
-    same = np.array_equal(a, b, equal_nan=True)
-    far = float(np.nanmax(np.abs(a - b)[:, :2], initial=0.0))
-    why = "random numbers without a seed, or state shared by all objects of the class"
-    yield Finding(
-        "determinism", same,
-        "the same bytes from two objects" if same else f"two objects end up {far:.3g} m apart on the same input: {why}",
-    )  # fmt: skip
+    a, b = (completed(text, inputs, task)[1].pose for _ in range(2))
+    if not np.array_equal(a, b, equal_nan=True):
+        far = float(np.nanmax(np.abs(a - b)[:, :2], initial=0.0))
+        why = "random numbers without a seed, or state shared by all objects of the class"
+        raise FailedError(f"two objects end up {far:.3g} m apart on the same input: {why}")
+    yield "the same bytes from two objects"
 
 
-def covariance(text: str, task: str) -> Iterator[Finding]:
-    """The covariance is in the world frame: that of a path without readings is known."""
-    log = worlds.silent(worlds.arena_log(), slice(0, worlds.FRAMES))
-    inputs = inputs_for(log, task)
+@check("covariance in the world frame")
+def covariance(text: str, task: str) -> Iterator[str]:
+    """The covariance is in the world frame: that of a path without observations is known."""
+    inputs = inputs_for(worlds.silent(worlds.arena_log(), slice(0, worlds.FRAMES)), task)
     inputs = worlds.turned(replace(inputs, prior=Prior(inputs.prior.mean, LONG)), 1.0)
-    run, right = step_by_step(text, inputs, task), dead_reckoning(inputs, task)
-    name = "covariance in the world frame"
-    if run.failure is not None:
-        yield Finding(name, False, f"without readings: stopped at {run.failure.text}")
-        return
-    assert run.online is not None
-    assert right.online is not None
-    P, exact = run.online.covariance[-1], right.online.covariance[-1]
+    path, right = completed(text, inputs, task, "without readings: ")[1], dead_reckoning(inputs, task).online
+    assert right is not None
+    P, exact = path.covariance[-1], right.covariance[-1]
     if not np.isfinite(P).all():
-        yield Finding(name, True, "it gives none, so NEES and shares inside 3 sigma stay blank")
+        yield "it gives none, so NEES and shares inside 3 sigma stay blank"
         return
-    body = world_from_body(float(right.online.pose[-1, 2]))[:2, :2]
+    body = world_from_body(float(right.pose[-1, 2]))[:2, :2]
     apart = _relative(P[:2, :2], exact[:2, :2])
     rotated = _relative(P[:2, :2], body.T @ exact[:2, :2] @ body)
     if apart <= BODY:
-        yield Finding(name, True, f"{100 * apart:.2g} % from the exact one of {worlds.FRAMES} frames without readings")
-    elif rotated < 0.5 * apart:
-        yield Finding(
-            name, False, f"{100 * apart:.2g} % from the exact one after {worlds.FRAMES} frames without readings, but "
-            f"{100 * rotated:.2g} % from that in the body frame: turn it by the heading",
-        )  # fmt: skip
-    else:
-        yield Finding(
-            name, False, f"{100 * apart:.2g} % from the exact one after {worlds.FRAMES} frames without readings"
-        )
+        yield f"{100 * apart:.2g} % from the exact one of {worlds.FRAMES} frames without readings"
+        return
+    message = f"{100 * apart:.2g} % from the exact one after {worlds.FRAMES} frames without readings"
+    if rotated < 0.5 * apart:
+        message += f", but {100 * rotated:.2g} % from that in the body frame: turn it by the heading"
+    raise FailedError(message)
 
 
 def _relative(P: Array, exact: Array) -> float:
@@ -200,7 +164,7 @@ def _relative(P: Array, exact: Array) -> float:
 
 
 def driven(text: str, inputs: Inputs, task: str, frames: int) -> FrontEnd:
-    """A front end that has gone through so many frames, under known association."""
+    """A front end after some frames, under known association."""
     front = front_end(text, "known", inputs, SETUP)
     for k in range(frames):
         _through(front, inputs.frame(k))
@@ -214,17 +178,15 @@ def _through(front: FrontEnd, frame: Frame) -> None:
     front.tidy()
 
 
-def numbers(text: str, task: str) -> Iterator[Finding]:
-    """Landmarks are numbered in the order of their creation, and stand where they were seen."""
+@check("landmark numbers")
+def numbers(text: str, task: str) -> Iterator[str]:
+    """Landmarks are numbered in the order of their creation, and are where they were seen."""
     if task != "slam":
         return
     log = worlds.noise_free(worlds.arena_log())
-    run = step_by_step(text, inputs_for(log, task), task)
-    name = "landmark numbers"
-    if run.failure is not None:
-        return  # said before
+    run, _ = completed(text, inputs_for(log, task), task)
     if run.map is None or not len(run.map):
-        yield Finding(name, True, "it gives no map, so there are no landmark errors")
+        yield "it gives no map, so there are no landmark errors"
         return
     t = log.truth
     assert t.landmarks is not None
@@ -234,70 +196,64 @@ def numbers(text: str, task: str) -> Iterator[Finding]:
     of[first[first >= 0]] = t.landmark_of[first >= 0]
     unknown = run.map.number[run.map.number >= len(of)]
     if len(unknown):
-        yield Finding(name, False, f"landmark {unknown[0]} is in the map; only {len(of)} were created")
-        return
+        raise FailedError(f"landmark {unknown[0]} is in the map; only {len(of)} were created")
     away = np.hypot(*(run.map.xy - t.landmarks.positions(of[run.map.number])).T)
     i = int(np.argmax(away))
-    if away[i] <= 0.5:
-        yield Finding(name, True, f"{len(of)} landmarks in the order of creation, {away[i]:.2g} m off at most")
-        return
-    nearest = t.landmarks.id[np.argmin(np.hypot(*(t.landmarks.xy - run.map.xy[i]).T))]
-    swapped = np.flatnonzero(of == nearest)
-    hint = f", where number {swapped[0]} was created" if len(swapped) and swapped[0] != run.map.number[i] else ""
-    yield Finding(name, False, f"landmark {run.map.number[i]} is {away[i]:.2g} m from where it was seen first{hint}")
+    if away[i] > 0.5:
+        nearest = t.landmarks.id[np.argmin(np.hypot(*(t.landmarks.xy - run.map.xy[i]).T))]
+        swapped = np.flatnonzero(of == nearest)
+        hint = f", where number {swapped[0]} was created" if len(swapped) and swapped[0] != run.map.number[i] else ""
+        raise FailedError(f"landmark {run.map.number[i]} is {away[i]:.2g} m from where it was seen first{hint}")
+    yield f"{len(of)} landmarks in the order of creation, {away[i]:.2g} m off at most"
 
 
 HALF = worlds.FRAMES // 2
 ROUNDING = 1e-6
 
 
-def expectation(text: str, task: str) -> Iterator[Finding]:
-    """With it, nearest neighbour decides as with our EKF; and `joint` has on its diagonal what `HPHt` says."""
-    name = "expectation"
+@check("expectation")
+def expectation(text: str, task: str) -> Iterator[str]:
+    """Nearest neighbour decides as with our EKF; the diagonal of `joint` equals `HPHt`."""
     inputs = inputs_for(worlds.noise_free(worlds.arena_log()), task)
     front = driven(text, inputs, task, HALF)
     if front.foreign is not None and not front.foreign.has("expect"):
-        yield Finding(name, True, "it has no `expect`, so it works with --association known alone")
+        yield "it has no `expect`, so it works with --association known alone"
         return
     frame = inputs.frame(HALF)
     front.move(frame)
-    try:
-        e = front.estimator.expect(frame.observations)
-        rows = np.arange(min(len(e.number), 4))
-        joint = e.joint(rows)
-    except ForeignError as stop:
-        yield Finding(name, False, str(stop))
-        return
+    e = front.estimator.expect(frame.observations)
+    rows = np.arange(min(len(e.number), 4))
+    joint = e.joint(rows)
     blocks = joint.reshape(len(rows), 2, len(rows), 2)[rows, :, rows, :]
     apart = float(np.abs(blocks - e.HPHt[rows]).max(initial=0.0)) / max(float(np.abs(joint).max(initial=0.0)), 1e-300)
     if apart > ROUNDING:
-        yield Finding(name, False, f"joint() and HPHt differ by {100 * apart:.2g} % of the largest covariance")
-        return
-    asked = inputs.without_labels()
-    theirs, ours = (step_by_step(n, asked, task, "nn") for n in (text, "ekf"))
-    if theirs.failure is not None:
-        yield Finding(name, False, f"with nearest neighbour: stopped at {theirs.failure.text}")
-        return
-    other = int((theirs.decisions != ours.decisions).sum())
-    said = f"{other} of {len(ours.decisions)} decisions of nearest neighbour on exact readings are not those of our EKF"
-    wrong = other > 0.05 * len(ours.decisions)
-    yield Finding(name, not wrong, f"{said}: look at z_hat, HPHt and number" if wrong else said)
+        raise FailedError(f"joint() and HPHt differ by {100 * apart:.2g} % of the largest covariance")
+    unlabelled = inputs.without_labels()
+    theirs, ours = (
+        completed(name, unlabelled, task, "with nearest neighbour: ", "nn")[0].decisions for name in (text, "ekf")
+    )
+    other = int((theirs != ours).sum())
+    found = f"{other} of {len(ours)} decisions of nearest neighbour on exact readings are not those of our EKF"
+    if other > 0.05 * len(ours):
+        raise FailedError(f"{found}: look at z_hat, HPHt and number")
+    yield found
 
 
-def removal(text: str, task: str) -> Iterator[Finding]:
-    """A landmark that was removed is in no map, and its number is not given again."""
+@check("removal")
+def removal(text: str, task: str) -> Iterator[str]:
+    """A removed landmark is in no map, and its number is not given again."""
     if task != "slam":
         return
-    name, inputs = "removal", inputs_for(worlds.noise_free(worlds.arena_log()), task)
+    inputs = inputs_for(worlds.noise_free(worlds.arena_log()), task)
     front = driven(text, inputs, task, HALF)
     if front.can.removable is None:
-        yield Finding(name, True, "it has no `remove`, so it works without --maintain and jcbb-hindsight")
+        yield "it has no `remove`, so it works without --maintain and jcbb-hindsight"
         return
-    gone = np.array([0])
+    removed = np.array([0])
     try:
-        front.can.removable.remove(gone)
+        front.can.removable.remove(removed)
         assert front.known is not None
-        front.known.removed(gone)
+        front.known.removed(removed)
         made = []
         for k in range(HALF, worlds.FRAMES):
             frame = inputs.frame(k)
@@ -305,60 +261,50 @@ def removal(text: str, task: str) -> Iterator[Finding]:
             made += [n for n in front.update(frame, front.associate(frame)).created.tolist() if n >= 0]
         held = front.estimator.landmarks().number.tolist()
     except ForeignError as stop:
-        yield Finding(name, False, f"landmark 0 removed: {stop}")
-        return
+        raise FailedError(f"landmark 0 removed: {stop}") from None
     if 0 in held or 0 in made:
-        yield Finding(name, False, "landmark 0 was removed and is in the map again: numbers are not given twice")
-    else:
-        yield Finding(name, True, f"landmark 0 left the map, seen again it is number {made[0] if made else 'none'}")
+        raise FailedError("landmark 0 was removed and is in the map again: numbers are not given twice")
+    yield f"landmark 0 left the map, seen again it is number {made[0] if made else 'none'}"
 
 
 class Kept(NamedTuple):
-    """An array that was handed out, what it was, and what it is called."""
+    """An array that was handed out, and a copy from before."""
 
     name: str
     handed: Any
     before: Any
 
 
-def purity(text: str, task: str) -> Iterator[Finding]:
-    """Nothing that it is handed is changed; here it could be, in a run the arrays are locked and writing raises."""
+@check("purity")
+def purity(text: str, task: str) -> Iterator[str]:
+    """It changes none of its inputs, which are writable here; in a run they are locked, and writing raises."""
     inputs = inputs_for(worlds.arena_log(), task)
     prior: Prior = _writable(inputs.prior)
     known: LandmarkMap | None = None if inputs.map is None else _writable(inputs.map)
     kept = [_kept("prior.mean", prior.mean), _kept("prior.covariance", prior.covariance)]
     if known is not None:
         kept += [_kept("map.id", known.id), _kept("map.xy", known.xy)]
-    try:
-        front = FrontEnd(text, "known", Beginning(prior, inputs.sensor, known), SETUP)
-        for k in range(len(inputs)):
-            frame = inputs.frame(k)
-            if frame.increment is not None:
-                increment = Increment(*(np.array(a) for a in frame.increment))
-                kept += [
-                    _kept(f"increment.{n} of frame {k}", a) for n, a in zip(increment._fields, increment, strict=True)
-                ]
-                frame = frame._replace(increment=increment)
-            observations = FrameObservations(*(np.array(a) for a in frame.observations))
-            kept += [
-                _kept(f"sightings.{n} of frame {k}", a) for n, a in zip(observations._fields, observations, strict=True)
-            ]
-            _through(front, frame._replace(observations=observations))
-            front.estimator.estimate()
-    except ForeignError as stop:
-        yield Finding("purity", False, f"{stop}")
-        return
+    front = FrontEnd(text, "known", Beginning(prior, inputs.sensor, known), SETUP)
+    for k in range(len(inputs)):
+        frame = inputs.frame(k)
+        parts: list[tuple[str, Any]] = []
+        if frame.increment is not None:
+            increment = Increment(*(np.array(a) for a in frame.increment))
+            parts += [(f"increment.{n}", a) for n, a in increment._asdict().items()]
+            frame = frame._replace(increment=increment)
+        observations = FrameObservations(*(np.array(a) for a in frame.observations))
+        parts += [(f"observations.{n}", a) for n, a in observations._asdict().items()]
+        kept += [_kept(f"{name} of frame {k}", a) for name, a in parts]
+        _through(front, frame._replace(observations=observations))
+        front.estimator.estimate()
     changed = next((k for k in kept if not np.array_equal(k.handed, k.before)), None)
-    if changed is None:
-        yield Finding("purity", True, f"{len(kept)} arrays that it was handed are as they were")
-        return
-    by = float(np.abs(changed.handed - changed.before).max())
-    yield Finding(
-        "purity",
-        False,
-        f"{changed.name} was changed by up to {by:.3g}: copy what is kept (in a run inputs are locked,"
-        " so that writing raises ValueError)",
-    )
+    if changed is not None:
+        by = float(np.abs(changed.handed - changed.before).max())
+        raise FailedError(
+            f"{changed.name} was changed by up to {by:.3g}: copy what is kept (in a run inputs are locked, so that "
+            "writing raises ValueError)"
+        )
+    yield f"{len(kept)} arrays that it was handed are as they were"
 
 
 def _kept(name: str, handed: Any) -> Kept:
@@ -366,32 +312,27 @@ def _kept(name: str, handed: Any) -> Kept:
 
 
 def _writable(locked: Any) -> Any:
-    """A copy of a frozen dataclass whose arrays can be changed."""
+    """A copy of a frozen dataclass with writable arrays."""
     copy = replace(locked)
     for f in fields(copy):
         object.__setattr__(copy, f.name, np.array(getattr(copy, f.name)))
     return copy
 
 
-def covariances(text: str, task: str) -> Iterator[Finding]:
-    """Every covariance that it gives is symmetric and positive semidefinite, rounding aside."""
-    name = "symmetric covariance"
+@check("symmetric covariance")
+def covariances(text: str, task: str) -> Iterator[str]:
+    """Every covariance is symmetric and positive semidefinite, except for rounding."""
     inputs = inputs_for(worlds.arena_log(), task)
     front = FrontEnd(text, "known", inputs, SETUP)
-    off, least, blank = 0.0, np.inf, False
-    try:
-        for k in range(len(inputs)):
+    asymmetry, least, blank = 0.0, np.inf, False
+    for k in range(len(inputs)):
+        try:
             _through(front, inputs.frame(k))
             P = front.estimator.estimate().covariance
-            blank |= not np.isfinite(P).all()
-            if not blank:
-                off = max(off, float(np.abs(P - P.T).max()) / max(float(np.trace(P)), 1e-300))
-                least = min(least, float(np.linalg.eigvalsh(P)[0]))
-    except ForeignError as stop:
-        yield Finding(name, False, f"frame {k}: {stop}")
-        return
-    yield Finding(
-        name,
-        True,
-        "it gives none" if blank else f"asymmetry at most {off:.1g} of the trace, least eigenvalue {least:.2g}",
-    )
+        except ForeignError as stop:
+            raise FailedError(f"frame {k}: {stop}") from None
+        blank |= not np.isfinite(P).all()
+        if not blank:
+            asymmetry = max(asymmetry, float(np.abs(P - P.T).max()) / max(float(np.trace(P)), 1e-300))
+            least = min(least, float(np.linalg.eigvalsh(P)[0]))
+    yield "it gives none" if blank else f"asymmetry at most {asymmetry:.1g} of the trace, least eigenvalue {least:.2g}"

@@ -1,18 +1,21 @@
-"""What a check found, in a sentence."""
+"""Findings of checks, each a sentence."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
+from functools import wraps
+from typing import NamedTuple, ParamSpec
+
+from eval.replay.external.guard import ForeignError
 
 EXACT, APPROXIMATE = 0.05, 1.0
-"""Standard deviations. Below the first two estimates are called the same: ours differ by up to 0.01, as they linearize
-elsewhere. Beyond the second nobody is right: an approximate estimator (a few hundred samples, other linearizations) is
-within it, a wrong sign or a forgotten wrap is far outside."""
+"""Standard deviations. Below the first two estimates are equal: ours differ by up to 0.01, as they linearize elsewhere.
+Approximate estimators (a few hundred samples, other linearizations) are below the second; a wrong sign or a forgotten
+wrap is far above."""
 
 
 class Finding(NamedTuple):
-    """A check by name, whether it passed, and a sentence with numbers."""
+    """A check by name, whether it passed, and a sentence."""
 
     check: str
     passed: bool
@@ -20,12 +23,12 @@ class Finding(NamedTuple):
 
     @property
     def line(self) -> str:
-        """For a list on a terminal."""
+        """Terminal line."""
         return f"{'ok  ' if self.passed else 'FAIL'}  {self.check}: {self.sentence}"
 
 
 class CheckError(AssertionError):
-    """Some checks failed; the message has a sentence each."""
+    """Some checks failed; the message has a sentence for each."""
 
     def __init__(self, name: str, findings: Sequence[Finding]) -> None:
         failed = [f for f in findings if not f.passed]
@@ -35,20 +38,37 @@ class CheckError(AssertionError):
         self.findings = tuple(findings)
 
 
-Check = Callable[..., Iterator[Finding]]
+class FailedError(Exception):
+    """A check failed, for the reason in its message."""
+
+
+P = ParamSpec("P")
+
+
+def check(name: str) -> Callable[[Callable[P, Iterator[Finding | str]]], Callable[P, Iterator[Finding]]]:
+    """Make findings of a check: a text that it yields passes, `FailedError` and crashes of foreign code fail."""
+
+    def decorated(function: Callable[P, Iterator[Finding | str]]) -> Callable[P, Iterator[Finding]]:
+        @wraps(function)
+        def findings(*arguments: P.args, **named: P.kwargs) -> Iterator[Finding]:
+            try:
+                for found in function(*arguments, **named):
+                    yield Finding(name, True, found) if isinstance(found, str) else found
+            except (FailedError, ForeignError) as stop:
+                yield Finding(name, False, str(stop))
+
+        return findings
+
+    return decorated
 
 
 def graded(check: str, off: float, what: str) -> Finding:
-    """How far an estimate is from what it should be, in standard deviations of the right one."""
+    """Grade the error of an estimate, in standard deviations of the right one."""
     if not off > EXACT:
         return Finding(check, True, f"{what} within {_sigmas(off)}")
     if off <= APPROXIMATE:
-        return Finding(
-            check,
-            True,
-            f"not exact: {what} only within {_sigmas(off)}; right for samples and approximations, an "
-            "error in a Kalman filter",
-        )
+        only = f"not exact: {what} only within {_sigmas(off)}"
+        return Finding(check, True, f"{only}; right for samples and approximations, an error in a Kalman filter")
     return Finding(check, False, f"{_sigmas(off)} off where {what} was expected within {_sigmas(APPROXIMATE)} at most")
 
 

@@ -1,4 +1,4 @@
-"""Small inputs on which the right answer is known: a linear world, an arena without noise, turned, or silent."""
+"""Small inputs with known results: a linear world, an arena without noise, rotated, or without observations."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ SILENT = slice(6, 10)  # frames that see nothing, in the log with empty frames
 
 
 def linear_log() -> Log:
-    """A world in which linearization costs 1e-3 of a standard deviation, cut to a few seconds."""
+    """A short world with a linearization error of 1e-3 standard deviations."""
     return linear.simulate(linear.LinearWorld(frames=FRAMES, laps=0.3), SEED)
 
 
 def arena_log() -> Log:
-    """A robot among landmarks all around it, bearings crossing the seam at +-pi in every lap."""
+    """A robot surrounded by landmarks, with bearings across +-pi."""
     return arena.simulate(arena.Arena(frames=FRAMES, landmarks=14, side=18.0), SEED)
 
 
 def noise_free(log: Log) -> Log:
-    """The same with everything exactly as it is; the covariances stay as stated."""
+    """The same without noise; the covariances stay as stated."""
     r, t = log.recorded, log.truth
     assert t.pose is not None
     assert t.landmarks is not None
@@ -46,7 +46,7 @@ def noise_free(log: Log) -> Log:
 
 
 def silent(log: Log, frames: slice) -> Log:
-    """The same, but some frames see nothing."""
+    """The same without the observations of some frames."""
     r, t = log.recorded, log.truth
     assert t.landmark_of is not None
     seen = ~np.isin(r.observations.frame, np.arange(len(r))[frames])
@@ -55,7 +55,7 @@ def silent(log: Log, frames: slice) -> Log:
 
 
 def turned(inputs: Inputs, angle: float) -> Inputs:
-    """The same inputs in a world turned about its origin by an angle [rad]; robot and readings notice nothing."""
+    """The same inputs in a world rotated about its origin by an angle [rad]."""
     R = np.eye(3)
     R[:2, :2] = rotation(angle)
     prior = Prior(compose(np.array([0.0, 0.0, angle]), inputs.prior.mean), R @ inputs.prior.covariance @ R.T)
@@ -64,7 +64,7 @@ def turned(inputs: Inputs, angle: float) -> Inputs:
 
 
 def turned_back(poses: Array, angle: float) -> Array:
-    """Poses (N, 3) as if the world had not been turned."""
+    """Poses (N, 3) in the world before its rotation."""
     back = np.array(poses)
     back[:, :2] = back[:, :2] @ rotation(angle)
     back[:, 2] = wrap_angle(back[:, 2] - angle)

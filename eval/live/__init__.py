@@ -1,1 +1,1 @@
-"""On line: filters and smoothers fed by a robot while it drives, what is said of it, and the page that shows it."""
+"""Online filters and smoothers for a driving robot, with status lines and a web page."""

@@ -1,6 +1,6 @@
-"""`python -m eval.live`: filters and smoothers on line while a small robot drives, recorded so that it can be replayed.
+"""`python -m eval.live`: online filters and smoothers while a small robot drives, with a recording for replay.
 
-Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
+Only the parser is imported at once, so that `--help` does not wait for numerical libraries.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ if TYPE_CHECKING:
 PROG = "python -m eval.live"
 TABLE = rows(Options)
 UNFIT = {
-    "known": "nobody labels walls",
+    "known": "walls have no labels",
     "scan": "sonars make no scans",
-    "jcbb-hindsight": "knows landmarks as points, not as walls",
+    "jcbb-hindsight": "needs point landmarks",
 }
 FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
 SHARED = (
@@ -38,7 +38,7 @@ SHARED = (
     replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(FIT)}, or your own (default: jcbb)"),
     *(TABLE[name] for name in ("gate", "new_gate", "in_view", "forget_after", "deactivate_after", "lag")),
 )
-"""Flags that mean what they mean in `eval.run_all`. `--maintain` is none: a wall is seen in one frame of five."""
+"""Flags as in `eval.run_all`, without `--maintain`: a wall is seen in one frame of five."""
 DEFAULTS = {"estimator": "ekf-fej", "association": "jcbb"}
 REPORT = "-report"
 EXAMPLES = """\
@@ -58,7 +58,7 @@ whole)"""
 
 @dataclass(frozen=True)
 class Wish:
-    """What was asked for."""
+    """The parsed command line."""
 
     options: Options
     given: dict[str, object]
@@ -76,7 +76,7 @@ class Wish:
 
 
 def parser(prog: str = PROG) -> Command:
-    """The flags."""
+    """The command's flags."""
     p = Command(
         prog,
         PROG,
@@ -87,20 +87,25 @@ def parser(prog: str = PROG) -> Command:
     add("--link", metavar="DEVICE", type=Path, required=True, help="serial device of the robot")
     add("--out", metavar="LOG", type=Path, required=True, help="folder of the recording; there must be none yet")
     add_flags(p, SHARED)
-    add("--drive", choices=("walls", "none"), default="walls", help="follow the wall on the right (default), or rest")
-    add("--framed", action="store_true", help="packets between a marker and a checksum, both ways")
-    add("--slip", metavar="M", help="of a wheel, m per square root of a metre of its way (default: 0.005)")
+    add(
+        "--drive",
+        choices=("walls", "none"),
+        default="walls",
+        help="follow the wall on the right (default), or rest",
+    )
+    add("--framed", action="store_true", help="packets with marker and checksum, both ways")
+    add("--slip", metavar="M", help="of a wheel, m per square root of the distance in m (default: 0.005)")
     add("--sonar-sigma", metavar="M", help="standard deviation of a distance, m (default: 0.005)")
-    add("--speed", metavar="X", default="1", help="robot seconds in a second, of a simulated robot (default: 1)")
-    add("--seconds", metavar="S", help="end after so much of the robot's time (default: with Ctrl-C)")
-    add("--port", metavar="N", default="0", help="of the page on this machine (default: one that is free)")
+    add("--speed", metavar="X", default="1", help="speed of a simulated robot, robot s per s (default: 1)")
+    add("--seconds", metavar="S", help="end after S seconds of the robot's time (default: Ctrl-C)")
+    add("--port", metavar="N", default="0", help="of the page on this machine (default: a free one)")
     add("--no-page", dest="page", action="store_false", help="no page")
-    add("--estimates", metavar="FILE", type=Path, help="CSV to write every estimate to at once")
+    add("--estimates", metavar="FILE", type=Path, help="CSV file for every estimate, written at once")
     return p
 
 
 def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
-    """Flags, checked as those of `eval.run_all` are; raises UsageError for what makes no sense."""
+    """Parse and check the flags. Raises UsageError."""
     given = vars(parser(prog).read(argv))
     shared = DEFAULTS | {row.name: given[row.name] for row in SHARED if row.name in given}
     options = options_of(shared)
@@ -147,7 +152,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 
 def say(text: str) -> None:
-    """A line on the terminal; the robot is driven to the end all the same where nobody reads on."""
+    """Print a line; a closed terminal does not end the drive."""
     try:
         print(text, flush=True)
     except BrokenPipeError:
@@ -167,12 +172,12 @@ def _live(wish: Wish) -> int:
         log = complete(wish.out)
         for note in log.notes:
             say(note)
-        from eval import run_all  # before Ctrl-C raises: an exception that comes while modules are loaded may be lost
+        from eval import run_all  # before Ctrl-C raises: exceptions during imports may be lost
 
         say(f"log: {wish.out}")
         status = INTERRUPTED
         if presses.count < 2:
-            # from here on Ctrl-C ends the report, and SIGTERM does, too
+            # from here on both signals end the report
             presses.heed()
             with suppress(KeyboardInterrupt):
                 status = run_all.main(report_words(wish))
@@ -182,7 +187,7 @@ def _live(wish: Wish) -> int:
 
 
 def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
-    """Until Ctrl-C or the time is over; afterwards the recording is closed and the page, which stays, has it all."""
+    """Drive until Ctrl-C or the end of time, then close the recording; the page stays."""
     from threadpoolctl import threadpool_limits
 
     from data.robot.driving import WallFollower
@@ -211,31 +216,31 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     feed = Feed(len(estimators)) if wish.page else None
     if feed is not None:
         server = stack.enter_context(Server(wish.port, live_document(name).encode(), lambda: feed.published))
-    tellers: list[Callable[[Taken], None]] = []
+    receivers: list[Callable[[Taken], None]] = []
 
-    def told(taken: Taken) -> None:
-        for teller in tellers:
-            teller(taken)
+    def processed(taken: Taken) -> None:
+        for receiver in receivers:
+            receiver(taken)
 
-    session = Session(estimators, association, setup, noise, told)
-    # what is there by now stays; collecting it again and again would hold up a frame
+    session = Session(estimators, association, setup, noise, processed)
+    # objects made so far stay; collecting them again would delay frames
     gc.collect()
     gc.freeze()
     with ExitStack() as driving:
-        driving.enter_context(threadpool_limits(1))  # as a replay's sums are formed
+        driving.enter_context(threadpool_limits(1))  # as in a replay
         recording = driving.enter_context(Recording(wish.out, framed=wish.framed, noise=tuple(noise)))
         clock = Clock(wish.speed)
         try:
             link = driving.enter_context(Link(str(wish.link), clock, recording, with_frames=wish.framed))
             if wish.estimates is not None:
-                tellers.append(
+                receivers.append(
                     driving.enter_context(Estimates(wish.estimates, [each.name for each in session.estimating])).add
                 )
         except UsageError:
             recording.discard()
             raise
         display = Looking(name, session, lambda: link.exchange.faults, say, feed=feed, speed=wish.speed)
-        tellers.append(display.told)
+        receivers.append(display.take)
         if feed is not None:
             say(f"page: {server.address}")
         say(f"recording to {wish.out}; Ctrl-C ends the drive")

@@ -1,6 +1,6 @@
-"""The loop of a drive: a command, its answer, the estimates; and what is looked at beside, once a second.
+"""The loop of a drive: command, answer, estimates; once a second a status line and a chunk for the page.
 
-Ctrl-C and SIGTERM are heeded when there is time for it: between two packets, not in one.
+SIGINT and SIGTERM are deferred to the time between two packets.
 """
 
 from __future__ import annotations
@@ -19,16 +19,16 @@ from eval.live.feed import MINUTE, Feed, header
 from eval.live.session import Latencies, Session, Step, Taken, estimator_words, status_line
 
 REST = Command(0, 0)
-SECOND = 1.0  # s of real time from line to line
+SECOND = 1.0  # s of real time between status lines
 
 Policy = Callable[[Packet], tuple[float, float]]
 
 
 class Stepping(Protocol):
-    """What `data.robot.link.Link` is to the loop."""
+    """Interface of `data.robot.link.Link`."""
 
     def step(self, command: Command, /) -> list[Packet]:
-        """Wait for the next period, send a command, return what came."""
+        """Wait for the next period, send a command, return the packets received."""
 
 
 def at_rest(packet: Packet) -> tuple[float, float]:
@@ -45,17 +45,17 @@ def drive(
     look: Callable[[float], None] = lambda t: None,
     latencies: Latencies | None = None,
 ) -> None:
-    """Drive until told to stop, then tell the robot to rest; every packet that came is taken.
+    """Drive until `stop`, then command rest; every received packet is processed.
 
-    A robot that is not heard for `WATCHDOG` is told to rest, too: nobody knows what is before it. `look` is called
-    after each period with the robot's time [s].
+    A robot that is silent for `WATCHDOG` is commanded to rest, too. `look` is called after each period with the robot's
+    time [s].
     """
     command, heard = REST, clock.now()
 
     def take(packets: Sequence[Packet]) -> None:
         for packet in packets:
             session.take(packet)
-        # of several the newest one counts: an answer without a marker may be held back until the next one confirms it
+        # the newest one counts: an answer without a marker may wait for the next one
         if packets and latencies is not None:
             latencies.add((clock.now() - packets[-1].t) / clock.speed)
 
@@ -74,11 +74,7 @@ def drive(
 
 
 class Looking:
-    """Says how things stand and feeds the page, once a second.
-
-    Attributes:
-        latencies: of all estimates so far.
-    """
+    """Prints the status and feeds the page, once a second."""
 
     def __init__(
         self,
@@ -91,21 +87,21 @@ class Looking:
         speed: float = 1.0,
     ) -> None:
         """`say` gets the lines, `faults` counts those of the link; `speed` as of the clock."""
-        self.latencies = Latencies()
+        self.latencies = Latencies()  # of all estimates so far
         self._name, self._session, self._faults, self._say, self._feed = name, session, faults, say, feed
         self._period = PERIOD / speed
         self._newest: list[Step | None] = [None] * len(session.estimating)
         self._ended: set[int] = set()
         self._at = time.monotonic()
 
-    def told(self, taken: Taken) -> None:
-        """A frame was taken."""
+    def take(self, taken: Taken) -> None:
+        """Take a processed frame."""
         self._newest = [new or old for new, old in zip(taken.steps, self._newest, strict=True)]
         if self._feed is not None:
             self._feed.add(taken)
 
     def look(self, t: float) -> None:
-        """A period is over, at robot time t [s]."""
+        """Finish a period at robot time t [s]."""
         now = time.monotonic()
         if now - self._at >= SECOND:
             self._at += SECOND * int((now - self._at) / SECOND)
@@ -114,7 +110,7 @@ class Looking:
             self.say(t, aloud=False)
 
     def say(self, t: float, *, aloud: bool = True) -> None:
-        """The line, and the page's next chunk."""
+        """Print the line, and publish the page's next chunk."""
         s = self._session
         for number, each in enumerate(s.estimating):
             if each.failure and number not in self._ended:
@@ -134,11 +130,7 @@ class Looking:
 
 
 class Presses:
-    """Counts both signals while the block runs; what they would do otherwise they do again afterwards.
-
-    Attributes:
-        count: so far.
-    """
+    """Deferred SIGINT and SIGTERM: counts them while the block runs, and restores their handlers afterwards."""
 
     def __init__(self) -> None:
         self.count, self._heeded = 0, False
@@ -150,11 +142,11 @@ class Presses:
             raise KeyboardInterrupt
 
     def heed(self) -> None:
-        """From now on both end at once whatever is done."""
+        """From now on both signals end the program at once."""
         self._heeded = True
 
     def __enter__(self) -> Presses:
-        if threading.current_thread() is threading.main_thread():  # only that one may
+        if threading.current_thread() is threading.main_thread():
             self._before = {s: signal.signal(s, self._press) for s in (signal.SIGINT, signal.SIGTERM)}
         return self
 

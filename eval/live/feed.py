@@ -1,10 +1,10 @@
-"""Chunks for the page, made while the robot drives: one a second, a minute's together once it is over.
+"""Chunks for the page during a drive: one a second, joined to one a minute.
 
-The driving thread adds frames and publishes; whoever serves the page reads what was published last, which never
-changes. Memory is bounded: single chunks are kept for two minutes, those of a minute up to `MOST` bytes in all. A page
-that asks for what is gone begins anew with what there is: each minute begins with the whole map.
+The driving thread adds frames and publishes; server threads read what was published last, which never changes. Memory
+is bounded: single chunks are kept for two minutes, those of a minute up to `MOST` bytes in all. A page that asks for a
+dropped chunk reloads: each minute begins with the whole map.
 
-Chunks are those of the player (`eval.player.scene`). Landmarks are walls: x and y stand for rho [m] and alpha [rad].
+Chunks are those of the player (`eval.player.scene`). Landmarks are walls: x and y are rho [m] and alpha [rad].
 """
 
 from __future__ import annotations
@@ -29,20 +29,15 @@ POSE = 1.0e-4  # m
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """Some frames in a row.
-
-    Attributes:
-        first, frames: number of the first, and how many.
-        arrays: by name, rows in the order of time; `change` holds rows of `MapChanges`.
-    """
+    """Consecutive frames."""
 
     first: int
     frames: int
-    arrays: Mapping[str, Array]
+    arrays: Mapping[str, Array]  # by name, rows in the order of time; `change` holds rows of `MapChanges`
 
 
 def key_of(number: int) -> str:
-    """Names of an estimator's arrays begin with it."""
+    """Prefix of the names of an estimator's arrays."""
     return f"r{number}."
 
 
@@ -75,14 +70,14 @@ def part_of(taken: Sequence[Taken], changes: Sequence[Array]) -> Part:
 
 
 def joined(parts: Sequence[Part]) -> Part:
-    """Parts that go on from each other, as one."""
+    """Join consecutive parts."""
     names = parts[0].arrays
     arrays = {name: np.concatenate([part.arrays[name] for part in parts]) for name in names}
     return Part(parts[0].first, sum(part.frames for part in parts), arrays)
 
 
 def chunk_of(part: Part, header: Mapping[str, object]) -> bytes:
-    """A part as a chunk, in JSON; `header` is what the page is told beside."""
+    """A part as a chunk, in JSON, with this header."""
     pack, a = Pack(part.first, part.frames), part.arrays
     pack.add("time", a["time"], TIME)
     pack.add("count", a["count"])
@@ -99,12 +94,12 @@ def chunk_of(part: Part, header: Mapping[str, object]) -> bytes:
 
 
 MINUTE = 240  # frames, at least, of a large chunk
-MOST = 4_000_000  # bytes of large chunks: hours of a drive, as walls and estimators are
+MOST = 4_000_000  # bytes of large chunks: hours of a drive
 
 
 @dataclass(frozen=True)
 class Chunk:
-    """Frames from `first` up to `end`, which it does not hold, as JSON."""
+    """Frames from `first` to before `end`, as JSON."""
 
     first: int
     end: int
@@ -113,27 +108,22 @@ class Chunk:
 
 @dataclass(frozen=True)
 class Published:
-    """All that the page can be given.
+    """All available chunks."""
 
-    Attributes:
-        large, small: in the order of time; a minute may be in both.
-        ended: no more will come.
-    """
-
-    large: tuple[Chunk, ...] = ()
+    large: tuple[Chunk, ...] = ()  # in the order of time; a minute may be in both
     small: tuple[Chunk, ...] = ()
-    ended: bool = False
+    ended: bool = False  # no more will come
 
     @property
     def begin(self) -> int:
-        """The first frame there is, 0 where there is none yet."""
+        """The first available frame, 0 if there is none."""
         return (self.large or self.small)[0].first if self.large or self.small else 0
 
     def since(self, frame: int | None) -> bytes | None:
-        """JSON with the chunks from a frame on, or with all there are; None where no chunk begins with that frame."""
+        """JSON with the chunks from a frame on, or with all of them; None where no chunk begins with that frame."""
         end = max((c.end for c in self.large + self.small), default=0)
         at = self.begin if frame is None else frame
-        # of two that begin with a frame the large one
+        # large chunks take precedence
         by_first = {c.first: c for c in self.small} | {c.first: c for c in self.large}
         found = []
         while at < end:
@@ -148,29 +138,25 @@ class Published:
 
 
 class Feed:
-    """Takes frames, publishes chunks.
-
-    Attributes:
-        published: read it from any thread; it is replaced as a whole.
-    """
+    """Takes frames, publishes chunks."""
 
     def __init__(self, estimators: int) -> None:
-        self.published = Published()
+        self.published = Published()  # read it from any thread; it is replaced as a whole
         self._known = [MapChanges(QUANTUM) for _ in range(estimators)]
         self._waiting: list[Taken] = []
-        self._parts: list[Part] = []  # of the minute that is not over
+        self._parts: list[Part] = []  # of the present minute
 
     def add(self, taken: Taken) -> None:
-        """A frame, which waits for the next `publish`."""
+        """Add a frame for the next `publish`."""
         self._waiting.append(taken)
 
     @property
     def waiting(self) -> int:
-        """Frames that were not published yet."""
+        """Number of unpublished frames."""
         return len(self._waiting)
 
     def publish(self, maps: Sequence[MapState | None], header: Mapping[str, object]) -> None:
-        """The frames that wait become a chunk; maps as they are after the last one. Without frames nothing happens."""
+        """Make a chunk of the waiting frames, if any; maps are those after the last frame."""
         if not self._waiting:
             return
         frame, whole = self._waiting[-1].frame.number, not self._parts
@@ -188,13 +174,13 @@ class Feed:
             large, self._parts = (*large, _chunk(minute, header)), []
             while sum(len(c.text) for c in large) > MOST and len(large) > 1:
                 large = large[1:]
-            # those of this minute and the one before, for pages that have not fetched them yet
+            # keep this minute and the one before, for pages that have not fetched them yet
             begin = large[-2].first if len(large) > 1 else large[-1].first
             small = tuple(c for c in small if c.first >= begin)
         self.published = replace(p, large=large, small=small)
 
     def end(self) -> None:
-        """No more will come."""
+        """No more frames will come."""
         self.published = replace(self.published, ended=True)
 
 
@@ -203,7 +189,7 @@ def _chunk(part: Part, header: Mapping[str, object]) -> Chunk:
 
 
 def header(name: str, estimating: Sequence[Estimating], status: str) -> dict[str, object]:
-    """Of a chunk: a log without truth or labels, walls as landmarks, and `now`, how things stand."""
+    """Header of a chunk: a log without truth or labels, walls as landmarks, and `now`, the status."""
     runs = [_run(number, each) for number, each in enumerate(estimating)]
     return {**asdict(Head(name, QUANTUM, runs, walls=True)), "now": status}
 
@@ -219,5 +205,5 @@ def _run(number: int, each: Estimating) -> RunHead:
         dash=dashes(style.line),
         status="ended" if each.failure else "ok",
         why=each.failure,
-        certain=not each.front.estimator.smooths,
+        covariances=not each.front.estimator.smooths,
     )

@@ -1,7 +1,7 @@
-"""The page over HTTP, for this machine alone: read only, no files, nothing but the page and its chunks.
+"""HTTP server of the page for this machine: read only, the page and its chunks, no files.
 
-Bound to 127.0.0.1. A page of somebody else in the same browser cannot read it: no address but ours is taken for the
-host's name (a foreign name that was made to mean 127.0.0.1 is refused), and no other origin is let in.
+Bound to 127.0.0.1. Other pages in the same browser cannot read it: foreign host names (even if they resolve to
+127.0.0.1) and other origins are refused.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from types import TracebackType
 from typing import Any
 
 from data.errors import UsageError
-from data.terminal import told
+from data.terminal import message_of
 from eval.live.feed import Published
 
 ADDRESS = "127.0.0.1"
-PATIENCE = 10.0  # s after which a connection that says nothing is closed
+PATIENCE = 10.0  # s after which a silent connection is closed
 LONGEST = 12  # digits of a frame's number
 POLICY = (
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; connect-src 'self'; base-uri 'none'; "
@@ -33,25 +33,17 @@ HEADERS = {
 
 
 class Server:
-    """Serves in threads of its own; `with` ends it.
-
-    Attributes:
-        address: of the page.
-    """
+    """Serves in its own threads; `with` ends it."""
 
     def __init__(self, port: int, page: bytes, published: Callable[[], Published]) -> None:
-        """Listen; port 0 is any that is free.
-
-        Raises:
-            UsageError: it cannot be had.
-        """
+        """Listen; port 0 is any free one. Raises UsageError: the port is not available."""
         try:
             self._http = ThreadingHTTPServer((ADDRESS, port), _handler(page, published))
         except (OSError, OverflowError) as fault:
-            why = told(fault) if isinstance(fault, OSError) else "a number from 0 to 65535 is needed"
+            why = message_of(fault) if isinstance(fault, OSError) else "a number from 0 to 65535 is needed"
             raise UsageError(f"--port {port}: {why}") from None
         self._http.daemon_threads = True
-        self.address = f"http://{ADDRESS}:{self._http.server_address[1]}/"
+        self.address = f"http://{ADDRESS}:{self._http.server_address[1]}/"  # of the page
         self._thread = threading.Thread(target=self._http.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
         self._thread.start()
 
@@ -67,7 +59,7 @@ class Server:
 
 
 def _handler(page: bytes, published: Callable[[], Published]) -> type[BaseHTTPRequestHandler]:
-    """What answers: `/`, `/chunks` (all there are) and `/chunks/FRAME` (from that frame on)."""
+    """Answers `/`, `/chunks` (all chunks) and `/chunks/FRAME` (from that frame on)."""
 
     class Handler(BaseHTTPRequestHandler):
         timeout = PATIENCE

@@ -1,9 +1,8 @@
-"""Estimators on line: from packet to estimates, one frame through the front end of each, nothing kept.
+"""Online estimators: each packet becomes a frame, which passes the front end of each.
 
-The steps are those of a replay (`eval.replay.run.through`), so a recording replayed gives the same numbers. What an
-estimator cannot go on from ends that one alone. Beside it: estimates as they were made, in a CSV file that grows while
-the robot drives; a rehearsal, so that nothing is loaded or compiled while the robot moves (a kernel that is compiled
-takes seconds, one that is only loaded 40 ms; a frame has 250); and the line on the terminal.
+The steps are those of a replay (`eval.replay.run.through`), so a replayed recording gives the same numbers. A failure
+ends one estimator alone. Also here: estimates written to CSV at once; a rehearsal, so that nothing is compiled while
+the robot moves (compiling a kernel takes seconds, loading one 40 ms; a frame has 250 ms); and the status line.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from data.robot.simulated.physics import drive
 from data.robot.simulated.room import room
 from data.robot.traffic.motion import Packet
 from data.se2 import Array, wrap_angle
-from data.terminal import told
+from data.terminal import message_of
 from ekf.slam import EkfSlam
 from eval.player.watch import map_now
 from eval.replay.external.guard import ForeignError
@@ -38,50 +37,33 @@ from eval.replay.settings import Beginning, Setup
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 
-ROBOT = Beginning(prior(), SENSOR)  # the prior is the origin, there is no map: SLAM
+ROBOT = Beginning(prior(), SENSOR)  # SLAM from the origin
 
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """An estimator after a frame.
+    """An estimator after a frame."""
 
-    Attributes:
-        mean: (3,) pose [m, m, rad], world frame.
-        covariance: (3, 3) of it.
-        decisions: (m,) about the frame's observations, as in `data.result.Run`.
-        created: (m,) landmarks they initialized, -1 for none.
-        nis: per degree of freedom; NaN where nothing was paired.
-    """
-
-    mean: Array
-    covariance: Array
-    decisions: IntArray
-    created: IntArray
-    nis: float
+    mean: Array  # (3,) pose [m, m, rad], world frame
+    covariance: Array  # (3, 3) of it
+    decisions: IntArray  # (m,) about the frame's observations, as in `data.result.Run`
+    created: IntArray  # (m,) landmarks they initialized, -1 for none
+    nis: float  # per degree of freedom; NaN where nothing was paired
 
 
 class Taken(NamedTuple):
-    """A frame and what each estimator made of it; None of one that has ended."""
+    """A frame and each estimator's step, None after its end."""
 
     frame: Frame
     steps: tuple[Step | None, ...]
 
 
 class Estimating:
-    """One estimator on line.
-
-    Attributes:
-        name: as it stands in tables.
-        failure: why it ended; empty: it goes on.
-    """
+    """One online estimator."""
 
     def __init__(self, name: str, association: str, setup: Setup) -> None:
-        """Before the first frame.
-
-        Raises:
-            UsageError: it is somebody else's, and cannot do what is asked, or failed at once.
-        """
-        self.name, self.failure = name_of(name), ""
+        """Make it. Raises UsageError: a foreign estimator lacks something, or failed at once."""
+        self.name, self.failure = name_of(name), ""  # why it ended; empty while it runs
         setup = setup.settled(sensed=False)
         try:
             if is_foreign(name):
@@ -93,7 +75,7 @@ class Estimating:
             self.front.estimator.keep_no_path()
 
     def take(self, frame: Frame) -> Step | None:
-        """The next frame; None if it has ended, now or before."""
+        """Process the next frame; None if the estimator has ended."""
         if self.failure:
             return None
         nothing = len(frame.observations.z)
@@ -115,18 +97,13 @@ class Estimating:
         return Step(mean, covariance, decided, created, nis)
 
     def map(self) -> MapState | None:
-        """Its walls now, asked so that nothing changes; None of what cannot be asked, or has ended."""
+        """Its current walls, without side effects; None if not available."""
         estimator = self.front.estimator
         return map_now(estimator) if isinstance(estimator, EkfSlam | Isam2Smoother) and not self.failure else None
 
 
 class Session:
-    """Frames of a drive, one by one.
-
-    Attributes:
-        estimating: the estimators, in the order in which they get each frame.
-        frames, observations: so far.
-    """
+    """Frames of a drive."""
 
     def __init__(
         self,
@@ -134,44 +111,40 @@ class Session:
         association: str,
         setup: Setup,
         noise: Noise = USUAL,
-        told: Callable[[Taken], None] = lambda taken: None,
+        processed: Callable[[Taken], None] = lambda taken: None,
     ) -> None:
-        """Before the first packet; `told` gets every frame that was taken."""
+        """Start; `processed` gets every processed frame."""
         self.estimating = [Estimating(name, association, setup) for name in names]
         self.frames = self.observations = 0
-        self._framing, self._told = Framing(noise), told
+        self._framing, self._processed = Framing(noise), processed
 
     def take(self, packet: Packet) -> Taken:
-        """A packet to a frame, the frame to every estimator."""
+        """Convert a packet to a frame, and pass it to every estimator."""
         frame = self._framing.frame(packet)
         self.frames, self.observations = frame.number + 1, frame.first + len(frame.observations.z)
         taken = Taken(frame, tuple(each.take(frame) for each in self.estimating))
-        self._told(taken)
+        self._processed(taken)
         return taken
 
 
 COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"
-"""Pose [m, m, rad] and its covariance; numbers are written so that reading them gives the same bits."""
+"""Pose [m, m, rad] and its covariance; numbers are written without loss."""
 
 
 class Estimates:
-    """Writes a line for each estimator and frame, at once; `with` closes the file."""
+    """Writes a line for each estimator and frame at once; `with` closes the file."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
-        """Begin a file.
-
-        Raises:
-            UsageError: it cannot be written, or there is one already.
-        """
+        """Create a file. Raises UsageError: it cannot be written, or exists already."""
         self._names = names
         try:
             self._file = path.open("x", encoding="utf-8", buffering=1)
         except OSError as fault:
-            raise UsageError(f"--estimates {path}: {told(fault)}") from None
+            raise UsageError(f"--estimates {path}: {message_of(fault)}") from None
         self._file.write(COLUMNS + "\n")
 
     def add(self, taken: Taken) -> None:
-        """A frame; an estimator that has ended has no line."""
+        """Write a frame; an ended estimator has no line."""
         for name, step in zip(self._names, taken.steps, strict=True):
             if step is not None:
                 values = [*step.mean.tolist(), *step.covariance[np.triu_indices(3)].tolist()]
@@ -187,13 +160,13 @@ class Estimates:
         self._file.close()
 
 
-DRIVEN = 15.0  # s of a simulated drive: packets as they are
-WALLS = (0.0, 0.5 * math.pi, math.pi)  # rad, directions of the walls of made-up frames
-PARKED = 1.0  # s after which a wall leaves the state there, if it ever shall
+DRIVEN = 15.0  # s of a simulated drive
+WALLS = (0.0, 0.5 * math.pi, math.pi)  # rad, directions of the walls in synthetic frames
+PARKED = 1.0  # s after which a wall leaves the state there, if at all
 
 
 def rehearse(names: Sequence[str], association: str, setup: Setup) -> None:
-    """A short simulated drive, and frames with several walls at once, which leave the view and come back."""
+    """A short simulated drive, and frames with several walls at once, which leave the view and return."""
     session = Session(names, association, setup)
     for packet in drive(room(0), WallFollower(), DRIVEN, np.random.default_rng(0)).packets:
         session.take(packet)
@@ -206,7 +179,7 @@ def rehearse(names: Sequence[str], association: str, setup: Setup) -> None:
 
 
 def frames() -> Iterator[Frame]:
-    """A wall is seen, and another for longer than it takes to park the first; then all, then one, then all again."""
+    """A wall is seen, and another until the first is parked; then all, one, and all again."""
     seen, rng, sigma = 0, np.random.default_rng(0), 0.01
     long = round(2.0 * PARKED / PERIOD)
     first, second = [WALLS[:1]] * long, [WALLS[1:2]] * long
@@ -229,28 +202,24 @@ SHORTEST, PER_DECADE, DECADES = 1.0e-5, 50, 8
 
 
 class Latencies:
-    """How long estimates took, counted, so that no number of them takes memory.
-
-    Attributes:
-        longest: s, since `begin`.
-    """
+    """Histogram of latencies, of constant size."""
 
     def __init__(self) -> None:
-        self.longest = 0.0
+        self.longest = 0.0  # s, since `begin`
         self._counts = np.zeros(PER_DECADE * DECADES + 1, np.int64)
 
     def add(self, seconds: float) -> None:
-        """One more."""
+        """Add a latency."""
         self.longest = max(self.longest, seconds)
         place = PER_DECADE * math.log10(max(seconds, SHORTEST) / SHORTEST)
         self._counts[min(math.ceil(place), len(self._counts) - 1)] += 1
 
     def begin(self) -> None:
-        """The longest is asked for anew."""
+        """Reset the longest one."""
         self.longest = 0.0
 
     def within(self, share: float) -> float:
-        """Time [s] within which such a share of all estimates came, 5 % at most too long; NaN where there are none."""
+        """Time [s] within which this share of all estimates came, at most 5 % too long; NaN if there are none."""
         total = int(self._counts.sum())
         if not total:
             return math.nan
@@ -268,7 +237,7 @@ def pose_words(mean: Array, covariance: Array) -> str:
 
 
 def estimator_words(name: str, step: Step | None, walls: int | None, failure: str) -> str:
-    """An estimator with its newest pose, how many walls it has, or that it has ended."""
+    """An estimator with its newest pose and its number of walls, or its end."""
     if failure:
         return f"{name} ended"
     if step is None:
@@ -279,7 +248,7 @@ def estimator_words(name: str, step: Step | None, walls: int | None, failure: st
 def status_line(
     t: float, estimators: Sequence[str], faults: Mapping[str, int], latencies: Latencies, period: float
 ) -> str:
-    """All of it; `period` [s]: real time between frames, beyond which an estimate is late for the next one."""
+    """The status; `period` [s]: real time between frames, beyond which an estimate is late."""
     counted = ", ".join(f"{name} {count}" for name, count in faults.items() if count)
     parts = [f"{t:7.1f} s", *estimators, f"link: {counted or 'no faults'}"]
     soon = latencies.within(0.99)

@@ -1,1 +1,1 @@
-"""The player: a log's runs packed into one page that plays them in a browser, without a server."""
+"""The player: a log's runs packed into one web page, without a server."""

@@ -1,6 +1,6 @@
-"""The page itself: one file with style, scripts and data inside, which opens from a disk and asks for nothing.
+"""The page: one file with style, scripts and data, which loads nothing else.
 
-The live page is the same one without data, which asks who served it for chunks (`eval.live`).
+The live page has no data and fetches chunks from its server (`eval.live`).
 """
 
 from __future__ import annotations
@@ -21,20 +21,18 @@ from eval.referee.score import Trial
 from eval.replay.settings import Setup
 
 FIRST = ("decode", "history", "view", "marks", "state", "map", "walls")
-SCRIPTS = (*FIRST, "controls", "inspect", "matching", "camera", "plots", "main")  # in the order of loading
+SCRIPTS = (*FIRST, "controls", "inspect", "matching", "camera", "plots", "main")
 NOTES = (
-    "Candidates, gates and what other methods say are recorded while a run is made: of filters always, of smoothers"
-    " where they decide for themselves. Kept are candidates inside 99.999 %, the nearest one and the chosen one; each"
-    " method is asked in every frame, but not in logs of more than 2000 frames where labels decide.",
-    "A landmark's mean and ellipse change only when they moved by more than half of what is stated above the paths.",
+    "Candidates, gates and decisions of all methods are recorded during a run: of filters always, of smoothers where"
+    " they decide themselves. Candidates are those inside 99.999 %, the nearest one and the chosen one. Logs of more"
+    " than 2000 frames with labels have no decisions of other methods.",
+    "A landmark's mean and ellipse change only if they moved by more than half of the size stated above the paths.",
 )
-
-
 LIVE_NOTES = (
-    "Walls are straight lines without ends; the thick part is where the robot has seen one, the band its 3σ. They are"
-    " as they were each second; changes below 1 mm or mrad are left out.",
-    "The page follows the newest frame. Stepping back, the slider or a plot leaves it; the button Live returns to it.",
-    "Hours into a drive a page that is opened begins with what is still kept; the recording on disk has all.",
+    "Walls are straight lines without ends; the thick part is where the robot has seen one, the band its 3σ. They"
+    " change once a second; changes below 1 mm or 1 mrad are left out.",
+    "The page follows the newest frame. Stepping back, the slider or a plot stops this; the button Live resumes it.",
+    "After hours of driving a newly opened page lacks the beginning; the recording on disk has all.",
 )
 POLICY = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'"
 
@@ -46,12 +44,12 @@ def document(name: str, chunks: Sequence[Mapping[str, Any]]) -> str:
 
 
 def live_document(name: str) -> str:
-    """The page of a drive that goes on, which asks for `chunks` and `chunks/FRAME` beside its own address."""
+    """The page of a drive, which fetches `chunks` and `chunks/FRAME` beside its own address."""
     return _page(name, f"{name}: live", [], LIVE_NOTES, "live", f"{POLICY}; connect-src 'self'")
 
 
 def _page(name: str, title: str, inside: Sequence[str], notes: Sequence[str], begin: str, policy: str) -> str:
-    """`begin`: the script that brings the recording."""
+    """`begin`: the script that loads the recording."""
     here = files("eval.player")
     page, vendor = here / "page", here / "vendor"
 
@@ -59,7 +57,7 @@ def _page(name: str, title: str, inside: Sequence[str], notes: Sequence[str], be
         text: str = (folder / file).read_text(encoding="utf-8")
         return text
 
-    # the first line of the library names its address, which a page that loads nothing need not have
+    # without the library's first line, which names its address
     plotting = re.sub(r"^/\*!.*?\*/\s*", "", read(vendor, "uPlot.iife.min.js"))
     return Template(read(page, "player.html")).substitute(
         title=html.escape(title),
@@ -79,12 +77,12 @@ FOLDER = "players"
 
 
 def player_of(log_name: str) -> str:
-    """Place of a log's player in the result folder."""
+    """Path of a log's player in the result folder."""
     return f"{FOLDER}/{folder_name(log_name)}.html"
 
 
 def played(trials: Sequence[Trial]) -> list[tuple[Trial, ...]]:
-    """Trials by log, those of one player together: all tasks, and what stands beside them on the same recording."""
+    """Trials by log, those of one player together: all tasks, and variants on the same recording."""
     found: dict[str, list[Trial]] = {}
     for trial in trials:
         if trial.variant_of is None and trial.runs and not is_truth_alone(trial.log):
@@ -97,7 +95,7 @@ def played(trials: Sequence[Trial]) -> list[tuple[Trial, ...]]:
 
 
 def write_player(folder: Path, trials: Sequence[Trial], setup: Setup) -> Path:
-    """Write the player of the log of some trials (one of `played`) below a result folder."""
+    """Write the player of trials on one log (one of `played`) into a result folder."""
     path = folder / player_of(trials[0].log.name)
     path.parent.mkdir(exist_ok=True)
     write_page(path, trials, setup)
@@ -105,5 +103,5 @@ def write_player(folder: Path, trials: Sequence[Trial], setup: Setup) -> Path:
 
 
 def write_page(path: Path, trials: Sequence[Trial], setup: Setup) -> None:
-    """Write the player of the log of some trials as a file."""
+    """Write the player of trials on one log to a file."""
     path.write_text(document(trials[0].log.name, [scene(trials, setup)]), encoding="utf-8", newline="\n")

@@ -1,17 +1,17 @@
-"""Arrays packed for the page: quantized, as differences along time, in the smallest integers that hold them, deflated.
+"""Arrays packed for the page: quantized differences along time, in the smallest integers that hold them, deflated.
 
 A recording is a list of chunks. A chunk is a header (JSON) and its bytes (raw deflate, in the page as base64):
 
-    {"first": number of its first frame, "frames": how many, "arrays": [...], ...what the scene adds}
+    {"first": number of its first frame, "frames": number of frames, "arrays": [...], ...added by the scene}
 
 Each entry of `arrays` has `name`, `columns`, `rows`, `at` (its first byte, after inflating), `size` (bytes of an
-integer: 1, 2 or 4), `scale`, `log` (values are the exponential of what is stored), `missing` (ranges of rows
-[from, to) without a value) and `steps` (the page is to leave the integers as they are). Bytes of an array: column after
-column, of each integer first all low bytes, then the next ones (similar bytes side by side deflate better). Integers
-are differences from the row before, those of the first row from zero. Arrays with the same bytes share them.
+integer: 1, 2 or 4), `scale`, `log` (values are the exponential of the stored ones), `missing` (ranges of rows [from,
+to) without a value) and `steps` (the page leaves the integers as they are). Bytes of an array: column after column, of
+each integer first all low bytes, then the next ones (similar bytes deflate better). Integers are differences from the
+row before, those of the first row from zero. Arrays with the same bytes share them.
 
-So that a recording can grow while a robot drives, a chunk decodes by itself (differences begin anew), and rows are in
-the order of time: the arrays of one name of all chunks, one after the other, are that array of the whole recording.
+A recording can grow while a robot drives: a chunk decodes by itself, and the arrays of one name of all chunks in order
+are that array of the whole recording.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ import numpy as np
 from data.inputs import IntArray
 from data.se2 import Array
 
-LOG_STEP = 0.001  # of the logarithm: positive quantities are kept to 0.05 %
-FURTHEST = 2.0**30 - 1  # integers, whose differences then have 32 bits
-LEAST = 1.0e-12  # what is smaller than this is taken for it in a logarithm
-TIME, ANGLE, RHO = 1.0e-4, 1.0e-4, 1.0e-3  # s, rad, and of a correlation: what these are kept to, to half of it
+LOG_STEP = 0.001  # of the logarithm: positive quantities are exact to 0.05 %
+FURTHEST = 2.0**30 - 1  # largest integer, so that differences have 32 bits
+LEAST = 1.0e-12  # least argument of a logarithm
+TIME, ANGLE, RHO = 1.0e-4, 1.0e-4, 1.0e-3  # resolution of time [s], angles [rad] and correlations
 
 
 class Pack:
-    """A chunk in the making."""
+    """A chunk under construction."""
 
     def __init__(self, first: int, frames: int) -> None:
-        """Of so many frames from `first`."""
+        """For a number of frames from `first`."""
         self.first, self.frames = first, frames
         self._entries: list[dict[str, Any]] = []
         self._parts: dict[bytes, int] = {}
         self._length = 0
 
     def add(self, name: str, values: Array | IntArray, scale: float = 1.0) -> None:
-        """Numbers (n,) or (n, c) to half a `scale`; NaN and infinity are missing, for the whole row.
+        """Numbers (n,) or (n, c), exact to half a `scale`; rows with NaN or infinity are missing.
 
-        Where some reach so far that integers do not (a path that went astray), all are kept to a coarser scale.
+        The scale is coarser if some numbers exceed the integers (a diverged path).
         """
         self._put(name, np.asarray(values, float), scale, log=False)
 
     def add_log(self, name: str, values: Array, step: float = LOG_STEP) -> None:
-        """Numbers that are not negative, (n,) or (n, c), to half a `step` of their own size."""
+        """Non-negative numbers (n,) or (n, c), exact to half a `step` of their logarithm."""
         with np.errstate(invalid="ignore"):
             self._put(name, np.log(np.maximum(np.asarray(values, float), LEAST)), step, log=True)
 
@@ -62,7 +62,7 @@ class Pack:
 
     @property
     def names(self) -> set[str]:
-        """Of all arrays so far."""
+        """Names of all arrays so far."""
         return {entry["name"] for entry in self._entries}
 
     def _put(self, name: str, values: Array, scale: float, *, log: bool) -> None:
@@ -95,12 +95,11 @@ class Pack:
 
 
 def _columns(values: Any) -> Any:
-    """Numbers (n,) as (n, 1), those (n, c) as they are."""
     return values[:, None] if values.ndim == 1 else values
 
 
 def _filled(values: Array, known: Any) -> Array:
-    """The same, unknown rows (n,) as the last known one before them, or zero."""
+    """Replace unknown rows (n,) by the last known one before them, or zero."""
     last = np.maximum.accumulate(np.where(known, np.arange(len(known)), -1)) if len(known) else np.empty(0, np.int64)
     filled: Array = np.where((last >= 0)[:, None], values[np.maximum(last, 0)], 0.0)
     return filled
@@ -114,12 +113,12 @@ def ranges(which: Any) -> list[list[int]]:
 
 
 def text_of(chunk: Mapping[str, Any]) -> str:
-    """A chunk as JSON that can stand in a page."""
+    """A chunk as JSON for a page."""
     return json.dumps(chunk, separators=(",", ":"), ensure_ascii=True, allow_nan=False).replace("</", "<\\/")
 
 
 def unpacked(chunk: Mapping[str, Any]) -> dict[str, Array]:
-    """The arrays (rows, columns) of a chunk by name, as the page decodes them; NaN where missing."""
+    """The arrays (rows, columns) of a chunk by name, decoded as in the page; NaN where missing."""
     content = zlib.decompress(base64.b64decode(chunk["data"]), -15)
     found = {}
     for entry in chunk["arrays"]:

@@ -1,6 +1,6 @@
-"""What the page shows of a log and its runs, as one chunk (see `eval.player.pack`).
+"""A log and its runs for the page, as one chunk (see `eval.player.pack`).
 
-The live page gets chunks with the same arrays and heads, so what is common stands here, too.
+Chunks of the live page have the same arrays and headers.
 """
 
 from __future__ import annotations
@@ -29,70 +29,53 @@ from eval.referee.laser import right_closures
 from eval.referee.score import Trial, confusion_of
 from eval.replay.settings import Setup
 
-PIXEL = 0.25  # of the recorded image
-FINER = 0.1  # poses and observations, of which there are few numbers, are kept to a tenth of the landmarks' quantum
-COARSE, ROUGH = 0.01, 0.02
-"""Landmarks' sigmas are kept to half a percent of themselves, their correlations to a hundredth."""
+PIXEL = 0.25  # resolution of corners in the recorded image
+FINER = 0.1  # resolution of poses and observations over the landmarks' quantum
+COARSE, ROUGH = 0.01, 0.02  # resolution of the logarithm of landmarks' sigmas, and of their correlations
 MOST_TIME = 2**31 - 1
 
 
 @dataclass(frozen=True)
 class RunHead:
-    """What the page is told of a run beside its arrays, whose names begin with `key`.
-
-    Attributes:
-        name: as in lists; why: it is not `ok`, in words; dash: lengths of dash and gap, none of a solid line.
-        beside: what is different about its log.
-        decides, scored, candidates, nis, history: whether it has arrays about decisions, outcomes, candidates, NIS, and
-            landmarks as they were, after every so many frames; certain: with their covariances.
-        nis_expected: per degree of freedom. loops: colour, line and name of each fate a loop closure can have.
-    """
+    """Header of a run, whose arrays have names that begin with `key`."""
 
     key: str
-    name: str
+    name: str  # in lists
     estimator: str
     association: str
     colour: str
-    dash: Sequence[float]
+    dash: Sequence[float]  # lengths of dash and gap, empty for a solid line
     status: str
-    why: str
-    certain: bool
+    why: str  # reason for a status that is not `ok`
+    covariances: bool  # whether earlier landmarks have them
     task: str = "slam"
     phases: Sequence[str] = ("online",)
-    variant: str = ""
-    decides: bool = True
-    scored: bool = False
-    history: bool = True
-    every: int = 1
-    candidates: bool = False
-    nis: bool = True
-    nis_expected: float = 1.0
-    loops: Sequence[Mapping[str, Any]] = ()
+    variant: str = ""  # difference of its log
+    decides: bool = True  # whether it has arrays about decisions, ...
+    scored: bool = False  # ... outcomes, ...
+    history: bool = True  # ... earlier landmarks, ...
+    every: int = 1  # (after every so many frames)
+    candidates: bool = False  # ... candidates, ...
+    nis: bool = True  # ... and NIS
+    nis_expected: float = 1.0  # per degree of freedom
+    loops: Sequence[Mapping[str, Any]] = ()  # colour, line and name of each state of a loop closure
 
 
 @dataclass(frozen=True)
 class Head:
-    """What the page is told of a log.
-
-    Attributes:
-        indexed: time is the number of a frame; quantum: m, of landmarks; walls: m, how far away one was read, 0 where
-            landmarks are points.
-        left_out: runs that are not shown, with the reason; methods: that were asked about each observation.
-        gate, new_gate: squared distances, None without; gates: both in percent; band: of the NEES, 95 %.
-        labels, laser, truth: whether the log has them; camera: its images.
-    """
+    """Header of a log."""
 
     name: str
-    quantum: float
+    quantum: float  # m, of landmarks
     runs: Sequence[RunHead]
-    walls: float
-    indexed: bool = False
-    left_out: Sequence[str] = ()
-    methods: Sequence[str] = ()
-    gate: float | None = None
+    walls: float  # m, largest range of a wall, 0 where landmarks are points
+    indexed: bool = False  # time is the number of a frame
+    left_out: Sequence[str] = ()  # runs that are not shown, with the reason
+    methods: Sequence[str] = ()  # methods with decisions about each observation
+    gate: float | None = None  # squared distance, None: no gate
     new_gate: float | None = None
-    gates: tuple[str, str] = ("none", "none")
-    band: tuple[float, float] = (0.0, 0.0)
+    gates: tuple[str, str] = ("none", "none")  # both in percent
+    band: tuple[float, float] = (0.0, 0.0)  # of the NEES, 95 %
     labels: bool = False
     laser: bool = False
     truth: bool = False
@@ -100,7 +83,7 @@ class Head:
 
 
 def add_camera(pack: Pack, log: Log) -> dict[str, Any] | None:
-    """Detections as arrays, one row each: frame, picture and corners (u, v) px; what the header says, None: no images.
+    """Add detections, one row each: frame, picture and corners (u, v) px; returns the header, None without images.
 
     Images are small ones of some or all frames; `width` is that of the recorded image, to which the corners belong.
     """
@@ -118,7 +101,7 @@ def add_camera(pack: Pack, log: Log) -> dict[str, Any] | None:
 
 
 def add_loops(pack: Pack, key: str, run: LaserRun, trial: Trial, step: float) -> list[dict[str, Any]]:
-    """Arrays named `key` and a name; colour, line and name of each fate a loop closure can have."""
+    """Add loop closures; returns colour, line and name of each of their states."""
     if run.loops is None or run.chain is None or run.key_pose is None or not len(run.loops):
         return []
     truth = trial.log.truth.pose
@@ -129,7 +112,7 @@ def add_loops(pack: Pack, key: str, run: LaserRun, trial: Trial, step: float) ->
     pack.add(f"{key}key_frame", run.chain.frame)
     pack.add(f"{key}key_xy", run.key_pose[:, :2], step)
     pack.add(f"{key}loop_keys", np.column_stack([run.loops.key1, run.loops.key2]))
-    pack.add(f"{key}loop_fate", np.array([names.index(f) for f in loop_state]))
+    pack.add(f"{key}loop_state", np.array([names.index(f) for f in loop_state]))
     return [
         {"name": name, "colour": colour, "dash": dashes(line)}
         for name, (colour, line, _) in LOOP_STATES.items()
@@ -138,7 +121,7 @@ def add_loops(pack: Pack, key: str, run: LaserRun, trial: Trial, step: float) ->
 
 
 def dashes(line: Line) -> list[float]:
-    """Lengths of dash and gap in turn; none of a solid line."""
+    """Lengths of dash and gap, empty for a solid line."""
     return [] if line == "-" else list(line[1])
 
 
@@ -151,7 +134,7 @@ def add_path(pack: Pack, name: str, pose: Array, sigma: Array, rho: Array, step:
 
 
 def add_points(pack: Pack, name: str, xy: Array, shape: Array, step: float) -> None:
-    """Points (n, 2) with what `spread` says of their covariances (n, 3)."""
+    """Points (n, 2) with the `spread` (n, 3) of their covariances."""
     pack.add(name, xy, step)
     pack.add_log(f"{name.removesuffix('_xy')}_sigma", shape[:, :2])
     pack.add(f"{name.removesuffix('_xy')}_rho", shape[:, 2], RHO)
@@ -160,10 +143,10 @@ def add_points(pack: Pack, name: str, xy: Array, shape: Array, step: float) -> N
 def add_changes(
     pack: Pack, key: str, frame: IntArray, number: IntArray, there: IntArray, xy: Array, shape: Array, quantum: float
 ) -> None:
-    """Changes of landmarks (C,), as differences from the same landmark's last one in the chunk, which the page adds up.
+    """Changes of landmarks (C,), as differences from the same landmark's last one in the chunk.
 
-    xy: (C, 2) kept to half a quantum; shape: (C, 3) as of `spread`. A landmark further off than integers reach (a
-    thousand kilometres) is shown at that distance.
+    xy: (C, 2) exact to half a quantum; shape: (C, 3) as of `spread`. Landmarks beyond the range of integers (a thousand
+    kilometres) are drawn at that distance.
     """
     pack.add(f"{key}change_frame", frame)
     pack.add(f"{key}change_number", number)
@@ -175,7 +158,7 @@ def add_changes(
 
 
 def add_run(pack: Pack, key: str, run: Run, trial: Trial, quantum: float) -> None:
-    """Arrays of a run, named `key` and a name."""
+    """Add the arrays of a run, with names that begin with `key`."""
     for phase in run.phases:
         pose, covariance = run.trajectory(phase).pose, run.trajectory(phase).covariance
         sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0))
@@ -219,11 +202,11 @@ def _add_watched(pack: Pack, key: str, w: Watched, run: Run) -> None:
     pack.add(f"{key}pair_row", w.pair_row)
     pack.add(f"{key}pair_number", w.pair_number)
     pack.add_log(f"{key}pair_d2", w.pair_d2, 2.0e-4)
-    pack.add_steps(f"{key}said", w.said - run.decisions[:, None])
+    pack.add_steps(f"{key}method_decision", w.method_decisions - run.decisions[:, None])
 
 
 def own_steps(number: Any, values: Array) -> Array:
-    """Rows (C, k) less the last row before them with the same number (C,); the first of each as it is."""
+    """Rows (C, k) minus the last row before them with the same number (C,); the first of each unchanged."""
     order = np.argsort(number, kind="stable")
     sorted_rows, same = values[order], np.diff(number[order], prepend=-1) == 0
     steps = sorted_rows.copy()
@@ -247,7 +230,7 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
     for trial in trials:
         styles = {(s.run.estimator, s.run.association): s.line for s in series([r for t in trials for r in t.runs])}
         for run in trial.runs:
-            name = " ".join(part for part in (style_of(run.estimator).label, _way(run.association)) if part)
+            name = f"{style_of(run.estimator).label} {'' if run.association == 'none' else run.association}".strip()
             if log_of(run, trial.log) is not trial.log:
                 left_out.append(f"{name}: its poses have other stamps than the log's frames.")
                 continue
@@ -258,14 +241,13 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
             add_run(pack, key, run, trial, quantum)
             loops = add_loops(pack, key, run, trial, quantum * FINER) if isinstance(run, LaserRun) else []
             line = styles[run.estimator, run.association]
-            runs.append(_head_of(pack, key, name, run, trial, _beside(trial, log), dashes(line), loops))
+            runs.append(_head_of(pack, key, name, run, trial, log, line, loops))
     watched = next((r.watched for t in trials for r in t.runs if isinstance(r.watched, Watched)), None)
+    r = log.recorded
     head = Head(
-        name=log.name,
-        quantum=quantum,
-        runs=runs,
-        walls=_seen_from(log),
-        indexed=log.recorded.time_is_index,
+        *(log.name, quantum, runs),
+        walls=0.0 if r.sensor.sees_points else float(r.observations.z[:, 0].max(initial=1.0)),
+        indexed=r.time_is_index,
         left_out=left_out,
         methods=() if watched is None else watched.methods,
         gate=_threshold(setup.gate),
@@ -273,7 +255,7 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
         gates=(_percent(setup.gate), _percent(setup.new_gate)),
         band=(gate_threshold(0.025, 3), gate_threshold(0.975, 3)),
         labels=log.label is not None or log.labels_are_sensed,
-        laser=log.recorded.scans is not None,
+        laser=r.scans is not None,
         truth=bool(log.truth.known_poses),
         camera=camera,
     )
@@ -281,30 +263,16 @@ def scene(trials: Sequence[Trial], setup: Setup) -> dict[str, Any]:
 
 
 def _head_of(
-    pack: Pack,
-    key: str,
-    name: str,
-    run: Run,
-    trial: Trial,
-    variant: str,
-    dash: list[float],
-    loops: list[dict[str, Any]],
+    pack: Pack, key: str, name: str, run: Run, trial: Trial, log: Log, line: Line, loops: list[dict[str, Any]]
 ) -> RunHead:
-    """Of a run whose arrays are in the pack."""
     watched = run.watched if isinstance(run.watched, Watched) else None
+    why = "" if run.flaw is None else run.flaw.text
     return RunHead(
-        key=key,
-        name=name,
-        estimator=run.estimator,
-        association=run.association,
-        colour=style_of(run.estimator).colour,
-        dash=dash,
-        status=run.status,
-        why="" if run.flaw is None else run.flaw.text,
-        certain=watched is not None and watched.certain,
+        *(key, name, run.estimator, run.association, style_of(run.estimator).colour, dashes(line), run.status, why),
+        covariances=watched is not None and watched.covariances,
         task=trial.task,
         phases=run.phases,
-        variant=variant,
+        variant=trial.log.name.removeprefix(log.name).strip(":"),
         decides=f"{key}decision" in pack.names,
         scored=f"{key}final_outcome" in pack.names,
         history=watched is not None and len(watched.change_frame) > 0,
@@ -316,26 +284,12 @@ def _head_of(
     )
 
 
-def _seen_from(log: Log) -> float:
-    """How far away [m] a wall was read, where landmarks are walls; 0 where they are points."""
-    return 0.0 if log.recorded.sensor.sees_points else float(log.recorded.observations.z[:, 0].max(initial=1.0))
-
-
 def _threshold(probability: float | None) -> float | None:
     return None if probability is None else gate_threshold(probability)
 
 
 def _percent(probability: float | None) -> str:
     return "none" if probability is None else f"{100.0 * probability:.10g} %"
-
-
-def _way(association: str) -> str:
-    return "" if association == "none" else association
-
-
-def _beside(trial: Trial, log: Log) -> str:
-    """What is different about a trial beside the log's own."""
-    return trial.log.name.removeprefix(log.name).strip(":")
 
 
 def _add_log(pack: Pack, log: Log, quantum: float) -> None:

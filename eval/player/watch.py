@@ -1,8 +1,8 @@
-"""What an observer of a replay writes down for the player: landmarks as they were, and what could have been decided.
+"""Observer of a replay for the player: landmarks over time, candidates, and decisions of all methods.
 
-Only changes of a landmark that can be seen are kept: a mean, or an end of its 3 sigma ellipse, moved by more than half
-a quantum. A filter is asked for its map after each frame in which it saw something; a smoother for means alone, as its
-marginals cost more than the whole run (a tenth of a second a frame in a corridor) and asking moves its bookkeeping.
+Only visible changes of a landmark are kept: the mean, or an end of the 3 sigma ellipse, moved by more than half a
+quantum. A filter gives its map after each frame with observations. A smoother gives means only: its marginals take a
+tenth of a second a frame in a corridor, and change its bookkeeping.
 """
 
 from __future__ import annotations
@@ -20,25 +20,24 @@ from data.se2 import Array, dead_reckoned
 from ekf.filter import Filter
 from ekf.slam import EkfSlam
 from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.recorder import Writing
 from graph.incremental import Isam2Smoother
 
 SIGMAS = 3.0
 FINEST, COARSEST = 1.0e-3, 1.0e-1  # m
 SHARE = 1.0e-4
-"""Of the path's extent: a fifth of a pixel on a large screen that shows all. 1 mm in a corridor, 1 cm in a park."""
-LOOKED_AT = 0.99999  # candidates of an observation inside this gate are kept, ...
-MOST = 12  # ... the nearest so many; the nearest one always, and the one it was paired with
-LARGE, SELDOM = 300, 10
-"""Above so many landmarks a map is written down after every so many frames only: writing it down costs as long as
-using it."""
-READ = 30_000  # positions of landmarks that a smoother is asked for in all, each 10 to 20 microseconds
-LONG = 2000  # frames. In a longer log no method is asked where labels decide: that would take longer than the run
+"""Quantum over the path's extent: a fifth of a pixel on a large screen. 1 mm in a corridor, 1 cm in a park."""
+LOOKED_AT = 0.99999  # candidates inside this gate are kept, ...
+MOST = 12  # ... at most this many; the nearest and the paired one always
+LARGE, SELDOM = 300, 10  # a map with more landmarks is recorded only every few frames: recording costs as long as using
+READ = 30_000  # positions taken from a smoother in all, each 10 to 20 microseconds
+LONG = 2000  # frames; in a longer log with labels, other methods would take longer than the run
 NOT_ASKED, SINGULAR = -3, -4
-"""In place of a decision: nobody was asked, or the method had none because a covariance is singular."""
+"""In place of a decision: not computed, or the covariance is singular."""
 
 
 def quantum_of(inputs: Inputs) -> float:
-    """Size [m] of what can be seen: a power of ten, for a path of this extent by dead reckoning."""
+    """Visible size [m]: a power of ten, for the extent of the path by dead reckoning."""
     path = dead_reckoned(inputs.prior.mean, inputs.increments.mean)[:, :2]
     extent = float(np.ptp(path, axis=0).max(initial=0.0))
     return float(np.clip(10.0 ** np.floor(np.log10(max(SHARE * extent, FINEST))), FINEST, COARSEST))
@@ -46,57 +45,44 @@ def quantum_of(inputs: Inputs) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """What was written down. Sigmas are (sigma_x, sigma_y), rho their correlation.
+    """The recording. Sigmas are (sigma_x, sigma_y), rho their correlation."""
 
-    Attributes:
-        quantum: m; smaller changes are left out.
-        every: landmarks were written down after every so many frames with observations; 0: never.
-        certain: with their covariances; else their sigmas are zero.
-        change_frame, change_number, change_there: (C,) in which frame which landmark changed; 0: it left the map.
-        change_xy, change_sigma, change_rho: (C, 2), (C, 2), (C,) in the world frame [m].
-        seen_frame, seen_number: (K,) candidates that some observation might have been of.
-        seen_xy, seen_sigma, seen_rho: (K, 2), (K, 2), (K,) where they were expected, in the robot's frame [m].
-        pair_row, pair_number, pair_d2: (P,) observation (row of the log), candidate, squared Mahalanobis distance.
-        methods: W names.
-        said: (M, W) what each decides on the same expectation.
-    """
-
-    quantum: float
-    every: int
-    certain: bool
-    change_frame: IntArray
+    quantum: float  # m; smaller changes are left out
+    every: int  # landmarks were recorded after this many frames with observations; 0: never
+    covariances: bool  # with their covariances; else their sigmas are zero
+    change_frame: IntArray  # (C,) changes of landmarks, ...
     change_number: IntArray
-    change_there: IntArray
-    change_xy: Array
+    change_there: IntArray  # ... 0: it left the map, ...
+    change_xy: Array  # (C, 2) ... in the world frame [m]
     change_sigma: Array
     change_rho: Array
-    seen_frame: IntArray
+    seen_frame: IntArray  # (K,) candidates of some observation, ...
     seen_number: IntArray
-    seen_xy: Array
+    seen_xy: Array  # (K, 2) ... expected in the robot's frame [m]
     seen_sigma: Array
     seen_rho: Array
-    pair_row: IntArray
+    pair_row: IntArray  # (P,) observation (row of the log), candidate, ...
     pair_number: IntArray
-    pair_d2: Array
-    methods: tuple[str, ...]
-    said: IntArray
+    pair_d2: Array  # ... squared Mahalanobis distance
+    methods: tuple[str, ...]  # W names
+    method_decisions: IntArray  # (M, W) decisions from the same expectation
 
     def __post_init__(self) -> None:
         read_only(self)
 
 
 class MapChanges:
-    """What can be seen of a map's changes since it was looked at last."""
+    """Visible changes of a map since the last call."""
 
     def __init__(self, quantum: float) -> None:
-        """Of an empty map; `quantum` as in `Watched`."""
+        """Start with an empty map; `quantum` as in `Watched`."""
         self._quantum = quantum
         self._last = np.full((0, 5), np.nan)
 
     def since(self, frame: int, state: MapState, *, whole: bool = False) -> Array:
-        """Changes (C, 8) up to a frame: frame, number, there, then x, y, sigma_x, sigma_y, rho as it is now.
+        """Changes (C, 8) up to a frame: frame, number, there, then x, y, sigma_x, sigma_y, rho.
 
-        A landmark that left the map is not `there`, and stands where it was. `whole`: all that are there have changed.
+        A landmark that left the map is not `there`, and keeps its last place. `whole`: all landmarks have changed.
         """
         now = np.column_stack([state.xy, spread(state.covariance)])
         sound = np.isfinite(now).all(axis=1)
@@ -112,41 +98,36 @@ class MapChanges:
         small &= not whole
         changed, number = now[~small], present[~small]
         self._last[number] = changed
-        gone = np.isfinite(self._last[:, 0])
-        gone[present] = False
-        left = np.flatnonzero(gone)
+        absent = np.isfinite(self._last[:, 0])
+        absent[present] = False
+        left = np.flatnonzero(absent)
         here = np.column_stack([np.full(len(number), frame), number, np.ones(len(number)), changed])
         away = np.column_stack([np.full(len(left), frame), left, np.zeros(len(left)), self._last[left]])
         self._last[left] = np.nan
         return np.concatenate([here, away])
 
 
-class Watch:
-    """Looks on while a log is replayed (see `eval.replay.recorder.Observer`).
-
-    Attributes:
-        seconds: spent here, which are not the estimator's.
-    """
+class Watch(Writing):
+    """Observer of a replay with a `Watched`."""
 
     def __init__(self, inputs: Inputs) -> None:
         self.quantum, self.sensor, self.seconds = quantum_of(inputs), inputs.sensor, 0.0
         self._frames, self._seeing = len(inputs), int((np.diff(inputs.start) > 0).sum())
-        self._every, self._since, self._looked, self._certain = 0, 0, -1, True
+        self._every, self._since, self._looked, self._covariances = 0, 0, -1, True
         self._map = MapChanges(self.quantum)
         self._changes: list[Array] = []
         self._seen: list[Array] = []
         self._pairs: list[Array] = []
-        self._said = np.full((len(inputs.observations.frame), len(METHODS)), NOT_ASKED, np.int64)
-
-    def moved(self, front: FrontEnd) -> None:
-        """Nothing to write down."""
+        self._methods = np.full((len(inputs.observations.frame), len(METHODS)), NOT_ASKED, np.int64)
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
-        """Candidates, their distances, and what each method says; what an estimator cannot say for nothing is left."""
+        """Record candidates, distances, and decisions of each method, where the estimator gives an expectation without
+        side effects.
+        """
         begin = time.perf_counter()
         self._looked = front.k
         e = pairing.expectation
-        # a filter's expectation is formed from its state and changes nothing; parked landmarks would have to come back
+        # a filter's expectation has no side effects, except for parked landmarks
         if (
             e is None
             and isinstance(front.estimator, Filter)
@@ -157,7 +138,7 @@ class Watch:
             try:
                 self._compare(front, frame, e.by_age(), pairing.decisions)
             except SingularInnovationError:
-                self._said[frame.first : frame.first + len(e.z)] = SINGULAR
+                self._methods[frame.first : frame.first + len(e.z)] = SINGULAR
         self.seconds += time.perf_counter() - begin
 
     def _compare(self, front: FrontEnd, frame: Frame, e: Expectation, decisions: IntArray) -> None:
@@ -176,18 +157,18 @@ class Watch:
         for w, name in enumerate(METHODS):
             rows = slice(frame.first, frame.first + len(decisions))
             try:
-                self._said[rows, w] = front.decide(e, name).decisions
+                self._methods[rows, w] = front.decide(e, name).decisions
             except SingularInnovationError:
-                self._said[rows, w] = SINGULAR
+                self._methods[rows, w] = SINGULAR
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """Landmarks of a filter, as they are after the frame."""
+        """Record the landmarks after the frame."""
         begin, estimator = time.perf_counter(), front.estimator
         if isinstance(estimator, (EkfSlam, Isam2Smoother)) and front.slam:
             filters = isinstance(estimator, EkfSlam)
             size = estimator.created
             seldom = (SELDOM if size > LARGE else 1) if filters else 1 + size * self._seeing // READ
-            self._every, self._certain = max(self._every, seldom), filters
+            self._every, self._covariances = max(self._every, seldom), filters
             self._since += self._looked == front.k
             if self._since >= seldom or front.k == self._frames - 1:
                 self._since = 0
@@ -195,7 +176,7 @@ class Watch:
         self.seconds += time.perf_counter() - begin
 
     def left(self) -> Watched:
-        """All of it, after the last frame."""
+        """The recording, after the last frame."""
         changes, seen, pairs = _table(self._changes, 8), _table(self._seen, 7), _table(self._pairs, 3)
         frame, number, there = changes[:, :3].astype(np.int64).T
         seen_frame, seen_number = seen[:, :2].astype(np.int64).T
@@ -203,12 +184,12 @@ class Watch:
         return Watched(
             self.quantum,
             self._every,
-            self._certain,
+            self._covariances,
             *(frame, number, there, changes[:, 3:5], changes[:, 5:7], changes[:, 7]),
             *(seen_frame, seen_number, seen[:, 2:4], seen[:, 4:6], seen[:, 6]),
             *(row, candidate, pairs[:, 2]),
             methods=METHODS,
-            said=self._said,
+            method_decisions=self._methods,
         )
 
 
@@ -221,7 +202,7 @@ def spread(covariance: Array) -> Array:
 
 
 def map_now(estimator: EkfSlam | Isam2Smoother) -> MapState:
-    """Its landmarks as they are, asked so that nothing changes; of a smoother without covariances."""
+    """The current landmarks without side effects; of a smoother without covariances."""
     if isinstance(estimator, EkfSlam):
         return estimator.landmarks()
     smoother, number = estimator, estimator.numbers

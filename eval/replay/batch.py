@@ -11,9 +11,9 @@ from data.inputs import Inputs, IntArray
 from data.notice import Code, Severity, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate
 from data.se2 import BoolArray
-from graph.batch import Smoothed, Start, smooth
+from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
-from graph.optimum import NotConvergedError
+from graph.optimum import NotConvergedError, Smoothed
 from graph.robust import gnc
 
 LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}

@@ -11,8 +11,7 @@ from data.errors import UsageError
 from data.inputs import FrameObservations, Increment, IntArray
 from data.result import Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array
-from ekf import walls
-from ekf.filter import DEFAULT, FilterOptions
+from ekf.filter import DEFAULT, FilterOptions, lack
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from eval.replay.external.adapter import Adapter
@@ -240,4 +239,4 @@ def lack_with_walls(
     if association == HINDSIGHT:
         return NO_HINDSIGHT_OF_WALLS
     own = options or OPTIONS.get(name)
-    return None if own is None else walls.lack(own, given.systematic, slam=task == "slam")
+    return None if own is None else lack(own, given.systematic, slam=task == "slam")

@@ -23,23 +23,17 @@ class Flag:
     """One field of a table.
 
     Attributes:
-        read: the kind of its values.
-        metavar: of the value; empty for a switch.
-        help: one line for `--help`.
         numbers: whether the estimators' numbers depend on it, so that it belongs to the command that reproduces them.
-        repeatable: given once for each value.
-        short: one letter.
-        bare: the value of a flag without one; empty: a value is needed.
         name, default: of the field; part: of the field that holds its table, empty in the table itself.
     """
 
-    read: Read
-    metavar: str
-    help: str
+    read: Read  # the kind of its values
+    metavar: str  # of the value; empty for a switch
+    help: str  # one line for `--help`
     numbers: bool = True
-    repeatable: bool = False
-    short: str = ""
-    bare: str = ""
+    repeatable: bool = False  # given once for each value
+    short: str = ""  # one letter
+    bare: str = ""  # the value of a flag without one; empty: a value is needed
     name: str = ""
     default: Any = None
     part: str = ""
@@ -213,7 +207,7 @@ def one_of(known: Sequence[str]) -> Read:
     return read
 
 
-def names(known: Sequence[str] | None = None, *, least: int = 0) -> Read:
+def names(known: Sequence[str] | None = None) -> Read:
     """Different names (of `known`, if given), separated by commas or as a list."""
 
     def read(label: str, value: object) -> tuple[str, ...]:
@@ -223,8 +217,6 @@ def names(known: Sequence[str] | None = None, *, least: int = 0) -> Read:
                 raise UsageError(f"{label} {name}: unknown; known: {', '.join(known)}")
         if len(set(given)) != len(given):
             raise UsageError(f"{label} {','.join(given)}: named twice")
-        if len(given) < least:
-            raise UsageError(f"{label}: at least one is needed")
         return given
 
     return read

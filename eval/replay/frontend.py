@@ -11,7 +11,7 @@ import numpy as np
 from association.candidates import in_view
 from association.decide import Decided, decide, horizon, pair_by_label
 from association.expectation import Expectation, gate_threshold
-from association.faces import Faces, named_as_read
+from association.faces import Faces, aligned_with_observations
 from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
 from data.errors import UsageError
@@ -31,7 +31,7 @@ from eval.replay.settings import HINDSIGHT, Beginning, Given, Setup
 
 
 class KnownAssociation:
-    """Decisions by label; in SLAM a label stands for the landmark that it initialized, while that is in the map."""
+    """Decisions by label; in SLAM a label names the landmark that it initialized, while that is in the map."""
 
     def __init__(self, known: LandmarkMap | None) -> None:
         """`known` is the map of localization."""
@@ -74,40 +74,28 @@ class Pairing(NamedTuple):
 
 
 class FrontEnd:
-    """Steps of a frame, in this order: move, associate, update, tidy; after the last one close.
-
-    Attributes:
-        k: number of the frame.
-        association: `known` (labels decide) or a method's name.
-        estimator: gets the decisions.
-        can: its capabilities.
-        foreign: the estimator if it is foreign, else None.
-        map_management: which landmarks leave the map; None where all stay.
-        incomplete: frames in which the search for a pairing ran out of its budget.
-        gated_final: see `Run`.
-    """
+    """Steps of a frame, in this order: move, associate, update, tidy; after the last one close."""
 
     revises_map = False  # whether landmarks leave the map for other reasons than map management's
     asks_for_innovations = False  # whether the estimator must form its innovations
-    gated_final: tuple[float, float] | None = None
+    gated_final: tuple[float, float] | None = None  # see `Run`
 
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
         """Make the estimator.
 
-        Raises:
-            UsageError: walls are to be paired in hindsight.
-            CannotError: the estimator lacks a capability that the setup needs.
+        Raises UsageError: walls are to be paired in hindsight. Raises CannotError: the estimator lacks a capability
+        that the setup needs.
         """
         if association == HINDSIGHT and not given.sensor.sees_points:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)
         self.given, self.setup = Beginning(given.prior, given.sensor, given.map, given.systematic), setup
-        self.association = name_of(association)
+        self.association = name_of(association)  # `known` (labels decide) or a method's name
         self._method = Method(load(association)) if is_foreign(association) else association
         self.use(make_estimator(estimator, given, options, lag=setup.lag))
         self.slam = given.map is None
-        self.k, self.incomplete = -1, 0
+        self.k, self.incomplete = -1, 0  # frame; frames in which the search ran out of its budget
         # labels and hindsight use no distance, and the reach of a foreign method is unknown
         far = association in ("known", HINDSIGHT) or is_foreign(association)
         within = math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=not self.slam)
@@ -118,7 +106,7 @@ class FrontEnd:
         self.map_management: MapManagement | None = None
         self.parking: Parking | AutomaticParking | None = None
         if self.slam and (kept.manages_map or self.revises_map):
-            self.map_management = MapManagement(kept)
+            self.map_management = MapManagement(kept)  # which landmarks leave the map; None where all stay
             if kept.deactivate_after is not None:
                 self.parking = Parking(self.estimator, self.can, self.map_management, given.sensor, within)
             if kept.maintain or kept.forget_after is not None:
@@ -131,8 +119,8 @@ class FrontEnd:
 
     def use(self, estimator: Estimator) -> None:
         """Give the decisions to this estimator, before its first frame."""
-        self.estimator, self.can = estimator, capabilities(estimator)
-        self.foreign = estimator if isinstance(estimator, Adapter) else None
+        self.estimator, self.can = estimator, capabilities(estimator)  # gets the decisions; its capabilities
+        self.foreign = estimator if isinstance(estimator, Adapter) else None  # if it is foreign
 
     def move(self, frame: Frame) -> None:
         """Predict the next frame; the first one has no motion."""
@@ -166,9 +154,9 @@ class FrontEnd:
             self.parking.offer(observations)
         e = self.estimator.expect(observations)
         if not self.given.sensor.sees_points:
-            e = named_as_read(e, self.given.sensor)
+            e = aligned_with_observations(e, self.given.sensor)
         if self.faces is not None and len(e.number):
-            e = e.only(np.flatnonzero(self.faces.offered(*self.estimator.estimate(), e.number, e.z_hat)))
+            e = e.only(np.flatnonzero(self.faces.visible(*self.estimator.estimate(), e.number, e.z_hat)))
         return e.only(np.flatnonzero(in_view(self.given.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:

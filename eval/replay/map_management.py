@@ -2,7 +2,7 @@
 
 Landmarks unseen for a time are parked on request (`Parking`); a large map is parked automatically where that is faster
 and changes nothing (`AutomaticParking`). They return into a filter's state when they may be seen again or are paired. A
-bound on each one's uncertainty says when, so parked landmarks cost nothing meanwhile.
+bound on each one's uncertainty gives the time, so parked landmarks cost nothing meanwhile.
 """
 
 from __future__ import annotations
@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.candidates import Drift, may_be_in_view
+from association.candidates import UncertaintyBounds, may_be_in_view
 from association.decide import horizon
 from data.inputs import FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, Severity, notice
 from data.sensors import Sensor
-from ekf.epochs import LEAST, MOVED, PRODUCT, READING, STEP
+from ekf.epochs import LEAST, MOVED, PAIRING, PRODUCT, STEP
 from ekf.slam import EkfSlam
 from eval.replay.estimators import Capabilities, Estimator, needed
 from eval.replay.external.spec import is_foreign
@@ -35,17 +35,12 @@ class Leaving(NamedTuple):
 
 
 class MapManagement:
-    """When each landmark was seen, and the consequences: `begin` a frame, `see`, `leaving`.
-
-    Attributes:
-        removed: frame after which a landmark was no longer in the map.
-        retracted: landmarks that were removed as if never seen.
-    """
+    """When each landmark was seen, and the consequences: `begin` a frame, `see`, `leaving`."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
-        self.removed: dict[int, int] = {}
-        self.retracted: set[int] = set()
+        self.removed: dict[int, int] = {}  # frame after which a landmark was no longer in the map
+        self.retracted: set[int] = set()  # landmarks that were removed as if never seen
         self._frame, self._now = 0, 0.0
         # by landmark: frame of its first observation, number of observations, time of the last one, time since which
         # it is active (seen or restored last)
@@ -107,12 +102,7 @@ KEPT = 10  # frames; a landmark paired or restored within these stays (5 and 20 
 
 
 class Parking:
-    """Parks landmarks of an estimator and restores them.
-
-    Attributes:
-        largest: largest number of states so far.
-        restored: number of restorations.
-    """
+    """Parks landmarks of an estimator and restores them."""
 
     def __init__(
         self,
@@ -130,8 +120,8 @@ class Parking:
         self.parkable = needed(can.parkable, "`park`, `restore`, `parked_xy` and `parked`", "--deactivate-after")
         self.management, self.sensor, self.within = management, sensor, within
         self._slam = estimator if isinstance(estimator, EkfSlam) else None
-        self.largest, self.restored = 0, 0
-        self._drift = Drift()
+        self.largest, self.restored = 0, 0  # largest number of states so far, and number of restorations
+        self._drift = UncertaintyBounds()
 
     def move(self, increment: Increment) -> None:
         """The robot moved."""
@@ -237,7 +227,7 @@ class AutomaticParking:
         active = slam.active
         idle = active[self._last[active] < self._frame - KEPT]
         needed = 2 * (slam.size - 2 * len(idle))
-        self._excess += (STEP + READING * pairings) * max(used**2 - needed**2, 0)
+        self._excess += (STEP + PAIRING * pairings) * max(used**2 - needed**2, 0)
         parked = 2 * len(slam.parked)
         cost = PRODUCT * parked**2 * slam.carried + MOVED * (parked + 2 * len(idle)) * len(idle)
         if len(idle) and self._excess > cost:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
@@ -41,12 +40,7 @@ def _begun(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> I
 
 
 class Recorder:
-    """Decisions, innovations and estimates of every frame; frames that were not reached stay blank.
-
-    Attributes:
-        decisions: (M,) as they were made; unused pairings are `DISCARD`.
-        created: (M,) landmark that each observation initialized, -1 for none.
-    """
+    """Decisions, innovations and estimates of every frame; frames that were not reached stay blank."""
 
     def __init__(self, frames: int, observations: int, systematic: Systematic | None = None) -> None:
         """Blank, for numbers of frames and observations; `systematic`: errors that are estimated."""
@@ -59,6 +53,7 @@ class Recorder:
         p = 0 if systematic is None else len(systematic.names)
         self._systematic, self._errors, self._known = systematic, np.full((n, p), np.nan), False
         self._errors_sigma = self._errors.copy()
+        # as they were made, unused pairings discarded; landmarks that observations initialized
         self.decisions, self.created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
 
     def update(self, frame: Frame, decisions: IntArray, done: Updated) -> None:
@@ -117,7 +112,6 @@ class Recorder:
         )  # fmt: skip
 
     def _errors_online(self) -> Systematics | None:
-        """Systematic errors by frame, if any are estimated."""
         if self._systematic is None or not self._known:
             return None
         return Systematics(self._systematic.names, self._errors, self._errors_sigma)
@@ -128,8 +122,8 @@ class Recorder:
         return (float(self._moments[0]) / dof, float(self._moments[1]) / dof) if dof else CHI_SQUARE
 
 
-class Observer(Protocol):
-    """Observes a replay frame by frame and changes nothing."""
+class Observer:
+    """Observes a replay frame by frame and changes nothing; this one is the null observer."""
 
     def moved(self, front: FrontEnd) -> None:
         """A frame begins; its observations are not processed yet."""
@@ -141,28 +135,14 @@ class Observer(Protocol):
         """A frame is over; decisions and initialized landmarks (M,) are those of the whole log so far."""
 
 
-class Writing(Observer, Protocol):
+class Writing(Observer):
     """An observer with a result, which stays with the run as `Run.watched`."""
 
-    @property
-    def seconds(self) -> float:
-        """Time spent observing, not part of the estimator's."""
+    seconds = 0.0  # time spent observing, not part of the estimator's
 
     def left(self) -> object:
         """The result, after the last frame."""
-
-
-class NullObserver:
-    """Null observer."""
-
-    def moved(self, front: FrontEnd) -> None:
-        """Do nothing."""
-
-    def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
-        """Do nothing."""
-
-    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """Do nothing."""
+        raise NotImplementedError
 
 
 def no_run(

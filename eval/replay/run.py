@@ -33,12 +33,12 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
-from eval.replay.recorder import NullObserver, Observer, Recorder, Writing, no_run
+from eval.replay.recorder import Observer, Recorder, Writing, no_run
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, Given, Setup
 from graph.factors import UnderConstrained
 
 PLAIN = Setup()
-NULL_OBSERVER = NullObserver()
+NULL_OBSERVER = Observer()
 DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)
 """Errors of our estimators that cannot continue."""
 
@@ -189,7 +189,6 @@ def front_end(
 
 
 def _parts(frame: Frame, each: bool) -> list[Frame]:
-    """A frame's observations: together, or one by one."""
     count = len(frame.observations.z)
     if each:
         return [frame.part(slice(i, i + 1)) for i in range(count)]

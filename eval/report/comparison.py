@@ -6,26 +6,34 @@ Which is better on this log: paired differences between filters and smoothers.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import pandas as pd
 
+from eval.referee.consistency import CONSERVATIVE, OVERCONFIDENT
 from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
-from eval.report.page.tables import drop_blank_columns, interval, is_blank
+from eval.report.page.blocks import Table
+from eval.report.page.tables import drop_blank_columns, interval, is_blank, number
 from eval.report.rows import Row, Scored, rows_of, value_of
+from eval.report.words import paragraph
 
+NAMES = (*RUN, "status")
+ERRORS = (
+    "rmse_position_m", "rmse_aligned_m", "rmse_time_m", "rmse_heading_deg", "max_position_m", "rmse_landmark_m",
+    "rms_from_batch_m",
+)  # fmt: skip
 COMPARISON: dict[str, str] = {
-    **heads((*RUN, "status")),
-    **heads((
-        "rmse_position_m", "rmse_aligned_m", "rmse_time_m", "rmse_heading_deg", "max_position_m", "rmse_landmark_m",
-        "rms_from_batch_m", "nees_pose", "nis",
-    )),
-    "rmse_aligned_m": "aligned position RMSE [m]",
+    **heads((*NAMES, *ERRORS, "nees_pose", "nis")),
     "bounds": "95 % bounds of NIS",
     **heads(("innovation_lag1", "inside_3sigma", "accepted", "rejected", "matched", "unmatched")),
 }  # fmt: skip
 """Column of metrics.csv (or made here) and its head in the comparison table, in order."""
+
+SUMMARY = (
+    "rmse_position_m", "rmse_aligned_m", "rmse_heading_deg", "rms_from_batch_m", "nees_pose", "nis", "fp", "fn",
+)  # fmt: skip
+"""Columns of metrics.csv and association.csv in the report's own table of a log."""
 
 ASSOCIATION: Mapping[str, str] = {
     **heads(("log", "task", "association", "estimator", "phase")),
@@ -63,6 +71,8 @@ OUTLIERS: Mapping[str, str] = {
 }
 
 TableRow = dict[str, object]
+CLOSE = 0.1
+"""A mean that is closer to zero is a correlation, written with four decimals."""
 SAME = 0.05
 """Relative difference below which two columns say the same."""
 
@@ -124,6 +134,31 @@ def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned
     return _selected(made[[*shown, *also]], COMPARISON | heads(also))
 
 
+def summary_table(metrics: pd.DataFrame, association: pd.DataFrame) -> pd.DataFrame:
+    """The columns that matter most, with the wrong decisions of each run and phase."""
+    keys = list(RUN)
+    made = metrics.astype(object).merge(association.astype(object)[[*keys, "fp", "fn"]], how="left", on=keys)
+    shown = [*NAMES, *SUMMARY]
+    if (made["status"] == "ok").all():
+        shown.remove("status")
+    if not (made["task"] == "slam").any():
+        shown.remove("rmse_aligned_m")
+    if not all(is_blank(v) for v in made["rmse_position_m"].tolist()):
+        shown.remove("rms_from_batch_m")
+    return _selected(made[shown], heads(shown))
+
+
+def parts(table: Table) -> list[Table]:
+    """A comparison table as two that fit a page: errors, and consistency."""
+    names, errors = ([c for c in table.frame.columns if c in heads(of).values()] for of in (NAMES, ERRORS))
+    rest = [c for c in table.frame.columns if c not in (*names, *errors)]
+    return [
+        replace(table, frame=table.frame[[*names, *columns]], caption=caption)
+        for columns, caption in ((errors, table.caption), (rest, paragraph("comparison#consistency_of_one_log")))
+        if columns
+    ]
+
+
 def _same(values: pd.Series, others: pd.Series) -> bool:
     """Whether two columns say the same in every row."""
     pairs = zip(values.tolist(), others.tolist(), strict=True)
@@ -172,19 +207,38 @@ def consistency_table(consistency: pd.DataFrame) -> pd.DataFrame:
     return _selected(made, CONSISTENCY)
 
 
-def coverage_table(coverage: pd.DataFrame) -> pd.DataFrame:
-    """The coverage rows of consistency.csv, a row for each estimator and a column for each level."""
-    marks = {"overconfident": " (o)", "conservative": " (c)"}
+def _by_run(consistency: pd.DataFrame, cell: Callable[[TableRow], tuple[str, str]]) -> pd.DataFrame:
+    """A row for each estimator and phase, a column for each quantity; `cell`: head and text of one of its rows."""
+    marks = {OVERCONFIDENT: " (o)", CONSERVATIVE: " (c)"}
     names = ("task", "estimator", "association", "phase")
     rows: dict[tuple[str, ...], TableRow] = {}
-    for r in coverage.astype(object).to_dict("records"):
+    for r in rows_of(consistency.astype(object)):
         key = tuple(str(r[c]) for c in names)
-        row = rows.setdefault(key, dict(zip(names, key, strict=True)))
-        share, low, high = (math.nan if is_blank(r[c]) else 100.0 * float(r[c]) for c in ("mean", "lower", "upper"))
-        head = f"{str(r['quantity']).removeprefix('coverage_')} %"
-        row[head] = f"{share:.0f} [{low:.0f}, {high:.0f}]{marks.get(str(r['verdict']), '')}"
+        head, text = cell(r)
+        rows.setdefault(key, dict(zip(names, key, strict=True)))[head] = text + marks.get(str(r["verdict"]), "")
     made = pd.DataFrame(list(rows.values()), dtype=object)
     return made[[c for c in made.columns if c not in ("task", "association") or made[c].nunique() > 1]]
+
+
+def coverage_table(coverage: pd.DataFrame) -> pd.DataFrame:
+    """The coverage rows of consistency.csv, a row for each estimator and a column for each level."""
+
+    def cell(r: TableRow) -> tuple[str, str]:
+        share, low, high = (math.nan if is_blank(r[c]) else 100.0 * float(r[c]) for c in ("mean", "lower", "upper"))  # type: ignore[arg-type]
+        return f"{str(r['quantity']).removeprefix('coverage_')} %", f"{share:.0f} [{low:.0f}, {high:.0f}]"
+
+    return _by_run(coverage, cell)
+
+
+def verdicts_table(consistency: pd.DataFrame) -> pd.DataFrame:
+    """The means of consistency.csv, a row for each estimator and a column for each quantity with what is expected."""
+
+    def cell(r: TableRow) -> tuple[str, str]:
+        mean = value_of(r, "mean")
+        text = number(mean) if abs(mean) > CLOSE else f"{mean:.4f}"
+        return f"{r['quantity']} ({value_of(r, 'dof'):g})", text.replace("-", "−")
+
+    return _by_run(consistency, cell)
 
 
 def published_table(published: pd.DataFrame) -> pd.DataFrame:

@@ -7,8 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
+import pandas as pd
+
 from data.log import Log
 from data.notice import Notice
+from data.words import sentence, title
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.provenance import command_of, provenance
@@ -22,7 +25,6 @@ from eval.referee.score import Scores, Trial
 from eval.replay.settings import Setup
 from eval.report.answer import gate_sentence
 from eval.report.deciding import revision_section
-from eval.report.diagnostics import questions_section, said
 from eval.report.facts import write_facts
 from eval.report.labs.sections import hand_in, lab_sections
 from eval.report.labs.write_up import write_up
@@ -30,18 +32,20 @@ from eval.report.laser import laser_sections
 from eval.report.log_sections import association_sections, trial_sections
 from eval.report.overview import attribution_sections, introduction, overview
 from eval.report.overview_facts import LogFacts, conclusion, facts_of
-from eval.report.page.blocks import READING, Block, Folded, Picture, Report, Section
+from eval.report.page.blocks import READING, Block, Folded, Picture, Report, Section, Table
 from eval.report.publish import publish
 from eval.report.render import write_report
 from eval.report.run_files import write_truths
 from eval.report.studies import study_sections
 from eval.report.tutorials import tutorial_sections
 from eval.report.visual import visual_sections
-from eval.report.words import paragraph, say
+from eval.report.words import paragraph, questions, said, say, whose
 from eval.studies.montecarlo import Judged, consistency_table
 from eval.studies.reproduced import published_frame
 from eval.studies.trusted import trust_table
 
+FEW = 3
+"""Warnings in front of the folded ones."""
 TITLE = "Filter or smoother: which estimate can be trusted?"
 
 
@@ -74,17 +78,20 @@ def write_results(
     facts = [f for _, f in main]
     answers = hand_in(folder, options, trials, scores, lost)
     first = [*answers, *attribution_sections(main, outcome.trust)]
-    sections = questions_section(found)
+    sections = warnings_section(found)
     sections += _sections(folder, options, outcome, judged, scores, facts, published, answered=bool(answers))
     if trials or lost.said:
         sections.append(_failure_section(trials, lost.said))
-    sections += [Section(READING, (say("reading#basics"),)), _source_section(trials, options.setup)]
+    sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
     declared = _declared(judged)
     blocks: list[Block] = [introduction(facts)]
-    blocks += [overview(main, folder, drawn=not output.no_plots)] if main else []
+    if main:
+        blocks.append(overview(main, folder, drawn=not output.no_plots))
+        everything = overview(main, folder, drawn=False, whole=True)
+        sections.append(Section("Overview with every column", (everything,), page="overview"))
     if declared is not None:
         which = paragraph("settings#declared_off", d=declared)
-        blocks += [paragraph("settings#declared", d=declared), Folded("Which, and what that means", (which,))]
+        blocks += [paragraph("settings#declared", d=declared), Folded("Tests and exit status", (which,))]
     if output.write_up:
         write_up(folder, trials, scores, answers, sections)
     write_report(folder, Report(TITLE, command_of(options), tuple(blocks), tuple(sections), tuple(first)))
@@ -128,10 +135,20 @@ def _sections(
     sections += tutorial_sections(folder, output, trials, scores)
     sections += study_sections(folder, options, outcome, judged)
     if trials:
-        sections += association_sections(folder, output, trials, scores, published)
+        sections += association_sections(folder, output, trials, scores)
         sections += revision_section(folder, output, trials)
         sections += lab_sections(trials, scores, answered_above=answered)
     return sections
+
+
+def warnings_section(found: Sequence[Notice]) -> list[Section]:
+    """A section with all questions, a few of them in front; none where there is nothing to ask."""
+    asking = [(title(n), whose(n), sentence(n)) for n in questions(found)]
+    if not asking:
+        return []
+    shown, more = (say("questions#asked", asking=part) for part in (asking[:FEW], asking[FEW:]))
+    folded = (Folded(f"{len(asking) - FEW} more", (more,)),) if more else ()
+    return [Section("Warnings", (say("questions#about"), shown, *folded))]
 
 
 @dataclass(frozen=True)
@@ -164,10 +181,8 @@ def _failure_section(trials: Sequence[Trial], missing: Sequence[Notice]) -> Sect
         for r in t.runs
         if r.flaw is not None
     ]
-    blocks = [say("failures#stopped", runs=failed)]
-    blocks += (
-        [paragraph("failures#implausible")] if any(r.implausible is not None for t in trials for r in t.runs) else []
-    )
+    blocks: list[Block] = [paragraph("failures#count", runs=failed, of=sum(len(t.runs) for t in trials))]
+    blocks += [Folded("Which, and why", (say("failures#stopped", runs=failed),))] if failed else []
     blocks += [say("failures#missing", texts=[said(n) for n in missing])] if missing else []
     return Section("Failures", tuple(blocks), facts=failed)
 
@@ -220,7 +235,23 @@ def _source_section(trials: Sequence[Trial], setup: Setup) -> Section:
     tutorials = {t.log.name for t in trials if is_tutorial(t)}  # these gate nothing
     logs = {t.log.name: t.log for t in trials}.values()
     sources = [_source(log, setup, gated=log.has_labels and log.name not in tutorials) for log in logs]
-    return Section("Logs and settings", (say("settings#logs", them=sources),), facts=sources)
+    gates = dict.fromkeys(s.gate for s in sources if s.gate)
+    by_gate = {g: [s.name for s in sources if s.gate == g] for g in gates}
+    blocks = Table(pd.DataFrame([_row(s) for s in sources], dtype=object), say("settings#sizes"))
+    words = say("settings#logs", gates=by_gate, sensed=[s.name for s in sources if s.labels_are_sensed])
+    return Section("Logs and settings", (Folded("Sizes, sensors and gates", (blocks, words)),), facts=sources)
+
+
+def _row(s: LogSource) -> dict[str, object]:
+    return {
+        "log": s.name,
+        "kind": s.kind,
+        "frames": s.frames,
+        "with truth": s.known_poses,
+        "observations": s.observations,
+        "sensor": s.sensor,
+        "raised to the floor": s.floored,
+    }
 
 
 def _source(log: Log, setup: Setup, *, gated: bool) -> LogSource:

@@ -134,7 +134,7 @@ LATE = ("uncertain", "put off until the end", REASSOCIATED, UNREAD)
 """Reasons that only say that the log was over."""
 COLUMNS = (
     *("deciding for", "pairings undone", "made instead", "put off, then made", "landmarks merged", "retracted"),
-    "paired anew at the end",
+    "re-associated at the end",
 )
 
 
@@ -210,7 +210,7 @@ def revision_section(folder: Path, wanted: Drawn, trials: Sequence[Trial]) -> li
     if not rows:
         return []
     table = written_table(pd.DataFrame(rows), folder, "revisions", paragraph("deciding#revisions"), wanted)
-    return [Section("Decisions taken back", (table, *pictures), 3, facts=rows)]
+    return [Section("Revised decisions", (table, *pictures), facts=rows, page="revisions")]
 
 
 def _picture(folder: Path, trial: Trial, *, quick: bool) -> Picture | None:

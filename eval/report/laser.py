@@ -41,10 +41,10 @@ from eval.referee.laser import (
 )
 from eval.referee.result_files import LOOPS
 from eval.referee.score import Trial
-from eval.report.names import stem
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import Wanted, written_table
 from eval.report.page.tables import number
+from eval.report.rows import stem
 from eval.report.words import say
 
 FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205

@@ -1,4 +1,4 @@
-"""The report's sections on each log: filter and smoother compared, and the decisions made on it."""
+"""The report's sections on each log: filter and smoother compared, and the log's page in `details/`."""
 
 from __future__ import annotations
 
@@ -15,10 +15,15 @@ from eval.referee.diagnostics import ambiguity_of, minima, naming, unused
 from eval.referee.given_runs import is_truth_alone
 from eval.referee.score import Scores, Trial
 from eval.report.answer import AnswerFacts, answer, answer_facts
-from eval.report.comparison import association_table, comparison_table, differences_table, missing_intervals
-from eval.report.diagnostics import of_runs
+from eval.report.comparison import (
+    association_table,
+    comparison_table,
+    differences_table,
+    missing_intervals,
+    parts,
+    summary_table,
+)
 from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, against_relations
-from eval.report.names import SYSTEMATIC, stem, variants
 from eval.report.overview import gauge_statement, in_short
 from eval.report.overview_facts import LogFacts
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
@@ -26,23 +31,33 @@ from eval.report.page.files import written_table
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.publish import films_of
 from eval.report.results import aligned_statement, results_statement
-from eval.report.rows import rows_of
+from eval.report.rows import SYSTEMATIC, rows_of, stem, variants
 from eval.report.systematic import systematic_section
 from eval.report.trust import first_said, trust_section
 from eval.report.tutorials import beside_note
-from eval.report.words import fine_print, paragraph, say
+from eval.report.words import fine_print, of_runs, paragraph, say
 from eval.studies.trusted import Trust
 
 IN_FULL, WHY_MISSING = "Filter and smoother in full", "Why intervals are missing"
-BESIDE, NOTES = "Rows that stand beside, and why", "Notes on the log and its runs"
+VARIANTS, NOTES = "Additional variants", "Notes on the log and its runs"
 """What folded texts are called."""
+IN_FRONT = ("map", "error", "nees", "difference", "claims")
+"""Pictures of the report itself; the others are on the log's page."""
 ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC, GRID_PICTURE, LOOP_PICTURE)
-"""Pictures that stand in a section of their own."""
+"""Pictures of other sections."""
 
 
 def of_trial(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
     """Rows of one of the tables of `Scores` that belong to a trial."""
     return frame[(frame["log"] == trial.log.name) & (frame["task"] == trial.task)]
+
+
+def _rows(frame: pd.DataFrame, trials: Sequence[Trial]) -> pd.DataFrame:
+    return pd.concat([of_trial(frame, t) for t in trials])
+
+
+def _where(trial: Trial) -> str:
+    return f"{trial.log.name}, {trial.task}"
 
 
 def trial_sections(
@@ -55,43 +70,45 @@ def trial_sections(
     trust: Sequence[Trust] = (),
     calibrations: Sequence[Calibration] = (),
 ) -> list[Section]:
-    """A section per log and task, with what it says about itself; a tutorial's row stands in the table of its log.
+    """Of each log and task a section of the report and one of details; variants are rows in the tables of their log.
 
-    `facts` are of the trials that stand beside no other, in their order; `published` are the pictures of every trial.
+    `facts` are of the trials that are no variants, in their order; `published` are the pictures of every trial.
     """
-    sections, told = [], iter(facts)
+    sections, own = [], iter(facts)
     for trial, pictures in zip(trials, published, strict=True):
         if trial.variant_of is not None:
             continue
-        others = variants(trial, trials)
+        group = (trial, *variants(trial, trials))
         made = _answer_facts(trial, scores)
-        blocks: list[Block] = [_comparison(folder, output, trial, others, scores)]
-        blocks += _told(trial, next(told), made, scores, first_said(trial, trust))
-        beside_notes = tuple(beside_note(t, of_trial(scores.metrics, t)) for t in others)
-        blocks += [Folded(BESIDE, beside_notes)] if beside_notes else []
-        blocks += _differences(folder, output, trial, of_trial(scores.differences, trial))
-        blocks += [p for p in pictures if p.stem not in {stem(trial, kind) for kind in ELSEWHERE}]
-        if output.animate:
-            blocks += [film for t in (trial, *others) for film in films_of(folder, t)]
-        notes = [*trial.log.notes, *(f"{r.estimator}: {sentence(n)}." for r in trial.runs for n in r.notes)]
-        notes += of_runs([*minima(trial), *(n for run in trial.runs for n in ambiguity_of(run, trial.log.recorded))])
-        if notes:
-            blocks.append(Folded(NOTES, ("\n".join(f"* {n}" for n in dict.fromkeys(notes)),)))
-        sections.append(Section(f"{trial.log.name}, {trial.task}", tuple(blocks), facts=made))
+        kinds = {p: p.stem.removeprefix(f"{stem(trial)}-") for p in pictures}
+        wide = _comparison(folder, output, trial, group, scores)
+        blocks = _front(trial, next(own), made, scores, first_said(trial, trust))
+        blocks.append(_summary(trial, group, scores, wide))
+        blocks += [p for p, kind in kinds.items() if kind in IN_FRONT]
+        blocks += [film for t in group for film in films_of(folder, t)] if output.animate else []
+        blocks.append(paragraph("comparison#details", page=stem(trial)))
+        sections.append(Section(_where(trial), tuple(blocks), facts=made))
         sections += systematic_section(folder, output, trial, pictures, calibrations)
+        details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
+        details += [p for p, kind in kinds.items() if kind not in (*IN_FRONT, *ELSEWHERE)]
+        about = tuple(beside_note(t, of_trial(scores.metrics, t)) for t in group[1:])
+        details += [Folded(VARIANTS, about)] if about else []
+        notes = _notes(trial)
+        details += [Folded(NOTES, ("\n".join(f"* {n}" for n in notes),))] if notes else []
+        sections.append(Section(f"{_where(trial)}: details", tuple(details), page=stem(trial)))
         sections += trust_section(folder, output, trial, pictures, trust)
+        sections += _decisions(folder, output, group, scores, pictures)
     return sections
 
 
-def _comparison(folder: Path, output: Output, trial: Trial, others: Sequence[Trial], scores: Scores) -> Table:
-    """Every run of a trial and of those that stand beside it."""
-    rows = pd.concat([of_trial(scores.metrics, t) for t in (trial, *others)])
-    caption = paragraph("comparison#errors", where=_where(trial), aligned=aligned_statement(trial))
+def _comparison(folder: Path, output: Output, trial: Trial, group: Sequence[Trial], scores: Scores) -> Table:
+    """Every run of a trial and of its variants, with every column."""
+    rows = _rows(scores.metrics, group)
     return written_table(
         comparison_table(rows, aligned=True),
         folder,
         stem(trial, "comparison"),
-        caption,
+        paragraph("comparison#errors", where=_where(trial), aligned=aligned_statement(trial)),
         output,
         for_paper=comparison_table(rows, output.columns),
         fine=fine_print("Errors and consistency of one log"),
@@ -99,8 +116,11 @@ def _comparison(folder: Path, output: Output, trial: Trial, others: Sequence[Tri
     )
 
 
-def _where(trial: Trial) -> str:
-    return f"{trial.log.name}, {trial.task}"
+def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) -> Table:
+    """The same rows with the columns that matter most."""
+    frame = summary_table(*(_rows(t, group) for t in (scores.metrics, scores.association)))
+    caption = paragraph("comparison#summary", where=_where(trial), decided="FP" in frame)
+    return Table(frame, caption + aligned_statement(trial), fine=wide.fine, apart=wide.apart)
 
 
 def _answer_facts(trial: Trial, scores: Scores) -> AnswerFacts:
@@ -111,11 +131,11 @@ def _answer_facts(trial: Trial, scores: Scores) -> AnswerFacts:
     return answer_facts(metrics, decided, labelled, differences)
 
 
-def _told(trial: Trial, f: LogFacts, made: AnswerFacts, scores: Scores, trust: str) -> list[Block]:
-    """Filter and smoother on one log and task: at most three lines in front, in full below."""
+def _front(trial: Trial, f: LogFacts, made: AnswerFacts, scores: Scores, trust: str) -> list[Block]:
+    """Filter and smoother on one log and task: at most three lines in front, the rest folded."""
     theirs = results_statement(trial, rows_of(of_trial(scores.metrics, trial)))
-    said = "" if theirs and is_truth_alone(trial.log) else answer(made, trust)
-    text = " ".join(s for s in (against_relations(trial), said, theirs) if s)
+    whole = "" if theirs and is_truth_alone(trial.log) else answer(made, trust)
+    text = " ".join(s for s in (against_relations(trial), whole, theirs) if s)
     nothing = " ".join(of_runs(map(unused, trial.runs)))
     front = " ".join(s for s in (in_short(f), nothing or gauge_statement(f)) if s)
     return [front, Folded(IN_FULL, (text,))] if text else [front]
@@ -131,33 +151,39 @@ def _differences(folder: Path, output: Output, trial: Trial, rows: pd.DataFrame)
     return [table, Folded(WHY_MISSING, (say("comparison#missing", intervals=missing),))] if missing else [table]
 
 
-def association_sections(
-    folder: Path, output: Output, trials: Sequence[Trial], scores: Scores, published: Sequence[Sequence[Picture]]
+def _notes(trial: Trial) -> list[str]:
+    notes = [*trial.log.notes, *(f"{r.estimator}: {sentence(n)}." for r in trial.runs for n in r.notes)]
+    notes += of_runs([*minima(trial), *(n for run in trial.runs for n in ambiguity_of(run, trial.log.recorded))])
+    return list(dict.fromkeys(notes))
+
+
+def _decided(folder: Path, output: Output, rows: pd.DataFrame, name: str, where: str) -> Table:
+    caption, fine = paragraph("comparison#decisions", where=where), fine_print("Decisions")
+    return written_table(association_table(rows), folder, name, caption, output, fine=fine)
+
+
+def _decisions(
+    folder: Path, output: Output, group: Sequence[Trial], scores: Scores, pictures: Sequence[Picture]
 ) -> list[Section]:
-    """Decisions of every log where some were made without labels, and in one table the logs with labels alone."""
-    head = "Data association"
+    """Decisions on a log, where some were made without labels."""
+    trial, rows = group[0], _rows(scores.association, group)
+    if not (rows["association"] != "known").any():
+        return []
+    name = stem(trial, "association")
+    blocks: list[Block] = [_decided(folder, output, rows, name, _where(trial))]
+    named = of_runs(naming(run, scores, trial.log.name) for run in trial.runs)
+    blocks += ["\n".join(f"* {n}" for n in named)] if named else []
+    blocks += [p for p in pictures if p.stem == name]
+    return [Section(f"Decisions: {_where(trial)}", tuple(blocks), level=3, page=stem(trial))]
+
+
+def association_sections(folder: Path, output: Output, trials: Sequence[Trial], scores: Scores) -> list[Section]:
+    """In one table the decisions on logs with known association alone; a sentence where none can be scored."""
     if not len(scores.association):
-        return [Section(head, (paragraph("comparison#nothing_decided"),))]
-
-    def table(rows: pd.DataFrame, name: str, where: str) -> Table:
-        caption, fine = paragraph("comparison#decisions", where=where), fine_print("Decisions")
-        return written_table(association_table(rows), folder, name, caption, output, fine=fine)
-
-    sections, granted = [], []
-    for trial, pictures in zip(trials, published, strict=True):
-        if trial.variant_of is not None:
-            continue
-        rows = pd.concat([of_trial(scores.association, t) for t in (trial, *variants(trial, trials))])
-        if not (rows["association"] != "known").any():
-            granted.append(rows)
-            continue
-        name = stem(trial, "association")
-        named = of_runs(naming(run, scores, trial.log.name) for run in trial.runs)
-        notes = ["\n".join(f"* {n}" for n in named)] if named else []
-        shown = (p for p in pictures if p.stem == name)
-        block = table(rows, name, _where(trial))
-        sections.append(Section(f"Decisions: {_where(trial)}", (block, *notes, *shown), level=3))
-    first: tuple[Block, ...] = ()
-    if any(len(rows) for rows in granted):
-        first = (paragraph("comparison#granted"), table(pd.concat(granted), "association", ""))
-    return [Section(head, first), *sections]
+        return [Section("Data association", (paragraph("comparison#nothing_decided"),))]
+    each = [_rows(scores.association, (t, *variants(t, trials))) for t in trials if t.variant_of is None]
+    granted = [rows for rows in each if len(rows) and (rows["association"] == "known").all()]
+    if not granted:
+        return []
+    table = _decided(folder, output, pd.concat(granted), "association", "")
+    return [Section("Data association by labels", (paragraph("comparison#granted"), table), page="association")]

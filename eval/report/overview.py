@@ -17,22 +17,23 @@ from data.se2 import Array
 from eval.referee.attribution import NOTHING
 from eval.referee.consistency import CONSISTENT, OVERCONFIDENT
 from eval.referee.score import Trial
-from eval.report.names import stem
 from eval.report.overview_facts import LogFacts, Verdict, conclusion
 from eval.report.page.blocks import Block, Cell, Mark, Overview, OverviewRow, Section, Sketch, Value, folded
 from eval.report.page.tables import number
-from eval.report.rows import Scored
+from eval.report.rows import Scored, stem
 from eval.report.trust import HEADING, first_words, of_trial
 from eval.report.trust_facts import terms_of
 from eval.report.words import paragraph
 from eval.studies.trusted import Trust
 
-ATTRIBUTION = "Whose fault: logs without truth"
+ATTRIBUTION = "Diagnosis without ground truth"
 HEADS = (
-    *("log, task", "trust", "map", "filter [m]", "smoother [m]", "handed in [m]", "ratio", "filter's claims"),
+    *("log, task", "trust", "map", "filter [m]", "smoother [m]", "handed in [m]", "ratio", "filter's covariance"),
     *("best association", "worst", "failed runs"),
 )
 GIVEN = HEADS.index("handed in [m]")
+IN_DETAIL = (HEADS.index("worst"),)
+"""Columns of the details alone."""
 NOTHING_KNOWN = "–"
 NAMED = 2
 """Failed runs that are named."""
@@ -85,9 +86,12 @@ def attribution_sections(trials: Sequence[tuple[Trial, LogFacts]], said: Sequenc
     return [Section(ATTRIBUTION, tuple(blocks))] if blocks else []
 
 
-def overview(trials: Sequence[tuple[Trial, LogFacts]], folder: Path, *, drawn: bool = True) -> Overview:
-    """The table; small pictures are also written into `figures/` where pictures are wanted (`drawn`)."""
+def overview(
+    trials: Sequence[tuple[Trial, LogFacts]], folder: Path, *, drawn: bool = True, whole: bool = False
+) -> Overview:
+    """The table, of the `whole` with every column; `drawn`: small pictures are also written into `figures/`."""
     left_out = () if any(f.given for _, f in trials) else (GIVEN,)
+    left_out += () if whole else IN_DETAIL
     rows = []
     for trial, f in trials:
         cells: list[Cell] = [trust_mark(f), _sketch(trial, f, folder, drawn)]
@@ -198,9 +202,9 @@ def _path(trial: Trial, row: Scored | None, phase: str) -> Array | None:
 
 
 def drawn(lines: Sequence[tuple[Array, tuple[str, float]]]) -> str:
-    """Paths (N, 2) in metres from above, north up; the first one decides what is seen, up to half its size around."""
+    """Paths (N, 2) in metres from above, y up as in the map figure; the first one and half its size around is shown."""
     known = [xy[np.isfinite(xy).all(axis=1)] for xy, _ in lines]
-    opportunities = [look for xy, (_, look) in zip(known, lines, strict=True) if len(xy)]
+    styles = [style for xy, (_, style) in zip(known, lines, strict=True) if len(xy)]
     known = [xy for xy in known if len(xy)]
     if not known:
         return ""
@@ -208,14 +212,11 @@ def drawn(lines: Sequence[tuple[Array, tuple[str, float]]]) -> str:
     reach = 0.5 * max(float((high - low).max()), 1.0)
     near = np.vstack([xy[np.all((xy > low - reach) & (xy < high + reach), axis=1)] for xy in known])
     low, high = near.min(axis=0), near.max(axis=0)
-    if high[1] - low[1] > high[0] - low[0]:  # lying, as the picture is wide
-        known = [np.column_stack([xy[:, 1], -xy[:, 0]]) for xy in known]
-        low, high = np.array([low[1], -high[0]]), np.array([high[1], -low[0]])
     size = np.maximum(high - low, 1e-9)
     scale = float(min((WIDTH - 2.0 * EDGE) / size[0], (HEIGHT - 2.0 * EDGE) / size[1]))
     offset = 0.5 * (np.array([WIDTH, HEIGHT]) - scale * (high - low))
     parts = []
-    for xy, (colour, width) in zip(known, opportunities, strict=True):
+    for xy, (colour, width) in zip(known, styles, strict=True):
         kept = xy[np.unique(np.linspace(0, len(xy) - 1, POINTS).astype(int))]
         x, y = offset[0] + scale * (kept[:, 0] - low[0]), offset[1] + scale * (high[1] - kept[:, 1])
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x.tolist(), y.tolist(), strict=True))

@@ -20,9 +20,9 @@ from eval.figures.style import save
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, laser_kinds, laser_picture
-from eval.report.names import SYSTEMATIC, stem
 from eval.report.page.blocks import Picture
 from eval.report.results import aligned_statement
+from eval.report.rows import SYSTEMATIC, stem
 from eval.report.shown_runs import (
     finished,
     for_filter_smoother,

@@ -21,9 +21,9 @@ from eval.referee.given_runs import log_of
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
 from eval.report.laser import write_laser_files
-from eval.report.names import stem, variants
 from eval.report.page.blocks import Film, Picture
 from eval.report.pictures import draw, kinds
+from eval.report.rows import stem, variants
 from eval.report.run_files import write_run
 from eval.report.words import paragraph
 

@@ -9,7 +9,7 @@ import base64
 import re
 import struct
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -35,6 +35,7 @@ from eval.report.page.blocks import (
     anchor,
     cut,
     every_block,
+    pages,
     with_fine_print,
 )
 from eval.report.page.tables import is_numeric, markdown, markdown_escape, texts
@@ -56,9 +57,16 @@ Headed = tuple[Section, str]
 
 
 def write_report(folder: Path, report: Report) -> None:
-    """Write `report.md` and `report.html` into the result folder; its figures must be there already, as PNG."""
-    (folder / "report.md").write_text(report_markdown(report), encoding="utf-8", newline="\n")
-    (folder / "report.html").write_text(report_html(folder, report), encoding="utf-8", newline="\n")
+    """Write `report.md`, `report.html` and its pages in `details/`; the figures must be there already, as PNG."""
+    written = {"report.md": report_markdown(report)}
+    made = pages(report)
+    details = {page.title.removesuffix(": details"): place for place, page in made.items() if "/" in place}
+    for place, page in made.items():
+        up = "../" * place.count("/")
+        written[place] = report_html(folder, page, {} if up else details, up)
+    for place, text in written.items():
+        (folder / place).parent.mkdir(exist_ok=True)
+        (folder / place).write_text(text, encoding="utf-8", newline="\n")
 
 
 def report_markdown(report: Report) -> str:
@@ -68,11 +76,13 @@ def report_markdown(report: Report) -> str:
     return text.strip() + "\n"
 
 
-def report_html(folder: Path, report: Report) -> str:
-    """The report as one HTML page; figures are read from `folder/figures` (FileNotFoundError names a missing one)."""
+def report_html(folder: Path, report: Report, details: Mapping[str, str], up: str = "") -> str:
+    """One HTML page; figures are read from `folder/figures` (FileNotFoundError names a missing one).
+
+    details: addresses of further pages by title. up: the way from the page to the result folder.
+    """
     sections = with_fine_print(report)
     blocks = list(every_block([*report.introduction, *(b for s in (*report.first, *sections) for b in s.blocks)]))
-    overviews = (i for i, b in enumerate(report.introduction) if isinstance(b, Overview))
     used: Counter[str] = Counter()
     first, rest = _chapters(report.first, used), _chapters(sections, used)
     contents = [headed for chapter in (*first, *rest) for headed in chapter if headed[0].level == 2]
@@ -81,11 +91,12 @@ def report_html(folder: Path, report: Report) -> str:
         .get_template("page.html.j2")
         .render(
             report=report,
-            place=next(overviews, None),
+            up=up,
+            details=details,
+            skip=any(isinstance(b, Overview) for b in report.introduction),
             first=first,
             rest=rest,
             contents=contents if len(contents) >= LISTED else [],
-            read=anchor(READING) in used,
             reading=READING,
             numbers=Numbers(),
             images=images(folder, [b.stem for b in blocks if isinstance(b, Picture)]),

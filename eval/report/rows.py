@@ -1,4 +1,4 @@
-"""Rows of metrics.csv and association.csv, typed as far as the report speaks of them."""
+"""Rows of metrics.csv and association.csv, typed as far as the report uses them, and a trial's file names."""
 
 from __future__ import annotations
 
@@ -8,11 +8,27 @@ from dataclasses import dataclass
 
 import pandas as pd
 
+from data.log import folder_name
 from eval.referee.consistency import CONSERVATIVE, CONSISTENT, OVERCONFIDENT
+from eval.referee.score import Trial
 from eval.replay.settings import BATCH, ESTIMATORS, FILTERS, INCREMENTAL
 from eval.report.page.tables import is_blank
 
 Row = dict[str, object]
+SYSTEMATIC = "systematic"
+"""Picture and table of the systematic errors that were estimated along."""
+
+
+def stem(trial: Trial, what: str = "") -> str:
+    """Name of a trial's file, without suffix; without `what` that of its page in `details/`."""
+    return "-".join(filter(None, (folder_name(trial.log.name), trial.task, what)))
+
+
+def variants(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
+    """The variants of a trial: the same log with another setup or other knowledge."""
+    if trial.variant_of is not None:
+        return ()
+    return tuple(t for t in trials if t.variant_of == trial.log.name and t.task == trial.task)
 
 
 def value_of(row: Row, column: str) -> float:

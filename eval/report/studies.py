@@ -251,7 +251,7 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     drawn = _draw(plots, options, plain)
     for study, pictures in zip(plain, drawn, strict=True):
         own = [j for j in judged if j.scenario == study.scenario.name]
-        sections.append(_study(study, own, pictures, table))
+        sections += _study(study, own, pictures, table)
     for source in dict.fromkeys(s.scenario.source for s in outcome.studies if _of_rates(s)):
         group = [s for s in outcome.studies if s.scenario.source == source and _of_rates(s)]
         sections.append(_outliers(plots, group, table))
@@ -263,21 +263,31 @@ def _of_rates(study: Study) -> bool:
     return study.scenario.part
 
 
-def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], table: TableWriter) -> Section:
+def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], table: TableWriter) -> list[Section]:
+    """The means of a study with the average NEES over time, and its page in `details/`."""
     s, facts = study.scenario, facts_of(study)
+    heading, name = f"Scenario {s.name}", folder_name(s.name)
     blocks: list[Block] = [say("studies#about", s=facts), say("studies#declared", s=facts)]
     blocks += [f"Source: {s.cite}."] if s.cite else []
-    name = folder_name(s.name)
+    details: list[Block] = []
     tests = [j for j in judged if not j.quantity.startswith("coverage")]
     shares = [j for j in judged if j.quantity.startswith("coverage")]
     if tests:
-        made = comparison.consistency_table(consistency_table(tests))
-        blocks.append(table(made, f"{name}-consistency", f"Scenario {s.name}: verdicts."))
+        found = consistency_table(tests)
+        fine = fine_print(FINE_PRINT["-consistency"])
+        blocks.append(Table(comparison.verdicts_table(found), say("studies#means", name=s.name), fine=fine))
+        caption = f"{heading}: verdicts."
+        details.append(table(comparison.consistency_table(found), f"{name}-consistency", caption))
     if shares:
-        made = comparison.coverage_table(consistency_table(shares))
-        blocks.append(table(made, f"{name}-coverage", f"Scenario {s.name}: coverage of the last position's ellipses."))
-    blocks += [*pictures, say("studies#diverged", lost=facts.diverged)]
-    return Section(f"Scenario {s.name}", tuple(blocks), 3, facts)
+        caption = f"{heading}: coverage of the last position's ellipses."
+        details.append(table(comparison.coverage_table(consistency_table(shares)), f"{name}-coverage", caption))
+    over_time = [p for p in pictures if p.stem.endswith("-anees")]
+    details += [p for p in pictures if p not in over_time]
+    page = f"scenario-{name}"
+    blocks += [*over_time, say("studies#diverged", lost=facts.diverged)]
+    blocks += [say("studies#details", page=page)] if details else []
+    sections = [Section(heading, tuple(blocks), 3, facts)]
+    return [*sections, Section(f"{heading}: details", tuple(details), page=page)] if details else sections
 
 
 ENDS = {"ends": ("pose", figures.run_end_figure), "coverage": ("position", figures.coverage_figure)}

@@ -19,10 +19,10 @@ from eval.plan.calibrate import Calibration
 from eval.referee.score import Trial
 from eval.replay.external.spec import name_of
 from eval.replay.settings import BATCH
-from eval.report.names import SYSTEMATIC, stem
 from eval.report.page.blocks import Block, FinePrint, Picture, Section
 from eval.report.page.files import Wanted, written_table
 from eval.report.page.tables import number
+from eval.report.rows import SYSTEMATIC, stem
 from eval.report.trust_facts import TrustFacts, facts_of, terms_of
 from eval.report.words import plus_minus, say
 

@@ -13,11 +13,11 @@ from data.notice import Code
 from data.se2 import Array
 from eval.referee import battery
 from eval.referee.score import Trial
-from eval.report.names import stem
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import Wanted, written_table
 from eval.report.page.tables import drop_blank_columns, number
 from eval.report.pictures import FILTER_SMOOTHER
+from eval.report.rows import stem
 from eval.report.shown_runs import associations
 from eval.report.trust_facts import STANDS_OUT, Terms, facts_of, online, terms_of
 from eval.report.words import plus_minus, say
@@ -160,4 +160,4 @@ def trust_section(
         blocks += more
     blocks += [p for p in pictures if p.stem == stem(trial, FILTER_SMOOTHER)]
     heading = f"{HEADING}: {trial.log.name}, {trial.task}"
-    return [Section(heading, tuple(blocks), 3, tuple(facts))] if blocks else []
+    return [Section(heading, tuple(blocks), 3, tuple(facts), stem(trial))] if blocks else []

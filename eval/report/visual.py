@@ -24,10 +24,10 @@ from data.visual.observations import COMMAND_SIGMA, true_pictures
 from eval.figures.style import save
 from eval.figures.visual import Tile, contact_sheet, plan_figure
 from eval.referee.score import Trial
-from eval.report.names import stem
 from eval.report.page.blocks import Block, Formula, Picture, Section
 from eval.report.page.files import Drawn, Wanted, written_table
 from eval.report.page.tables import drop_blank_columns
+from eval.report.rows import stem
 from eval.report.shown_runs import for_map, left_out
 from eval.report.words import one_line, say, template_text
 
@@ -193,7 +193,8 @@ def visual_sections(
         own = [t for t in trials if t.log is log and not wanted.no_plots]
         blocks += [_plan(folder, wanted, t, None if in_lab else factor) for t in own]
         blocks += _detections(folder, wanted, log, log.evidence)
-        sections.append(Section(f"Pictures as landmarks: {name}", tuple(blocks), facts=facts))
+        page = "" if in_lab else f"{folder_name(name)}-pictures"
+        sections.append(Section(f"Pictures as landmarks: {name}", tuple(blocks), facts=facts, page=page))
     return sections
 
 

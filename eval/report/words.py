@@ -16,7 +16,8 @@ from typing import Any
 from jinja2 import Environment
 
 from data import words
-from data.words import number
+from data.notice import Code, Notice
+from data.words import number, sentence, title
 from eval.figures.paper import tex_escape
 from eval.report.page.blocks import FinePrint
 from eval.report.page.tables import interval
@@ -123,3 +124,45 @@ def paragraph(template: str, facts: object = None, **more: Any) -> str:
 def fine_print(title: str) -> FinePrint:
     """What captions leave to the section on reading: the macro of `reading.md.j2` that is called as the title is."""
     return FinePrint(title, paragraph(f"reading#{re.sub(r'[^a-z0-9]+', '_', title.lower())}"))
+
+
+QUESTIONS = (
+    *(Code.TRUTH_RATE, Code.LABELS, Code.LABEL_NAMES, Code.BEARING_UNIT, Code.TURN_RATE, Code.TURN_RATES),
+    *(Code.TIME_UNIT, Code.MAX_RANGE, Code.FIELD_OF_VIEW, Code.PRIOR, Code.TRUTH_FRAME, Code.UNUSED, Code.LANDMARKS),
+)
+"""Notices that are questions to the person: warnings about a log or a run."""
+
+
+def together(found: Iterable[Notice]) -> list[Notice]:
+    """Each notice once: estimators of one log, task and association that have it are named together."""
+    names: dict[Notice, list[str]] = {}
+    for notice in found:
+        names.setdefault(notice.about(estimator=""), []).append(notice.estimator)
+    return [notice.about(estimator=", ".join(dict.fromkeys(who))) for notice, who in names.items()]
+
+
+def questions(found: Iterable[Notice]) -> list[Notice]:
+    """The questions among them."""
+    return together(n for n in found if n.code in QUESTIONS)
+
+
+def whose(notice: Notice) -> str:
+    """The log, task and runs that it is about."""
+    place = ", ".join(part for part in (notice.log, notice.task, notice.association) if part)
+    return f"{place}: {notice.estimator}" if notice.estimator else place
+
+
+def said(notice: Notice) -> str:
+    """The runs that it is about, and the sentence."""
+    return ": ".join(filter(None, (whose(notice), sentence(notice))))
+
+
+def asked(question: Notice) -> str:
+    """A question as the terminal shows it."""
+    return f"question ({whose(question)}, {title(question)}): {sentence(question)}"
+
+
+def of_runs(found: Iterable[Notice | None]) -> list[str]:
+    """A sentence for each, with the runs of one log in front that it is about."""
+    each = [(n, f"{n.estimator} ({n.association}): " if n.estimator else "") for n in together(filter(None, found))]
+    return [f"{who}{sentence(n)}." for n, who in each]

@@ -1,7 +1,6 @@
-"""The figures of a frame's problem and its solutions, seen from the robot (x forward, y left).
+"""Figures of a frame's association problem and its solutions, seen from the robot (x forward, y left).
 
-Compatibility and matching with a panel for each method, as a walk shows them; and one frame looked at from near, as the
-report shows it: what could be paired, and what a method made of it.
+Compatibility and matching with a panel for each method, as in a walk; and an enlarged frame, as in the report.
 """
 
 from __future__ import annotations
@@ -44,14 +43,14 @@ from eval.stepping.plane import (
 )
 from eval.stepping.problem import Matching, TruthRow
 
-SHARE = 0.42  # of an inset in the side of its panel
-LEAST = 0.2  # m, half the side of what an inset shows at least
+SHARE = 0.42  # side of an inset over that of its panel
+LEAST = 0.2  # m, smallest half side of an inset
 
 
 def draw_decisions(
     ax: Axes, p: Plane, decisions: IntArray, truth: TruthRow | None, *, all_numbers: bool, size: float = 5.5
 ) -> None:
-    """Pairings as lines, shapes that say what was decided, colours whether it is right; wrong ones are numbered."""
+    """Pairings as lines; shapes show the decision, colours whether it is right; wrong ones are numbered."""
     wrong = np.zeros(len(decisions), bool) if truth is None else ~np.array(truth.correct, bool)
     pairs = [(i, p.column.get(n, -1)) for i, n in enumerate(decisions.tolist()) if n >= 0]
     pairs = [(i, j) for i, j in pairs if j >= 0]  # a labelled landmark need not be a candidate
@@ -71,14 +70,14 @@ def draw_decisions(
 
 
 def wrong_of(truth: TruthRow | None) -> IntArray:
-    """Readings decided wrongly."""
+    """Observations decided wrongly."""
     return np.empty(0, np.int64) if truth is None else np.flatnonzero(~np.array(truth.correct, bool))
 
 
 def scene_of_wrong(p: Plane, decisions: IntArray, truth: TruthRow | None) -> Array | None:
-    """What a look at one wrong decision must show, points (k, 2): reading, landmark taken, landmark that is right.
+    """Points (k, 2) of one wrong decision: observation, paired landmark, right landmark.
 
-    The wrong decision whose landmarks are nearest to each other is the one that needs it; None where none is wrong.
+    Chosen is the wrong decision with the smallest extent; None if none is wrong.
     """
     found: list[Array] = []
     for i in wrong_of(truth).tolist():
@@ -86,12 +85,12 @@ def scene_of_wrong(p: Plane, decisions: IntArray, truth: TruthRow | None) -> Arr
         columns = [p.column[n] for n in numbers if n in p.column]
         if columns:
             found.append(np.concatenate([p.xy[[i]], p.landmarks[columns]]))
-    # one landmark alone tells less than two that are confused
+    # two confused landmarks are more informative than one
     return min(found, key=lambda points: (-len(points), float(np.ptp(points, axis=0).max())), default=None)
 
 
 def inset_on_wrong(ax: Axes, p: Plane, decisions: IntArray, truth: TruthRow | None) -> Axes | None:
-    """Enlarge one wrong decision in the corner of the panel that has most room; None where nothing is wrong."""
+    """Enlarge one wrong decision in the emptiest corner of the panel; None if nothing is wrong."""
     scene = scene_of_wrong(p, decisions, truth)
     if scene is None:
         return None
@@ -115,7 +114,7 @@ def inset_on_wrong(ax: Axes, p: Plane, decisions: IntArray, truth: TruthRow | No
 
 
 def _corner(ax: Axes, p: Plane) -> tuple[float, float, float, float]:
-    """Place of an inset in a panel's own units: the corner with the fewest readings and named landmarks below it."""
+    """Place of an inset in a panel's units: the corner with the fewest observations and named landmarks."""
     points = ax.transData.transform(np.concatenate([p.xy, p.landmarks[p.named], np.zeros((1, 2))]))
     unit = ax.transAxes.inverted().transform(points)
     place = ax.get_window_extent()
@@ -131,12 +130,10 @@ def _corner(ax: Axes, p: Plane) -> tuple[float, float, float, float]:
 
 
 def _mark(marker: str, label: str, colour: str = GOOD, **look: Any) -> Line2D:
-    """A marker in a legend."""
     return Line2D([], [], marker=marker, color=colour, linestyle="none", label=label, **look)
 
 
 def _stroke(label: str, colour: str = GOOD, **look: Any) -> Line2D:
-    """A line in a legend."""
     return Line2D([], [], color=colour, label=label, **{"linewidth": 1.3, **look})
 
 
@@ -150,10 +147,10 @@ def _background_handles(gate: float | None) -> list[Line2D | Patch]:
 
 
 def evidence(name: str, m: Matching) -> list[tuple[int, int]]:
-    """Pairs (observation, candidate) on which a method builds.
+    """Pairs (observation, candidate) that a method starts from.
 
-    The right ones for `truth`, the decisions by label for `known`, the nearest of each observation for `nn`, the
-    likeliest for `ml`, pairs without rivals for `singles`, and for other methods all that are compatible.
+    The right ones for `truth`, decisions by label for `known`, the nearest of each observation for `nn`, the likeliest
+    for `ml`, pairs without rivals for `singles`, and all compatible ones for other methods.
     """
     e, p = m.expectation, plane_of(m)
     if name in ("truth", "known"):
@@ -181,7 +178,7 @@ EVIDENCE = {
 
 
 def paint_compatibility(fig: Figure, m: Matching) -> None:
-    """What can be paired: compatible pairs in grey, and in colour those on which each method builds."""
+    """Compatible pairs in grey, and in colour those that each method starts from."""
     p, names = plane_of(m), list(m.decisions)
     panels, place = make_panels(fig, names)
     rest = "all compatible pairs" if m.gate is not None else f"all pairs; drawn: inside {SHOWN_WITHOUT_GATE:g}"
@@ -205,7 +202,7 @@ def paint_compatibility(fig: Figure, m: Matching) -> None:
         _mark("o", "observation, 3σ ellipse", markersize=4.0),
         _mark("o", "observation without such a pair", markerfacecolor="white", markersize=4.0),
         *_background_handles(m.gate),
-        _stroke("pair on which the method builds"),
+        _stroke("pair that the method starts from"),
     ]
     if "truth" in names:
         handles.append(_stroke("true pair that is not compatible", BAD, linestyle=DASHES))
@@ -214,7 +211,7 @@ def paint_compatibility(fig: Figure, m: Matching) -> None:
 
 
 def paint_matching(fig: Figure, m: Matching) -> None:
-    """What each method decides on the same expectation: shapes say what, colours whether it is right."""
+    """Decisions of each method on the same expectation: shapes show the decision, colours whether it is right."""
     p, names = plane_of(m), list(m.decisions)
     panels, place = make_panels(fig, names)
     for at, (ax, name) in enumerate(zip(panels, names, strict=True)):
@@ -232,7 +229,7 @@ def paint_matching(fig: Figure, m: Matching) -> None:
             for spine in ax.spines.values():
                 spine.set(linewidth=1.8, edgecolor="black")
         robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
-    shapes = (("o", "paired"), ("*", "NEW"), ("x", "left out"))
+    shapes = (("o", "paired"), ("*", "NEW"), ("x", "discarded"))
     handles: list[Line2D | Patch] = [
         *(_mark(shape, f"observation: {what}") for shape, what in shapes),
         *_background_handles(m.gate),
@@ -249,7 +246,6 @@ def paint_matching(fig: Figure, m: Matching) -> None:
 
 
 def _tally(truth: TruthRow | None) -> str:
-    """Counts of the outcomes, nothing where they are not known."""
     return "" if truth is None else "  ".join(f"{name.upper()} {n}" for name, n in truth.counts.items())
 
 
@@ -257,24 +253,24 @@ def _counted(decisions: IntArray, truth: TruthRow | None) -> str:
     if truth is not None:
         return _tally(truth)
     paired, new = int((decisions >= 0).sum()), int((decisions == NEW).sum())
-    return f"{paired} paired, {new} new, {len(decisions) - paired - new} left out"
+    return f"{paired} paired, {new} new, {len(decisions) - paired - new} discarded"
 
 
-AROUND = 0.5  # m, half the side of what is shown at least: the corridor's points stand 0.25 m apart
-TALL, FLAT = 4.4, 3.3  # in. Heights of a figure with two panels, and with one per method
+AROUND = 0.5  # m, smallest half side of the section: the corridor's points are 0.25 m apart
+TALL, FLAT = 4.4, 3.3  # in; heights of a figure with two panels, and with one per method
 SIZE = 7.0  # pt, of the numbers
 DISTANCE: dict[str, Any] = {"fontsize": 5.5, "color": "#303030", "path_effects": HALO, "ha": "center", "va": "center"}
-"""How the d² of a pair is written."""
+"""Text style of the d² of a pair."""
 
 
 def closer_figure(m: Matching, method: str) -> Figure:
-    """Compatibility and matching of one method in a frame, zoomed on its wrong decision (or on its most crowded spot).
+    """Compatibility and matching of one method in a frame, enlarged at a wrong decision (or the most crowded spot).
 
-    Beside each compatible pair in view stands its squared Mahalanobis distance d².
+    Each compatible pair in view is labelled with its squared Mahalanobis distance d².
     """
     with drawing():
         p, decided = plane_of(m), m.decisions[method]
-        assert not isinstance(decided, str)  # the frame is one that this method updates with
+        assert not isinstance(decided, str)  # this method updates
         truth = m.truth.get(method)
         middle, half = _region(p, decided, scene_of_wrong(p, decided, truth))
         fig = Figure(figsize=(page_width(), TALL))
@@ -298,7 +294,7 @@ def closer_figure(m: Matching, method: str) -> Figure:
 
 
 def methods_figure(m: Matching, methods: Sequence[str]) -> Figure:
-    """What several methods make of one frame, side by side, zoomed on what the first of them gets wrong."""
+    """Decisions of several methods in one frame, side by side, enlarged at a wrong decision of the first method."""
     with drawing():
         p, first = plane_of(m), m.decisions[methods[0]]
         scene = None if isinstance(first, str) else scene_of_wrong(p, first, m.truth.get(methods[0]))
@@ -324,7 +320,7 @@ def methods_figure(m: Matching, methods: Sequence[str]) -> Figure:
 
 
 def _region(p: Plane, decisions: IntArray, scene: Array | None) -> tuple[Array, float]:
-    """Middle (2,) and half side [m] of what is shown: a wrong decision, or else the spot with most compatible pairs."""
+    """Centre (2,) and half side [m] of the section: a wrong decision, or else the spot with most compatible pairs."""
     if scene is None:
         crowded = int(p.near.sum(axis=1).argmax()) if p.near.size else 0
         scene = p.xy[[crowded]]
@@ -333,7 +329,7 @@ def _region(p: Plane, decisions: IntArray, scene: Array | None) -> tuple[Array, 
 
 
 def _scene(ax: Axes, p: Plane, middle: Array, half: float, wrong: IntArray | None) -> None:
-    """Landmarks with numbers and ellipses, readings (where decisions are not drawn), compatible pairs."""
+    """Landmarks with numbers and ellipses, observations (unless decisions are drawn), compatible pairs."""
     ax.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
     ax.set_aspect("equal")
     for axis in (ax.xaxis, ax.yaxis):
@@ -358,7 +354,7 @@ def _handles(m: Matching) -> list[Line2D | Patch]:
         _stroke("compatible pair", FAINT, linewidth=0.9),
         _stroke("pairing"),
         _mark("*", "NEW"),
-        _mark("x", "left out"),
+        _mark("x", "discarded"),
     ]
     if m.right is not None:
         handles.append(_stroke("wrong", BAD, marker="o", linestyle=DASHES))

@@ -1,6 +1,6 @@
-"""The figures of one step: ground truth, map and observations, as in the university lab; and where pictures go.
+"""Figures of one step: ground truth, map and observations, as in the university lab; and an image writer.
 
-Each function paints on a figure that is given, so that a window can be painted again and a file once.
+Each function paints on a given figure, so that a window can be repainted and a file painted once.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from eval.stepping.plane import BAD, FAINT, GOOD, LANDMARK, ONE, fit, mark_robot
 
 
 def field_of_view(sensor: Sensor) -> Array | None:
-    """Outline (c, 2) m of what the sensor sees, in the body frame; None if its range has no end."""
+    """Outline (c, 2) m of the field of view, in the body frame; None if its range is infinite."""
     if not np.isfinite(sensor.max_range):
         return None
     angle = np.linspace(sensor.min_angle, sensor.max_angle, 73)
@@ -46,14 +46,14 @@ def field_of_view(sensor: Sensor) -> Array | None:
 
 
 def _picture(fig: Figure) -> Axes:
-    """The one place of a figure with one picture; everything has its place, so that nothing moves between steps."""
+    """The axes of a figure with one picture, at a fixed place."""
     fig.set_layout_engine("none")
     fig.set_size_inches(*ONE)
     return fig.add_axes((0.09, 0.145, 0.89, 0.8))
 
 
 def _scene(log: Log) -> Array:
-    """Points that the pictures of the world always show, so that they stay in place from step to step."""
+    """Points always shown, so that pictures do not move from step to step."""
     known, truth = true_landmarks(log), log.truth.pose
     points = [np.atleast_2d(log.recorded.prior.mean[:2])]
     if known is not None and log.recorded.sensor.sees_points:
@@ -71,7 +71,7 @@ def _legend_below(fig: Figure, ax: Axes, columns: int = 4) -> None:
 
 
 def paint_ground_truth(fig: Figure, log: Log, frame: int, title: str) -> None:
-    """The world: true landmarks, path so far and pose, what the sensor sees from there, and what it saw."""
+    """The world: true landmarks, path so far and pose, field of view and observed landmarks."""
     ax = _picture(fig)
     known, truth, inputs = true_landmarks(log), log.truth.pose, log.recorded
     rows = slice(int(inputs.start[frame]), int(inputs.start[frame + 1]))
@@ -98,7 +98,6 @@ def paint_ground_truth(fig: Figure, log: Log, frame: int, title: str) -> None:
 
 
 def _seen(ax: Axes, log: Log, rows: slice, pose: Array, known: LandmarkMap | None) -> None:
-    """Mark the landmarks observed, and where observations of nothing in the map come from."""
     if log.truth.landmark_of is None:
         return
     sensor = log.recorded.sensor
@@ -120,7 +119,7 @@ def _seen(ax: Axes, log: Log, rows: slice, pose: Array, known: LandmarkMap | Non
 def paint_map(
     fig: Figure, log: Log, frame: int, estimator: str, path: Array, now: PoseEstimate, landmarks: MapState, title: str
 ) -> None:
-    """The estimate: path so far (k, 2), robot and numbered landmarks, each with its 3 sigma ellipse in true size."""
+    """The estimate: path so far (k, 2), robot and numbered landmarks, each with its 3 sigma ellipse."""
     ax = _picture(fig)
     style, known, truth = style_of(estimator), true_landmarks(log), log.truth.pose
     points = log.recorded.sensor.sees_points
@@ -169,7 +168,7 @@ def paint_observations(fig: Figure, sensor: Sensor, z: Array, R: Array, title: s
 
 
 DPI = 110
-WINDOWED = ("macosx", "qt", "tk", "gtk", "wx")  # how the names of matplotlib's backends begin that open windows
+WINDOWED = ("macosx", "qt", "tk", "gtk", "wx")  # prefixes of matplotlib's backends with windows
 SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 
 
@@ -187,10 +186,10 @@ def open_windows() -> Any:
 
 
 class ImageWriter:
-    """Where pictures go: windows, files, both, or nowhere."""
+    """Writes images to windows, files, both, or nowhere."""
 
     def __init__(self, folder: Path | None, windows: Any) -> None:
-        """Makes the folder; raises UsageError if that cannot be done."""
+        """Make the folder. Raises UsageError if that fails."""
         self.folder, self.windows = folder, windows
         if folder is not None:
             try:
@@ -200,15 +199,14 @@ class ImageWriter:
 
     @property
     def wanted(self) -> bool:
-        """Whether anybody sees a picture."""
+        """Whether images are wanted."""
         return self.folder is not None or self.windows is not None
 
     def show(self, name: str, paint: Callable[[Figure], object], stem: str | None) -> None:
-        """A picture in the window `name` and, with a stem, as a file; nothing is painted for nobody."""
+        """An image in the window `name` and, with a stem, as a file."""
         if self.windows is None and (self.folder is None or stem is None):
             return
-        # a layout engine would draw everything twice, and the painters know where things stand; saving a figure puts
-        # back the one that the settings name, so they must not name any until all is done
+        # a layout engine would draw everything twice; saving a figure restores the one in the settings, so none is set
         with drawing(), rc_context({"figure.constrained_layout.use": False}):
             figure = Figure() if self.windows is None else self.windows.figure(num=name, clear=True)
             paint(figure)
@@ -219,7 +217,7 @@ class ImageWriter:
                 self.windows.pause(0.01)
 
     def show_made(self, name: str, figure: Figure) -> None:
-        """The same for a figure that exists already, as the file `name`; a window gets an image of it."""
+        """A finished figure, as the file `name` and as an image in the window."""
         with drawing():
             png = _png(figure)
         self.show_image(name, png, name)
@@ -233,7 +231,7 @@ class ImageWriter:
         self.show(name, lambda fig: fig.add_axes((0, 0, 1, 1), frameon=False).imshow(image), None)
 
     def write(self, name: str, data: bytes) -> None:
-        """A whole file, or none."""
+        """Write a file atomically."""
         if self.folder is None:
             return
         try:

@@ -20,18 +20,17 @@ from data.se2 import Array, BoolArray
 from eval.figures.plane import ellipses
 from eval.stepping.problem import Matching
 
-ONE, MANY = (7.0, 5.6), (10.5, 6.8)  # in. Size of a figure with one picture, and with one per method
+ONE, MANY = (7.0, 5.6), (10.5, 6.8)  # in; size of a figure with one picture, and with one per method
 GOOD, BAD, DULL, FAINT = "#0064A8", "#D55E00", "#606060", "#B0B0B0"
-LANDMARK = "#6A3D9A"
-"""Of a landmark's number; a reading's is black, a wrong one's like its mark."""
+LANDMARK = "#6A3D9A"  # landmark numbers; those of observations are black, of wrong ones like their marks
 TITLES = {name: name.upper() for name in ("nn", "singles", "ml", "jcbb", "gnn")} | {
     "truth": "ground truth",
     "jcbb-first": "JCBB",
     "jcbb-hindsight": "hindsight",
     "known": "by labels",
 }
-"""The lab's JCBB is `jcbb-first`; where `jcbb` stands beside it the titles have the names as they are."""
-SHOWN_WITHOUT_GATE = 0.99  # without a gate every pair is compatible; only those inside this one are drawn
+"""The lab's JCBB is `jcbb-first`; next to `jcbb` the titles are the plain names."""
+SHOWN_WITHOUT_GATE = 0.99  # gate of drawn pairs, if there is none
 DASHES = (0, (3.0, 1.5))
 HALO = [withStroke(linewidth=1.5, foreground="white")]
 
@@ -48,11 +47,11 @@ def outlines(ax: Axes, xy: Array, covariance: Array, colour: str, order: float =
         )
 
 
-def mark_robot(ax: Axes, pose: Array, colour: str, label: str, order: float = 6.0) -> None:
-    """The robot as a triangle that points where it looks."""
+def mark_robot(ax: Axes, pose: Array, colour: str, label: str) -> None:
+    """The robot as a triangle in its heading."""
     marker = (3, 0, float(np.degrees(pose[2])) - 90.0)
     edge: dict[str, Any] = {"markeredgecolor": "white", "markeredgewidth": 0.5, "linestyle": "none"}
-    ax.plot(pose[0], pose[1], marker=marker, markersize=9, color=colour, label=label, zorder=order, **edge)
+    ax.plot(pose[0], pose[1], marker=marker, markersize=9, color=colour, label=label, zorder=6.0, **edge)
 
 
 def fit(ax: Axes, points: Array, margin: float = 0.06) -> None:
@@ -71,7 +70,7 @@ def fit(ax: Axes, points: Array, margin: float = 0.06) -> None:
 def write_numbers(
     ax: Axes, xy: Array, texts: Sequence[str], colour: str, size: float, offset: tuple[float, float] = (3.0, 2.5)
 ) -> None:
-    """Texts beside points, `offset` pt from them."""
+    """Texts at points, `offset` pt from them."""
     across, up = "left" if offset[0] >= 0 else "right", "baseline" if offset[1] >= 0 else "top"
     look: dict[str, Any] = {"fontsize": size, "color": colour, "ha": across, "va": up, "path_effects": HALO}
     place: dict[str, Any] = {"xytext": offset, "textcoords": "offset points", "annotation_clip": True}
@@ -84,19 +83,16 @@ def robot_axes(ax: Axes, left: bool = True, bottom: bool = True) -> None:
     ax.set(xlabel="x forward [m]" if bottom else "", ylabel="y left [m]" if left else "")
 
 
-def called(name: str, beside: Sequence[str] = ()) -> str:
-    """The title of a panel that shows a method; its own name where another of those beside has the same title."""
+def called(name: str, others: Sequence[str] = ()) -> str:
+    """The title of a method's panel; its name where another panel has the same title."""
     title = TITLES.get(name, name)
-    same = [n for n in (*beside, name) if TITLES.get(n, n) == title]
+    same = [n for n in (*others, name) if TITLES.get(n, n) == title]
     return name if len(set(same)) > 1 else title
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """A problem laid out in the robot frame; `compatible` pairs (m, n) pass the gate, `near` ones are drawn in grey.
-
-    number: (n,) of the landmarks; column: of a number, its place among them; named: (n,) those whose number is written.
-    """
+    """A problem laid out in the robot frame; `compatible` pairs (m, n) pass the gate, `near` ones are drawn in grey."""
 
     xy: Array
     P: Array
@@ -105,13 +101,13 @@ class Plane:
     compatible: BoolArray
     near: BoolArray
     shown: Array
-    number: IntArray
-    named: BoolArray
-    column: dict[int, int]
+    number: IntArray  # (n,) of the landmarks
+    named: BoolArray  # (n,) those whose number is written
+    column: dict[int, int]  # of a number, its place among them
 
 
 def plane_of(m: Matching) -> Plane:
-    """Where everything stands, which pairs are compatible, and what part of the plane is shown."""
+    """Places, compatible pairs, and the part of the plane that is shown."""
     e = m.expectation
     xy, P = m.sensor.body_points(e.z, e.R)
     landmarks, Pl = m.sensor.body_points(e.z_hat, e.HPHt)
@@ -119,7 +115,7 @@ def plane_of(m: Matching) -> Plane:
     compatible: BoolArray = d2 < gate_threshold(m.gate)
     near: BoolArray = d2 < gate_threshold(SHOWN_WITHOUT_GATE if m.gate is None else m.gate)
     involved = near.any(axis=0) if m.right is None else near.any(axis=0) | np.isin(e.number, m.right)
-    # a landmark that is far off would make everything else small
+    # far landmarks would make everything else small
     scene = np.concatenate([xy, np.zeros((1, 2))])
     low, high = scene.min(axis=0), scene.max(axis=0)
     reach = max(float((high - low).max()), 1.0)
@@ -130,7 +126,7 @@ def plane_of(m: Matching) -> Plane:
 
 
 def make_panels(fig: Figure, names: Sequence[str]) -> tuple[list[Axes], tuple[float, float] | None]:
-    """One panel per name, at most six, and the place left for a legend if there is one."""
+    """One panel per name, at most six, and the place for a legend, if any."""
     fig.set_layout_engine("none")
     fig.set_size_inches(*MANY)
     full = len(names) == 6
@@ -141,7 +137,7 @@ def make_panels(fig: Figure, names: Sequence[str]) -> tuple[list[Axes], tuple[fl
 
 
 def legend(fig: Figure, place: tuple[float, float] | None, handles: Sequence[Line2D | Patch]) -> None:
-    """The legend where a panel is free, or else below all."""
+    """The legend in a free panel, or else below all."""
     if place is not None:
         fig.legend(handles=handles, loc="lower left", bbox_to_anchor=place, fontsize=8.0, labelspacing=0.8)
     else:
@@ -149,7 +145,7 @@ def legend(fig: Figure, place: tuple[float, float] | None, handles: Sequence[Lin
 
 
 def background(ax: Axes, p: Plane) -> None:
-    """Predicted landmarks and readings with their ellipses, compatible pairs in grey, and the robot."""
+    """Expected landmarks and observations with their ellipses, compatible pairs in grey, and the robot."""
     outlines(ax, p.landmarks, p.Pl, DULL, 1.5, 0.08)
     ax.plot(*p.landmarks.T, "+", color=DULL, markersize=4.5, markeredgewidth=0.7, zorder=3)
     outlines(ax, p.xy, p.P, GOOD, 2.0, 0.08)
@@ -159,16 +155,16 @@ def background(ax: Axes, p: Plane) -> None:
 
 
 def lines(ax: Axes, p: Plane, pairs: Sequence[tuple[int, int]], **look: Any) -> None:
-    """Lines from readings to landmarks, pairs of (reading, row of the landmark)."""
+    """Lines from observations to landmarks, pairs of (observation, row of the landmark)."""
     if pairs:
         ax.add_collection(
             LineCollection([np.stack([p.xy[i], p.landmarks[j]]) for i, j in pairs], **look), autolim=False
         )
 
 
-def name_landmarks(ax: Axes, p: Plane, size: float = 5.0) -> None:
-    """Numbers of the landmarks that somebody may be paired with, below left of them; readings have theirs above."""
+def name_landmarks(ax: Axes, p: Plane) -> None:
+    """Numbers of possible landmarks, below left of them; observations have theirs above."""
     low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
     x, y = p.landmarks.T
     inside = p.named & (x >= low[0]) & (x <= low[1]) & (y >= high[0]) & (y <= high[1])
-    write_numbers(ax, p.landmarks[inside], [str(n) for n in p.number[inside]], LANDMARK, size, (-2.5, -2.5))
+    write_numbers(ax, p.landmarks[inside], [str(n) for n in p.number[inside]], LANDMARK, 5.0, (-2.5, -2.5))

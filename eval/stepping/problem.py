@@ -1,4 +1,4 @@
-"""The problem of one frame as every method gets it: what each makes of the same expectation, and what is right."""
+"""The association problem of one frame: the decisions of each method on the same expectation, and the truth."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from data.sensors import Sensor
 from data.truth import CLUTTER, UNKNOWN_ID
 from eval.referee.confusion import OUTCOMES, Confusion, confuse
 from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.recorder import Observer
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 
@@ -25,13 +26,10 @@ RIGHT = ("tp", "tn")
 
 
 class TruthRow(NamedTuple):
-    """What the referee says of one frame's m observations.
+    """The referee's judgement of one frame's m observations."""
 
-    ground_truth: (m,) number of the right landmark, negative for none; outcome: (m,) index into `OUTCOMES`.
-    """
-
-    ground_truth: IntArray
-    outcome: IntArray
+    ground_truth: IntArray  # (m,) number of the right landmark, negative for none
+    outcome: IntArray  # (m,) index into `OUTCOMES`
 
     @property
     def correct(self) -> list[bool]:
@@ -56,23 +54,20 @@ def row_of(confusion: Confusion | None, rows: slice) -> TruthRow | None:
 
 
 class FrameSoFar(NamedTuple):
-    """A frame that is decided about: its rows of the log, and decisions and initialized landmarks (M,) so far.
-
-    removed: as in `Run`.
-    """
+    """A frame that is decided about: its rows of the log, and decisions and initialized landmarks (M,) so far."""
 
     log: Log
     task: str
     rows: slice
     decisions: IntArray
     created: IntArray
-    removed: IntArray | None
+    removed: IntArray | None  # as in `Run`
 
     def judged(self, decided: IntArray | None = None) -> TruthRow | None:
-        """What the referee says of its observations as soon as they are decided about; None without true ids.
+        """The referee's judgement of its observations; None without true ids.
 
-        `decided` (m,): other decisions about them. What is right now depends on the observations that initialized the
-        landmarks, and on no other, so only those and its own go to the referee.
+        `decided` (m,): other decisions about them. It depends only on these observations and on those that initialized
+        landmarks, so only these go to the referee.
         """
         true_id = self.log.truth.landmark_of
         if true_id is None or np.any(true_id == UNKNOWN_ID):
@@ -90,30 +85,20 @@ class FrameSoFar(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """A frame's problem and its solutions.
+    """A frame's problem and its solutions."""
 
-    Attributes:
-        title: of the figure.
-        expectation: what every method was given; sensor: which makes points of its measurements.
-        gate: probability of the individual test, None for none.
-        decisions: (m,) by method, in the order of the panels; a text says why a method has none.
-        chosen: the method that updates.
-        truth: by method, what the referee says; empty without true ids.
-        right: (m,) number of the right landmark, negative for none; None without true ids.
-    """
-
-    title: str
-    expectation: Expectation
+    title: str  # of the figure
+    expectation: Expectation  # given to every method
     sensor: Sensor
-    gate: float | None
-    decisions: Mapping[str, IntArray | str]
-    chosen: str
-    truth: Mapping[str, TruthRow]
-    right: IntArray | None
+    gate: float | None  # probability of the individual test, None for none
+    decisions: Mapping[str, IntArray | str]  # (m,) by method, in the order of the panels; a text is the reason for none
+    chosen: str  # the method that updates
+    truth: Mapping[str, TruthRow]  # judgements of the referee by method; empty without true ids
+    right: IntArray | None  # (m,) number of the right landmark, negative for none; None without true ids
 
 
 def removed_so_far(front: FrontEnd, created: IntArray) -> IntArray | None:
-    """Frames after which landmarks left the map; None where none ever does."""
+    """Frames after which landmarks left the map; None where all stay."""
     managed = front.map_management
     return None if managed is None else managed.removal_frames(int(created.max(initial=-1)) + 1)
 
@@ -121,7 +106,7 @@ def removed_so_far(front: FrontEnd, created: IntArray) -> IntArray | None:
 def pose_problem(
     front: FrontEnd, e: Expectation, f: FrameSoFar, title: str, methods: Sequence[str] = COMPARED
 ) -> Matching:
-    """What `methods`, and the one that updates, make of an expectation; `f.decisions` holds what that one decided."""
+    """Decisions of `methods`, and of the one that updates, on an expectation; the latter's are in `f.decisions`."""
     made: dict[str, IntArray | str] = {}
     judged, right, true_id = {}, None, f.log.truth.landmark_of
     this = f.judged()
@@ -142,8 +127,8 @@ def pose_problem(
     return Matching(title, e, f.log.recorded.sensor, front.setup.gate, made, front.association, judged, right)
 
 
-class _Onlooker:
-    """Looks on while a log is replayed, and keeps the problem of the frames asked for."""
+class _Collector(Observer):
+    """Observer that keeps the problems of some frames."""
 
     def __init__(self, log: Log, task: str, frames: Sequence[int], title: str, methods: Sequence[str]) -> None:
         self.log, self.task, self.frames, self.title, self.methods = log, task, set(frames), title, methods
@@ -151,11 +136,8 @@ class _Onlooker:
         self.decisions, self.created = np.full(m, DISCARD, np.int64), np.full(m, -1, np.int64)
         self.found: dict[int, Matching] = {}
 
-    def moved(self, front: FrontEnd) -> None:
-        """Nothing to keep yet."""
-
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
-        """Keep the problem, if this is one of the frames."""
+        """Keep the problem of the frame, if wanted."""
         rows = slice(frame.first, frame.first + len(pairing.decisions))
         self.decisions[rows] = pairing.decisions
         if frame.number in self.frames and pairing.expectation is not None and len(pairing.expectation.number):
@@ -166,7 +148,7 @@ class _Onlooker:
             self.found[frame.number] = pose_problem(front, pairing.expectation, so_far, title, self.methods)
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
-        """Keep what was decided."""
+        """Keep the decisions."""
         self.decisions, self.created = decisions.copy(), created.copy()
 
 
@@ -180,12 +162,12 @@ def problems_of(
     methods: Sequence[str] = COMPARED,
     title: str = "frame {frame}",
 ) -> dict[int, Matching]:
-    """The problems of some frames of a run with this estimator and way of association, which is replayed for it.
+    """The problems of some frames of a run, which is replayed for this.
 
-    Frames without a map to match with, or without an expectation (`known`), are left out.
+    Frames without a map, or without an expectation (`known`), are left out.
     """
     inputs = log.inputs(labels=association == "known")
-    seen = _Onlooker(log, task, frames, title, methods)
+    seen = _Collector(log, task, frames, title, methods)
     inputs = inputs.without_map() if task == "slam" else inputs
     step_by_step(estimator, inputs, task, association, setup, finish=False, observer=seen)
     return seen.found

@@ -1,4 +1,4 @@
-"""A walk through a log: looks on while it is replayed, prints, paints, and waits for Enter at every stage."""
+"""A walk through a log: an observer that prints, paints, and waits for Enter at every stage."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from data.terminal import counted
 from eval.figures import error_figure
 from eval.figures.style import style_of
 from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.recorder import Observer
 from eval.stepping.matching import paint_compatibility, paint_matching
 from eval.stepping.pictures import ImageWriter, paint_ground_truth, paint_map, paint_observations
 from eval.stepping.problem import FrameSoFar, pose_problem, removed_so_far
@@ -32,16 +33,16 @@ from eval.stepping.text import (
 
 
 class StoppedError(Exception):
-    """The person wants no more."""
+    """The user stopped the walk."""
 
 
-class Walk:
-    """Looks on while a log is replayed: prints, paints and waits for Enter (see `eval.replay.recorder.Observer`)."""
+class Walk(Observer):
+    """Observer of a replay that prints, paints and waits for Enter."""
 
     def __init__(
         self, log: Log, task: str, estimator: str, images: ImageWriter, *, pausing: bool, block: Block = step_block
     ) -> None:
-        """Before the first frame; `block` makes the text of a step."""
+        """`block` makes the text of a step."""
         self.block = block
         self.camera: Iterator[bytes] = iter(())  # an image for each frame, of a log made from images
         self.log, self.task, self.estimator, self.images, self.pausing = log, task, estimator, images, pausing
@@ -53,7 +54,7 @@ class Walk:
         self.printed = False
 
     def pause(self, stage: str) -> None:
-        """Wait for Enter, if anybody is there."""
+        """Wait for Enter, if interactive."""
         if not self.pausing:
             return
         try:
@@ -67,17 +68,17 @@ class Walk:
             self.pausing = False
 
     def say(self, stage: str, text: str) -> None:
-        """A line about a stage, for those who wait at it."""
+        """Print a line about a stage, if interactive."""
         if self.pausing:
             print(f"step {self.k}, {stage}: {text}", flush=True)
 
     @property
     def title(self) -> str:
-        """Names the step in every figure."""
+        """Title of every figure of the step."""
         return f"{self.log.name}, step {self.k}"
 
     def show(self, what: str, paint: Callable[[Figure], object]) -> None:
-        """A picture of this step."""
+        """Show a figure of this step."""
         self.images.show(what, paint, f"step-{self.k:0{self.digits}d}-{what}")
 
     def moved(self, front: FrontEnd) -> None:
@@ -119,12 +120,10 @@ class Walk:
             self.pause("matching")
 
     def _frame(self, front: FrontEnd) -> FrameSoFar:
-        """The frame that is decided about, with all that was decided before."""
         removed = removed_so_far(front, self.created)
         return FrameSoFar(self.log, self.task, self.rows, self.decisions, self.created, removed)
 
     def _print_step(self, front: FrontEnd) -> None:
-        """The text of the step; new landmarks get the next numbers."""
         if self.printed:
             return
         self.printed = True
@@ -145,12 +144,12 @@ class Walk:
             d = decisions[self.rows]
             used, new = int((d >= 0).sum()), int((created[self.rows] >= 0).sum())
             removed = {} if front.map_management is None else front.map_management.removed
-            gone = sorted(n for n, k in removed.items() if k == self.k)
-            self.say("update", updated_text(used, new, len(d) - used - new, gone, front.estimator.estimate()))
+            leaving = sorted(n for n, k in removed.items() if k == self.k)
+            self.say("update", updated_text(used, new, len(d) - used - new, leaving, front.estimator.estimate()))
             self.pause("update")
 
     def _map(self, front: FrontEnd, what: str) -> None:
-        """The map as predicted or updated: two files, and one window where one replaces the other."""
+        """The map as predicted or updated: two files, one window."""
         if not self.images.wanted:
             return
         now, landmarks = front.estimator.estimate(), front.landmarks()

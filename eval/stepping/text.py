@@ -1,6 +1,6 @@
-"""The text of a step, as in the university lab on data association: decisions above the truth, and what they score.
+"""The text of a step, as in the university lab on data association: decisions above the truth, and counts.
 
-Pure functions of decisions and of what the referee said about them; nothing is scored here. The words: `steps.j2`.
+Pure functions of decisions and of the referee's results. The words: `steps.j2`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from eval.referee.metrics import metric
 from eval.referee.score import confusion_of, metrics_row
 from eval.stepping.problem import TruthRow, row_of
 
-WIDTH = 100  # columns of the terminal that a line never goes beyond
+WIDTH = 100  # columns of the terminal
 NONE = "-"
 ERRORS = ("rmse_position_m", "max_position_m", "rmse_heading_deg", "rmse_landmark_m")
 STATISTICS = ("frames", "observations", "landmarks", *ERRORS, "nees_pose", "inside_3sigma", "nis")
@@ -33,16 +33,12 @@ STATISTICS = ("frames", "observations", "landmarks", *ERRORS, "nees_pose", "insi
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """A frame's m observations once they are decided about.
-
-    truth: what the referee says, None without true ids; decisions: (m,) landmark number, `NEW` or `DISCARD`; created:
-    (m,) number of the landmark an observation initialized, -1 for none.
-    """
+    """A frame's m observations once they are decided about."""
 
     frame: int
-    truth: TruthRow | None
-    decisions: IntArray
-    created: IntArray
+    truth: TruthRow | None  # of the referee, None without true ids
+    decisions: IntArray  # (m,) landmark number, `NEW` or `DISCARD`
+    created: IntArray  # (m,) number of the landmark an observation initialized, -1 for none
 
 
 def _say(macro: str, **facts: Any) -> str:
@@ -51,14 +47,13 @@ def _say(macro: str, **facts: Any) -> str:
 
 
 def _wrapped(text: str) -> str:
-    """The same, lines broken that the terminal has no room for."""
     return "\n".join(fill(line, WIDTH, subsequent_indent="  ") for line in text.split("\n"))
 
 
 def step_block(s: Step) -> str:
-    """The lines of one step: truth, hypothesis, which of them are correct, new landmarks, agreement, counts.
+    """The lines of one step: truth, hypothesis, which decisions are correct, new landmarks, agreement, counts.
 
-    Decisions are shown as number, NEW or `-`. Without true ids ground truth, correct and counts are left out.
+    Decisions are a number, NEW or `-`. Without true ids ground truth, correct and counts are left out.
     """
     words = {NEW: "NEW", DISCARD: NONE}
     rows = [("observation", [str(i) for i in range(len(s.decisions))])]
@@ -73,17 +68,16 @@ def step_block(s: Step) -> str:
 
 
 def lab_block(s: Step) -> str:
-    """The lines of one step as the lab's program prints them, so that an output can be laid beside it.
+    """The lines of one step as the lab's program prints them, for comparison.
 
-    Steps, and landmarks in the order in which they were initialized, count from 1; 0 stands for none. The first step
-    has nothing to pair with, and the program says nothing of it, nor of what is new. A landmark keeps its number when
-    others leave the map (the program numbers the rest anew).
+    Steps and landmarks, in order of initialization, count from 1; 0 is none. The first step and new landmarks are left
+    out, as in that program. A landmark keeps its number when others leave the map (the program renumbers the rest).
     """
     return _say("lab", s=s) if s.frame else ""
 
 
 def _table(rows: Sequence[tuple[str, Sequence[str]]]) -> str:
-    """Rows one below the other, in as few and as equal parts as the width of the terminal asks for."""
+    """Rows in as few equal parts as the width of the terminal allows."""
     label = max(len(name) for name, _ in rows)
     m = len(rows[0][1])
     cell = 1 + max((len(c) for _, cells in rows for c in cells), default=0)
@@ -101,7 +95,7 @@ def _table(rows: Sequence[tuple[str, Sequence[str]]]) -> str:
     return "\n".join(lines)
 
 
-Block = Callable[[Step], str]  # text of a step, as `step_block` makes one; empty where nothing is said
+Block = Callable[[Step], str]  # text of a step, as of `step_block`; may be empty
 
 
 def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_block) -> str:
@@ -111,7 +105,7 @@ def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_bloc
     """
     inputs, confusion = log.recorded, confusion_of(run, log, phase)
     decisions = run.decisions if phase == "online" else run.final_decisions
-    # in the end a landmark that was retracted has never been
+    # in the end a retracted landmark never existed
     created = run.created if phase == "online" else run.initialized
     frames = np.flatnonzero(np.diff(inputs.start))
     if run.failure is not None:
@@ -124,7 +118,7 @@ def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_bloc
 
 
 def closing(log: Log, run: Run, phase: str = "online") -> str:
-    """What is said after the last step: the totals of a run, and where it stopped if it did."""
+    """The totals of a run, and where it stopped if it did."""
     c = confusion_of(run, log, phase)
     counts = None if c is None else {name: int(getattr(c, name)) for name in OUTCOMES}
     steps = int(np.count_nonzero(np.diff(log.recorded.start)))
@@ -132,7 +126,7 @@ def closing(log: Log, run: Run, phase: str = "online") -> str:
 
 
 def statistics(log: Log, run: Run) -> str:
-    """The numbers of a run, a column per phase; what cannot be known is left out."""
+    """The numbers of a run, a column per phase; unknown ones are left out."""
     rows = {phase: metrics_row(run, phase, log, None) for phase in run.phases}
     lines = []
     for m in map(metric, STATISTICS):
@@ -148,12 +142,12 @@ def _number(value: object, form: str) -> str:
 
 
 def moved_text(odometry: Array, pose: PoseEstimate) -> str:
-    """The stated motion (3,) and the predicted pose, with the 3 sigma that its covariance claims."""
+    """The stated motion (3,) and the predicted pose with 3 sigma."""
     return _say("moved", odometry=odometry.tolist(), mean=pose.mean.tolist(), sigmas=_sigmas(pose))
 
 
 def updated_text(used: int, new: int, left: int, removed: Sequence[int], pose: PoseEstimate) -> str:
-    """What became of the observations, the pose after that, and which landmarks left the map."""
+    """Uses of the observations, the pose after them, and landmarks that left the map."""
     mean, sigmas = pose.mean.tolist(), _sigmas(pose)
     return _say("updated", used=used, new=new, left=left, removed=removed, mean=mean, sigmas=sigmas)
 
@@ -163,7 +157,7 @@ def _sigmas(pose: PoseEstimate) -> list[float]:
 
 
 def compatibility_text(e: Expectation, gate: float | None) -> str:
-    """How many pairs are individually compatible, and how ambiguous the observations are."""
+    """Number of individually compatible pairs, and of ambiguous observations."""
     each = (e.individual_distances() < gate_threshold(gate)).sum(axis=1)
     none, one, several = (int(mask.sum()) for mask in (each == 0, each == 1, each > 1))
     pairs, landmarks = int(each.sum()), len(e.number)

@@ -1,1 +1,1 @@
-"""Scenarios: Monte Carlo runs, their store, published numbers beside ours."""
+"""Monte Carlo studies: scenarios, stored runs, comparison with published numbers."""

@@ -1,21 +1,19 @@
-"""Deliberately broken filters, for the question which of them a log's own data convict: EKFs, each wrong in one way.
+"""Deliberately broken EKFs, to test whether a log's own data detect them.
 
-The log is right, and labels are granted. At the size that is no fault each is the sound filter, bit for bit. What is
-only misstated runs in the compiled loop; a wrong step is put in by overriding it in the step-by-step filter.
+The log is right, and labels are granted. At the size without fault each is the sound filter, bit for bit. Misstated
+noise runs in the compiled loop; a wrong step overrides the step-by-step filter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-
-import numpy as np
+from typing import Any
 
 from data.errors import UsageError
 from data.inputs import FrameObservations, Increment, Increments, Inputs, IntArray
 from data.motion.velocity import carried
 from data.result import Run, Trajectory, Updated
-from data.se2 import Array
 from ekf.filter import Filter
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
@@ -25,37 +23,29 @@ from eval.replay.run import PLAIN, driven, filter_known
 
 @dataclass(frozen=True)
 class Broken:
-    """A broken filter and how it is spoken of.
+    """A broken filter."""
 
-    Attributes:
-        run: (inputs with labels, task, size) -> what it makes of them; in SLAM a map that the inputs have is withheld.
-        sizes: three, from small to large.
-        none: the size that is no fault.
-        called: what is wrong with it.
-        tasks: in which it exists.
-    """
-
-    run: Callable[[Inputs, str, float], Run]
-    sizes: tuple[float, float, float]
-    none: float
-    called: str
-    tasks: tuple[str, ...] = ("localization", "slam")
+    run: Callable[[Inputs, str, float], Run]  # (inputs with labels, task, size) -> run
+    sizes: tuple[float, float, float]  # three, from small to large
+    none: float  # the size without fault
+    called: str  # its fault in words
+    tasks: tuple[str, ...] = ("localization", "slam")  # in which it exists
 
 
 def motion_noise(inputs: Inputs, task: str, size: float) -> Run:
-    """It is told `size` times the covariance of each increment."""
+    """EKF with its process noise scaled by `size`."""
     given, u = for_task(inputs, task), inputs.increments
     return filter_known(replace(given, increments=Increments(u.mean, size * u.covariance)), task)
 
 
 def reading_noise(inputs: Inputs, task: str, size: float) -> Run:
-    """It is told `size` times the covariance of each observation."""
+    """EKF with its measurement noise scaled by `size`."""
     given, o = for_task(inputs, task), inputs.observations
     return filter_known(replace(given, observations=replace(o, R=size * o.R)), task)
 
 
 def reported(inputs: Inputs, task: str, size: float) -> Run:
-    """It reports `size` times its covariance, of poses and map; inside it is sound, innovations included."""
+    """EKF that reports its covariances of poses and map scaled by `size`."""
     run = filter_known(for_task(inputs, task), task)
     assert run.online is not None  # a filter's path is online
     online = Trajectory(run.online.pose, size * run.online.covariance)
@@ -64,7 +54,7 @@ def reported(inputs: Inputs, task: str, size: float) -> Run:
 
 
 def cross_covariance(inputs: Inputs, task: str, size: float) -> Run:
-    """SLAM: a new landmark's cross-covariance with all that was there before loses the share `size`."""
+    """SLAM: a new landmark's cross-covariances lose the share `size`."""
     if task != "slam":
         raise UsageError("cross-covariances of new landmarks are lost in slam only")
     given = for_task(inputs, task)
@@ -72,7 +62,7 @@ def cross_covariance(inputs: Inputs, task: str, size: float) -> Run:
 
 
 def heading_jacobian(inputs: Inputs, task: str, size: float) -> Run:
-    """The prediction's Jacobian lacks the share `size` of what a turned heading does to the way."""
+    """The prediction's Jacobian with respect to the heading lacks the share `size`."""
     given = for_task(inputs, task)
     if given.map is None:
         return stepped(given, task, TurnlessSlam(size, given))
@@ -80,17 +70,17 @@ def heading_jacobian(inputs: Inputs, task: str, size: float) -> Run:
 
 
 BROKEN: Mapping[str, Broken] = {
-    "motion-noise": Broken(motion_noise, (0.5, 0.25, 0.1), 1.0, "believes the odometry more than it is told to"),
-    "reading-noise": Broken(reading_noise, (0.5, 0.25, 0.1), 1.0, "believes readings more than it is told to"),
-    "reported": Broken(reported, (0.8, 0.5, 0.25), 1.0, "reports less than its covariance"),
+    "motion-noise": Broken(motion_noise, (0.5, 0.25, 0.1), 1.0, "assumes too little odometry noise"),
+    "reading-noise": Broken(reading_noise, (0.5, 0.25, 0.1), 1.0, "assumes too little measurement noise"),
+    "reported": Broken(reported, (0.8, 0.5, 0.25), 1.0, "reports too small a covariance"),
     "cross-covariance": Broken(
-        cross_covariance, (0.3, 0.6, 1.0), 0.0, "forgets that a new landmark depends on the pose", ("slam",)
+        cross_covariance, (0.3, 0.6, 1.0), 0.0, "loses cross-covariances of new landmarks", ("slam",)
     ),
     "heading-jacobian": Broken(
-        heading_jacobian, (0.3, 0.6, 1.0), 0.0, "predicts as if the heading did not turn the way"
+        heading_jacobian, (0.3, 0.6, 1.0), 0.0, "omits the heading in the Jacobian of the motion"
     ),
 }
-"""Broken filters by name. Sizes of the first three are factors of a covariance, of the others shares that are lost."""
+"""Broken filters by name. Sizes of the first three are factors of a covariance, of the others lost shares."""
 
 
 class Forgetful(EkfSlam):
@@ -100,18 +90,10 @@ class Forgetful(EkfSlam):
         super().__init__(given.prior, given.sensor)
         self._share = share
 
-    def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = np.inf,
-        at: Array | None = None,
-        innovations: bool = True,
-    ) -> Updated:
-        """As usual, then the blocks beside those of the new landmarks shrink: (1 - s) P + s diag(P) is a covariance."""
+    def update(self, observations: FrameObservations, decisions: IntArray, **options: Any) -> Updated:
+        """Update, then shrink the blocks beside those of the new landmarks: (1 - s) P + s diag(P) is a covariance."""
         begin = self.size
-        done = super().update(observations, decisions, threshold=threshold, at=at, innovations=innovations)
+        done = super().update(observations, decisions, **options)
         for new in range(begin, self.size, 2):
             self._P[new : new + 2, :new] *= 1.0 - self._share
             self._P[:new, new : new + 2] *= 1.0 - self._share
@@ -121,14 +103,14 @@ class Forgetful(EkfSlam):
 class _Turnless(Filter):
     """Predicts with F whose heading column lacks a share.
 
-    F = I + f e' with e the unit vector of the heading, and e'f = 0. So I + (1 - s) f e' = F (I - s f e'): first the
-    covariance is sheared back by s, then it is predicted as usual.
+    F = I + f e' with e the unit vector of the heading, and e'f = 0. So I + (1 - s) f e' = F (I - s f e'): the
+    covariance is sheared back by s, then predicted as usual.
     """
 
     share = 0.0
 
     def predict(self, increment: Increment) -> None:
-        """Shear back, then as usual."""
+        """Shear back, then predict."""
         _, _, F, _ = carried(self._mean[2], increment.mean)
         P = self._P[: self._used, : self._used]
         for r in range(2):
@@ -139,16 +121,16 @@ class _Turnless(Filter):
 
 
 class TurnlessLocalizer(_Turnless, EkfLocalizer):
-    """Localization without a share of the heading's column."""
+    """Localization with a reduced heading column."""
 
     def __init__(self, share: float, given: Inputs) -> None:
-        assert given.map is not None  # or it would be SLAM
+        assert given.map is not None  # localization
         EkfLocalizer.__init__(self, given.prior, given.sensor, given.map)
         self.share = share
 
 
 class TurnlessSlam(_Turnless, EkfSlam):
-    """SLAM without a share of the heading's column."""
+    """SLAM with a reduced heading column."""
 
     def __init__(self, share: float, given: Inputs) -> None:
         EkfSlam.__init__(self, given.prior, given.sensor)
@@ -156,13 +138,13 @@ class TurnlessSlam(_Turnless, EkfSlam):
 
 
 def for_task(inputs: Inputs, task: str) -> Inputs:
-    """In SLAM the map is withheld."""
+    """The inputs, in SLAM without the map."""
     return inputs.without_map() if task == "slam" else inputs
 
 
 def stepped(inputs: Inputs, task: str, estimator: EkfLocalizer | EkfSlam) -> Run:
-    """A filter of one's own through a whole log, step by step, by labels."""
+    """Run a filter through a whole log, step by step, by labels."""
     front = FrontEnd("ekf", "known", inputs, PLAIN)
     front.use(estimator)
-    front.parking = None  # which would park what the other one holds
+    front.parking = None  # it would park landmarks of the other estimator
     return driven("ekf", front, inputs, task)

@@ -1,8 +1,7 @@
-"""Faults to put into a simulated log, for the question which of them a log's own data show: what sensors say is wrong.
+"""Faults injected into a simulated log, to test whether its own data reveal them.
 
-What is stated stays as it was: covariances, sensor, map and prior; so do the truth and the frames. Each fault is a pure
-function of the log, a size and a generator, and keeps the noise that the log has, so that the same log with another
-size of fault differs by the fault alone.
+Stated covariances, sensor, map and prior do not change, nor do truth and frames. Each fault is a pure function of log,
+size and generator, and keeps the noise of the log, so that logs with different sizes differ by the fault alone.
 """
 
 from __future__ import annotations
@@ -21,74 +20,65 @@ from data.sensors import RELATIVE_POINT
 from eval.studies.scenario import with_wrong_labels
 
 NOISE, ASSOCIATIONS = "noise", "associations"
-NEAREST = 1e-3  # m. No fault makes a range shorter than this: none is measured below it (as in the corridor)
+NEAREST = 1e-3  # m; no fault makes a range shorter than this (as in the corridor)
 
 
 @dataclass(frozen=True)
 class Fault:
-    """A fault and how it is spoken of.
+    """A fault of a log."""
 
-    Attributes:
-        put_in: (log, size, generator) -> the log with it.
-        sizes: three, from small to large.
-        none: the size that is no fault.
-        unit: of the size, empty for a share or a factor.
-        called: what a person would call it.
-        cause: what it must be attributed to, the `NOISE` model (systematic errors included) or the `ASSOCIATIONS`.
-    """
-
-    put_in: Callable[[Log, float, np.random.Generator], Log]
-    sizes: tuple[float, float, float]
-    none: float
-    unit: str
-    called: str
-    cause: str
+    put_in: Callable[[Log, float, np.random.Generator], Log]  # (log, size, generator) -> the log with it
+    sizes: tuple[float, float, float]  # three, from small to large
+    none: float  # the size without fault
+    unit: str  # of the size, empty for a share or a factor
+    called: str  # the fault in words
+    cause: str  # expected attribution, the `NOISE` model (systematic errors included) or the `ASSOCIATIONS`
 
 
 def curvature(log: Log, size: float, rng: np.random.Generator) -> Log:
-    """The odometry turns by `size` [rad/m] of the way it says it went: wheels of unequal radius."""
+    """The odometry has a constant curvature error of `size` [rad/m]: wheels of unequal radius."""
     mean = log.recorded.increments.mean.copy()
     mean[:, 2] = wrap_angle(mean[:, 2] + size * np.hypot(mean[:, 0], mean[:, 1]))
-    return _said_by_odometry(log, mean)
+    return _with_odometry(log, mean)
 
 
 def distance_scale(log: Log, size: float, rng: np.random.Generator) -> Log:
-    """The odometry says that the way was longer by the share `size`: worn wheels."""
+    """The odometry overestimates distances by the share `size`: worn wheels."""
     mean = log.recorded.increments.mean.copy()
     mean[:, :2] *= 1.0 + size
-    return _said_by_odometry(log, mean)
+    return _with_odometry(log, mean)
 
 
 def odometry_noise(log: Log, size: float, rng: np.random.Generator) -> Log:
-    """The odometry errs `size` times as much: the error of each increment, body frame, is multiplied."""
+    """The error of each increment is multiplied by `size`, body frame."""
     mean, truth = log.recorded.increments.mean.copy(), _true_poses(log)
     error = pose_error(mean[1:], between(truth[:-1], truth[1:]))
     mean[1:] += (size - 1.0) * error
     mean[:, 2] = wrap_angle(mean[:, 2])
-    return _said_by_odometry(log, mean)
+    return _with_odometry(log, mean)
 
 
 def range_scale(log: Log, size: float, rng: np.random.Generator) -> Log:
-    """The sensor says that everything is farther away by the share `size`."""
+    """The sensor overestimates distances by the share `size`."""
     z = log.recorded.observations.z.copy()
     z[:, : 1 if log.recorded.sensor.kind != RELATIVE_POINT else 2] *= 1.0 + size
-    return _said_by_sensor(log, z)
+    return _with_observations(log, z)
 
 
 def bearing_bias(log: Log, size: float, rng: np.random.Generator) -> Log:
-    """The sensor is turned by `size` [rad] on its mount: what it says is turned as much."""
+    """The sensor is rotated by `size` [rad] on its mount."""
     z = log.recorded.observations.z.copy()
     if log.recorded.sensor.kind != RELATIVE_POINT:
         z[:, 1] = wrap_angle(z[:, 1] + size)
     else:
         z = z @ rotation(size).T
-    return _said_by_sensor(log, z)
+    return _with_observations(log, z)
 
 
 def latency(log: Log, size: float, rng: np.random.Generator) -> Log:
-    """What the sensor says of landmarks is of where the robot was `size` [s] earlier; each reading keeps its noise.
+    """Observations are of the pose `size` [s] earlier; each keeps its noise.
 
-    Between frames, and before the first, the robot keeps its velocity; a log without stamps has a frame each second.
+    Between frames and before the first, the robot keeps its velocity; a log without stamps has a frame each second.
     """
     r, truth = log.recorded, _true_poses(log)
     rows, landmarks = _seen(log)
@@ -98,7 +88,7 @@ def latency(log: Log, size: float, rng: np.random.Generator) -> Log:
     z[rows] += r.sensor.residual(late, exact)
     if r.sensor.kind != RELATIVE_POINT:
         z[:, 1] = wrap_angle(z[:, 1])
-    return _said_by_sensor(log, z)
+    return _with_observations(log, z)
 
 
 def wrong_labels(log: Log, size: float, rng: np.random.Generator) -> Log:
@@ -107,10 +97,10 @@ def wrong_labels(log: Log, size: float, rng: np.random.Generator) -> Log:
 
 
 def heavy_tails(log: Log, size: float, rng: np.random.Generator) -> Log:
-    """Readings of landmarks have noise of a Student t distribution of `size` dof and the stated covariance.
+    """Observations have noise of a Student t distribution of `size` dof and the stated covariance.
 
-    Bivariate: a reading is bad as a whole. That is a Gaussian vector over the root of an independent chi-square (Kotz
-    and Nadarajah, "Multivariate t Distributions and Their Applications", 2004), so each reading's own noise is
+    Bivariate, so an observation is bad as a whole: a Gaussian vector over the root of an independent chi-square (Kotz
+    and Nadarajah, "Multivariate t Distributions and Their Applications", 2004). So each observation's own noise is
     multiplied. Infinitely many dof are the Gaussian. Raises ValueError for 2 or fewer, which have no covariance.
     """
     if not size > 2.0:
@@ -124,29 +114,30 @@ def heavy_tails(log: Log, size: float, rng: np.random.Generator) -> Log:
     z[rows] += (factor - 1.0)[:, None] * noise
     if r.sensor.kind != RELATIVE_POINT:
         z[:, 1] = wrap_angle(z[:, 1])
-    return _said_by_sensor(log, z)
+    return _with_observations(log, z)
 
 
 FAULTS: Mapping[str, Fault] = {
-    "curvature": Fault(curvature, (0.005, 0.01, 0.02), 0.0, "rad/m", "the odometry pulls to one side", NOISE),
-    "distance-scale": Fault(distance_scale, (0.01, 0.02, 0.05), 0.0, "", "the odometry counts too much way", NOISE),
+    "curvature": Fault(
+        curvature, (0.005, 0.01, 0.02), 0.0, "rad/m", "the odometry has a constant curvature error", NOISE
+    ),
+    "distance-scale": Fault(distance_scale, (0.01, 0.02, 0.05), 0.0, "", "the odometry overestimates distances", NOISE),
     "odometry-noise": Fault(odometry_noise, (0.5, 1.5, 2.0), 1.0, "", "the odometry's noise is misstated", NOISE),
-    "range-scale": Fault(range_scale, (0.01, 0.02, 0.05), 0.0, "", "ranges are too long", NOISE),
-    "bearing-bias": Fault(bearing_bias, (0.0025, 0.005, 0.01), 0.0, "rad", "the sensor is mounted askew", NOISE),
-    "latency": Fault(latency, (0.05, 0.1, 0.2), 0.0, "s", "readings are stamped too late", NOISE),
-    "wrong-labels": Fault(wrong_labels, (0.005, 0.02, 0.05), 0.0, "", "readings are of other landmarks", ASSOCIATIONS),
-    "heavy-tails": Fault(heavy_tails, (5.0, 3.0, 2.5), math.inf, "dof", "some readings are far off", NOISE),
+    "range-scale": Fault(range_scale, (0.01, 0.02, 0.05), 0.0, "", "the sensor overestimates distances", NOISE),
+    "bearing-bias": Fault(bearing_bias, (0.0025, 0.005, 0.01), 0.0, "rad", "the sensor is rotated on its mount", NOISE),
+    "latency": Fault(latency, (0.05, 0.1, 0.2), 0.0, "s", "observations are stamped too late", NOISE),
+    "wrong-labels": Fault(wrong_labels, (0.005, 0.02, 0.05), 0.0, "", "labels name other landmarks", ASSOCIATIONS),
+    "heavy-tails": Fault(heavy_tails, (5.0, 3.0, 2.5), math.inf, "dof", "observations have heavy tails", NOISE),
 }
 """Faults by name.
 
-Sizes of the systematic ones lie around 2, 4 and 10 standard deviations of the efficient estimate
-(`graph.qr.score_test`) in SLAM of the default arena, measured at seed 0: 2.9, 5.8, 11.6 of curvature, 2.0, 3.9, 9.8
-of either scale, 2.9, 5.8, 11.6 of the bearing, 2.2, 4.4, 8.9 of latency.
-"""
+Sizes of systematic ones are around 2, 4 and 10 standard deviations of the efficient estimate (`graph.qr.score_test`) in
+SLAM of the default arena, seed 0: 2.9, 5.8, 11.6 of curvature, 2.0, 3.9, 9.8 of either scale, 2.9, 5.8, 11.6 of the
+bearing, 2.2, 4.4, 8.9 of latency."""
 
 
 def _true_poses(log: Log) -> Array:
-    """True poses (N, 3); raises UsageError where one is missing."""
+    """True poses (N, 3). Raises UsageError if one is missing."""
     if log.truth.known_poses < len(log.recorded) or log.truth.pose is None:
         raise UsageError(f"{log.name}: this fault needs the true pose of every frame")
     return log.truth.pose
@@ -162,21 +153,21 @@ def _at(truth: Array, time: Array, at: Array) -> Array:
 
 
 def _seen(log: Log) -> tuple[IntArray, Array]:
-    """Rows (m,) of the observations that are of a landmark, and its true position (m, 2); clutter is of none."""
+    """Rows (m,) of the observations of landmarks, and their true positions (m, 2); clutter is excluded."""
     if log.truth.landmark_of is None or log.truth.landmarks is None:
         raise UsageError(f"{log.name}: this fault needs the true landmark of every observation")
     rows = np.flatnonzero(log.truth.landmark_of >= 0)
     return rows, log.truth.landmarks.positions(log.truth.landmark_of[rows])
 
 
-def _said_by_odometry(log: Log, mean: Array) -> Log:
+def _with_odometry(log: Log, mean: Array) -> Log:
     """The log with increments of this mean (N, 3), their covariances as stated."""
     r = log.recorded
     return replace(log, recorded=replace(r, increments=Increments(mean, r.increments.covariance)))
 
 
-def _said_by_sensor(log: Log, z: Array) -> Log:
-    """The log with observations z (M, 2), their covariances as stated; no range falls below `NEAREST`."""
+def _with_observations(log: Log, z: Array) -> Log:
+    """The log with observations z (M, 2), their covariances as stated; ranges are at least `NEAREST`."""
     r = log.recorded
     if r.sensor.kind != RELATIVE_POINT:
         z[:, 0] = np.maximum(z[:, 0], np.minimum(r.observations.z[:, 0], NEAREST))

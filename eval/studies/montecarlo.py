@@ -25,24 +25,21 @@ from eval.studies.scenario import Scenario
 
 DOF = {**{q: len(c) for q, c in QUANTITIES.items()}, "landmarks": 2, "nis": 1}
 Key = tuple[str, str, str, str]  # (task, estimator, association, phase)
-Result = dict[Key, "Sample"]  # what one run of a scenario gives
-COVERED = 0.95  # share of runs whose systematic error is to be inside the interval claimed for it
+Result = dict[Key, "Sample"]  # one run of a scenario
+COVERED = 0.95  # share of runs whose systematic error is expected inside its claimed interval
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What one run contributes, by quantity; what does not apply is not in it, what has no value is NaN.
+    """Contribution of one run, by quantity; what does not apply is missing, what has no value is NaN.
 
     Attributes:
-        means: mean over the run of the NEES (pose, position, heading, landmarks), `nis` per dof as a
-            share of what the gates let expect (1 where nothing was gated), and `whiteness`, the
-            lag-1 correlation of the innovations.
-        ends: NEES at the last frame; `error_...`: that of a systematic error that was estimated along.
+        means: mean over the run of the NEES (pose, position, heading, landmarks), `nis` per dof over its expectation
+            under the gates, and `whiteness`, the lag-1 correlation of the innovations.
+        ends: NEES at the last frame; `error_...`: of an estimated systematic error.
         squares: mean squared error of `position` [m^2] and `heading` [rad^2].
         published: NEES averaged as the scenario's published numbers are.
         nees_pose: (N,) pose NEES of every frame that counts, NaN before.
-        failure: where and why it stopped, or is `implausible`; nothing else is then filled in.
-        trace: the traceback, where foreign code crashed.
     """
 
     means: Mapping[str, float] = field(default_factory=dict)
@@ -50,13 +47,13 @@ class Sample:
     squares: Mapping[str, float] = field(default_factory=dict)
     published: Mapping[str, float] = field(default_factory=dict)
     nees_pose: Array = field(default_factory=lambda: np.empty(0))
-    failure: str | None = None
-    trace: str = ""
+    failure: str | None = None  # where and why it stopped, or is `implausible`; then nothing else is filled in
+    trace: str = ""  # the traceback of crashed foreign code
     implausible: bool = False
 
 
 class Lost(NamedTuple):
-    """A run that did not get to the end, or is implausible: which, its seed, and where and why."""
+    """A failed or implausible run: which, its seed, and where and why."""
 
     key: Key
     seed: int
@@ -75,11 +72,11 @@ class Study:
     samples: dict[Key, list[Sample]]
 
     def good(self, key: Key) -> list[Sample]:
-        """The runs that got to the end and are plausible."""
+        """The complete and plausible runs."""
         return [s for s in self.samples[key] if s.failure is None]
 
     def failures(self) -> list[Lost]:
-        """Every run that did not get to the end, or is implausible."""
+        """Every failed or implausible run."""
         return [
             Lost(key, seed, s.failure, s.implausible)
             for key, samples in self.samples.items()
@@ -89,15 +86,15 @@ class Study:
 
 
 def study_lines(study: Study) -> list[str]:
-    """For the terminal: each run that diverged, and of each estimator how many are implausible, with the first."""
-    lines, doubtful = list[str](), dict[Key, list[tuple[int, str]]]()
+    """Terminal lines: each diverged run, and for each estimator the number of implausible ones, with the first."""
+    lines, implausible_runs = list[str](), dict[Key, list[tuple[int, str]]]()
     for key, seed, why, implausible in study.failures():
         task, estimator, association, _ = key
         if implausible:
-            doubtful.setdefault(key, []).append((seed, why))
+            implausible_runs.setdefault(key, []).append((seed, why))
         else:
             lines.append(f"{study.scenario.name}, {task}: {estimator} ({association}) diverged with seed {seed}, {why}")
-    for (task, estimator, association, _), found in doubtful.items():
+    for (task, estimator, association, _), found in implausible_runs.items():
         who = f"{study.scenario.name}, {task}: {estimator} ({association})"
         seed, why = found[0]
         lines.append(
@@ -156,7 +153,7 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
 
 
 def _errors(found: Systematics | None, truth: Systematics | None) -> dict[str, float]:
-    """Squared error at the last frame of each systematic error, in units of its variance; a world that has none errs by
+    """Squared error of each systematic error at the last frame over its variance; worlds without truth have errors of
     zero.
     """
     if found is None:
@@ -167,7 +164,7 @@ def _errors(found: Systematics | None, truth: Systematics | None) -> dict[str, f
 
 
 def one_run(scenario: Scenario, seed: int) -> Result:
-    """All tasks, ways of association and estimators on the log of one seed."""
+    """All tasks, association methods and estimators on the log of one seed."""
     result: Result = {}
     for changed in dict.fromkeys(m.world for m in scenario.members):
         names = [m.name for m in scenario.members if m.world == changed]
@@ -183,7 +180,7 @@ def one_run(scenario: Scenario, seed: int) -> Result:
 
 
 def study_of(scenario: Scenario, seeds: Sequence[int], results: Sequence[Result]) -> Study:
-    """The study made of the results of `one_run`, one per seed in order."""
+    """The study of results of `one_run`, one per seed in order."""
     samples: dict[Key, list[Sample]] = {}
     for result in results:
         for key, value in result.items():
@@ -196,18 +193,18 @@ def study_of(scenario: Scenario, seeds: Sequence[int], results: Sequence[Result]
 
 @dataclass(frozen=True)
 class Judged:
-    """One line of consistency.csv: what was tested and what came out."""
+    """One line of consistency.csv; `declared`: whether the exit status depends on it."""
 
     scenario: str
     key: Key
     quantity: str
     verdict: Verdict
     diverged: int
-    declared: bool = False  # whether the exit status depends on it
+    declared: bool = False
 
 
 def judge(study: Study) -> list[Judged]:
-    """Every verdict of a study. Runs that failed or are implausible are counted, never averaged in."""
+    """Every verdict of a study. Failed and implausible runs are counted, never averaged."""
     result = []
     for key, samples in study.samples.items():
         good = study.good(key)
@@ -240,7 +237,7 @@ def verdicts(good: Sequence[Sample]) -> list[tuple[str, Verdict]]:
 
 
 def consistency_table(judged: Sequence[Judged]) -> pd.DataFrame:
-    """Rows of consistency.csv."""
+    """The table consistency.csv."""
     rows = []
     for j in judged:
         who = dict(zip(("task", "estimator", "association", "phase"), j.key, strict=True))
@@ -253,7 +250,7 @@ def consistency_table(judged: Sequence[Judged]) -> pd.DataFrame:
 def failed_declarations(judged: Sequence[Judged]) -> list[Judged]:
     """Declared verdicts that Holm's procedure rejects at family level 0.1 % (they decide the exit status).
 
-    Fewer than `MIN_RUNS` runs decide nothing. A declared estimator that diverged in some run has failed outright.
+    Fewer than `MIN_RUNS` runs decide nothing. A declared estimator that diverged in some run has failed.
     """
     declared = [j for j in judged if j.declared and j.verdict.runs + j.diverged >= consistency.MIN_RUNS]
     tested = [j for j in declared if math.isfinite(j.verdict.p_value)]
@@ -263,7 +260,7 @@ def failed_declarations(judged: Sequence[Judged]) -> list[Judged]:
 
 
 def declared_line(judged: Sequence[Judged]) -> str:
-    """How many declared verdicts hold one by one, where none is rejected over all of them; empty without any."""
+    """How many declared verdicts hold individually, if none is rejected family-wise; empty without any."""
     declared = [j for j in judged if j.declared and j.verdict.runs >= consistency.MIN_RUNS]
     if not declared:
         return ""

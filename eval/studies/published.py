@@ -1,4 +1,4 @@
-"""Published numbers: by what definition they were computed, and how ours differ, in standard errors."""
+"""Published numbers: how they are defined, and the differences of ours in standard errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PUBLISHABLE = (*(f"nees_{q}" for q in QUANTITIES), "rmse_position_m", "rmse_head
 
 @dataclass(frozen=True)
 class Row:
-    """A published number with the standard error of its Monte Carlo (0: not known)."""
+    """A published number with the standard error of its Monte Carlo (0: unknown)."""
 
     estimator: str
     quantity: str
@@ -28,7 +28,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Ordering:
-    """A statement that one estimator's number is smaller than another's."""
+    """A published statement that one estimator's number is smaller than another's."""
 
     quantity: str
     smaller: str
@@ -37,25 +37,17 @@ class Ordering:
 
 @dataclass(frozen=True)
 class Published:
-    """What was published of a scenario, and the definition of its averages.
-
-    Attributes:
-        rows, orderings: numbers, and statements where numbers cannot be compared.
-        skipped_are_zero: frames before the scenario's first count as zeros in the average of the NEES.
-        per_dof: NEES divided by its degrees of freedom.
-        tolerance: of a replay, (estimator, largest relative difference of the NEES of any step).
-        note: what a reader should know.
-    """
+    """Published numbers of a scenario, and the definition of their averages."""
 
     rows: tuple[Row, ...] = ()
-    orderings: tuple[Ordering, ...] = ()
-    skipped_are_zero: bool = False
-    per_dof: bool = False
-    tolerance: tuple[tuple[str, float], ...] = ()
-    note: str = ""
+    orderings: tuple[Ordering, ...] = ()  # statements where numbers cannot be compared
+    skipped_are_zero: bool = False  # frames before the scenario's first count as zeros in the average NEES
+    per_dof: bool = False  # NEES divided by its degrees of freedom
+    tolerance: tuple[tuple[str, float], ...] = ()  # of a replay: estimator, largest relative difference of any NEES
+    note: str = ""  # for the reader
 
     def average(self, nees: Array, dof: int, from_frame: int) -> float:
-        """The run's average of a NEES (N,) by this definition; NaN if a step that enters has none."""
+        """Average NEES (N,) of a run by this definition; NaN if a step in the average has none."""
         used = nees[from_frame:]
         total = float(used.sum()) / (dof if self.per_dof else 1)
         return total / (len(nees) if self.skipped_are_zero else len(used)) if len(used) else math.nan
@@ -77,7 +69,7 @@ def mean_of(values: Sequence[float]) -> Estimate:
 
 
 def rms_of(squares: Sequence[float], scale: float = 1.0) -> Estimate:
-    """Root of the mean of each run's mean squared error, pooled; the standard error to first order."""
+    """Pooled root mean square of each run's mean squared error; standard error to first order."""
     m = mean_of(squares)
     root = math.sqrt(m.value)
     return Estimate(scale * root, scale * m.se / (2.0 * root) if root > 0 else math.nan, m.runs)

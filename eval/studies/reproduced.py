@@ -1,6 +1,6 @@
-"""Our numbers beside published ones: the rows of published.csv, and statements about orderings.
+"""Our numbers against published ones: the rows of published.csv, and statements about orderings.
 
-A stored run of others replayed: their filters' NEES against ours step by step, our smoothers on the same inputs.
+For a stored run of others: their filters' NEES against ours step by step, our smoothers on the same inputs.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ def published_rows(study: Study) -> list[Mapping[str, object]]:
 
 
 def published_frame(rows: Sequence[Mapping[str, object]]) -> pd.DataFrame:
-    """published.csv."""
+    """The table published.csv."""
     return frame_of(rows, COLUMNS)
 
 
 def ours_of(study: Study, estimator: str, quantity: str) -> Estimate | None:
-    """Our value of a publishable quantity with its standard error; None where the estimator has no run that ended.
+    """Our value of a publishable quantity with its standard error; None if the estimator has no complete run.
 
-    Filters are compared as they were online, batch smoothers in their only phase.
+    Filters are compared online, batch smoothers in their only phase.
     """
     key = _key(study, estimator)
     good = [] if key is None else study.good(key)
@@ -83,7 +83,7 @@ def _ordering(study: Study, o: Ordering) -> str | None:
 
 
 def lines(rows: Sequence[Mapping[str, object]]) -> list[str]:
-    """The rows as text for a terminal: ours, published, difference in standard errors."""
+    """The rows as terminal text: ours, published, difference in standard errors."""
     if not rows:
         return []
     table = [("scenario", "estimator", "quantity", "ours", "published", "difference [SE]")]
@@ -100,7 +100,7 @@ def _pair(value: object, se: object) -> str:
 
 
 FIRST_COMPARED = 2  # the first step with an update has a singular covariance
-FLOOR = 1e-10  # m^2, rad^2. Added to the increments for the smoothers, which need the inverse
+FLOOR = 1e-10  # m^2, rad^2; added to the increments for smoothers, which need the inverse
 
 Rows = list[Mapping[str, object]]
 
@@ -108,9 +108,9 @@ Rows = list[Mapping[str, object]]
 def replay_stored(scenario: Scenario, path: Path) -> tuple[Trial, Rows]:
     """Every estimator of the scenario on the recording, and the rows of published.csv.
 
-    In a row `difference_in_se` is the largest relative difference of any step's NEES over the scenario's tolerance.
-    Filters get the increments as they are, smoothers with a floor under their singular covariances. DataError where the
-    file is not the one that the scenario names.
+    `difference_in_se` is the largest relative difference of any step's NEES over the scenario's tolerance. Smoothers
+    get increments with a floor under their singular covariances. DataError if the file is not the one that the scenario
+    names.
     """
     stored = load_esde(path)
     wanted = dict(scenario.values).get("sha256", stored.sha256)

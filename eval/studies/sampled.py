@@ -1,4 +1,4 @@
-"""What a log and its estimators say about themselves, and a twin beside that about their errors; kept on disk."""
+"""Consistency statistics of a log without truth, and of a twin also with it; kept on disk."""
 
 from __future__ import annotations
 
@@ -25,24 +25,22 @@ from eval.replay.settings import FILTERS, steps
 from eval.studies.twins import Source, inputs_of, twin
 
 PLAIN, STAND_IN = "batch", "batch-cauchy"
-"""The smoother that all is compared with, and which one takes its place where it is implausible."""
+"""The smoother for comparison, and its replacement if it is implausible."""
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What one log says about itself, and, of a twin, how far its estimators are from the truth.
+    """Truth-free consistency statistics of one log, and of a twin the errors of its estimators.
 
     Attributes:
-        measured: the statistics; of an estimator that failed there are none.
-        failures: why, by estimator.
         outlying, typical: of the smoother's residuals, see `trust.Smoothed`.
         apart: RMS [m] between an online path and the batch smoother's, by estimator.
-        nees: mean pose NEES by estimator and phase (a twin's).
-        counts: tp, tn, fp, fn of the final decisions by estimator (a twin's).
+        nees: mean pose NEES by estimator and phase (of a twin).
+        counts: tp, tn, fp, fn of the final decisions by estimator (of a twin).
     """
 
-    measured: Mapping[Key, Measured]
-    failures: Mapping[str, str] = field(default_factory=dict)
+    measured: Mapping[Key, Measured]  # the statistics; none of a failed estimator
+    failures: Mapping[str, str] = field(default_factory=dict)  # reasons, by estimator
     outlying: int = 0
     typical: Mapping[str, float] = field(default_factory=dict)
     apart: Mapping[str, float] = field(default_factory=dict)
@@ -51,7 +49,7 @@ class Sample:
 
 
 def smoother_of(runs: Sequence[Run], inputs: Inputs) -> Run | None:
-    """Batch over the decisions of the first filter, else of the first that steps; None: none got to the end."""
+    """Batch over the decisions of the first filter, else of the first stepping estimator; None: all failed."""
     fronts = [r for r in runs if steps(r.estimator) and r.failure is None]
     fronts.sort(key=lambda r: r.estimator not in FILTERS)
     return same_decisions(fronts[0], runs, inputs) if fronts else None
@@ -60,7 +58,7 @@ def smoother_of(runs: Sequence[Run], inputs: Inputs) -> Run | None:
 def same_decisions(front: Run, runs: Sequence[Run], inputs: Inputs) -> Run:
     """The batch smoother under the final decisions of `front`: one of the runs, or a new one.
 
-    Where that is implausible, the robust `STAND_IN` under the same decisions, unless that is, too.
+    If it is implausible, the robust `STAND_IN` under the same decisions, if that is plausible.
     """
     alike = {r.estimator: r for r in runs if np.array_equal(r.final_decisions, front.final_decisions)}
     plain = alike.get(PLAIN) or with_plausibility(batch(PLAIN, inputs, front), inputs)
@@ -76,11 +74,11 @@ def sample_of(
     association: str,
     runs: Sequence[Run],
     smoother: Run | None,
-    said: trust.Smoothed | None = None,
+    smoothed: trust.Smoothed | None = None,
 ) -> Sample:
-    """What a log says about itself, from its runs with one way of association.
+    """Statistics of a log from its runs with one association method.
 
-    `smoother`: see `smoother_of`; `said`: what `trust.of_smoother` makes of it, if that is known already.
+    `smoother`: see `smoother_of`; `smoothed`: result of `trust.of_smoother`, if known already.
     """
     inputs = inputs_of(log, task, association)
     measured: dict[Key, Measured] = {}
@@ -102,15 +100,15 @@ def sample_of(
         failures[smoother.estimator] = smoother.flaw.why if smoother.implausible is None else smoother.implausible.text
     if smoother is None or smoother.flaw is not None:
         return Sample(measured, failures, apart=apart)
-    if said is None:
-        said = trust.of_smoother(smoother, inputs)
-    measured |= {(smoother.estimator, name): m for name, m in said.statistics.items()}
-    return Sample(measured, failures, said.outlying, said.typical, apart)
+    if smoothed is None:
+        smoothed = trust.of_smoother(smoother, inputs)
+    measured |= {(smoother.estimator, name): m for name, m in smoothed.statistics.items()}
+    return Sample(measured, failures, smoothed.outlying, smoothed.typical, apart)
 
 
 def one_twin(source: Source, seed: int) -> Sample:
-    """All estimators on a twin, what it says about itself, and how far they are from its truth."""
-    with threadpool_limits(1):  # the same bytes for any number of cores, and no waiting for threads
+    """All estimators on a twin, with statistics and errors."""
+    with threadpool_limits(1):  # the same bytes for any number of cores
         log = twin(source, seed)
         inputs = inputs_of(log, source.task, source.association)
         runs = compare(inputs, source.task, source.estimators, source.association, source.setup)
@@ -118,10 +116,10 @@ def one_twin(source: Source, seed: int) -> Sample:
 
 
 def twin_sample(
-    source: Source, log: Log, runs: Sequence[Run], smoother: Run | None, said: trust.Smoothed | None = None
+    source: Source, log: Log, runs: Sequence[Run], smoother: Run | None, smoothed: trust.Smoothed | None = None
 ) -> Sample:
-    """What a twin says about itself, and how far its runs are from its truth; arguments as of `sample_of`."""
-    sample = sample_of(log, source.task, source.association, runs, smoother, said)
+    """Statistics of a twin, and the errors of its runs; arguments as of `sample_of`."""
+    sample = sample_of(log, source.task, source.association, runs, smoother, smoothed)
     nees: dict[tuple[str, str], float] = {}
     counts: dict[str, tuple[int, int, int, int]] = {}
     for run in runs:
@@ -138,27 +136,27 @@ def twin_sample(
     return replace(sample, nees=nees, counts=counts)
 
 
-AS_THEY_ARE = ("failures", "outlying", "typical", "apart")  # fields of a sample that a file has as they are
+PLAIN_FIELDS = ("failures", "outlying", "typical", "apart")  # stored without conversion
 
 
 def save(path: Path, sample: Sample) -> None:
-    """Keep a sample; the file appears whole or not at all."""
+    """Keep a sample; the file is written atomically."""
     kept = {
         "measured": [[*key, *m] for key, m in sample.measured.items()],
         "nees": [[*key, value] for key, value in sample.nees.items()],
-        **{name: getattr(sample, name) for name in (*AS_THEY_ARE, "counts")},
+        **{name: getattr(sample, name) for name in (*PLAIN_FIELDS, "counts")},
     }
     with whole_file(path) as partial:
         partial.write_bytes(json.dumps(kept).encode())
 
 
 def load(path: Path) -> Sample | None:
-    """A kept sample, or None; a file that is damaged counts as none."""
+    """A kept sample; None if it is missing or damaged."""
     try:
         kept = json.loads(path.read_bytes())
         measured = {(e, name): Measured(*m) for e, name, *m in kept["measured"]}
         nees = {(e, phase): v for e, phase, v in kept["nees"]}
         counts = {e: (tp, tn, fp, fn) for e, (tp, tn, fp, fn) in kept["counts"].items()}
-        return Sample(measured, nees=nees, counts=counts, **{name: kept[name] for name in AS_THEY_ARE})
+        return Sample(measured, nees=nees, counts=counts, **{name: kept[name] for name in PLAIN_FIELDS})
     except (FileNotFoundError, ValueError, KeyError, TypeError):
         return None

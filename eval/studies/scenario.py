@@ -1,6 +1,6 @@
-"""Scenarios: a world, the estimators that run in it, what is declared of them, and published numbers.
+"""Scenarios: a world, estimators, declarations about them, and published numbers.
 
-Scenarios from TOML files: every key checked, every fault named; the shipped ones are in `eval/scenarios`.
+Scenarios are TOML files with checked keys; the shipped ones are in `eval/scenarios`.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
 from eval.studies.shipped import offered, path_of
 
-RECORDED = "esde"  # the world that is a recording: one stored run of others, found through `--data`
+RECORDED = "esde"  # a stored run of others, found through `--data`
 
 
 @dataclass(frozen=True)
 class Member:
-    """An estimator of a scenario: tasks in which it is declared consistent, parameters of the world that differ for it.
+    """An estimator of a scenario: tasks in which it is declared consistent, and its parameters of the world.
 
-    `name` is one of ours, or the settled text of a foreign one. `world` may change only what an estimator is told (a
-    published filter's own noise columns), never what happened.
+    `name` is ours, or the settled text of a foreign one. `world` may change only what an estimator is given (a
+    published filter's own noise), never what happened.
     """
 
     name: str
@@ -43,40 +43,24 @@ class Member:
 
 @dataclass(frozen=True)
 class Scenario:
-    """One study.
+    """One study."""
 
-    Attributes:
-        name: stands in every table; `source` is what a person calls it by (a shipped name or a file).
-        about: what it is and what is special, one paragraph.
-        cite: where it comes from.
-        runs: how many, unless asked otherwise.
-        task, association: names; every estimator runs with each.
-        members: the estimators.
-        kind, values: the simulator and its parameters.
-        setup: gates and the like.
-        from_frame: the NEES of earlier frames does not count (an exact start has singular covariances).
-        wrong: share of observations whose label names another landmark than the one that was seen.
-        rates: the shares of an outlier study, each of which becomes a scenario of its own with `wrong` set,
-        part: which this one is.
-        published: numbers to compare with.
-    """
-
-    name: str
+    name: str  # in every table; `source`: a shipped name or a file
     source: str
-    about: str
-    cite: str
-    runs: int
-    task: tuple[str, ...]
+    about: str  # description, one paragraph
+    cite: str  # its reference
+    runs: int  # their default number
+    task: tuple[str, ...]  # every estimator runs with each task and association method
     association: tuple[str, ...]
-    members: tuple[Member, ...]
-    kind: str
+    members: tuple[Member, ...]  # the estimators
+    kind: str  # the simulator
     values: tuple[tuple[str, object], ...]
-    setup: Setup = field(default_factory=Setup)
-    from_frame: int = 0
-    wrong: float = 0.0
-    rates: tuple[float, ...] = ()
-    part: bool = False
-    published: Published | None = None
+    setup: Setup = field(default_factory=Setup)  # gates and the like
+    from_frame: int = 0  # first frame whose NEES counts (an exact start has singular covariances)
+    wrong: float = 0.0  # share of observations whose label names another landmark
+    rates: tuple[float, ...] = ()  # of an outlier study: each becomes a scenario with `wrong` set
+    part: bool = False  # whether this is one
+    published: Published | None = None  # numbers to compare with
 
     @property
     def estimators(self) -> tuple[str, ...]:
@@ -85,7 +69,7 @@ class Scenario:
 
     @property
     def recorded(self) -> bool:
-        """Whether it is a recording, not a simulation."""
+        """Whether it is a recording."""
         return self.kind == RECORDED
 
     def declared(self, task: str, estimator: str) -> bool:
@@ -97,7 +81,7 @@ class Scenario:
         return registry.parameters_of(self.kind)(**{**dict(self.values), **dict(changed)})
 
     def simulate(self, seed: int, changed: tuple[tuple[str, object], ...] = ()) -> Log:
-        """The log of a seed, under the scenario's name; wrong labels, if any, are the same for every estimator."""
+        """The log of a seed, under the scenario's name; wrong labels are the same for every estimator."""
         world = self.world(changed)
         log = registry.simulate(self.kind, world, seed, f"{self.name}:{seed}")
         log = replace(log, source={**log.source, "kind": f"scenario {self.name}", self.kind: asdict(world)})
@@ -106,8 +90,8 @@ class Scenario:
         return with_wrong_labels(log, self.wrong, seed) if self.wrong else log
 
     def parts(self) -> tuple[Scenario, ...]:
-        """An outlier study as one scenario for each rate; one whose estimators calibrate also with plain ones, of which
-        nothing is demanded; any other scenario as it is.
+        """An outlier study as one scenario for each rate; a calibrating one also without calibration and
+        declarations.
         """
         if self.setup.calibrate and not self.part:
             plain = replace(
@@ -125,15 +109,15 @@ class Scenario:
         )
 
     def only(self, estimators: tuple[str, ...]) -> Scenario:
-        """The same with these estimators instead; declarations and stated parameters of those it has stay."""
+        """The same with these estimators; members keep declarations and parameters."""
         own = {m.name: m for m in self.members}
         return replace(self, members=tuple(own.get(name, Member(name)) for name in estimators))
 
 
 def with_wrong_labels(log: Log, rate: float, seed: int) -> Log:
-    """The log with a share of its labels naming another landmark, drawn from a stream of its own of the seed.
+    """The log with a share of its labels naming another landmark, drawn from a stream of its own.
 
-    Rates are nested: what is wrong at one rate is wrong, and names the same landmark, at every higher one.
+    Rates are nested: a label wrong at one rate is wrong in the same way at every higher one.
     """
     true_id = log.truth.landmark_of
     if true_id is None or log.truth.landmarks is None:
@@ -147,7 +131,7 @@ def with_wrong_labels(log: Log, rate: float, seed: int) -> Log:
 
 
 CONSISTENT = "consistent"
-RECORDING = ("sha256", "speed_noise")  # what is said of a world that is a recording
+RECORDING = ("sha256", "speed_noise")  # parameters of a recording
 SCENARIO_KEYS = {
     "": (
         *("name", "about", "cite", "runs", "task", "association", "estimators", "world", "setup", "from_frame"),
@@ -163,7 +147,7 @@ SCENARIO_KEYS = {
 
 
 def load_scenario(name: str) -> Scenario:
-    """A shipped scenario by name or any by file; UsageError names what is wrong in it."""
+    """A shipped scenario by name or any by file. Raises UsageError for an error in it."""
     path = path_of(name)
     if not path.is_file():
         raise UsageError(f"--scenario {name}: no such file; shipped: {offered()}")
@@ -185,7 +169,7 @@ def load_scenario(name: str) -> Scenario:
 
 @contextmanager
 def _named(fault: Fault) -> Iterator[None]:
-    """What is wrong is said with the name of the file."""
+    """Add the name of the file to an error."""
     try:
         yield
     except UsageError as wrong:
@@ -219,7 +203,7 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
 
 
 def _estimator_keys(top: TomlTable) -> tuple[str, ...]:
-    """Names of ours, those that installed packages add, and whatever reads like a foreign one: `_member` settles it."""
+    """Names of ours, of installed packages, and possibly foreign ones, which `_member` settles."""
     table = top.table.get("estimators")
     added = entry_points("estimator")
     theirs = [key for key in (table if isinstance(table, dict) else ()) if is_foreign(key) or key in added]
@@ -253,7 +237,7 @@ def _rates(top: TomlTable) -> tuple[float, ...]:
 
 
 def _world_keys(top: TomlTable) -> tuple[str, ...]:
-    """Keys of [world] for the kind that it states; any, where that is unknown or missing."""
+    """Keys of [world] for its kind; any, if that is unknown or missing."""
     table = top.table.get("world")
     if not isinstance(table, dict):
         return ()
@@ -262,12 +246,12 @@ def _world_keys(top: TomlTable) -> tuple[str, ...]:
 
 
 def parameters_of_kind(kind: str) -> tuple[str, ...]:
-    """What may be said of a world of a kind."""
+    """Parameters of a world of a kind."""
     return RECORDING if kind == RECORDED else tuple(f.name for f in fields(parameters_of(kind)))
 
 
 def parameters(table: TomlTable, kind: str) -> tuple[tuple[str, object], ...]:
-    """Parameters of a world, checked against the types of its fields; angles that are kept in degrees are converted."""
+    """Checked parameters of a world; angles in degrees are converted."""
     keys = [key for key in table.table if key != "kind"]
     if kind == RECORDED:
         return tuple((key, table.table[key]) for key in keys)

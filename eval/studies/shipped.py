@@ -1,11 +1,11 @@
-"""The scenarios that come with the package. Imports nothing heavy, so that `--help` names them at once."""
+"""The shipped scenarios. Imports nothing heavy, so that `--help` names them at once."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 SCENARIOS = Path(__file__).parents[1] / "scenarios"
-VALIDATIONS = ("trust",)  # shipped studies of the battery, not of estimators: `all` leaves them out, they take long
+VALIDATIONS = ("trust",)  # studies of the test battery; `all` leaves them out, they take long
 
 
 def scenarios() -> list[str]:
@@ -14,10 +14,10 @@ def scenarios() -> list[str]:
 
 
 def path_of(name: str) -> Path:
-    """The file of a scenario: a shipped one by name, or any."""
+    """The file of a scenario: a shipped one by name, or any file."""
     return SCENARIOS / f"{name}.toml" if name in (*scenarios(), *VALIDATIONS) else Path(name)
 
 
 def offered() -> str:
-    """All that come with the package, in words."""
+    """All shipped scenarios, in words."""
     return f"{', '.join([*scenarios(), *VALIDATIONS])}, or all (but {', '.join(VALIDATIONS)})"

@@ -1,7 +1,7 @@
-"""Finished runs of studies on disk: a study that was interrupted resumes, a run that is done is never done again.
+"""Finished runs of studies on disk, so that an interrupted study resumes.
 
-Runs are kept beside the result folders, in `.studies/<scenario>-<code>-<content>/<seed>.npz`. Both digests stand for
-everything a run depends on: program and libraries, and what the scenario says. The folder may be deleted at any time.
+Runs are kept beside the result folders, in `.studies/<scenario>-<code>-<content>/<seed>.npz`. The two digests cover
+program, libraries and scenario. The folder may be deleted at any time.
 """
 
 from __future__ import annotations
@@ -27,37 +27,37 @@ PACKAGES = (
     *("data", "association", "ekf", "graph"),
     *("eval/__init__.py", "eval/replay", "eval/referee", "eval/studies"),
 )
-"""All that a run may execute."""
+"""Code that a run may execute."""
 LIBRARIES = ("gtsam", "numba", "numpy", "pandas", "scipy")
 DIGITS = 10
 TICK = 0.02
-"""s. The time of a file is that of the last tick of the system's clock, which may be before the clock was read."""
+"""s; file times are those of the last clock tick, which may be before the clock was read."""
 
 
 def code_digest() -> str:
-    """Digest of the program and the libraries that the numbers come from."""
+    """Digest of the program and its libraries."""
     return program_digest(PACKAGES, LIBRARIES)[:DIGITS]
 
 
 def content_digest(s: Scenario) -> str:
-    """Digest of what a scenario says that its runs depend on (not what it declares, cites or compares with)."""
+    """Digest of what the runs of a scenario depend on (not declarations, citations or comparisons)."""
     p = s.published
     averages = None if p is None else (p.skipped_are_zero, p.per_dof)
     members = [(m.name, m.world) for m in s.members]
     theirs = digests((*(m.name for m in s.members), *s.association))
-    said = (s.kind, s.values, s.task, s.association, members, s.setup, s.from_frame, s.wrong, averages, theirs)
-    return hashlib.sha256(repr(said).encode()).hexdigest()[:DIGITS]
+    stated = (s.kind, s.values, s.task, s.association, members, s.setup, s.from_frame, s.wrong, averages, theirs)
+    return hashlib.sha256(repr(stated).encode()).hexdigest()[:DIGITS]
 
 
 def folder_of(root: Path, scenario: Scenario) -> Path:
-    """Where the runs of a scenario are kept; made if need be."""
+    """The folder of a scenario's runs; created if necessary."""
     return kept_folder(root, scenario.name, content_digest(scenario))
 
 
 def kept_folder(root: Path, called: str, content: str) -> Path:
-    """Where runs of something called so, with this digest of its content, are kept; made if need be.
+    """The folder of runs with this name and content digest; created if necessary.
 
-    What an older program kept of it is removed.
+    Runs of older programs are removed.
     """
     name = folder_name(called)
     folder = root / ".studies" / f"{name}-{code_digest()}-{content[:DIGITS]}"
@@ -69,7 +69,7 @@ def kept_folder(root: Path, called: str, content: str) -> Path:
 
 
 def kept_since(root: Path, begin: float) -> str:
-    """For somebody who interrupts a study begun then [s since the epoch]: what of it is kept, and how to go on."""
+    """A message for an interrupted study, begun at `begin` [s since the epoch]: what is kept, and how to resume."""
     folder = root / ".studies"
     done = sum(f.stat().st_mtime >= begin - TICK for f in folder.glob("*/[!.]*.*"))
     if not done:
@@ -79,7 +79,7 @@ def kept_since(root: Path, begin: float) -> str:
 
 
 def save(folder: Path, seed: int, result: Result) -> None:
-    """Keep a run; a file appears whole or not at all."""
+    """Keep a run; the file is written atomically."""
     rows = [
         [list(key), dict(s.means), dict(s.ends), dict(s.squares), dict(s.published), s.failure, s.trace, s.implausible]
         for key, s in result.items()
@@ -91,7 +91,7 @@ def save(folder: Path, seed: int, result: Result) -> None:
 
 
 def load(folder: Path, seed: int) -> Result | None:
-    """A kept run, or None; a file that is damaged counts as none."""
+    """A kept run; None if it is missing or damaged."""
     try:
         with (folder / f"{seed}.npz").open("rb") as file, np.load(file) as kept:
             rows = json.loads(kept["samples"].tobytes())

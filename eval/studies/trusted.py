@@ -1,4 +1,4 @@
-"""A log beside its twins: every statistic with its p value, the cause of what is objected to, and the power."""
+"""A log against its twins: p value of every statistic, cause of rejections, and power."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from eval.replay.batch import batch
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
 from eval.studies.twins import inputs_of, with_noise
 
-COLUMNS = TRUST.names  # columns of trust.csv
+COLUMNS = TRUST.names
 UNINFORMATIVE = 1e6
-"""Factor of the covariance of a reading that is left out: its landmark, if it has no other, stays determined."""
-FEWEST = 19  # twins without which nothing can reach a family-wise level of 5 %
+"""Factor of the covariance of an observation that is left out, so that its landmark stays determined."""
+FEWEST = 19  # least number of twins for a family-wise level of 5 %
 
 
 @dataclass(frozen=True)
 class Row:
-    """A line of trust.csv, but for log, task and association."""
+    """A line of trust.csv, without log, task and association."""
 
     estimator: str
     statistic: str
@@ -47,52 +47,34 @@ class Row:
 
 @dataclass(frozen=True)
 class Blame:
-    """What is wrong, if anything.
+    """Diagnosis of a log."""
 
-    Attributes:
-        cause: `NOISE`, `ASSOCIATIONS`, `ESTIMATOR` or `NOTHING`.
-        findings: what speaks for it and for other causes, the weightiest first.
-        objected: statistics that are outside what the twins show, family-wise; `tested`: of so many.
-        p: the smallest family-wise p value.
-        detectable: what would have been seen with a probability of 90 %, by name.
-    """
-
-    cause: str
-    findings: tuple[Finding, ...]
-    objected: tuple[Key, ...]
+    cause: str  # `NOISE`, `ASSOCIATIONS`, `ESTIMATOR` or `NOTHING`
+    findings: tuple[Finding, ...]  # evidence for it and for other causes, the strongest first
+    objected: tuple[Key, ...]  # statistics rejected family-wise; `tested`: their number in all
     tested: int
-    p: float
-    detectable: dict[str, float]
+    p: float  # the smallest family-wise p value
+    detectable: dict[str, float]  # sizes detectable with a power of 90 %, by name
 
 
 @dataclass(frozen=True, eq=False)
 class Trust:
-    """One log with one way of association: what it says, what its twins say, and what follows.
-
-    Attributes:
-        log, task, association: which.
-        real, twins: the samples.
-        rows: of trust.csv.
-        blame: None without enough twins.
-        notices: why something is missing.
-        after: the same log after what `done` names was put right, if that was tried (`eval.studies.twins`).
-        done: sizes of systematic errors taken out and factors of sigmas, by name.
-    """
+    """One log with one association method: its statistics, those of its twins, and the diagnosis."""
 
     log: str
     task: str
     association: str
     real: Sample
     twins: tuple[Sample, ...]
-    rows: tuple[Row, ...]
-    blame: Blame | None = None
-    notices: tuple[Notice, ...] = ()
-    after: Trust | None = None
-    done: Mapping[str, float] = field(default_factory=dict)
+    rows: tuple[Row, ...]  # of trust.csv
+    blame: Blame | None = None  # None without enough twins
+    notices: tuple[Notice, ...] = ()  # why something is missing
+    after: Trust | None = None  # the same log after the corrections `done`, if tried (`eval.studies.twins`)
+    done: Mapping[str, float] = field(default_factory=dict)  # corrections by name
 
 
 def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[Sample], smoother: Run | None) -> Trust:
-    """P values of everything measured, and the cause; `smoother` as in `sample_of`."""
+    """P values of all statistics, and the cause; `smoother` as in `sample_of`."""
     keys = list(real.measured)
     values = np.array([real.measured[k].value for k in keys])
     drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
@@ -114,12 +96,12 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
 
 
 def is_exact(covariance: Array) -> bool:
-    """Whether a covariance (3, 3) leaves some direction without doubt."""
+    """Whether a covariance (3, 3) is singular."""
     return not trust.regular(covariance[None])[0]
 
 
 def _value(sample: Sample, key: Key) -> float:
-    """A statistic of a twin, NaN where it has none; a robust stand-in is compared with the twins' own smoother."""
+    """A statistic of a twin, NaN if it has none; a robust stand-in is compared with the twins' own smoother."""
     if key not in sample.measured and key[0] == STAND_IN:
         key = (PLAIN, key[1])
     return sample.measured[key].value if key in sample.measured else math.nan
@@ -153,13 +135,13 @@ def _blame(made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -> Blame:
     if findings:
         cause = findings[0].cause
     elif objected:
-        # nothing that has a name: what the smoother's residuals object to lies in the log, the rest in the estimator
+        # no named cause: rejections of the smoother's residuals are due to the log, others to the estimator
         cause = NOISE if any(e == smoother.estimator for e, _ in objected) else ESTIMATOR
     return Blame(cause, tuple(findings), objected, len(tested), p, _detectable(made, drawn))
 
 
 def _estimators(twins: Sequence[Sample]) -> list[Finding]:
-    """Estimators that are off on the twins, where all is as stated: in NEES, or else in NIS."""
+    """Estimators that are inconsistent on the twins, in NEES, or else in NIS."""
     nees = {
         key: [s.nees[key] for s in twins if key in s.nees] for key in dict.fromkeys(k for s in twins for k in s.nees)
     }
@@ -172,7 +154,7 @@ def _estimators(twins: Sequence[Sample]) -> list[Finding]:
 
 
 def _largest_score(twins: Sequence[Sample]) -> float:
-    """What the largest slope of a twin exceeds in 5 % of them, in standard errors."""
+    """95 % quantile over the twins of the largest slope, in standard errors."""
     largest = [
         max((abs(m.value / m.se) for (_, n), m in s.measured.items() if n.startswith("slope_")), default=0.0)
         for s in twins
@@ -181,10 +163,10 @@ def _largest_score(twins: Sequence[Sample]) -> float:
 
 
 def _noise(made: Trust, inputs: Inputs, smoother: Run, threshold: float) -> list[Finding]:
-    """What the log's noise and pairings are to blame for: readings that do not fit, systematic errors, then the noise.
+    """Findings about noise and pairings: outliers, then systematic errors, then noise.
 
-    Each is looked for without those before: a reading of another landmark bends path and map, after which many do not
-    fit, and a systematic error adds to the residuals. What does not fit is counted again without systematic errors.
+    Each is tested without the former ones: an outlier bends path and map, and a systematic error adds to the residuals.
+    Outliers are counted again without systematic errors.
     """
     typical = [s.typical for s in made.twins]
     outliers, less, fitted, left_out = _outliers(made, inputs, smoother)
@@ -249,7 +231,6 @@ def _path(smoother: Run) -> Array:
 
 
 def _as_front(smoother: Run) -> Run:
-    """A batch run as what another one takes decisions and start from."""
     return replace(smoother, online=smoother.final)
 
 
@@ -262,13 +243,18 @@ def _detectable(made: Trust, drawn: Array) -> dict[str, float]:
 
 
 def trust_table(all_trust: Sequence[Trust]) -> pd.DataFrame:
-    """Rows of trust.csv."""
+    """The table trust.csv."""
     rows = []
     for t in all_trust:
         for r in t.rows:
             m = r.measured
             who = {"log": t.log, "task": t.task, "estimator": r.estimator, "association": t.association}
-            said = {"statistic": r.statistic, "value": m.value, "se": m.se, "frame": m.frame if m.frame >= 0 else None}
+            statistic = {
+                "statistic": r.statistic,
+                "value": m.value,
+                "se": m.se,
+                "frame": m.frame if m.frame >= 0 else None,
+            }
             tested = {"expected": r.expected, "twins": r.twins, "p": r.p, "p_family": r.p_family}
-            rows.append(who | said | tested)
+            rows.append(who | statistic | tested)
     return frame_of(rows, COLUMNS)

@@ -1,15 +1,15 @@
-"""Twins of a log: what it would have been, drawn again as it says of itself (a parametric bootstrap).
+"""Twins of a log: parametric bootstrap replicates, drawn from its own noise model.
 
-The batch smoother's path and map stand for the truth; prior, increments and readings are drawn with the covariances as
-stated, at the same frames, of the same landmarks; what the smoother did not use is copied as it was read. A twin has a
-truth, and every statistic of the log its own reference distribution, linearization, geometry and gates included.
+Path and map of the batch smoother are the truth. Prior, increments and observations are drawn with the stated
+covariances, at the same frames, of the same landmarks; unused observations are copied. So every statistic of the log
+has a reference distribution that includes linearization, geometry and gates.
 
-What twins cannot see is an error that the smoother took into what now counts as truth, as a scale that distances and
-readings share.
+Twins do not show an error that the smoother absorbed into this truth, such as a scale common to distances and
+observations.
 
-`calibrated` puts right what the twins find wrong of systematic errors and noise: a quick calibration, not a fit. It
-corrects what is found, draws a few twins of the corrected log, and looks again. `eval.tune` fits the same parameters by
-maximum likelihood, which takes minutes on a long log.
+`calibrated` is a quick calibration by twins: it corrects systematic errors and noise that they reveal, draws a few
+twins of the corrected log, and repeats. `eval.tune` fits the same parameters by maximum likelihood, which takes minutes
+on a long log.
 """
 
 from __future__ import annotations
@@ -36,20 +36,18 @@ from eval.replay.batch import batch
 from eval.replay.external.load import digests
 from eval.replay.settings import Setup
 
-STREAM = 0x7A17  # sets the twins' random numbers apart from those of simulated logs of the same seed
-SHORTEST = 10  # frames: below, a lag-1 correlation or a slope has nothing to stand on
+STREAM = 0x7A17  # separates the twins' random numbers from those of simulated logs of the same seed
+SHORTEST = 10  # frames; least number for a lag-1 correlation or a slope
 
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What twins are drawn from and how they are estimated.
+    """What twins are drawn from, and how they are estimated.
 
     Attributes:
-        log: the real one, less the systematic errors that the smoother estimated along: twins have none, and estimate
-            them all the same, as well known as before. Of its truth nothing is used.
-        task, association, estimators, setup: as the real log is run; `batch` is always among the estimators.
-        path: (N, 3) of the batch smoother. landmarks: of its map (localization: the given one).
-        landmark_of: (M,) id of the landmark each reading was paired with, `CLUTTER` where none.
+        log: the real one, without the systematic errors that the smoother estimated; twins have none and estimate them
+            with the same prior. Its truth is not used.
+        task, association, estimators, setup: as for the real log; `batch` is always among the estimators.
     """
 
     log: Log
@@ -57,9 +55,9 @@ class Source:
     association: str
     estimators: tuple[str, ...]
     setup: Setup
-    path: Array
+    path: Array  # (N, 3) of the batch smoother. landmarks: of its map (localization: the given one)
     landmarks: LandmarkMap
-    landmark_of: IntArray
+    landmark_of: IntArray  # (M,) id of the landmark of each observation, `CLUTTER` for none
 
     def inputs(self) -> Inputs:
         """The real log as the estimators see it."""
@@ -75,9 +73,9 @@ def inputs_of(log: Log, task: str, association: str) -> Inputs:
 def source_of(
     log: Log, smoother: Run, estimators: Sequence[str], setup: Setup, association: str | None = None
 ) -> Source:
-    """What twins of a log are drawn from; raises UsageError with a sentence where there can be none.
+    """The source of a log's twins. Raises UsageError where there can be none.
 
-    `association`: that of `smoother` as it can be run again, where its name is not enough.
+    `association`: that of `smoother` as it can be run again, if its name is not enough.
     """
     inputs = inputs_of(log, smoother.task, "known" if smoother.association == "known" else "")
     if len(inputs) < SHORTEST:
@@ -91,7 +89,7 @@ def source_of(
         less = corrected_inputs(log.recorded, smoother.errors_final)
         log = replace(log, recorded=replace(less, systematic=log.recorded.systematic))
     if not (used.number >= 0).any():
-        raise UsageError(f"no twins of {log.name}: batch used no reading, so nothing is known beside the odometry")
+        raise UsageError(f"no twins of {log.name}: batch used no observation, so nothing is known beside the odometry")
     landmarks = LandmarkMap(used.identity, used.landmarks)
     landmark_of = np.where(used.number >= 0, used.identity[np.maximum(used.number, 0)], CLUTTER)
     wanted = tuple(dict.fromkeys([*estimators, "batch"]))
@@ -100,7 +98,7 @@ def source_of(
 
 
 def twin(source: Source, seed: int) -> Log:
-    """A twin: same frames, same landmarks seen, everything else drawn anew. Same seed, same bytes."""
+    """A twin: same frames, same landmarks seen, everything else drawn. Same seed, same bytes."""
     r = source.log.recorded
     streams = np.random.SeedSequence([seed, STREAM]).spawn(3)
     prior_rng, odometry_rng, sensor_rng = (np.random.default_rng(s) for s in streams)
@@ -129,23 +127,23 @@ def twin(source: Source, seed: int) -> Log:
         observations=Observations(o.frame, z, o.R),
     )
     name = f"{source.log.name}:twin={seed}"
-    told = {"kind": "twin", "twin_of": source.log.name, "seed": seed, "task": source.task}
+    origin = {"kind": "twin", "twin_of": source.log.name, "seed": seed, "task": source.task}
     note = f"Drawn from batch's path and map of {source.log.name}, with the covariances as stated; batch is its truth."
     truth = Truth(path, source.landmarks, source.landmark_of)
-    # none is misread, but they are to be treated as those of the log are
+    # none is misread, but they are treated as those of the log
     sensed = source.log.labels_are_sensed
-    return Log(name, recorded, truth, labels_are_sensed=sensed, source=told, notes=(note,))
+    return Log(name, recorded, truth, labels_are_sensed=sensed, source=origin, notes=(note,))
 
 
 def _root(covariance: Array) -> Array:
-    """A root (n, d, d) of covariances that may be singular."""
+    """A square root (n, d, d) of covariances that may be singular."""
     size, axes = np.linalg.eigh(covariance)
     root: Array = axes * np.sqrt(np.maximum(size, 0.0))[:, None, :]
     return root
 
 
 def digest_of(source: Source) -> str:
-    """Digest of everything about a source that its twins depend on."""
+    """Digest of everything that the twins of a source depend on."""
     r = source.log.recorded
     digest = hashlib.sha256(
         repr((source.log.name, source.task, source.association, source.estimators, source.setup, r.sensor)).encode()
@@ -158,12 +156,12 @@ def digest_of(source: Source) -> str:
     return digest.hexdigest()
 
 
-ROUNDS = 3  # corrections one after the other: a noise that the odometry hides comes out in halves
-TWINS = 4  # twins a round: their residuals are the reference of the noise, known to some 2 % on a log of 200 frames
+ROUNDS = 3  # corrections one after the other: hidden odometry noise appears in halves
+TWINS = 4  # twins in a round, which give the noise to 2 % on a log of 200 frames
 
 
 def with_noise(inputs: Inputs, factors: Mapping[str, float]) -> Inputs:
-    """The inputs with the stated sigma of components multiplied by factors (correlations stay)."""
+    """The inputs with the stated sigmas of components multiplied by factors (correlations stay)."""
     motion = np.array([factors.get(name, 1.0) for name in residuals.COMPONENTS[:3]])
     reading = np.array([factors.get(name, 1.0) for name in residuals.COMPONENTS[3:]])
     increments, o = inputs.increments, inputs.observations
@@ -177,10 +175,10 @@ def with_noise(inputs: Inputs, factors: Mapping[str, float]) -> Inputs:
 def calibrated(
     log: Log, task: str, association: str, smoother: Run, setup: Setup, names: Collection[str]
 ) -> tuple[Log, dict[str, float]]:
-    """The log corrected, and what was done: sizes of systematic errors taken out, factors of sigmas (`sigma_...`).
+    """The corrected log, and the corrections: sizes of systematic errors, factors of sigmas (`sigma_...`).
 
-    Under the decisions of `smoother` throughout; of systematic errors only `names` are corrected. The log comes back as
-    it is where nothing is found.
+    The decisions are those of `smoother`; of systematic errors only `names` are corrected. Without findings the log is
+    returned unchanged.
     """
     inputs = inputs_of(log, task, association)
     done: dict[str, float] = {}
@@ -222,6 +220,6 @@ def _typical(source: Source, seed: int) -> dict[str, float]:
 
 
 def _recorded(log: Log, inputs: Inputs) -> Inputs:
-    """What of the inputs is corrected, as the log has it: with its map, without labels."""
+    """The corrected parts of the inputs in the log, with its map, without labels."""
     o = inputs.observations
     return replace(log.recorded, increments=inputs.increments, observations=Observations(o.frame, o.z, o.R))

@@ -1,9 +1,9 @@
-"""The battery put to the test: how often it objects to logs that are right, and which faults it finds and names.
+"""Validation of the test battery: rejection rate on sound logs, detection and attribution of faults.
 
-A log is simulated, a fault put into it (or a broken filter run on it), twins are drawn, and the log is judged as any
-other; of its truth nothing is used. Every log's twins have random numbers of their own, so logs are independent.
+A log is simulated, a fault injected (or a broken filter run), twins are drawn, and the log is judged as any other; its
+truth is not used. Every log's twins have random numbers of their own, so logs are independent.
 
-Studies of the battery from TOML files, `study = "validation"` at the top; every key checked, every fault named.
+Studies are TOML files with `study = "validation"` at the top and checked keys.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ from eval.studies.shipped import path_of
 from eval.studies.trusted import FEWEST, Blame, judged
 from eval.studies.twins import Source, inputs_of, source_of, twin
 
-STREAM = 0xFA017  # sets the faults' random numbers apart from those of logs and twins of the same seed
-SOUND = ""  # the fault of a log that has none
+STREAM = 0xFA017  # separates the faults' random numbers from those of logs and twins of the same seed
+SOUND = ""  # the fault of a sound log
 KNOWN = "known"
 
 
@@ -55,7 +55,7 @@ class World:
     values: tuple[tuple[str, object], ...] = ()
 
     def parameters(self) -> Any:
-        """Of the simulator; raises UsageError for what it refuses."""
+        """Of the simulator. Raises UsageError for values that it refuses."""
         return registry.parameters_of(self.kind)(**dict(self.values))
 
     def simulate(self, seed: int) -> Log:
@@ -65,36 +65,26 @@ class World:
 
 @dataclass(frozen=True)
 class Validation:
-    """One study.
+    """One study."""
 
-    Attributes:
-        name: stands in the tables; `source` is what a person calls it by, `about` one paragraph.
-        worlds: in which the size is measured, on `runs` logs each.
-        twins: of each log.
-        power: name of the world in which the power is measured, on `power_runs` logs for each fault and size.
-        faults, broken: names of faults of logs and of broken filters.
-        estimators: that run on logs and twins, batch beside.
-        largest: only the largest size of each fault.
-    """
-
-    name: str
+    name: str  # in the tables; `source`: a shipped name or a file; `about`: one paragraph
     source: str
     about: str
-    worlds: tuple[World, ...]
+    worlds: tuple[World, ...]  # for the false-rejection rate, `runs` logs each
     runs: int
-    twins: int
-    power: str
+    twins: int  # of each log
+    power: str  # name of the world for the power, `power_runs` logs for each fault and size
     power_runs: int
-    faults: tuple[str, ...] = tuple(FAULTS)
-    broken: tuple[str, ...] = tuple(BROKEN)
-    estimators: tuple[str, ...] = ("ekf",)
+    faults: tuple[str, ...] = tuple(FAULTS)  # of logs
+    broken: tuple[str, ...] = tuple(BROKEN)  # broken filters
+    estimators: tuple[str, ...] = ("ekf",)  # on logs and twins, in addition to batch
     setup: Setup = field(default_factory=Setup)
-    largest: bool = False
+    largest: bool = False  # only the largest size of each fault
 
 
 @dataclass(frozen=True)
 class Case:
-    """What is done to one log: `fault` of `size`, or all broken filters one after the other (`broken`)."""
+    """One log: `fault` of `size`, or all broken filters one after the other (`broken`)."""
 
     world: World
     seed: int
@@ -105,28 +95,19 @@ class Case:
 
 @dataclass(frozen=True)
 class Examined:
-    """What came out for one log.
-
-    Attributes:
-        world, seed, fault, size: which; `fault` is `SOUND`, one of a log, or a broken filter.
-        p: smallest family-wise p value. objected: whether the battery rejects.
-        cause: what it is attributed to. found: kinds and names of the findings, the weightiest first.
-        nis: whether the NIS of filter or smoother is outside its 95 % bounds.
-        convicted: whether an estimator is off on the twins, in NEES or NIS.
-        failure: why there is no judgement; empty otherwise.
-    """
+    """The judgement of one log."""
 
     world: str
     seed: int
-    fault: str
+    fault: str  # `SOUND`, one of a log, or a broken filter
     size: float
-    p: float = math.nan
-    objected: bool = False
-    cause: str = NOTHING
-    found: tuple[str, ...] = ()
-    nis: bool = False
-    convicted: bool = False
-    failure: str = ""
+    p: float = math.nan  # smallest family-wise p value
+    objected: bool = False  # whether the battery rejects
+    cause: str = NOTHING  # its attribution
+    found: tuple[str, ...] = ()  # kinds and names of the findings, the strongest first
+    nis: bool = False  # whether the NIS of filter or smoother is outside its 95 % bounds
+    convicted: bool = False  # whether an estimator is inconsistent on the twins, in NEES or NIS
+    failure: str = ""  # why there is no judgement; empty otherwise
 
 
 def cases(study: Validation, first: int) -> list[Case]:
@@ -153,7 +134,7 @@ def examined(study: Validation, case: Case) -> tuple[Examined, ...]:
 
 
 def log_of(case: Case) -> Log:
-    """The log of a case, its fault in it."""
+    """The log of a case, with its fault."""
     log = case.world.simulate(case.seed)
     if case.fault == SOUND:
         return log
@@ -162,7 +143,7 @@ def log_of(case: Case) -> Log:
 
 
 def twin_seeds(study: Validation, case: Case) -> range:
-    """Seeds of a log's twins; those of no other log of the world are among them."""
+    """Seeds of a log's twins; logs of one world share none."""
     return range(case.seed * study.twins, (case.seed + 1) * study.twins)
 
 
@@ -209,11 +190,11 @@ def _broken_on(
         return None, None, []
     if source is None:
         source = source_of(log, smoother, study.estimators, study.setup)
-    said = trust.of_smoother(smoother, inputs)
+    smoothed = trust.of_smoother(smoother, inputs)
     result = []
     for name, size in case.broken:
         runs = [BROKEN[name].run(inputs, task, size), smoother]
-        result.append((runs, twin_sample(source, log, runs, smoother, said)))
+        result.append((runs, twin_sample(source, log, runs, smoother, smoothed)))
     return source, smoother, result
 
 
@@ -254,13 +235,13 @@ def nis_out(runs: Sequence[Run]) -> bool:
 
 
 def save(path: Path, found: Sequence[Examined]) -> None:
-    """Keep what came out of a case; the file appears whole or not at all."""
+    """Keep the result of a case; the file is written atomically."""
     with whole_file(path) as partial:
         partial.write_bytes(json.dumps([asdict(e) for e in found]).encode())
 
 
 def load(path: Path) -> tuple[Examined, ...] | None:
-    """What was kept, or None; a file that is damaged counts as none."""
+    """A kept result; None if it is missing or damaged."""
     try:
         rows = json.loads(path.read_bytes())
         names = {f.name for f in fields(Examined)}
@@ -280,9 +261,9 @@ VALIDATION_KEYS = {
 
 
 def load_validation(name: str) -> Validation | None:
-    """A study of the battery, shipped or by file; None where the file is missing or of another kind of study.
+    """A validation study, shipped or by file; None if the file is missing or of another kind of study.
 
-    UsageError names what is wrong in it.
+    Raises UsageError for an error in it.
     """
 
     def fault(what: str) -> UsageError:

@@ -1,1 +1,1 @@
-"""Noise fitted to a log: model and fit of `python -m eval.tune`."""
+"""Model and fit of noise to a log, for `python -m eval.tune`."""

@@ -1,14 +1,11 @@
-"""Noise and biases from a log's innovations: maximum likelihood, standard errors, and how white they are.
+"""Maximum likelihood of noise and biases from a log's innovations, with standard errors and whiteness.
 
-The likelihood of all readings is the product of the innovations' densities N(nu; 0, S) (Schweppe, IEEE Trans. Inf.
-Theory 11, 1965; Bar-Shalom, Li and Kirubarajan, section 5.4), here of the EKF with known association.
+The likelihood of all observations is the product of the innovations' densities N(nu; 0, S) (Schweppe, IEEE Trans. Inf.
+Theory 11, 1965; Bar-Shalom, Li and Kirubarajan, section 5.4), here of the EKF with known association. It is minimized
+over bounded parameters, and its curvature taken, from values alone.
 
-Minimum of a smooth function of bounded parameters, and its curvature there, from values alone.
-
-Where the fit starts: near every maximum of the likelihood that noise and latency may have, not only at the log's.
-
-Noise first: with sigmas stated wrong by factors, the other parameters are pulled to where they excuse innovations that
-are too large.
+Noise is fitted first: with misstated sigmas the other parameters are pulled to values that excuse large innovations.
+Fits start near every maximum over the latency.
 """
 
 from __future__ import annotations
@@ -34,7 +31,7 @@ Objective = Callable[[Array], float]
 
 
 def search(objective: Objective, theta: Array, moving: IntArray, scale: Array, bound: Array) -> Array:
-    """Minimise over the parameters `moving` of theta (n,), in units of `scale`, by a quasi-Newton method in bounds."""
+    """Minimize over the parameters `moving` of theta (n,), in units of `scale`, by a quasi-Newton method in bounds."""
     unit = scale[moving]
 
     def full(x: Array) -> Array:
@@ -73,7 +70,7 @@ def slope(objective: Objective, theta: Array, moving: IntArray, step: Array) -> 
 def curvature(objective: Objective, theta: Array, moving: IntArray, limit: Array) -> Array:
     """Hessian (k, k) over the parameters `moving` by central differences; limit (n,): the largest error of interest.
 
-    The steps change the log-likelihood by about 1/4 each: half of the law's own width, far above rounding.
+    Steps change the log-likelihood by about 1/4: half the width of its maximum, far above rounding.
     """
     here = objective(theta)
 
@@ -98,16 +95,14 @@ def curvature(objective: Objective, theta: Array, moving: IntArray, limit: Array
     return H
 
 
-FACTORS = (1 / 16, 1 / 4, 1.0, 4.0, 16.0)  # on the sigmas of motion and of the readings, each with each
+FACTORS = (1 / 16, 1 / 4, 1.0, 4.0, 16.0)  # on the sigmas of motion and of observations, all combinations
 LATENCIES = 41
-"""Latencies tried, evenly within the parameter's bounds: 0.05 s apart, where robots take longer to change speed."""
-STARTS = 3  # the best local maxima over the latencies that a fit is started from
-
-Cost = Callable[[Array], float]
+"""Latencies tried, evenly within the parameter's bounds: 0.05 s apart, less than robots take to change speed."""
+STARTS = 3  # fits, from the best local maxima over the latencies
 
 
-def starting_points(cost: Cost, model: Model) -> list[Array]:
-    """Parameters (n,) to start from, the most likely first; cost: minus the log-likelihood at parameters (n,)."""
+def starting_points(cost: Objective, model: Model) -> list[Array]:
+    """Parameters (n,) to start from, the most likely first; cost: negative log-likelihood at parameters (n,)."""
     names = [p.name for p in model.parameters]
     theta = _noise(cost, np.zeros(len(names)), names)
     if LATENCY not in names:
@@ -125,32 +120,31 @@ def starting_points(cost: Cost, model: Model) -> list[Array]:
     return sorted((_noise(cost, tried[i], names) for i in best), key=cost)
 
 
-def _noise(cost: Cost, theta: Array, names: list[str]) -> Array:
-    """Theta with the factors on motion noise and on the readings' noise that suit it best."""
+def _noise(cost: Objective, theta: Array, names: list[str]) -> Array:
+    """Theta with the most likely factors on the noise of motion and observations."""
     motion = np.array([name.startswith("motion_") and name != "motion_lateral" for name in names])
     sensor = np.array([name.startswith("sigma_") for name in names])
-    tried = []
-    for a, b in product(np.log(FACTORS) if motion.any() else [0.0], np.log(FACTORS) if sensor.any() else [0.0]):
-        tried.append(np.where(motion, a, np.where(sensor, b, theta)))
-    return min(tried, key=cost)
+    factors = product(np.log(FACTORS) if motion.any() else [0.0], np.log(FACTORS) if sensor.any() else [0.0])
+    return min((np.where(motion, a, np.where(sensor, b, theta)) for a, b in factors), key=cost)
 
 
 FITTED, HELD, AT_BOUND = "fitted", "not determined", "at its bound"
 HOPELESS = 1e6
 """Added to the start's objective where the filter fails: worse than any likelihood, and finite for the optimizer."""
-ROUNDS = 30  # fits at most: each drops a parameter or improves the optimum
-STEPS = 10  # newton's steps after each
-APART = 2.0  # standard errors either way over which the slope of the score in the latency is taken
+ROUNDS = 30  # largest number of fits: each drops a parameter or improves the optimum
+STEPS = 10  # Newton steps after each
+APART = 2.0  # standard errors either way for the slope of the score in the latency
 VAGUE = 2.0
-"""Standard error of a latency over that by curvature from which on the odometry's noise, not its motion, tells it."""
-DECREMENT = 1e-3  # gain of log-likelihood that a Newton step may still promise at an optimum: 1/20 of a standard error
+"""Standard error of a latency over that by curvature, above which it follows from the odometry's noise, not its motion.
+"""
+DECREMENT = 1e-3  # remaining gain of log-likelihood of a Newton step at an optimum: 1/20 of a standard error
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """Parameters (n,) at the largest likelihood, their standard errors (NaN unless fitted), and how each fared (n,).
+    """Parameters (n,) at the largest likelihood, standard errors (NaN unless fitted), and status (n,).
 
-    `gain` is the log-likelihood won over the log as stated.
+    `gain`: increase of log-likelihood over the log as stated.
     """
 
     theta: Array
@@ -161,7 +155,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Score:
-    """What the innovations of some frames say: total log-likelihood, NIS per dof with its bounds, lag-1 correlation."""
+    """Innovations of some frames: total log-likelihood, NIS per dof with its bounds, lag-1 correlation."""
 
     log_likelihood: float
     dof: int
@@ -173,12 +167,10 @@ class Score:
 
 
 def pairings(inputs: Inputs, threshold: float = math.inf) -> IntArray:
-    """Decisions (M,) by label; those that the filter as stated finds outside `threshold` are discarded once for all.
+    """Decisions (M,) by label; those outside `threshold` of the filter as stated are discarded.
 
-    Leaving outliers out by the noise as stated, and not by the one tried, keeps the likelihoods comparable.
-
-    Raises:
-        DataError: no pairing is left, or the filter fails on the inputs as they are.
+    Outliers are chosen under the stated noise, not the fitted one, so that likelihoods are comparable. Raises
+    DataError: no pairing is left, or the filter fails on the inputs as they are.
     """
     decisions, _ = known_decisions(inputs)
     run = run_filter(inputs, decisions, threshold=threshold)
@@ -198,7 +190,7 @@ def middle(inputs: Inputs, decisions: IntArray) -> int:
 
 
 def score(inputs: Inputs, decisions: IntArray, begin: int = 0, end: int | None = None) -> Score:
-    """Innovations of the frames from `begin` up to, not including, `end`, of a filter that ran from frame 0.
+    """Innovations of the frames from `begin` to before `end`, of a filter that ran from frame 0.
 
     Raises DataError if the filter fails.
     """
@@ -216,16 +208,13 @@ def score(inputs: Inputs, decisions: IntArray, begin: int = 0, end: int | None =
 
 
 def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
-    """Maximise the innovation likelihood of the first `frames` frames (all, if None).
+    """Maximize the innovation likelihood of the first `frames` frames (all, if None).
 
-    Quasi-Newton in bounds from the best of several starting points, then Newton's method with the Hessian by central
-    differences over about half a standard error each way, at every step with odometry.csv cut at the latency reached.
-    A parameter whose standard error exceeds its limit goes back to 0 and the rest is fitted again, the least determined
-    first; one at its bound stays there. Standard errors are those of white innovations: on a recording whose
-    errors last, they are too small.
-
-    Raises:
-        DataError: no optimum is found.
+    Quasi-Newton in bounds from the best starting points, then Newton's method with the Hessian by central differences
+    over half a standard error each way; odometry.csv is cut at the latency reached. A parameter whose standard error
+    exceeds its limit returns to 0 and the rest is fitted again, the least determined first; one at its bound stays
+    there. Standard errors are those of white innovations: too small for recordings with lasting errors. Raises
+    DataError: no optimum is found.
     """
     shorter = model if frames is None else replace(model, inputs=_head(model.inputs, frames))
     if len(shorter.inputs.observations.frame) == 0:
@@ -282,9 +271,9 @@ def fit(model: Model, decisions: IntArray, frames: int | None = None) -> Fit:
 def _settle(
     near: Callable[[Array], Objective], theta: Array, moving: IntArray, H: Array, bound: Array
 ) -> tuple[Array, bool]:
-    """Newton's steps with a Hessian (k, k), each cutting the odometry where the last one led; whether they ended."""
+    """Newton steps with a Hessian (k, k), each cutting the odometry at the last latency; whether they converged."""
     covariance = np.linalg.inv(H)
-    # near, or the third derivative would pass for a slope
+    # near, or the third derivative adds to the slope
     reach = 0.1 * np.sqrt(0.5 / np.diag(H))
     for _ in range(STEPS):
         gradient = slope(near(theta), theta, moving, reach)
@@ -301,8 +290,8 @@ def _covariance(
 ) -> Array:
     """Covariance (k, k) of the parameters `moving`: J^-1 H J^-T, J the derivative of a score of variance H.
 
-    J is H but for the latency (n,): odometry that is cut anew has other noise in it, so its noise adds to the score's
-    variance and not to its slope (the sandwich of estimating equations: Huber, Proc. 5th Berkeley Symposium, 1967).
+    J is H except for the latency (n,): odometry cut at another latency has other noise, which adds to the score's
+    variance and not to its slope (sandwich of estimating equations: Huber, Proc. 5th Berkeley Symposium, 1967).
     """
     J = H.copy()
     reach = 0.1 * np.sqrt(0.5 / np.diag(H))
@@ -312,13 +301,12 @@ def _covariance(
         later[moving[i]] += h
         sooner[moving[i]] -= h
         J[:, i] = (slope(near(later), later, moving, reach) - slope(near(sooner), sooner, moving, reach)) / (2.0 * h)
-    # pinv: where no signal is left the error is to be large, not the program to end
+    # pinv: without signal the error becomes large
     inverse = np.linalg.pinv(J, rcond=1e-12)
     return np.asarray(inverse @ H @ inverse.T)
 
 
 def _head(inputs: Inputs, frames: int) -> Inputs:
-    """The inputs up to, not including, frame `frames`."""
     o, rows = inputs.observations, int(inputs.start[frames])
     if not isinstance(o, LabelledObservations):
         raise ValueError("known association was not granted to these inputs")
@@ -331,7 +319,7 @@ def _head(inputs: Inputs, frames: int) -> Inputs:
 
 
 def _cost(model: Model, decisions: IntArray) -> Callable[[Array, float], float]:
-    """Minus the log-likelihood at parameters (n,), with odometry.csv cut at a latency [s]."""
+    """Negative log-likelihood at parameters (n,), with odometry.csv cut at a latency [s]."""
     stated = -float(run_filter(apply(model, np.zeros(len(model))), decisions).log_likelihood.sum())
 
     def cost(theta: Array, cut: float) -> float:

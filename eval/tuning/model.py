@@ -1,21 +1,18 @@
-"""What noise, biases, odometry scales and a latency do to a log's inputs: the model that `eval.tuning.fit` fits.
+"""Effects of noise, biases, odometry scales and a latency on a log's inputs, fitted by `eval.tuning.fit`.
 
-Every parameter is 0 where the log stays as it is stated: the logarithm of a factor (noise, odometry scale), a bias in
-the unit of its reading, or seconds. Nothing here knows the truth.
+Every parameter is 0 for the log as stated: the logarithm of a factor (noise, odometry scale), a bias in its unit, or
+seconds. The truth is not used.
 
-Odometry predicts the motion, so a scale is that of the best prediction: noisy odometry is shrunk by the share of its
-noise in its mean square (regression on a noisy quantity), by 1 % where that share is 1 %. For the same reason a latency
-that averages two noisy samples would be favoured; `eval.tuning.model` says how that is avoided.
+A scale of odometry is that of the best prediction: noisy odometry is shrunk by the share of noise in its mean square
+(regression on a noisy quantity).
 
-Recorded odometry, and increments of it that may stand a little earlier without averaging its noise.
-
-Cut between two samples, an increment holds a part of either, and the average of two noises is smaller than each: where
-the frames stand at the odometry's own stamps, a likelihood of increments cut anew at every latency has a maximum half a
-sample before the right one and another half a sample after it (the interpolation artefact of image registration: Pluim,
+A latency that averages two noisy samples would be favoured: an increment cut between two samples holds a part of
+either, with less noise. If frames have the odometry's own stamps, the likelihood then has a maximum half a sample
+before the right latency and another half a sample after it (the interpolation artefact of image registration: Pluim,
 Maintz and Viergever, Computer Vision and Image Understanding 77, 2000). So an increment is cut once and moved from
-there with the velocity averaged over `HALF_WIDTH` either side, an instrument that its own noise does not favour: the
-covariance of that average with the noise of the increment is the same at both ends and cancels (instrumental variables
-against errors in variables: Söderström and Stoica, System Identification, 1989, chapter 8).
+there with the velocity averaged over `HALF_WIDTH` either side. The covariance of this average with the noise of the
+increment is the same at both ends and cancels (instrumental variables: Söderström and Stoica, System Identification,
+1989, chapter 8).
 """
 
 from __future__ import annotations
@@ -38,13 +35,13 @@ from data.se2 import Array
 from data.sensors import RangeBearing
 
 HALF_WIDTH = 0.3
-"""s. Either side of an instant, for its velocity: many samples, and short against the manoeuvres of a robot."""
-SAMPLES = 3  # odometry samples that the velocity of an instant is averaged over, either side, at least
+"""s; time either side of an instant for its velocity: many samples, and short against a robot's manoeuvres."""
+SAMPLES = 3  # least number of odometry samples either side for a velocity
 
 
 @dataclass(frozen=True, eq=False)
 class Odometry:
-    """odometry.csv as recorded: stamps [s], v [m/s], omega [rad/s] (K,), and how they become increments."""
+    """odometry.csv as recorded: stamps [s], v [m/s], omega [rad/s] (K,), and the velocity model."""
 
     time: Array
     v: Array
@@ -53,7 +50,7 @@ class Odometry:
 
 
 def read_odometry(folder: Path) -> Odometry | None:
-    """The recorded odometry of a log folder that has loaded; None for one with frames.csv, or for a log by name."""
+    """The recorded odometry of a log folder that has loaded; None with frames.csv, or for a log by name."""
     if not (folder / ODOMETRY).is_file():
         return None
     motion = read_header(folder / HEADER).motion
@@ -71,7 +68,7 @@ def smooth_velocity(odometry: Odometry, at: Array) -> Array:
     length = np.diff(time)
     width = max(HALF_WIDTH, SAMPLES * float(np.median(length)))
     hold = np.minimum(length, MAX_HOLD)
-    # distance and rotation so far, at the end of every sample and where it stops to hold
+    # distance and rotation so far, at the end of every sample and of its hold
     knots = np.column_stack([time[:-1], time[:-1] + hold]).ravel()
     mean = np.empty((len(at), 2))
     for column, rate in enumerate((odometry.v, odometry.omega)):
@@ -83,7 +80,7 @@ def smooth_velocity(odometry: Odometry, at: Array) -> Array:
 
 
 def moved_later(increments: Increments, velocity: Array, by: float) -> Increments:
-    """Increments (N, 3) between instants `by` s later each, at velocities (N, 2) of the instants; the same noise."""
+    """Increments (N, 3) between instants `by` s later, at velocities (N, 2) of the instants; the same noise."""
     arc = _arc(by * velocity[:, 0], by * velocity[:, 1])
     mean = increments.mean.copy()
     mean[1:] = se2.compose(se2.inverse(arc[:-1]), se2.compose(mean[1:], arc[1:]))
@@ -98,47 +95,39 @@ def _arc(distance: Array, rotation: Array) -> Array:
 
 
 GROUPS = ("motion", "sensor", "bias", "odometry", "latency", "growth")
-"""What may be fitted; `growth` only where it is asked for."""
+"""Groups of parameters; `growth` only on request."""
 DEFAULT_GROUPS = GROUPS[:-1]
 LATENCY = "latency"
-CLOSEST = 0.1  # m. The noise of nearer readings no longer shrinks with the range
+CLOSEST = 0.1  # m; the noise of nearer observations does not shrink further
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number to fit, 0 where the log stays as stated.
+    """One parameter, 0 for the log as stated."""
 
-    Attributes:
-        name: what it is called in reports and in the copy's log.toml.
-        unit: of the fitted value; empty for a factor, of which the logarithm is the parameter.
-        bound: the parameter lies within -bound and bound.
-        limit: a standard error above it means that the log does not determine the parameter.
-        about: what it is, in a few words.
-    """
-
-    name: str
-    unit: str
-    bound: float
-    limit: float
-    about: str
+    name: str  # in reports and in the copy's log.toml
+    unit: str  # of the fitted value; empty for a factor, whose logarithm is the parameter
+    bound: float  # the parameter is within -bound and bound
+    limit: float  # a larger standard error means that the log does not determine the parameter
+    about: str  # description in a few words
 
     @property
     def is_factor(self) -> bool:
-        """Whether exp(parameter) multiplies something that the log states."""
+        """Whether exp(parameter) multiplies a stated value."""
         return not self.unit
 
     def value(self, theta: float) -> float:
-        """The parameter as a person reads it: the factor, or the number in its unit."""
+        """The factor, or the number in its unit."""
         return math.exp(theta) if self.is_factor else float(theta)
 
     def parameter(self, value: float) -> float:
-        """The other way round."""
+        """The inverse of `value`."""
         return math.log(value) if self.is_factor else value
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """A log's inputs as stated (labels granted), its recorded odometry where it has one, and what is to be fitted."""
+    """A log's inputs as stated (labels granted), its recorded odometry if any, and the parameters."""
 
     inputs: Inputs
     odometry: Odometry | None
@@ -149,12 +138,12 @@ class Model:
 
 
 def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str] = DEFAULT_GROUPS) -> Model:
-    """The parameters of `groups` that the log has room for: no growth without ranges, no latency without odometry.csv.
+    """The parameters of `groups` that the log allows: no growth without ranges, no latency without odometry.csv.
 
-    Increments that were integrated beforehand cannot be cut anew: interpolating them averages the errors of neighbours,
-    which the likelihood takes for a better instant.
+    Increments integrated beforehand cannot be cut again: interpolation averages neighbouring errors, which the
+    likelihood takes for a better instant.
 
-    Raises UsageError for a group that is not known.
+    Raises UsageError for an unknown group.
     """
     for group in groups:
         if group not in GROUPS:
@@ -185,7 +174,7 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
 
 
 def _motion_parameters(odometry: Odometry | None) -> list[tuple[str, str]]:
-    """Names and meanings of the factors on motion noise: those of [motion], or of the increments' components."""
+    """Names and meanings of the factors on motion noise: of [motion], or of the increments' components."""
     if odometry is None:
         return [
             ("motion_along", "factor on the sigma of increments, forward"),
@@ -199,7 +188,7 @@ def _motion_parameters(odometry: Odometry | None) -> list[tuple[str, str]]:
 
 
 def vector(model: Model, values: Mapping[str, float]) -> Array:
-    """Parameters (n,) from readable values by name (`Parameter.value`); what is not named stays as stated.
+    """Parameters (n,) from values by name (`Parameter.value`); others stay as stated.
 
     Raises UsageError for a name that this log has no parameter for.
     """
@@ -213,15 +202,11 @@ def vector(model: Model, values: Mapping[str, float]) -> Array:
 def apply(model: Model, theta: Sequence[float] | Array, *, floor: bool = False, cut: float | None = None) -> Inputs:
     """The inputs with parameters theta (n,).
 
-    With odometry.csv the velocity is scaled and preintegrated anew, between frames that stand `latency` earlier: at the
-    instants when the readings were taken. Otherwise an increment is scaled as an arc of constant curvature.
+    With odometry.csv the velocity is scaled and preintegrated between frames `latency` earlier, at the true instants of
+    the observations. Otherwise an increment is scaled as an arc of constant curvature.
 
-    Args:
-        model: the log and what may change.
-        theta: parameters, in the order of `model.parameters`.
-        floor: add the log's covariance floor, as loading would (an EKF does not need it).
-        cut: s. Latency at which odometry.csv is cut into increments, which from there are moved with the smoothed
-            velocity to the latency of theta; None: at that latency itself. Nothing is moved where the two agree.
+    `floor` adds the log's covariance floor, as loading does (an EKF does not need it). `cut` [s]: latency at which
+    odometry.csv is cut into increments, which are moved with the smoothed velocity to the latency of theta.
     """
     value = {p.name: float(t) for p, t in zip(model.parameters, theta, strict=True)}
     inputs = model.inputs
@@ -244,7 +229,6 @@ def apply(model: Model, theta: Sequence[float] | Array, *, floor: bool = False, 
 
 
 def _increments(model: Model, value: Mapping[str, float], cut: float | None) -> Increments:
-    """Scaled motion with scaled noise."""
     forward, turn = math.exp(value.get("odometry_v", 0.0)), math.exp(value.get("odometry_omega", 0.0))
     if model.odometry is not None:
         odometry, latency = model.odometry, value.get(LATENCY, 0.0)
@@ -255,13 +239,13 @@ def _increments(model: Model, value: Mapping[str, float], cut: float | None) -> 
             return cutting
         return moved_later(cutting, smooth_velocity(odometry, at) * np.array([forward, turn]), cut - latency)
     stated = model.inputs.increments
-    # a chord stands half the arc's turn off the first heading
+    # a chord is half the arc's turn off the first heading
     half = 0.5 * (turn - 1.0) * stated.mean[:, 2]
     c, s = forward * np.cos(half), forward * np.sin(half)
     dx, dy = stated.mean[:, 0], stated.mean[:, 1]
     mean = np.column_stack([c * dx - s * dy, s * dx + c * dy, turn * stated.mean[:, 2]])
     heading = value.get("motion_heading", 0.0)
-    # sideways noise of a turning robot comes from its heading, so it goes along unless the log tells them apart
+    # a turning robot's sideways noise comes from its heading, unless the log separates them
     D = np.exp([value.get("motion_along", 0.0), heading + value.get("motion_lateral", 0.0), heading])
     return Increments(mean, D[:, None] * stated.covariance * D)
 
@@ -276,7 +260,7 @@ def _scaled(noise: VelocityNoise, value: Mapping[str, float]) -> VelocityNoise:
 
 
 def _readings(model: Model, value: Mapping[str, float]) -> tuple[Array, Array]:
-    """Corrected readings (M, 2) and their noise (M, 2, 2)."""
+    """Corrected observations (M, 2) and their noise (M, 2, 2)."""
     inputs = model.inputs
     o, sensor = inputs.observations, inputs.sensor
     polar = isinstance(sensor, RangeBearing)

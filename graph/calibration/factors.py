@@ -1,10 +1,9 @@
-"""Factors of the systematic errors: with increments, a priori, from knot to knot, and with known landmarks.
+"""Factors of the systematic errors: with increments, priors, between knots, and with known landmarks.
 
-That of an increment is exact in both poses wherever they go, and linear in the errors. One that is linear in the poses
-as well is exact for rigid motions of both to first order only: far from where the log began poses move by metres while
-increments are known to millimetres, and what is left out throws the estimate about. So the residual is formed anew each
-time that gtsam linearizes the factor, at the errors as known then, and taken from there to where gtsam has them by its
-tangent: these may be far apart, and none of the rest need be eliminated anew.
+The factor of an increment is exact in both poses, and linear in the errors. A factor linear in the poses as well is
+exact only to first order: poses move by metres while increments are known to millimetres. So the residual is evaluated
+at each linearization at the present errors, and extrapolated by its tangent to the errors of gtsam's linearization
+point. These may be far apart, without another elimination of the rest.
 """
 
 from __future__ import annotations
@@ -23,39 +22,37 @@ from data.se2 import Array, world_from_body
 from data.sensors import Sensor
 from graph.factors import (
     Factor,
-    Sighted,
+    ObservationFactors,
     increment_roots,
+    landmark_factors,
     noise,
     pose2,
     prior_factor,
     root_information,
-    sight_landmarks,
 )
 from graph.qr.calibrated import linearize_increments
 from graph.systematic import Errors, drift_key
 
 PINNED = 1e-4
 """m. Sigma of a known landmark in the sensor's frame, where it depends on the errors and no prior can hold it exactly.
-Beside readings of 0.01 m it adds a ten-thousandth to their variance; and its weight is 1e4 times theirs at most, while
-Cholesky breaks down at 1e10."""
+It adds 1e-4 to the variance of observations of 0.01 m; its weight is at most 1e4 times theirs, far from the 1e10 at
+which Cholesky fails."""
 UNIT = {n: noise.Unit.Create(n) for n in (1, 2, 3)}
 
 
 def linear_factor(terms: list[tuple[int, Array]], b: Array, point: gtsam.Values) -> Factor:
-    """The residual sum of A x - b in units of its sigma, x counted from `point`.
-
-    A `JacobianFactor` of more than three variables has no constructor in Python; a `GaussianConditional`, which is one,
-    has.
+    """The residual sum of A x - b in units of its sigma, x relative to `point`. A `JacobianFactor` of more than three
+    variables has no constructor in Python; its subclass `GaussianConditional` has.
     """
     whole = gtsam.GaussianConditional(terms, 1, b, UNIT[len(b)])
     return gtsam.LinearContainerFactor(gtsam.JacobianFactor(whole), point)
 
 
 def knot_factor(errors: Errors, knot: int, ended: float) -> Factor:
-    """What a knot's drift says about that of the next one, after so many metres."""
-    stays, anew = forgotten(ended, errors.systematic.length)
-    sigma = np.sqrt(anew)
-    terms = [(drift_key(knot), np.array([[-stays / sigma]])), (drift_key(knot + 1), np.array([[1.0 / sigma]]))]
+    """The factor between a knot's drift and that of the next one, after `ended` metres."""
+    decay, fresh = forgotten(ended, errors.systematic.length)
+    sigma = np.sqrt(fresh)
+    terms = [(drift_key(knot), np.array([[-decay / sigma]])), (drift_key(knot + 1), np.array([[1.0 / sigma]]))]
     return linear_factor(terms, np.zeros(1), errors.zero(key for key, _ in terms))
 
 
@@ -72,7 +69,7 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Val
     values.insert(X(0), pose2(mean[:3]))
     if errors.frame.same:
         return [prior_factor(prior), *alone], values
-    # the pose given the errors; in the body frame, as gtsam has it
+    # the pose given the errors, in gtsam's body frame
     B = world_from_body(mean[2])
     K = P[:3, 3:] / sigma**2
     variance, axes = np.linalg.eigh(B.T @ (P[:3, :3] - K @ P[3:, :3]) @ B)
@@ -82,7 +79,7 @@ def first_factors(errors: Errors, prior: Prior) -> tuple[list[Factor], gtsam.Val
     return [pose, *alone], values
 
 
-def sight_pinned(
+def pinned_landmark_factors(
     errors: Errors,
     sensor: Sensor,
     seen: FrameObservations,
@@ -92,15 +89,14 @@ def sight_pinned(
     row: int,
     loss: str,
     now: Array,
-) -> list[Sighted]:
-    """Known landmarks at xy (m, 2) of the world, which depend on the errors in the sensor's frame.
-
-    Copies L(row), ... for each observation, of relative points as well; they start where errors `now` (p,) put them.
+) -> list[ObservationFactors]:
+    """Known landmarks at xy (m, 2) of the world, which depend on the errors in the sensor's frame. Copies L(row), ...
+    for each observation, of relative points as well; they start according to the errors `now` (p,).
     """
     copies = np.arange(row, row + len(number))
     there, _ = errors.frame.points_in(xy, now)
     zero, J = errors.frame.points_in(xy, np.zeros_like(now))
-    found = sight_landmarks(sensor, *seen, frames, copies, loss)
+    found = landmark_factors(sensor, *seen, frames, copies, loss)
     result = []
     for i, s in enumerate(found):
         assert s.key is not None
@@ -113,7 +109,6 @@ def sight_pinned(
 
 
 Residual = Callable[[gtsam.CustomFactor, gtsam.Values, list[Array] | None], Array]
-UNIT_INCREMENT = noise.Unit.Create(3)
 
 
 @numba.njit(cache=True)
@@ -130,7 +125,7 @@ def tangent(
 ) -> Array:
     """Columns (3, 1 + 6 + p): the whitened residual of one increment and its Jacobians to both poses and the variables.
 
-    `pose` (2, 3): before and after the increment; the residual is linearized at `errors` (p,) and taken to
+    `pose` (2, 3): before and after the increment; the residual is linearized at `errors` (p,) and extrapolated to
     variables `at` (p,). Each of these is error `order` (p,), all in units of `sigma` (p,); others as of
     `linearize_increments`.
     """
@@ -154,19 +149,18 @@ def tangent(
 def increment_factor(
     errors: Errors, frame: int, increment: Increment, root: Array, knot: int, now: Array
 ) -> gtsam.CustomFactor:
-    """The increment into a frame; root (3, 3): R with R'R the information of odometry's noise; `knot`: whose drift.
-
-    `now` (q,): the constants as they are known, in prior sigmas, read each time that the factor is linearized.
+    """The increment into a frame; root (3, 3): R with R'R the information of odometry's noise; `knot`: of its drift.
+    `now` (q,): the present constants, in prior sigmas, read at each linearization.
     """
     keys = [X(frame - 1), X(frame), *errors.keys(knot)]
-    return gtsam.CustomFactor(UNIT_INCREMENT, keys, _residual(errors, keys, increment.mean, root, now))
+    return gtsam.CustomFactor(UNIT[3], keys, _residual(errors, keys, increment.mean, root, now))
 
 
 def _residual(errors: Errors, keys: Sequence[int], mean: Array, root: Array, now: Array) -> Residual:
-    """What gtsam asks for each time that it linearizes the factor."""
+    """The callback of gtsam at each linearization of the factor."""
     before, after, q = keys[0], keys[1], len(errors.constant)
     constants, drift = keys[2], keys[-1] if errors.drift >= 0 else -1
-    # copies: for arrays that cannot be written to the kernel would be compiled once more
+    # copies: read-only arrays would compile the kernel once more
     given = [np.array(a, float, order="C") for a in (errors.systematic.sigma, mean[None], root[None])]
     sigma, motion, roots = given
     order, place, mount = np.array(errors.order), np.array(errors.place), np.array(errors.frame.mount, float)
@@ -198,12 +192,11 @@ class Motion:
 
     Attributes:
         knot: of the drift, the newest one.
-        oldest: first frame in the graph: increments up to it are no factors any more.
-        now: (q,) the constants as known now, in prior sigmas: all factors are linearized there.
+        oldest: first frame in the graph; increments up to it are no factors any more.
+        now: (q,) the present constants, in prior sigmas: all factors are linearized there.
     """
 
     def __init__(self, errors: Errors) -> None:
-        """None."""
         self._errors = errors
         self.knot = 0
         self.now = np.zeros(len(errors.constant))
@@ -214,14 +207,12 @@ class Motion:
 
     @property
     def raw(self) -> tuple[Array, Array]:
-        """Increments (N, 3) and covariances (N, 3, 3) as odometry stated them."""
+        """Increments (N, 3) and covariances (N, 3, 3) as stated by odometry."""
         return np.array(self._mean), np.array(self._covariance)
 
     def extend(self, first: int, increments: Sequence[Increment], knots: Sequence[int]) -> tuple[list[Factor], float]:
-        """Factors of increments (n) into frames `first`, ....
-
-        `knots` (n,): whose drift each has. Also returned: the smallest pivot of the covariances. Raises DataError for a
-        singular one.
+        """Factors of increments (n) into frames `first`, ..., with the knots (n,) of their drift. Also returns the
+        smallest pivot of the covariances. Raises DataError for a singular one.
         """
         mean, covariance = (np.array(rows) for rows in zip(*increments, strict=True))
         roots, pivot = increment_roots(first, covariance)
@@ -235,13 +226,13 @@ class Motion:
         return found, pivot
 
     def knot_of(self, frame: int) -> int:
-        """Whose drift the increment into a frame of the graph has (0 of frame 0)."""
+        """Knot of the increment into a frame of the graph (0 of frame 0)."""
         return self._knots[max(frame - 1 - self.oldest, 0)] if self._knots else self.knot
 
     def forget(self, oldest: int) -> range:
-        """Frame `oldest` is the first one in the graph now; knots that no increment in it has any more."""
-        gone, first = oldest - self.oldest, self._first_knot
-        del self._knots[:gone]
+        """Make frame `oldest` the first one in the graph; returns the knots that left it."""
+        removed, first = oldest - self.oldest, self._first_knot
+        del self._knots[:removed]
         self.oldest = oldest
         self._first_knot = self._knots[0] if self._knots else self.knot
         return range(first, self._first_knot)

@@ -1,7 +1,7 @@
 """The open end of a graph with systematic errors: newest pose and errors, composed since the newest pose in it.
 
-All poses and covariances are in the sensor's frame, and so is the graph; what is handed out, or comes in as a pose, is
-the robot's in the world. Pose and errors are carried along together, with the arithmetic of a filter's prediction.
+All poses and covariances are in the sensor's frame, and so is the graph; poses go in and out as the robot's in the
+world. Pose and errors are propagated together, with the arithmetic of a filter's prediction.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from data.se2 import Array, world_from_body
 from data.sensors import wrap_angle_jit
 from graph.calibration.factors import Motion, first_factors, knot_factor
 from graph.engine import EXTRA, JUMP, Engine, Window
-from graph.factors import Factor, Sighted
-from graph.open_end import Left, OpenEnd
+from graph.factors import Factor, ObservationFactors, pose_array
+from graph.open_end import MarginalizedPose, OpenEnd
 from graph.problem import Problem
 from graph.systematic import Calibrated, Errors, drift_key
 
 
 @numba.njit(cache=True)
 def forget(b: Array, P: Array, F: Array, Q: Array, drift: int, stays: float, fresh: float) -> None:
-    """At a new knot, in place: of the drift, at `drift` among errors b (p,), a share stays, and variance comes."""
+    """Decay the drift, at `drift` among errors b (p,), at a new knot in place, and add its fresh variance."""
     i = 3 + drift
     b[drift] *= stays
     for M in (P, Q):
@@ -44,8 +44,8 @@ def forget(b: Array, P: Array, F: Array, Q: Array, drift: int, stays: float, fre
 def advance(
     mean: Array, b: Array, P: Array, F: Array, Q: Array, motion: Array, M: Array, place: IntArray, mount: Array
 ) -> tuple[Array, Array, Array, Array]:
-    """Pose (3,), covariance P of pose and errors b (p,), both (3 + p), Jacobian F and gathered covariance Q since an
-    anchor, one raw increment later. Errors stand at `place` among all; `mount` as of `correct`.
+    """Pose (3,), covariance P of pose and errors b (p,), Jacobian F and gathered covariance Q since an anchor, one raw
+    increment later, all (3 + p, 3 + p). Errors have index `place` among all; `mount` as of `correct`.
     """
     p = len(b)
     errors, moved, A, G = np.zeros(7), np.zeros(3), np.zeros((3, 7)), np.zeros((3, 3))
@@ -65,14 +65,14 @@ def advance(
     return np.array([mean[0] + wx, mean[1] + wy, wrap_angle_jit(mean[2] + moved[2])]), P, F, Q
 
 
-ANEW = 0.2
-"""Of all updates so far: after so many everything is linearized anew, however little it moved. What an error changes of
-an increment is taken at the poses, and there the noise of odometry would bias it: without, errors of turns are 1.5
-sigma off in the arena, with it 0.2; with half of it 0.03, and the arena takes 1.5 times as long."""
+RELINEARIZE = 0.2
+"""Share of all updates so far after which everything is relinearized. The effect of an error on an increment is
+linearized at the poses, where the noise of odometry would bias it: without, errors of turns are 1.5 sigma off in the
+arena, with it 0.2; with half of it 0.03, and the arena takes 1.5 times as long."""
 
 
 class CalibratedEnd(OpenEnd):
-    """As `OpenEnd`, with the errors as they are known.
+    """As `OpenEnd`, with the estimated errors.
 
     Attributes:
         b: (p,) the errors, the drift that of the newest knot.
@@ -80,7 +80,6 @@ class CalibratedEnd(OpenEnd):
     """
 
     def __init__(self, prior: Prior, errors: Errors) -> None:
-        """At the prior."""
         super().__init__(prior)
         self._errors, self.frame = errors, errors.frame
         self._known_exactly &= self.frame.same
@@ -92,16 +91,16 @@ class CalibratedEnd(OpenEnd):
         self._units = np.zeros_like(whole)
         self._units[3 + errors.order, 3 + np.arange(len(errors.place))] = errors.systematic.sigma[errors.order]
         self._updates, self._looked = 0, 0
-        self._back()
+        self._reset()
 
-    def _back(self) -> None:
+    def _reset(self) -> None:
         (self.mean, self.b, self.whole), self._path_b = self._origin, list[Array]()
         self._F, self._gathered = np.eye(len(self.whole)), np.zeros_like(self.whole)
         self.P = self.whole[:3, :3]
 
     @property
     def keys(self) -> list[int]:
-        """Variables of the graph that the newest pose follows from."""
+        """Variables of the graph that determine the newest pose."""
         return [int(X(self.anchor)), *self._errors.keys(self._motion_log.knot)]
 
     @property
@@ -118,7 +117,7 @@ class CalibratedEnd(OpenEnd):
         return PoseEstimate(pose[0], 0.5 * (P + P.T))
 
     def move(self, increment: Increment) -> None:
-        """One increment further."""
+        """Add an increment."""
         ended = 0.0
         if self._errors.drift >= 0:
             ended, self._since = knot(self._since, increment.mean, self._errors.step)
@@ -126,15 +125,15 @@ class CalibratedEnd(OpenEnd):
         super().move(increment)
 
     def _advance(self, increment: Increment) -> None:
-        """The newest pose, the errors and their covariance by one increment."""
+        """Propagate the newest pose, the errors and their covariance by one increment."""
         e, ended = self._errors, self._ended[len(self._path)]
         if ended > 0.0:
-            stays, anew = forgotten(ended, e.systematic.length)
+            decay, share = forgotten(ended, e.systematic.length)
             self.b, self.whole, self._F, self._gathered = (
                 np.array(a) for a in (self.b, self.whole, self._F, self._gathered)
             )
-            fresh = anew * e.systematic.sigma[e.drift] ** 2
-            forget(self.b, self.whole, self._F, self._gathered, e.drift, stays, fresh)
+            fresh = share * e.systematic.sigma[e.drift] ** 2
+            forget(self.b, self.whole, self._F, self._gathered, e.drift, decay, fresh)
         mean, M = np.array(increment.mean), np.array(increment.covariance)
         self.mean, self.whole, self._F, self._gathered = advance(
             self.mean, self.b, self.whole, self._F, self._gathered, mean, M, e.place, e.frame.mount
@@ -144,12 +143,12 @@ class CalibratedEnd(OpenEnd):
         self._path_b.append(self.b)
 
     def inside(self, pose: Array) -> Array:
-        """A pose (3,) of the robot as it is in the graph."""
+        """A robot's pose (3,) in the frame of the graph."""
         there: Array = self.frame.poses_in(pose[None], self.b[None])[0]
         return there
 
     def _since_anchor(self) -> tuple[Array, Array]:
-        """Jacobian (3, n) of the newest pose (there) to the variables `keys`, and covariance (3, 3) gathered since."""
+        """Jacobian (3, n) of the newest pose to the variables `keys`, and covariance (3, 3) gathered since."""
         return self._F[:3] @ self._raw(self._origin[0][2]), self._gathered[:3, :3]
 
     def _raw(self, heading: float) -> Array:
@@ -177,14 +176,13 @@ class CalibratedEnd(OpenEnd):
         return found + factors, pivot
 
     def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
-        """As `Engine.settle`, with all that the newest pose and the errors are read from at once.
-
-        After a jump it goes on until the pose stays: the loop says something new of the errors, and they of the path.
+        """As `Engine.settle`, with all that determines newest pose and errors. After a jump it goes on until the pose
+        stays: a loop closure changes the errors, and they the path.
         """
         self._updates += 1
         pose, far = self._take(engine), JUMP
         for _ in range(EXTRA):
-            due = self._updates - self._looked >= ANEW * self._updates
+            due = self._updates - self._looked >= RELINEARIZE * self._updates
             if not (due or engine.jumped(before, pose, far)):
                 break
             before, far = pose, 1.0
@@ -196,16 +194,15 @@ class CalibratedEnd(OpenEnd):
             pose = self._take(engine)
 
     def _take(self, engine: Engine) -> gtsam.Pose2:
-        """The anchor and the errors as the graph has them."""
+        """Read the anchor and the errors from the graph."""
         change, J = engine.newest(self.keys)
         point = engine.point
         pose = point.atPose2(self.keys[0]).retract(change[:3])
         at = np.concatenate([point.atVector(key) for key in self.keys[1:]]) + change[3:]
         self._motion_log.now[:] = at[: len(self._motion_log.now)]
-        T, J = self._raw(pose.theta()), self._free(J)
+        T, J = self._raw(pose.theta()), self._fix_anchor(J)
         whole = T @ J @ T.T
-        there = np.array([pose.x(), pose.y(), pose.theta()])
-        self._origin = there, self._errors.of_variables(at), 0.5 * (whole + whole.T)
+        self._origin = pose_array(pose), self._errors.of_variables(at), 0.5 * (whole + whole.T)
         return pose
 
     def points(self, xy: Array) -> Array:
@@ -213,12 +210,12 @@ class CalibratedEnd(OpenEnd):
         return self.frame.points_out(xy, self.b)[0]
 
     def reach(self, radius: float) -> tuple[Array, float]:
-        """Where the newest pose (2,) is on a known map, and a radius [m] around it there."""
+        """Position (2,) of the newest pose on a known map, and a radius [m] around it there."""
         point, scale, _ = self.frame.points_out(self.mean[None, :2], self.b)
         return point[0], scale * radius
 
     def known(self, xy: Array) -> tuple[Array, Array]:
-        """Known landmarks (n, 2) as they are there; covariance of the newest pose, and of them if not known."""
+        """Known landmarks (n, 2) in the graph's frame; covariance of the newest pose, and theirs if not exact."""
         if self.frame.range_at < 0 or not len(xy):
             return xy, self.P
         there, J = self.frame.points_in(xy, self.b)
@@ -227,7 +224,7 @@ class CalibratedEnd(OpenEnd):
         return there, T @ self.whole @ T.T
 
     def map_of(self, number: IntArray, xy: Array, J: Array) -> MapState:
-        """Landmarks (n,) of the graph, at xy (n, 2) there; J: joint covariance of the variables `keys` and them."""
+        """Map of landmarks (n,) at xy (n, 2) in the graph; J: joint covariance of the variables `keys` and them."""
         e, n = self._errors, len(self.whole)
         out, scale, D = self.frame.points_out(xy, self.b)
         C = scale**2 * diagonal_blocks(J[n:, n:])
@@ -237,8 +234,8 @@ class CalibratedEnd(OpenEnd):
             C += across + across.transpose(0, 2, 1) + D @ J[3:n, 3:n] @ D.transpose(0, 2, 1)
         return MapState(number, out, C)
 
-    def leaving(self, window: Window, frame: int) -> Left:
-        """The pose of a frame in a window, which may leave it."""
+    def leaving(self, window: Window, frame: int) -> MarginalizedPose:
+        """The pose of a frame in a window, before its marginalization."""
         e, key = self._errors, int(X(frame))
         variables = e.keys(self._motion_log.knot_of(frame))
         pose, b = window.pose(key), e.of_variables(np.concatenate([window.vector(k) for k in variables]))
@@ -251,33 +248,30 @@ class CalibratedEnd(OpenEnd):
             out, D = self.frame.poses_out(pose[None], b[None])
             of_pose, D = out[0], world_from_body(out[0, 2]).T @ D[0] @ T
             C, spread = D @ J @ D.T, np.sqrt(np.diag(J)[3:])
-        return Left(of_pose, C, (b, e.of_variables(spread)))
+        return MarginalizedPose(of_pose, C, (b, e.of_variables(spread)))
 
     def forget(self, oldest: int) -> list[int]:
-        """Frame `oldest` becomes the first one in the graph: knots of the drift that leave it."""
-        gone = self._motion_log.forget(oldest)
-        return [drift_key(k) for k in gone if self._errors.drift >= 0]
+        """Make frame `oldest` the first one in the graph; returns the knots of the drift that leave it."""
+        removed = self._motion_log.forget(oldest)
+        return [drift_key(k) for k in removed if self._errors.drift >= 0]
 
     def history(self, left: Array) -> Systematics | None:
-        """Systematic errors by frame: the constants as known last, the drift as it was when a frame left."""
+        """Systematic errors by frame: the last constants, the drift as it was when a frame left."""
         e, found = self._errors, left.copy()
         found[:, :, e.constant] = found[-1:, :, e.constant]
         return Systematics(e.systematic.names, found[:, 0], found[:, 1])
 
-    def problem(self, sighted: Sequence[Sighted], known_map: bool) -> Problem:
-        """All of the run as a problem."""
+    def problem(self, observations: Sequence[ObservationFactors], known_map: bool) -> Problem:
+        """The whole run as a problem."""
         mean, covariance = self._motion_log.raw
         calibrated = Calibrated(self._errors.systematic, self.frame, Increments(mean, covariance))
-        return Problem(self.prior, calibrated.motion(), sighted, known_map, calibrated)
+        return Problem(self.prior, calibrated.motion(), observations, known_map, calibrated)
 
     def start(self, values: gtsam.Values, problem: Problem) -> gtsam.Values:
-        """Where the search for the optimum starts: the present estimate, known landmarks exactly where errors put them.
-
-        The first copy of the constants is that of the problem.
-        """
+        """The present estimate with known landmarks exactly at their positions under the errors."""
         if self.frame.range_at >= 0 and problem.known_map and problem.calibrated is not None:
             b = problem.calibrated.errors(values)[0]
-            for s in problem.sighted:
+            for s in problem.observations:
                 if s.key is not None and s.xy is not None:
                     values.update(s.key, self.frame.points_in(s.xy[None], b)[0][0])
         return values

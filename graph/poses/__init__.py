@@ -1,1 +1,1 @@
-"""Graphs of key poses alone: a chain, and loop closures in it."""
+"""Pose graphs: a chain of key poses, and loop closures in it."""

@@ -1,11 +1,11 @@
 """Batch optimization of a pose graph: the optimum of all constraints with its exact covariances, by sparse QR.
 
-As `graph.optimum` does for landmarks: Gauss-Newton steps cut down until the cost falls, ended and judged by their
-length in sigmas. A robust loss is on the norm of the whole whitened residual of a loop closure, by reweighting.
+As `graph.optimum` for landmarks: Gauss-Newton steps shortened until the cost falls, with convergence measured in
+sigmas. A robust loss is on the norm of the whole whitened residual of a loop closure, by reweighting.
 
 Unknowns are poses [x, y, theta] (world). The error of a relative pose is gtsam's, so that all smoothers have the same
-optimum: the logarithm (so that it is the same seen from either end) of measured^-1 . estimated, in the frame of the
-end. To first order that is the additive error, turned there.
+optimum: the logarithm of measured^-1 . estimated, in the frame of the end. To first order that is the additive error,
+turned there.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class PoseProblem:
 
     @property
     def keys(self) -> int:
-        """How many key poses there are."""
+        """Number of key poses."""
         return len(self.key1) - self.loops + 1
 
     @property
@@ -65,9 +65,8 @@ class PoseProblem:
         return residual
 
     def prior_residual(self, pose: Array) -> tuple[Array, Array, Array]:
-        """Start (3,), z (3,) and U (3, 3): the first pose is pose[0] + start + U w, where z + w ~ N(0, I).
-
-        The start is zero unless `pose` contradicts what the prior knows exactly.
+        """Start (3,), z (3,) and U (3, 3): the first pose is pose[0] + start + U w, where z + w ~ N(0, I). The start is
+        zero unless `pose` contradicts an exact direction of the prior.
         """
         variance, axes = np.linalg.eigh(self.prior.covariance)
         sigma = np.sqrt(np.where(variance > EXACT * variance[-1], variance, 0.0))
@@ -76,7 +75,7 @@ class PoseProblem:
         return -axes @ np.where(sigma > 0.0, 0.0, off), z, axes * sigma
 
     def step(self, pose: Array, weight: Array) -> Newton:
-        """The least-squares step at poses (K, 3), loops weighted (L,); raises nothing: the chain determines all."""
+        """The least-squares step at poses (K, 3), loops weighted (L,); the chain determines all variables."""
         A, b = _linearize(pose, self.key1, self.key2, self.relative, self.root)
         scale = np.sqrt(weight)
         first = len(b) - self.loops
@@ -93,7 +92,7 @@ class PoseProblem:
         return Newton(delta, float(np.sqrt(np.einsum("vic,vic->", triangle.d, triangle.d))), rows, triangle, U)
 
     def covariances(self, newton: Newton) -> Array:
-        """Marginal covariances (K, 3, 3), world frame, additive, where that step was taken."""
+        """Marginal covariances (K, 3, 3), world frame, additive, at the poses of that step."""
         P = marginals(newton.rows, self.structure, newton.triangle)
         P[0] = newton.U @ P[0] @ newton.U.T
         return P
@@ -101,7 +100,7 @@ class PoseProblem:
 
 @dataclass(frozen=True, eq=False)
 class Newton:
-    """A step (K, 3) [m, m, rad] of the poses, its length in sigmas, and what the covariances come from."""
+    """A step (K, 3) [m, m, rad] of the poses, its length in sigmas, and the elimination for the covariances."""
 
     delta: Array
     length: float
@@ -122,7 +121,7 @@ def pose_problem(
     """Chain: motion (K, 3), covariance (K, 3, 3), row 0 unused; loops key1, key2 (L,), relative (L, 3), (L, 3, 3).
 
     Covariances are of the additive error [m, m, rad] in the frame of key1. Raises DataError for a singular one, and
-    ValueError for a loop closure of a key pose that is not there.
+    ValueError for a loop closure of an unknown key pose.
     """
     n = len(motion)
     ends = np.concatenate([key1, key2]).astype(np.int64)
@@ -134,24 +133,19 @@ def pose_problem(
     second = np.concatenate([np.arange(1, n), key2]).astype(np.int64)
     edges = np.concatenate([motion[1:], relative])
     roots = np.concatenate([chain, loops])
-    return PoseProblem(prior, first, second, edges, roots, len(key1), _structure(first, second, n))
+    variable = _variables(first, second)
+    # no variable counts as a pose of a bare chain, whose order would be another one
+    return PoseProblem(prior, first, second, edges, roots, len(key1), structure(variable, ordering(variable, 0, n)))
 
 
 def _variables(key1: IntArray, key2: IntArray) -> IntArray:
     """Variables (1 + E, 2) of the blocks: the prior's first."""
-    prior = np.array([[0, -1]], np.int64)
-    return np.concatenate([prior, np.stack([key2, key1], 1)])
-
-
-def _structure(key1: IntArray, key2: IntArray, keys: int) -> Structure:
-    variable = _variables(key1, key2)
-    # none of the variables counts as a pose of a bare chain, or their order would be that of one
-    return structure(variable, ordering(variable, 0, keys))
+    return np.concatenate([np.array([[0, -1]], np.int64), np.stack([key2, key1], 1)])
 
 
 @numba.njit(cache=True)
 def _error(a: Array, b: Array, m: Array, r: Array) -> tuple[float, float, float, float, float, float, float]:
-    """The logarithm r (3,) of m^-1 a^-1 b; returns what its derivatives are made of."""
+    """The logarithm r (3,) of m^-1 a^-1 b; returns the terms of its derivatives."""
     ca, sa, cm, sm = np.cos(a[2]), np.sin(a[2]), np.cos(m[2]), np.sin(m[2])
     dx, dy = b[0] - a[0], b[1] - a[1]
     x, y = ca * dx + sa * dy, -sa * dx + ca * dy  # of b in a
@@ -186,7 +180,7 @@ def _linearize(pose: Array, key1: IntArray, key2: IntArray, relative: Array, roo
         x, y, tx, ty, g, h, slope = _error(a, pose[key2[e]], m, r)
         c, s = np.cos(a[2] + m[2]), np.sin(a[2] + m[2])
         cm, sm = np.cos(m[2]), np.sin(m[2])
-        # of (tx, ty, w) by the poses: by the position of b, the heading of b, then of a
+        # derivatives of (tx, ty, w): by the position of b, the heading of b, then of a
         ux, uy = cm * y - sm * x, -sm * y - cm * x  # derivative of (tx, ty) by a's heading
         kx, ky = 0.5 * slope * tx + 0.5 * ty, -0.5 * tx + 0.5 * slope * ty  # of the logarithm by w
         J[0, 0], J[0, 1] = g * c - h * s, g * s + h * c
@@ -201,13 +195,13 @@ def _linearize(pose: Array, key1: IntArray, key2: IntArray, relative: Array, roo
 
 
 CUT = 30.0
-"""sigma. From Cauchy's optimum on, a loop closure further off has no weight at all. There it has 0.1 %, a pull of 3 %
-of a sigma; but two hundred false ones pull together: in grids of corridors with as many false loop closures as true
-ones the path's error changed by up to a third, cut by less than 2 % (GNC: 0). Cut at 10, honest ones were lost, too."""
+"""sigma. From Cauchy's optimum on, a loop closure further off has no weight. There it has 0.1 %, a pull of 3 % of a
+sigma; but two hundred false ones add up. In grids of corridors with as many false loop closures as true ones the path's
+error changed by up to a third, cut by less than 2 % (GNC: 0). Cut at 10, true ones were lost, too."""
 MOST = 400
-"""Steps of one search. Of a robust loss 50 to 150 are usual."""
+"""Steps of one search. With a robust loss 50 to 150 are usual."""
 DEPTH = 6
-"""Steps that an extrapolation is made of."""
+"""Steps of an extrapolation."""
 ROUNDING = 1e-5
 """sigma. A step that hardly shrank and is shorter than this, for each direction, ends the search."""
 
@@ -223,11 +217,11 @@ class SmoothedPoses:
     Attributes:
         pose: (K, 3), world frame.
         covariance: (K, 3, 3), world frame, additive; of the information as weighted.
-        weight: (L,) of each loop closure, 0: left out, 1: believed.
+        weight: (L,) of each loop closure, 0: left out, 1: trusted.
         cost: twice the sum of all losses; without a robust one the chi-square.
         dof: its degrees of freedom.
         iterations: steps in all.
-        last_step: sigmas, largest component of the step that was left.
+        last_step: sigmas, largest component of the remaining step.
     """
 
     pose: Array
@@ -240,9 +234,8 @@ class SmoothedPoses:
 
 
 def smooth_poses(problem: PoseProblem, start: Array, *, loss: str = "gaussian") -> SmoothedPoses:
-    """The optimum reached from poses `start` (K, 3); `loss` (gaussian, huber, cauchy) is on loop closures only.
-
-    Raises `NotConvergedError` where none was reached, ValueError for an unknown loss or a start that is not finite.
+    """The optimum reached from poses `start` (K, 3); `loss` (gaussian, huber, cauchy) is on loop closures only. Raises
+    `NotConvergedError` if none was reached, ValueError for an unknown loss or a start that is not finite.
     """
     if loss not in LOSSES:
         raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
@@ -257,9 +250,8 @@ def smooth_poses(problem: PoseProblem, start: Array, *, loss: str = "gaussian") 
 
 
 def descend(problem: PoseProblem, pose: Array, loss: Loss) -> tuple[Array, Array, Newton, float, int]:
-    """Steps from poses (K, 3), until one is short or leads no further down.
-
-    Returns poses, weights of the loops (L,), the step that was left, the cost, and how many steps were made.
+    """Steps from poses (K, 3), until one is short or none descends. Returns poses, weights of the loops (L,), the
+    remaining step, the cost, and the number of steps.
     """
     cost, weight = evaluate(problem, pose, loss)
     before, rounding = math.inf, ROUNDING * math.sqrt(3 * problem.keys)
@@ -284,10 +276,10 @@ def descend(problem: PoseProblem, pose: Array, loss: Loss) -> tuple[Array, Array
 
 
 def _trials(past: Sequence[tuple[Array, Array]]) -> Iterator[tuple[float, Array]]:
-    """Where to go next, and which share of a step that is: extrapolated, in full, then shorter and shorter.
+    """Next poses to try, and their share of a step: extrapolated, in full, then shorter and shorter.
 
-    Reweighting converges linearly, and slowly where a weight is in doubt. Anderson ("Iterative procedures for nonlinear
-    integral equations", J. ACM 12, 1965): the mixture of the last steps that is the shortest leads further.
+    Reweighting converges linearly. Anderson acceleration ("Iterative procedures for nonlinear integral equations", J.
+    ACM 12, 1965) extrapolates by the shortest mixture of the last steps.
     """
     pose, delta = past[-1]
     if len(past) > 1:
@@ -342,10 +334,7 @@ def finished(
     iterations: int,
     dof: int | None = None,
 ) -> SmoothedPoses:
-    """Where a search ended, with covariances; `dof` where they are not the problem's own.
-
-    Raises `NotConvergedError` where that is no optimum.
-    """
+    """The end of a search with covariances; raises `NotConvergedError` if it is no optimum."""
     dof = problem.dof if dof is None else dof
     covariance = problem.covariances(newton)
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), TINY**2))

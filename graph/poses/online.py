@@ -1,11 +1,9 @@
-"""iSAM2 over key poses, as they come: a chain of relative poses, and loop closures in it; of all, or of the newest.
+"""iSAM2 over key poses: a chain of relative poses with loop closures; of all key poses, or of the newest.
 
-With a fixed lag, key poses that leave are marginalized, and are places then. With landmarks (`graph.fixed_lag`) loops
-are closed through the landmarks, which stay. Here nothing stays but the key poses of the window, so a loop closure to
-one that has left can only be taken as a fix: the newest pose is measured from a place known with the pose and
-covariance that it left with. That the two errors have a past in common is ignored, as in localization by a map that is
-not quite right: the path comes back to the place, the poses in between do not, and the covariance comes out too small
-after many such fixes.
+With a fixed lag, key poses are marginalized. A loop closure to one of them is a fix: the newest pose is measured from
+that place, with the pose and covariance at its marginalization. The correlation of the two is ignored, so the path
+returns to the place, the poses in between do not, and the covariance is too small after many such fixes. With landmarks
+(`graph.fixed_lag`) loops are closed through the landmarks instead.
 """
 
 from __future__ import annotations
@@ -38,8 +36,8 @@ from graph.optimum import in_world
 def roots_at_end(relative: Array, covariance: Array, what: str) -> tuple[Array, float]:
     """Roots (n, 3, 3) of the information of relative poses (n, 3), at their ends, and the smallest pivot.
 
-    Covariances (n, 3, 3) are of the additive error in the frame the relative pose starts from; at the end, where gtsam
-    has it, the error is that turned back by the relative heading. Raises DataError for a singular one; `what` names it.
+    Covariances (n, 3, 3) are of the additive error in the start frame; at the end, where gtsam has it, the error is
+    turned back by the relative heading. Raises DataError for a singular one; `what` names it.
     """
     body = covariances_in_body(relative[:, 2], covariance)
     return invertible_roots(body, lambda i: f"{what}, number {i}" if len(relative) > 1 else what, "its inverse")
@@ -48,20 +46,20 @@ def roots_at_end(relative: Array, covariance: Array, what: str) -> tuple[Array, 
 THRESHOLD = 0.05
 """m, rad. Relinearize what moved further than this, ..."""
 SKIP = 1
-"""... wherever in the graph it is, in every update."""
+"""... anywhere in the graph, in every update."""
 
 
 class PoseGraph:
-    """Key poses in a chain, loop closures between them, and iSAM2 (Kaess et al., IJRR 2012) for their estimate.
+    """Key poses in a chain, loop closures between them, estimated by iSAM2 (Kaess et al., IJRR 2012).
 
-    What is added counts from the next `update` on. Covariances that go in are of the additive error [m, m, rad] of the
-    relative pose, in the body frame of the pose it starts at; those that come out are of poses, world frame, additive.
+    Additions count from the next `update` on. Covariances in are of the additive error [m, m, rad] of the relative
+    pose, in the body frame where it starts; covariances out are of poses, world frame, additive.
     """
 
     _engine: Engine
 
     def __init__(self, prior: Prior, *, loss: str = "gaussian") -> None:
-        """Key pose 0 is where the prior puts it. `loss` of loop closures; the chain is always believed."""
+        """Start at the prior with key pose 0. `loss` of loop closures; the chain is always trusted."""
         if loss not in LOSSES:
             raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
         self.prior, self.loss, self.keys = prior, loss, 1
@@ -72,13 +70,10 @@ class PoseGraph:
         self._values = gtsam.Values()
         self._values.insert(X(0), pose2(prior.mean))
         self._loops = False
-        self._oldest = 0  # key pose that is still in the graph
+        self._oldest = 0  # first key pose in the graph
 
     def add_key(self, motion: Array, covariance: Array) -> None:
-        """The next key pose, `motion` (3,) with covariance (3, 3) from the newest one.
-
-        Raises DataError for a covariance that is singular.
-        """
+        """The next key pose, `motion` (3,) from the newest one; raises DataError for a singular covariance (3, 3)."""
         roots, pivot = roots_at_end(motion[None], covariance[None], f"motion into key pose {self.keys}")
         if pivot < DELICATE:
             self._engine.use_qr()
@@ -89,9 +84,8 @@ class PoseGraph:
         self.keys += 1
 
     def add_loops(self, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> None:
-        """Poses (L, 3) of key2 (L,) in the frames of key1 (L,), with covariances (L, 3, 3).
-
-        Raises DataError for a covariance that is singular, ValueError for a key pose that is not there.
+        """Poses (L, 3) of key2 (L,) in the frames of key1 (L,), with covariances (L, 3, 3). Raises DataError for a
+        singular covariance, ValueError for an unknown key pose.
         """
         if len(key1) and not (min(key1.min(), key2.min()) >= 0 and max(key1.max(), key2.max()) < self.keys):
             raise ValueError(f"a loop closure is between key poses 0 ... {self.keys - 1}")
@@ -102,29 +96,26 @@ class PoseGraph:
             self._loops = True
 
     def update(self) -> None:
-        """One update of iSAM2 with what was added; after loop closures more of them, until the newest pose rests."""
+        """One update of iSAM2; after loop closures more of them, until the newest pose stays."""
         if not self._factors:
             return
         self._engine.add(self._factors, self._values)
         self._factors, self._values = [], gtsam.Values()
         newest = int(X(self.keys - 1))
         if self._loops:
-            pose = self._engine.settle(newest, pose2(self._tip))
-        else:
-            pose = self._engine.isam.calculateEstimatePose2(newest)
-        self._tip, self._loops = np.array([pose.x(), pose.y(), pose.theta()]), False
+            self._engine.settle(newest, pose2(self._tip))
+        self._tip, self._loops = self._engine.pose(newest), False
 
     def refine(self, updates: int = SETTLE) -> None:
-        """More steps towards the optimum of what is known: an update without loop closures makes only one."""
+        """More steps towards the optimum: an update without loop closures makes only one."""
         self._ready()
         for _ in range(updates):
             self._engine.update()
-        pose = self._engine.isam.calculateEstimatePose2(X(self.keys - 1))
-        self._tip = np.array([pose.x(), pose.y(), pose.theta()])
+        self._tip = self._engine.pose(X(self.keys - 1))
 
     @property
     def size(self) -> int:
-        """How many key poses are in the graph."""
+        """Number of key poses in the graph."""
         return self.keys - self._oldest
 
     def newest(self) -> tuple[Array, Array]:
@@ -155,29 +146,28 @@ class PoseGraph:
         return self._engine.covariance([int(X(key))])
 
     def _ready(self) -> None:
-        """Raises ValueError where something was added that no update has seen."""
+        """Raises ValueError if an update is due."""
         if self._factors:
-            raise ValueError("update the graph before asking it")
+            raise ValueError("additions are pending: call update() first")
 
 
 def name_of_key(key: int) -> str:
-    """A variable in words."""
+    """Name of a variable."""
     return f"key pose {gtsam.symbolIndex(key)}"
 
 
 LAG = 30.0
 """s."""
 SLACK = 0.1
-"""Of the lag: those older than the lag leave together, when the oldest is older by this much, as in
-`graph.fixed_lag`."""
+"""Share of the lag by which the oldest key pose may exceed it, as in `graph.fixed_lag`."""
 
 
 class FixedLagPoseGraph(PoseGraph):
-    """The verbs of `PoseGraph` with a bounded number of key poses in the graph.
+    """`PoseGraph` with a bounded number of key poses in the graph.
 
     Attributes:
-        fixes: loop closures to a key pose that had left.
-        lost: loop closures between two key poses that had both left: nothing can be done with them.
+        fixes: loop closures to a marginalized key pose.
+        lost: loop closures between two marginalized key poses, which are ignored.
     """
 
     def __init__(self, prior: Prior, *, lag: float = LAG, loss: str = "gaussian") -> None:
@@ -186,13 +176,12 @@ class FixedLagPoseGraph(PoseGraph):
             raise ValueError(f"lag {lag} must not be negative")
         super().__init__(prior, loss=loss)
         self.lag, self.fixes, self.lost = lag, 0, 0
-        self._window = Window(THRESHOLD, SKIP, qr=self._engine.qr, name=name_of_key)
-        self._engine = self._window
+        self._engine = self._window = Window(self._engine)
         self._time = [0.0]
         self._left: list[tuple[Array, Array]] = []
 
     def stamp(self, time: float) -> None:
-        """The newest key pose's time [s]; without, it comes 1 s after the one before."""
+        """Set the newest key pose's time [s]; by default 1 s after the one before."""
         self._time[-1] = time
 
     def add_key(self, motion: Array, covariance: Array) -> None:
@@ -201,7 +190,7 @@ class FixedLagPoseGraph(PoseGraph):
         self._time.append(self._time[-1] + 1.0)
 
     def add_loops(self, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> None:
-        """As `PoseGraph.add_loops`, within the window; see above for what happens to the others."""
+        """As `PoseGraph.add_loops`, within the window; see the module for the others."""
         first, second = np.minimum(key1, key2), np.maximum(key1, key2)
         inside = first >= self._oldest
         super().add_loops(key1[inside], key2[inside], relative[inside], covariance[inside])
@@ -216,12 +205,12 @@ class FixedLagPoseGraph(PoseGraph):
             F, B = transport(there - place), world_from_body(place[2])
             P = F @ P @ F.T + B @ covariance[i] @ B.T
             T = world_from_body(there[2])
-            model = gtsam.noiseModel.Gaussian.SqrtInformation(root_information((T.T @ P @ T)[None])[0][0])
+            model = noise.Gaussian.SqrtInformation(root_information((T.T @ P @ T)[None])[0][0])
             self._factors.append(gtsam.PriorFactorPose2(X(int(key2[i])), pose2(there), with_loss(model, self.loss)))
             self._loops = True
 
     def update(self) -> None:
-        """As `PoseGraph.update`; then what is too old leaves."""
+        """As `PoseGraph.update`; then old key poses are marginalized."""
         super().update()
         now = self._time[-1]
         if now - self._time[self._oldest] <= (1.0 + SLACK) * self.lag:
@@ -229,20 +218,17 @@ class FixedLagPoseGraph(PoseGraph):
         stay = bisect_left(self._time, now - self.lag)
         keys = range(self._oldest, stay)
         pose = np.array([self._window.pose(X(k)) for k in keys])
-        self._left += list(zip(pose, self._world(pose, keys), strict=True))
+        covariance = in_world(pose, np.array([self._body_covariance(k) for k in keys]))
+        self._left += list(zip(pose, covariance, strict=True))
         self._window.marginalize([X(k) for k in keys], [X(self.keys - 1)])
         self._oldest = stay
 
-    def _world(self, pose: Array, keys: range) -> Array:
-        """World-frame covariances of key poses in the window."""
-        return in_world(pose, np.array([self._body_covariance(k) for k in keys]))
-
     def poses(self) -> Array:
-        """Every key pose (K, 3) as it was when it left the window, those in it as they are now."""
+        """Every key pose (K, 3) as it left the window, those in it as they are now."""
         inside = self._present()
-        return np.concatenate([[p for p, _ in self._left], inside]) if self._left else inside
+        return np.array([*(p for p, _ in self._left), *inside])
 
     def covariances(self) -> Array:
         """Their covariances (K, 3, 3), of the same moments."""
         inside = super().covariances()
-        return np.concatenate([[P for _, P in self._left], inside]) if self._left else inside
+        return np.array([*(P for _, P in self._left), *inside])

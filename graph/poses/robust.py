@@ -1,4 +1,4 @@
-"""Graduated non-convexity on a pose graph: which loop closures to believe, the chain being trusted.
+"""Graduated non-convexity on a pose graph: which loop closures to accept, with a trusted chain.
 
 Yang, Antonante, Tzoumas and Carlone, "Graduated Non-Convexity for Robust Spatial Perception", IEEE RA-L 5(2), 2020,
 with truncated least squares: minimize the sum of min(d^2, c^2), d^2 the squared whitened residual of a loop closure.
@@ -13,23 +13,22 @@ from data.se2 import Array, BoolArray
 from graph.poses.batch import Loss, PoseProblem, SmoothedPoses, descend, evaluate, finished
 
 GROW = 1.4
-"""The control parameter's growth in each round: the paper's."""
+"""Growth of the control parameter in each round, as in the paper."""
 ROUNDS = 200
-"""More than enough: 100 take the control parameter from 1e-7 to 1e7."""
+"""Upper bound: 100 take the control parameter from 1e-7 to 1e7."""
 DIM = 3
 
 
 def gnc_poses(problem: PoseProblem, start: Array, *, probability: float = 0.99) -> tuple[SmoothedPoses, BoolArray]:
-    """The exact optimum over the loop closures that are believed, and which those are (L,); `start` (K, 3).
+    """The exact optimum over the accepted loop closures, and which those are (L,); `start` (K, 3).
 
-    A loop closure is rejected where its d^2 at this optimum is not below the chi-square quantile (3 dof) of
-    `probability`: so many of the right ones stay, and without the others chi-square and covariances come out a little
-    small. A local method: where wrong loop closures agree with each other better than the right ones do, they win.
-    Raises `NotConvergedError`.
+    A loop closure is rejected if its d^2 at this optimum is not below the chi-square quantile (3 dof) of `probability`;
+    so chi-square and covariances are slightly too small. A local method: consistent wrong loop closures can win. Raises
+    `NotConvergedError`.
     """
     threshold = gate_threshold(probability, DIM)
     pose, believed, iterations = _graduate(problem, start, threshold)
-    # block-coordinate descent on the truncated cost: where the rounds end, weights need not be those of the poses
+    # block-coordinate descent on the truncated cost: the last weights need not match the poses
     before = np.inf
     while True:
         pose, weight, newton, cost, steps = descend(problem, pose, fixed(believed.astype(float)))
@@ -46,8 +45,8 @@ def gnc_poses(problem: PoseProblem, start: Array, *, probability: float = 0.99) 
 def _graduate(problem: PoseProblem, pose: Array, threshold: float) -> tuple[Array, BoolArray, int]:
     """Rounds of weights (eq. 14 of the paper) and one Gauss-Newton step, until every weight is 0 or 1.
 
-    The control parameter starts from the residuals at `pose` (the paper's from those of the least-squares solution,
-    which many false loop closures bend out of shape; the chain's dead reckoning they do not touch).
+    The control parameter starts from the residuals at `pose`, not at the least-squares solution as in the paper, which
+    many false loop closures distort.
     """
     square = squares(problem, pose)
     largest = float(square.max(initial=0.0))
@@ -70,7 +69,7 @@ def _graduate(problem: PoseProblem, pose: Array, threshold: float) -> tuple[Arra
 
 
 def _step(problem: PoseProblem, pose: Array, weight: Array) -> Array:
-    """One Gauss-Newton step of the weighted problem, cut down until its cost falls; none where nothing helps."""
+    """One Gauss-Newton step of the weighted problem, shortened until its cost falls; none if no share helps."""
     loss = fixed(weight)
     cost, _ = evaluate(problem, pose, loss)
     delta, share = problem.step(pose, weight).delta, 1.0

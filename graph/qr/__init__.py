@@ -1,1 +1,1 @@
-"""Smoothing problems linearized: sparse QR, marginal covariances, the score of systematic errors."""
+"""Linearized smoothing problems: sparse QR, marginal covariances, the score of systematic errors."""

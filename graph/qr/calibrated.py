@@ -1,15 +1,15 @@
-"""Systematic errors in a linearized problem: the increments' rows, the columns of the errors, the rows of their priors.
+"""Systematic errors in a linearized problem: rows of increments and priors, and columns of the errors.
 
-The drift of a knot is a variable like a pose. The constant errors are too few and too far-reaching for that: they are
-further right-hand sides (see `graph.qr.solution`), what a prior sigma of each adds to the residuals. All is in the
-sensor's frame (`data.motion.systematic`), but for the first pose, which the prior knows in the world: it is there
-what moves the robot's own pose, and a column for the errors.
+The drift of a knot is a variable like a pose. The few constant errors affect all rows: they are further right-hand
+sides (see `graph.qr.solution`), the effect of a prior sigma of each on the residuals. All is in the sensor's frame
+(`data.motion.systematic`), except the first pose, which the prior knows in the world: its variable is the motion of the
+robot's own pose, with a column for the errors.
 
-The residual of an increment is Log(m^-1 g(X^-1 Y, b)) for poses X, Y: of what the odometry stated, m, against what it
-would have stated of that way without noise, g (`data.motion.systematic`). Without errors it is that of gtsam's between
-factor. The errors act on the way as smoothed: acting on the one stated they would share its noise, and a scale would
-come out too small by the noise's share of the squared motion, however long the log (Fuller, "Measurement Error Models",
-1987, section 1.1). Nor does the whitening depend on the errors: a large range error would make any residual cheap.
+The residual of an increment is Log(m^-1 g(X^-1 Y, b)) for poses X, Y: of the stated motion m, against the motion g that
+odometry would have stated without noise (`data.motion.systematic`). Without errors it is that of gtsam's between
+factor. The errors act on the smoothed motion: acting on the stated one they would share its noise, and a scale would be
+biased low by the noise's share of the squared motion (Fuller, "Measurement Error Models", 1987, section 1.1). Nor does
+the whitening depend on the errors: a large range error would make any residual cheap.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from data.motion.systematic import forgotten, stated
 from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array, compose, covariances_in_world, world_from_body, worlds_from_bodies
 from data.sensors import wrap_angle_jit
-from graph.factors import pose2, prior_factor, root_information
+from graph.factors import pose2, pose_array, prior_factor, root_information
 from graph.problem import Problem, displaced
 from graph.qr.solution import Solution
 from graph.systematic import CONSTANTS, Calibrated, drift_key
 
 SMALL = 1e-3
-"""rad. Of turns below, the functions of the logarithm are taken by their series, good to 1e-15 there."""
+"""rad. Below this turn the functions of the logarithm use their series, accurate to 1e-15."""
 
 
 @numba.njit(cache=True)
@@ -56,7 +56,7 @@ def _product(left: Array, right: Array, out: Array) -> None:
 
 @numba.njit(cache=True)
 def _adjoint(x: float, y: float, theta: float, out: Array) -> None:
-    """Of the inverse of the pose (x, y, theta), into `out` (3, 3): moves before it, as moves after it."""
+    """Adjoint of the inverse of the pose (x, y, theta), into `out` (3, 3)."""
     c, s = math.cos(theta), math.sin(theta)
     out[0, 0], out[0, 1], out[0, 2] = c, s, s * x - c * y
     out[1, 0], out[1, 1], out[1, 2] = -s, c, c * x + s * y
@@ -86,7 +86,7 @@ def linearize_increments(
         wx, wy = pose[k + 1, 0] - pose[k, 0], pose[k + 1, 1] - pose[k, 1]
         way[0], way[1], way[2] = c * wx + s * wy, c * wy - s * wx, pose[k + 1, 2] - pose[k, 2]
         stated(way, all_errors, mount, motion[k, 2] > 0.0, m, H, A)
-        # what that is more than was stated, (tx, ty, theta), its logarithm (x, y, theta), and that one's Jacobian
+        # difference from the stated motion (tx, ty, theta), its logarithm (x, y, theta), and the Jacobian of that
         theta: float = wrap_angle_jit(m[2] - motion[k, 2])
         c, s = math.cos(motion[k, 2]), math.sin(motion[k, 2])
         wx, wy = m[0] - motion[k, 0], m[1] - motion[k, 1]
@@ -95,7 +95,7 @@ def linearize_increments(
         x, y = a * tx + 0.5 * theta * ty, a * ty - 0.5 * theta * tx
         J[0, 0], J[0, 1], J[0, 2] = 1.0 - kappa * theta * theta, -0.5 * theta, 0.5 * y + kappa * theta * x
         J[1, 0], J[1, 1], J[1, 2] = 0.5 * theta, 1.0 - kappa * theta * theta, -0.5 * x + kappa * theta * y
-        # whitened in the body frame before: by the logarithm, by m, by the way, by the poses
+        # whitened in the body frame before: derivatives by the logarithm, m, the motion, and the poses
         B[0, 0], B[0, 1], B[1, 0], B[1, 1] = c, -s, s, c
         _product(root[k], B, W)
         for i in range(3):
@@ -112,7 +112,7 @@ def linearize_increments(
         c, s = math.cos(way[2]), math.sin(way[2])
         B[0, 0], B[0, 1], B[1, 0], B[1, 1] = c, -s, s, c
         _product(K, B, after[k])
-        # what moves the pose before moves the way the other way, as seen from the pose after
+        # a shift of the pose before is the opposite shift of the pose after
         _adjoint(way[0], way[1], way[2], Ad)
         _product(after[k], Ad, K)
         for i in range(3):
@@ -122,15 +122,14 @@ def linearize_increments(
 
 
 class CalibratedRows:
-    """The part of the systematic errors.
+    """The rows and columns of the systematic errors.
 
     Attributes:
-        constants: q, how many are constant.
-        first_of: (K,) first frame that each knot's drift leads to, empty without a drift.
+        constants: q, number of constant errors.
+        first_of: (K,) first frame of each knot's drift, empty without a drift.
     """
 
     def __init__(self, problem: Problem) -> None:
-        """Ready to linearize."""
         assert problem.calibrated is not None
         self._problem, self._of = problem, problem.calibrated
         c = problem.calibrated
@@ -140,11 +139,7 @@ class CalibratedRows:
         self._prior = prior_factor(problem.prior)
         self._own, self._earlier = drift_rows(c.ended, c.systematic.length)
         self._last: tuple[gtsam.Values, Array, Array] | None = None
-        self._world = np.array([s.xy for s in problem.sighted]).reshape(-1, 2) if problem.known_map else None
-
-    def extended(self, variable: IntArray, height: IntArray, dim: IntArray) -> tuple[IntArray, IntArray, IntArray]:
-        """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with the drift; the same without one."""
-        return with_drift(variable, height, dim, self._of.of, self._of.knots)
+        self._world = np.array([s.xy for s in problem.observations]).reshape(-1, 2) if problem.known_map else None
 
     def fill(self, A: Array, b: Array, values: gtsam.Values) -> tuple[Array, Array]:
         """Rows of the increments and of the drift, and the columns of the constant errors, in place.
@@ -163,8 +158,8 @@ class CalibratedRows:
             A[-c.knots :, 0, 0], A[-c.knots :, 0, 3] = self._own, self._earlier
             b[-c.knots :, 0, 0] = -self._drifts(values)
         if c.frame.range_at >= 0 and self._world is not None:
-            # only the way from pose to landmark is seen: what moves the landmark moves the pose the other way
-            seen = np.array([s.frame for s in self._problem.sighted], np.int64)
+            # observations are relative: a shift of the landmark is the opposite shift of the pose
+            seen = np.array([s.frame for s in self._problem.observations], np.int64)
             shift = (self._world - c.frame.origin) * c.systematic.sigma[c.frame.range_at]
             cos, sin = np.cos(pose[seen, 2]), np.sin(pose[seen, 2])
             body = np.stack([cos * shift[:, 0] + sin * shift[:, 1], cos * shift[:, 1] - sin * shift[:, 0]], 1)
@@ -173,7 +168,7 @@ class CalibratedRows:
         return self._first(errors[0], pose[0])
 
     def _state(self, values: gtsam.Values) -> tuple[Array, Array]:
-        """Poses (N, 3), which gtsam has in the order of their keys, and errors (N, p); read out once."""
+        """Poses (N, 3), in the order of gtsam's keys, and errors (N, p); cached."""
         if self._last is None or self._last[0] is not values:
             self._last = values, np.ascontiguousarray(gtsam.utilities.extractPose2(values)), self._of.errors(values)
         return self._last[1:]
@@ -230,7 +225,7 @@ class CalibratedRows:
     def moved(
         self, values: gtsam.Values, vector: gtsam.VectorValues, first: Array, drifts: Array, constants: Array
     ) -> gtsam.Values:
-        """A step further: `vector` of poses and landmarks but for the first pose, where the robot moves by `first`."""
+        """Apply a step: `vector` of poses and landmarks except the first pose, where the robot moves by `first`."""
         for j, drift in enumerate(drifts):
             vector.insert(drift_key(j), np.array([drift]))
         if self.constants:
@@ -238,21 +233,20 @@ class CalibratedRows:
         pose = self.robot(values).atPose2(X(0)).retract(first)
         moved = values.retract(vector)
         errors = self._of.errors(moved)
-        robot = np.array([[pose.x(), pose.y(), pose.theta()]])
-        moved.update(X(0), pose2(self._of.frame.poses_in(robot, errors[:1])[0]))
+        moved.update(X(0), pose2(self._of.frame.poses_in(pose_array(pose)[None], errors[:1])[0]))
         if self._world is not None and self._of.frame.range_at >= 0:
-            for s, xy in zip(self._problem.sighted, self._landmarks(errors), strict=True):
+            for s, xy in zip(self._problem.observations, self._landmarks(errors), strict=True):
                 if s.key is not None:
                     moved.update(s.key, xy)
         return moved
 
     def measured(self, values: gtsam.Values) -> list[Sequence[gtsam.NonlinearFactor]] | None:
-        """The factors of all observations at the errors of `values`, None where they never change."""
-        sighted = self._problem.sighted
-        if self._world is None or self._of.frame.range_at < 0 or all(s.key is not None for s in sighted):
+        """The factors of all observations at the errors of `values`, None if they are constant."""
+        observations = self._problem.observations
+        if self._world is None or self._of.frame.range_at < 0 or all(s.key is not None for s in observations):
             return None
         xy = self._landmarks(self._state(values)[1])
-        return [displaced(s, at).measured for s, at in zip(sighted, xy, strict=True)]
+        return [displaced(s, at).measured for s, at in zip(observations, xy, strict=True)]
 
     def _landmarks(self, errors: Array) -> Array:
         """The known landmarks (M,) of the observations, in the frame."""
@@ -261,16 +255,15 @@ class CalibratedRows:
 
 
 def first_frames(of: IntArray, knots: int) -> IntArray:
-    """First frame (K,) that the drift of each knot leads to; `of` (N,) as of `data.motion.systematic.knots`."""
+    """First frame (K,) of the drift of each knot; `of` (N,) as of `data.motion.systematic.knots`."""
     return np.maximum(np.searchsorted(of, np.arange(knots)), 1).astype(np.int64)
 
 
 def with_drift(
     variable: IntArray, height: IntArray, dim: IntArray, of: IntArray, knots: int
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with a drift of so many knots as last variables.
-
-    It enters the blocks of the increments, 1 to N - 1; those of its prior come last. The same without a knot.
+    """Variables (B, 3), heights (B,) and dimensions (V,) of `Rows` with a drift of `knots` knots as last variables. It
+    enters the blocks of the increments, 1 to N - 1; those of its prior come last. The same without a knot.
     """
     if not knots:
         return variable, height, dim
@@ -288,26 +281,20 @@ def with_drift(
 def drift_rows(ended: Array, length: float) -> tuple[Array, Array]:
     """Coefficients (K,) of each knot's drift and of the one before in its whitened prior, drifts in sigmas.
 
-    drift j - stays * drift j - 1 ~ N(0, anew); nothing stays of what was before the first. `ended` (K - 1,) and
-    `length` as of `data.motion.systematic`.
+    drift j - decay * drift j - 1 ~ N(0, fresh), with decay 0 at the first. `ended` (K - 1,) and `length` as of
+    `data.motion.systematic`.
     """
-    stays, anew = np.array([(0.0, 1.0), *(forgotten(metres, length) for metres in ended)]).T
-    return 1.0 / np.sqrt(anew), -stays / np.sqrt(anew)
+    decay, fresh = np.array([(0.0, 1.0), *(forgotten(metres, length) for metres in ended)]).T
+    return 1.0 / np.sqrt(fresh), -decay / np.sqrt(fresh)
 
 
-def turned_out(
+def results_in_world(
     calibrated: Calibrated, errors: Array, solution: Solution, pose: Array, covariance: Array, state: MapState | None
 ) -> tuple[Trajectory, MapState | None, Systematics]:
-    """Path, map (None where it was known) and systematic errors.
+    """Path, map (None where it was known) and systematic errors, in the world, from those in the frame.
 
-    Args:
-        calibrated: what is estimated.
-        errors: (N, p) at the optimum.
-        solution: there.
-        pose: (N, 3) in the frame.
-        covariance: (V, 3, 3) of all variables: poses in body frames, the first one that of the robot itself; landmarks
-            in the frame; drifts in squared sigmas.
-        state: landmarks in the frame.
+    `errors` (N, p) and `solution` at the optimum; `covariance` (V, 3, 3) of all variables: poses in body frames, the
+    first that of the robot itself; landmarks; drifts in squared sigmas.
     """
     n = len(errors)
     sigma, at = calibrated.systematic.sigma, calibrated.constant
@@ -315,7 +302,7 @@ def turned_out(
     across = -solution.columns @ (solution.covariance * sigma[at])
     out, J = calibrated.frame.poses_out(pose, errors)
     of_path = _joint(covariance[:n], across[:n], of_errors)
-    # from the body frame there to the world, and from there to the robot's own world
+    # from the body frame to the sensor's world, then to the robot's world
     J = J[:, :, np.concatenate([np.arange(3), 3 + at])]
     J[:, :, :3] = J[:, :, :3] @ worlds_from_bodies(pose[:, 2])
     world = J @ of_path @ J.transpose(0, 2, 1)
@@ -337,7 +324,7 @@ def turned_out(
 
 
 def _joint(own: Array, across: Array, of_errors: Array) -> Array:
-    """Covariances (n, d + q, d + q) of each of n and the constant errors."""
+    """Joint covariances (n, d + q, d + q) of n variables with the constant errors."""
     n, d, q = across.shape
     joint = np.empty((n, d + q, d + q))
     joint[:, :d, :d], joint[:, d:, d:] = own, of_errors

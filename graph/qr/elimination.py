@@ -1,4 +1,4 @@
-"""Sparse QR of a smoothing problem: the elimination of poses and landmarks, and the covariances that come back from it.
+"""Sparse QR of a smoothing problem: elimination of poses and landmarks, with recovery of the covariances.
 
 Each variable is eliminated from a small dense front by Householder reflections (multifrontal QR, Davis, "Direct methods
 for sparse linear systems", chapters 4 and 5; Dellaert and Kaess, "Factor graphs for robot perception", chapter 3),
@@ -6,10 +6,10 @@ which leaves  R x_v + S x_sep = d + N(0, I)  with the separator `sep` inside the
 
     cov(x_v, x_sep) = -R^-1 S cov(x_sep),    cov(x_v) = R^-1 R^-T + R^-1 S cov(x_sep) S' R^-T,
 
-so that every marginal follows from the parent's, by sums of squares only: no information matrix is formed or inverted,
-and increments known a hundred thousand times better in one direction than in another do no harm. Time and memory grow
-with the sum of the squared clique sizes, which for a path that closes loops is nearly proportional to its length. The
-order of elimination is along the path where that is all there is, COLAMD otherwise.
+so every marginal follows from the parent's by sums of squares. No information matrix is formed or inverted, which
+allows increments known a hundred thousand times better in one direction than in another. Time and memory grow with the
+sum of the squared clique sizes, for a path with loops nearly with its length. The order of elimination is along the
+path without landmarks, COLAMD otherwise.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from data.se2 import Array
 
 
 class Structure(NamedTuple):
-    """What elimination in a given order does to the sparsity; positions in the order of elimination (a postorder).
+    """The sparsity of an elimination; positions in the order of elimination (a postorder).
 
-    variable: (V,) eliminated at each position; parent: (V,) position, -1 for a root; children: (V,) how many;
+    variable: (V,) eliminated at each position; parent: (V,) position, -1 for a root; children: (V,) their number;
     start: (V + 1,) and separator: positions of each separator, ascending; first, block: the rows by position (CSR).
     """
 
@@ -41,9 +41,8 @@ class Structure(NamedTuple):
 
 
 def structure(variable: IntArray, order: IntArray) -> Structure:
-    """Symbolic elimination, in the order (V,), of blocks of the variables (B, 2) or (B, 3), as of `Rows`.
-
-    The order is rearranged to a postorder of the elimination tree, which changes nothing else.
+    """Symbolic elimination, in the order (V,), of blocks of the variables (B, 2) or (B, 3), as of `Rows`. The order is
+    rearranged to a postorder of the elimination tree, which changes nothing else.
     """
     position = np.empty(len(order), np.int64)
     position[order] = np.arange(len(order))
@@ -118,7 +117,7 @@ def _separators(ends: IntArray, size: int) -> tuple[IntArray, IntArray, IntArray
 
 @numba.njit(cache=True)
 def _postorder(parent: IntArray) -> IntArray:
-    """Positions in an order in which children come before their parents, subtree by subtree."""
+    """Positions with children before their parents, subtree by subtree."""
     n = len(parent)
     child, sibling = np.full(n, -1), np.full(n, -1)
     for v in range(n - 1, -1, -1):
@@ -159,19 +158,19 @@ def _moved(separator: IntArray, start: IntArray, post: IntArray, new: IntArray, 
 
 
 SLACK = 1.25
-"""A front with more than this many times the rows that its columns can need is made triangular before it goes on."""
+"""A front with more than this many times the rows that its columns can need is made triangular first."""
 SINGULAR = 1e-12
 """A diagonal of R below this share of its column is rounding, not information."""
 SMALLEST = 1e-150
-"""Nor is one whose square has no inverse."""
+"""Least diagonal of R whose square has an inverse."""
 
 
 class Rows(NamedTuple):
     """Whitened rows of a least-squares problem in V variables, in B blocks of up to three.
 
     variable: (B, 2) the two variables of a block, -1 for none in the second place; A: (B, 3, 6) their coefficients,
-    three columns each; b: (B, 3, c) right-hand sides; height: (B,) rows in use; dim: (V,) 1 to 3 columns in use.
-    Where some blocks have a third variable, of one column: (B, 3), -1 for none, and (B, 3, 7).
+    three columns each; b: (B, 3, c) right-hand sides; height: (B,) rows in use; dim: (V,) 1 to 3 columns in use. With a
+    third variable, of one column, in some blocks: (B, 3), -1 for none, and (B, 3, 7).
     """
 
     variable: IntArray
@@ -182,10 +181,10 @@ class Rows(NamedTuple):
 
 
 class Triangle(NamedTuple):
-    """The eliminated problem: R, S and d of all positions, row-major, one after the other, and where each begins.
+    """The eliminated problem: R, S and d of all positions, row-major, concatenated, and their offsets.
 
-    free: the first variable that the rows do not determine, -1: all are. left: (c, c) squares and products of the
-    right-hand sides that no choice of the variables can explain.
+    free: the first variable that the rows do not determine, -1: none. left: (c, c) squares and products of the
+    residuals of the right-hand sides.
     """
 
     R: Array
@@ -261,7 +260,7 @@ def _eliminate(
     place, column = np.empty(size, np.int64), np.empty(size, np.int64)
     for v in range(size):
         place[variable[v]] = v
-    # rows that wait for their parent, one child's after the other: the last `children` of them are its own
+    # stack of rows for parents, child by child; the last `children` entries are for this variable
     waiting, used = np.empty(1024), 0
     kept, depth = np.empty((size, 2), np.int64), 0
     left = np.zeros((c, c))
@@ -351,7 +350,7 @@ def ordering(variable: IntArray, poses: int, size: int, drift: IntArray = NO_DRI
     """Order (V,) for blocks of the variables (B, 2) or (B, 3), -1 for none: poses first, landmarks, drifts last.
 
     Poses alone are a chain, eliminated backwards, and each drift after the last pose that it leads to: `drift` (K,) is
-    the first one. With landmarks gtsam's COLAMD finds an order of little fill.
+    the first one. With landmarks gtsam's COLAMD finds an order with little fill-in.
     """
     if poses + len(drift) == size:
         along = np.concatenate([np.arange(poses), drift - 0.5])

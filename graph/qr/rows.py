@@ -1,4 +1,4 @@
-"""A smoothing problem linearized by gtsam, as the rows that `graph.qr.elimination` takes."""
+"""A smoothing problem linearized by gtsam, as rows for `graph.qr.elimination`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from data.inputs import IntArray, Prior
 from data.se2 import Array, world_from_body
 from graph.factors import graph_of, pose2
 from graph.problem import Problem
-from graph.qr.calibrated import CalibratedRows
+from graph.qr.calibrated import CalibratedRows, with_drift
 from graph.qr.elimination import NO_DRIFT, Rows, Structure, ordering, structure
 from graph.qr.solution import Solution
 from graph.systematic import CONSTANTS
@@ -23,11 +23,11 @@ CHUNK = 20000
 EXACT = 1e-15
 """Share of the largest variance of the prior below which another one is zero, and rounding."""
 INDEX = np.uint64(2**56 - 1)
-"""The bits of a gtsam symbol that are its index; its character stands above."""
+"""The index bits of a gtsam symbol, below its character."""
 
 
 class _Chunk(NamedTuple):
-    """Factors in a row: `row` (r, 2) block and row in it of each residual, `column` (q, 2) variable and component."""
+    """Consecutive factors: `row` (r, 2) block and row in it of each residual, `column` (q, 2) variable, component."""
 
     graph: gtsam.NonlinearFactorGraph
     row: IntArray
@@ -35,12 +35,12 @@ class _Chunk(NamedTuple):
 
 
 class Linearizer:
-    """Linearizes a problem again and again; what does not change with the estimate is done once.
+    """Linearizes a problem repeatedly; parts independent of the estimate are computed once.
 
     Variables: poses 0 ... N - 1, then the landmarks to be estimated. Blocks: the prior, the increments, the
-    observations. The prior is taken exactly, however singular: variable 0 stands for what moves the first pose, see
+    observations. The prior is taken exactly, even if singular: variable 0 represents the motion of the first pose, see
     `first`. Systematic errors: their drifts are variables behind the landmarks, with blocks behind the observations;
-    each constant one has a right-hand side, what a unit of it adds to the residuals.
+    each constant one has a right-hand side, the effect of a unit of it on the residuals.
 
     Attributes:
         frames, numbers: N; the landmarks to be estimated.
@@ -49,27 +49,27 @@ class Linearizer:
     """
 
     def __init__(self, problem: Problem) -> None:
-        """Ready to linearize."""
         self.prior = problem.prior
         self.frames, self.numbers = len(problem.motion) + 1, problem.numbers
         self.calibrated = None if problem.calibrated is None else CalibratedRows(problem)
-        n, m = self.frames, len(problem.sighted)
-        frame = np.array([s.frame for s in problem.sighted], np.int64)
+        n, m = self.frames, len(problem.observations)
+        frame = np.array([s.frame for s in problem.observations], np.int64)
         variable = np.full((n + m, 2), -1)
         variable[:n, 0] = np.arange(n)
         variable[1:n, 1] = np.arange(n - 1)
         variable[n:, 0] = frame
         if not problem.known_map:
-            number = np.array([s.number for s in problem.sighted], np.int64)
+            number = np.array([s.number for s in problem.observations], np.int64)
             variable[n:, 1] = n + np.searchsorted(self.numbers, number)
         self._variable = variable
         self._height = np.repeat(np.array([3, 2], np.int64), [n, m])
         self._dim = np.repeat(np.array([3, 2], np.int64), [n, len(self.numbers)])
-        if self.calibrated is not None:
-            self._variable, self._height, self._dim = self.calibrated.extended(variable, self._height, self._dim)
-            self._chunks, self._graph = self._observations([s.measured for s in problem.sighted])
+        if problem.calibrated is not None and self.calibrated is not None:
+            drifts = problem.calibrated.of, problem.calibrated.knots
+            self._variable, self._height, self._dim = with_drift(variable, self._height, self._dim, *drifts)
+            self._chunks, self._graph = self._observations([s.measured for s in problem.observations])
         else:
-            observations, _ = self._observations([s.measured for s in problem.sighted])
+            observations, _ = self._observations([s.measured for s in problem.observations])
             self._chunks, self._graph = [*self._chunked(problem.motion, 1, 3), *observations], problem.graph()
         drift = NO_DRIFT if self.calibrated is None else self.calibrated.first_of
         self.structure: Structure = structure(self._variable, ordering(self._variable, n, len(self._dim), drift))
@@ -85,7 +85,7 @@ class Linearizer:
         return chunks, graph_of(f for factors in measured for f in factors)
 
     def _chunked(self, factors: Sequence[gtsam.NonlinearFactor], block: int, height: int) -> list[_Chunk]:
-        """Factors whose residuals fill blocks of so many rows, from `block` on."""
+        """Factors whose residuals fill blocks of `height` rows, from `block` on."""
         chunks = []
         step = CHUNK - CHUNK % 2  # an observation may be two factors of one residual each
         for first in range(0, len(factors), step):
@@ -100,16 +100,13 @@ class Linearizer:
 
     def _columns(self, part: gtsam.NonlinearFactorGraph) -> IntArray:
         """Variable and component (q, 2) of the columns of a part: gtsam sorts the keys; -1: a known landmark."""
-        variable, dim = self._variables(np.array(part.keyVector(), np.uint64))
+        keys = np.array(part.keyVector(), np.uint64)
+        index, pose = (keys & INDEX).astype(np.int64), keys >> np.uint64(56) == ord("x")
+        landmark = self.frames + np.searchsorted(self.numbers, index) if len(self.numbers) else np.full(len(keys), -1)
+        variable, dim = np.where(pose, index, landmark), np.where(pose, 3, 2)
         column = np.repeat(variable, dim)
         component = np.arange(len(column)) - np.repeat(np.cumsum(dim) - dim, dim)
         return np.stack([column, component], 1)
-
-    def _variables(self, keys: IntArray) -> tuple[IntArray, IntArray]:
-        """Variable (-1: a known landmark) and dimension of keys (q,)."""
-        index, pose = (keys & INDEX).astype(np.int64), keys >> np.uint64(56) == ord("x")
-        landmark = self.frames + np.searchsorted(self.numbers, index) if len(self.numbers) else np.full(len(keys), -1)
-        return np.where(pose, index, landmark), np.where(pose, 3, 2)
 
     def __call__(self, values: gtsam.Values) -> Rows:
         """The rows around `values`, right-hand sides (B, 3, 1 + q) with q constant systematic errors."""
@@ -138,8 +135,8 @@ class Linearizer:
     def first(self, values: gtsam.Values) -> tuple[Array, Array, Array]:
         """The first pose's tangent coordinates as start + U w, where z + w ~ N(0, I): start, z (3,) and U (3, 3).
 
-        The start is zero unless the present estimate contradicts what the prior knows exactly. With systematic errors
-        it is the robot's pose in the world.
+        The start is zero unless the present estimate contradicts an exact direction of the prior. With systematic
+        errors it is the robot's pose in the world.
         """
         return _prior_in_tangent(self.prior, values if self.calibrated is None else self.calibrated.robot(values))
 
@@ -149,7 +146,7 @@ class Linearizer:
         return np.empty(0) if none else values.atVector(CONSTANTS)
 
     def tangent(self, solution: Solution, values: gtsam.Values) -> Array:
-        """Its step (V, 3) in tangent coordinates, of the first pose, too."""
+        """Its step (V, 3) in tangent coordinates, also of the first pose."""
         delta = solution.step.copy()
         start, _, root = self.first(values)
         delta[0] = start + root @ delta[0]
@@ -162,7 +159,7 @@ class Linearizer:
         return error if self.calibrated is None else error + self.calibrated.cost(values)
 
     def moved(self, values: gtsam.Values, delta: Array, constants: Array) -> gtsam.Values:
-        """Values a step further: delta (V, 3) in tangent coordinates, `constants` (q,) in units of their sigmas."""
+        """Values after a step: delta (V, 3) in tangent coordinates, `constants` (q,) in units of their sigmas."""
         vector = gtsam.VectorValues()
         for k, row in enumerate(delta[: self.frames]):
             vector.insert(X(k), row)
@@ -174,7 +171,7 @@ class Linearizer:
         return self.calibrated.moved(values, vector, delta[0], delta[self.frames + len(self.numbers) :, 0], constants)
 
     def name(self, variable: int) -> str:
-        """A variable in words."""
+        """Name of a variable."""
         n, m = self.frames, len(self.numbers)
         if variable < n:
             return f"pose of frame {variable}"
@@ -184,7 +181,7 @@ class Linearizer:
         return f"the drift from frame {self.calibrated.first_of[variable - n - m]} on"
 
     def _renew(self, values: gtsam.Values) -> None:
-        """Factors that hold a known landmark, where the errors of `values` put it."""
+        """Move known landmarks in the factors according to the errors of `values`."""
         measured = None if self.calibrated is None else self.calibrated.measured(values)
         if measured is not None:
             self._chunks, self._graph = self._observations(measured)
@@ -193,10 +190,10 @@ class Linearizer:
 def put_prior(
     variable: IntArray, A: Array, b: Array, start: Array, z: Array, root: Array, by_errors: Array | None = None
 ) -> None:
-    """Variable 0, the first pose, becomes w where the pose is start + U w and z + w ~ N(0, I), in place.
+    """Substitute w for variable 0, the first pose: start + U w with z + w ~ N(0, I), in place.
 
     `variable` (B, 2), A (B, 3, 6), b (B, 3, c) as of `Rows`; block 0 is that of the prior. U: `root` (3, 3).
-    `by_errors` (3, c - 1): what a unit of what each further right-hand side stands for moves the first pose by, too.
+    `by_errors` (3, c - 1): effect on the first pose of a unit of each further right-hand side.
     """
     for k in np.flatnonzero((variable == 0).any(axis=1)):
         q = 3 * int(variable[k, 0] != 0)
@@ -213,7 +210,7 @@ def _prior_in_tangent(prior: Prior, values: gtsam.Values) -> tuple[Array, Array,
     turned = world_from_body(prior.mean[2])
     variance, axes = np.linalg.eigh(prior.covariance)
     sigma = np.sqrt(np.where(variance > EXACT * variance[-1], variance, 0.0))
-    along = axes.T @ turned @ -b  # how far the estimate is from the prior's mean, along the axes
+    along = axes.T @ turned @ -b  # offset of the estimate from the prior's mean, along the axes
     z = np.divide(along, sigma, out=np.zeros(3), where=sigma > 0.0)
     start = np.linalg.solve(A, b + turned.T @ axes @ (sigma * z))
     root: Array = np.linalg.solve(A, turned.T @ (axes * sigma))

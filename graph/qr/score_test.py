@@ -1,12 +1,11 @@
-"""Score test of systematic errors: how much of each hypothetical one the data ask for, beside path and map.
+"""Score test of systematic errors: the evidence for each hypothetical one, besides path and map.
 
 Every hypothetical error has one unknown size, zero under the null hypothesis. Around the smoothed solution the sizes
-are regression coefficients beside path and map: eliminating those from a column for each leaves what they cannot
-explain, which gives the derivative of the log-likelihood, path and map profiled out, and its covariance (Rao, "Large
-sample tests of statistical hypotheses concerning several parameters", Proc. Cambridge Phil. Soc. 44, 1948). Systematic
-errors that the smoother estimated, with their priors, are profiled out like path and map: the log is then the one less
-the errors found (`data.motion.systematic`), in the robot's own frame; each error more, in prior sigmas, has a column,
-and the prior of its whole size.
+are regression coefficients. Eliminating path and map from a column for each error leaves the derivative of the profile
+log-likelihood and its covariance (Rao, "Large sample tests of statistical hypotheses concerning several parameters",
+Proc. Cambridge Phil. Soc. 44, 1948). Systematic errors estimated by the smoother, with their priors, are profiled out
+likewise: the log is corrected by them (`data.motion.systematic`), in the robot's own frame. Each has a column in prior
+sigmas, and a prior.
 """
 
 from __future__ import annotations
@@ -27,19 +26,19 @@ from graph.qr.rows import put_prior
 
 
 class Estimated(NamedTuple):
-    """Errors beside path and map, in prior sigmas.
+    """Estimated errors besides path and map, in prior sigmas.
 
     Attributes:
-        motion: (N, 3, q) what one more of each constant error adds to the increments.
-        readings: (m, 2, q) to the readings.
-        now: (q,) sizes found.
-        by_drift: (N, 3) what one more of its knot's drift adds to an increment; of: (N,) which knot that is.
+        motion: (N, 3, q) effect of a unit of each constant error on the increments.
+        observed: (m, 2, q) on the observations.
+        now: (q,) estimated sizes.
+        by_drift: (N, 3) effect of a unit of its knot's drift on an increment; of: (N,) that knot.
         own, earlier: (K,) coefficients of a knot and the one before in the rows of the drift's prior, K = 0 without
-            one; steps: (K,) what those rows are for the drift found.
+            one; steps: (K,) values of those rows for the estimated drift.
     """
 
     motion: Array
-    readings: Array
+    observed: Array
     now: Array
     by_drift: Array
     of: IntArray
@@ -49,17 +48,17 @@ class Estimated(NamedTuple):
 
 
 def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: IntArray, z_hat: Array) -> Estimated:
-    """Of `inputs` with systematic errors `found`, at a path (N, 3), for readings from frames (m,) that expect z_hat."""
+    """Of `inputs` with errors `found`, at a path (N, 3), for observations from frames (m,) expected at z_hat (m, 2)."""
     systematic = inputs.systematic
     assert systematic is not None
     every, place, sigma = all_errors(found), places(systematic), systematic.sigma
     of_odometry = every.copy()
     of_odometry[:, [RANGE, BEARING]] = 0.0
-    # the errors act on the way as smoothed (see `graph.qr.calibrated`); the log is corrected by too little
+    # the errors act on the smoothed motion (see `graph.qr.calibrated`), not on the stated one
     _, by_way, by_errors = stated_all(
         between(path[:-1], path[1:]), of_odometry[1:], inputs.increments.mean[1:, 2] > 0.0
     )
-    motion, readings = np.zeros((len(path), 3, len(place))), np.zeros((len(frame), 2, len(place)))
+    motion, observed = np.zeros((len(path), 3, len(place))), np.zeros((len(frame), 2, len(place)))
     motion[1:] = (np.linalg.inv(by_way) @ by_errors)[:, :, place] * sigma
     motion[:, :, place >= RANGE] = 0.0
     size = 1.0 + every[frame, RANGE]
@@ -70,7 +69,7 @@ def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: Int
             more = z_hat / size[:, None]
         else:
             more = np.column_stack([-z_hat[:, 1], z_hat[:, 0]])
-        readings[:, :, i] = more * sigma[i]
+        observed[:, :, i] = more * sigma[i]
     names = list(systematic.names)
     constant = [i for i, n in enumerate(names) if n != "drift"]
     now = found.mean[-1] / sigma
@@ -83,14 +82,14 @@ def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: Int
         drift = found.mean[np.searchsorted(of, np.arange(len(own))), at] / sigma[at]
         steps = own * drift
         steps[1:] += earlier[1:] * drift[:-1]
-    return Estimated(motion[:, :, constant], readings[:, :, constant], now[constant], by_drift, of, own, earlier, steps)
+    return Estimated(
+        motion[:, :, constant], observed[:, :, constant], now[constant], by_drift, of, own, earlier, steps
+    )
 
 
 def without_errors(left: Array, now: Array) -> Array:
-    """Products (1 + p, 1 + p) of residuals and columns, what errors `now` (q,) found can explain taken out.
-
-    `left` (1 + p + q, ...): theirs come last, with the sign that columns have there. What a whole error is, is known by
-    its prior.
+    """Products (1 + p, 1 + p) of residuals and columns, with the estimated errors `now` (q,) eliminated. `left` (1 + p
+    + q, ...): theirs come last, with the sign that columns have there. Each has its prior.
     """
     q = len(now)
     if not q:
@@ -105,18 +104,15 @@ def without_errors(left: Array, now: Array) -> Array:
     return with_prior[:at, :at] - across @ np.linalg.solve(with_prior[at:, at:], across.T)
 
 
-UNTOLD = 1e-16
-"""Of the square of a column: what path and map leave of it, if it is less, is rounding (some 1e-26 was seen)."""
-
-ALIKE = 1e-9
-"""Share of its information that others leave of an error which they explain wholly: rounding."""
+UNIDENTIFIABLE = 1e-16
+"""Least share of a column's square that path and map must leave; less is rounding (some 1e-26 was found)."""
 
 
 class Score(NamedTuple):
-    """What the data say about p systematic errors; all of it is zero for an error that they cannot tell.
+    """Score of p systematic errors; zero for an error that the data cannot identify.
 
     Attributes:
-        score: (p,) derivative of the log-likelihood by the size of each error, path and map profiled out, at size zero.
+        score: (p,) derivative of the profile log-likelihood by the size of each error, at size zero.
         information: (p, p) covariance of the score under the null hypothesis. The efficient estimate of error j, if it
             is the only one, is score[j] / information[j, j], its variance 1 / information[j, j].
     """
@@ -130,21 +126,6 @@ class Score(NamedTuple):
         root = np.sqrt(np.diag(self.information))
         return np.divide(self.score, root, out=np.zeros_like(root), where=root > 0.0)
 
-    def beside(self, others: IntArray) -> Score:
-        """The same with the errors `others` (q,) estimated, too, so that only what they do not explain is left."""
-        root = np.sqrt(np.diag(self.information))
-        scale = np.where(root > 0.0, root, 1.0)
-        score, correlation = self.score / scale, self.information / np.outer(scale, scale)
-        # pseudo-inverse: a SLAM robot's scales of odometry and of ranges, of which it can tell one, may both be others
-        inverse = np.linalg.pinv(correlation[np.ix_(others, others)], rcond=ALIKE, hermitian=True)
-        across = correlation[:, others] @ inverse
-        left = correlation - across @ correlation[others]
-        told = np.diag(left) > ALIKE
-        told[others] = False
-        score = scale * (score - across @ score[others])
-        left = 0.5 * (left + left.T) * np.outer(scale, scale)
-        return Score(np.where(told, score, 0.0), np.where(np.outer(told, told), left, 0.0))
-
 
 def systematic(
     inputs: Inputs,
@@ -152,30 +133,29 @@ def systematic(
     path: Array,
     landmarks: Array,
     motion: Array,
-    readings: Array,
+    observed: Array,
     found: Systematics | None = None,
 ) -> Score:
     """Score of p hypothetical errors phi, linearized at a smoothed path.
 
-    Model: stated increment k = true one + motion[k] phi + noise (body frame of k - 1), observation i = what the sensor
-    would read without noise + readings[i] phi + noise, the first pose as the prior says.
+    Model: stated increment k = true one + motion[k] phi + noise (body frame of k - 1), observation i = noise-free
+    measurement + observed[i] phi + noise, the first pose according to the prior.
 
     Args:
         inputs: with a map, the landmarks are exact (localization); without, they are estimated (SLAM).
-        number: (M,) row of `landmarks` that each observation is of; -1: not used.
+        number: (M,) row of `landmarks` of each observation; -1: not used.
         path: (N, 3) smoothed poses, world frame. At the optimum the score is the likelihood's; elsewhere that of the
             problem as linearized there.
         landmarks: (L, 2) m, world frame.
-        motion: (N, 3, p) m, m, rad by unit of each error; row 0 does not matter.
-        readings: (M, 2, p) in the sensor's units by unit of each error. A column that is made of distances, turns or
-            ranges takes them from the smoothed solution: taken as measured, they and the residuals have noise in
-            common, and an error of scale would be found where there is none (in the arena by 7 sigma).
-        found: the systematic errors that were estimated along with path and map, those of `inputs.systematic`. `motion`
-            and `readings` are then of the log less these errors. What is hypothesized comes on top of them, so that
-            one that is estimated, too, shows as far as its prior held it back.
+        motion: (N, 3, p) m, m, rad by unit of each error; row 0 is ignored.
+        observed: (M, 2, p) in the sensor's units by unit of each error. Columns of distances, turns or ranges must come
+            from the smoothed solution: measured values share the residuals' noise, which biases a scale (in the arena
+            by 7 sigma).
+        found: the systematic errors of `inputs.systematic` that were estimated. `motion` and `observed` are then of the
+            corrected log, and an estimated error shows as far as its prior held it back.
 
     Raises:
-        UnderConstrained: naming a landmark, by its row, or a pose that the data leave free.
+        UnderConstrained: naming a landmark, by its row, or a pose that the data do not determine.
         LinAlgError: the covariance of an observation is not positive definite.
     """
     n, p = len(path), motion.shape[2]
@@ -189,16 +169,16 @@ def systematic(
     size = n if inputs.map is not None else n + len(seen)
     z_hat, Hx, Hl = inputs.sensor.linearize(path[frame], landmarks[row])
     along = None if found is None else estimated_errors(stated, found, path, frame, z_hat)
-    readings = readings[used]
+    observed = observed[used]
     if along is not None:
         motion = np.concatenate([motion, along.motion], axis=2)
-        readings = np.concatenate([readings, along.readings], axis=2)
+        observed = np.concatenate([observed, along.observed], axis=2)
     variable = np.full((n + m, 2), -1)
     variable[:n, 0], variable[1:n, 1] = np.arange(n), np.arange(n - 1)
     variable[n:, 0] = frame
     A, b = np.zeros((n + m, 3, 6)), np.zeros((n + m, 3, 1 + motion.shape[2]))
     F, B, moved = _chain(inputs, path)
-    # whitened increments; the first pose is what the prior puts it at, plus U z with z ~ N(0, I)
+    # whitened increments; the first pose is that of the prior plus U z with z ~ N(0, I)
     of_motion = white = root_information(inputs.increments.covariance[1:])[0] @ B[1:].transpose(0, 2, 1)
     A[1:n, :, :3], A[1:n, :, 3:] = white, -white @ F[1:]
     b[1:n, :, 0] = np.einsum("nij,nj->ni", white, moved[1:])
@@ -206,7 +186,7 @@ def systematic(
     white = np.linalg.inv(np.linalg.cholesky(inputs.observations.R[used]))
     A[n:, :2, :3] = white @ Hx
     b[n:, :2, 0] = np.einsum("mij,mj->mi", white, inputs.sensor.residual(inputs.observations.z[used], z_hat))
-    b[n:, :2, 1:] = -white @ readings
+    b[n:, :2, 1:] = -white @ observed
     if inputs.map is None:
         variable[n:, 1] = n + slot
         A[n:, :2, 3:5] = white @ Hl
@@ -237,11 +217,10 @@ def _with_drift(rows: Rows, along: Estimated, white: Array) -> Rows:
 
 
 def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
-    """Jacobians F to the pose before and B to the increment (N, 3, 3), and where the data put each pose (N, 3).
+    """Jacobians F to the pose before and B to the increment (N, 3, 3), and deviations (N, 3) of the data from `path`.
 
-    The last is a deviation from `path`, of the prior in row 0, of the stated increment in the others. F turns the way
-    as smoothed, not as stated: there, with the noise as smoothed, is the optimum (`data.motion.velocity.carried` at
-    that way).
+    The deviations are of the prior in row 0, of the stated increment in the others. F turns the smoothed motion, not
+    the stated one (`data.motion.velocity.carried` of it): the optimum is there.
     """
     n = len(path)
     F, B, moved = np.tile(np.eye(3), (n, 1, 1)), np.tile(np.eye(3), (n, 1, 1)), np.empty((n, 3))
@@ -253,7 +232,7 @@ def _chain(inputs: Inputs, path: Array) -> tuple[Array, Array, Array]:
 
 
 def _score(size: Array, left: Array) -> Score:
-    """Score from the squares (1 + p,) of the columns, data first, and what is left of their products (1 + p, 1 + p)."""
-    told = np.diag(left)[1:] > UNTOLD * size[1:]
-    score = np.where(told, -left[1:, 0], 0.0)
-    return Score(score, np.where(np.outer(told, told), left[1:, 1:], 0.0))
+    """Score from the squares (1 + p,) of the columns, data first, and their residual products (1 + p, 1 + p)."""
+    identifiable = np.diag(left)[1:] > UNIDENTIFIABLE * size[1:]
+    score = np.where(identifiable, -left[1:, 0], 0.0)
+    return Score(score, np.where(np.outer(identifiable, identifiable), left[1:, 1:], 0.0))

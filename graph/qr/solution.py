@@ -1,8 +1,8 @@
 """The step of an eliminated problem and its covariances: from the root of the elimination tree back to its leaves.
 
 With residuals A x + C c - b and a standard normal prior on c (q,), the right-hand sides of the elimination are b and
-the columns of C. What of them no x explains, `left`, gives the least-squares problem of c alone; given c, x = x_b - X c
-with the solutions of the right-hand sides, so that cov(x) = cov(x | c) + X cov(c) X' and cov(x, c) = -X cov(c).
+the columns of C. Their residual products `left` give the least-squares problem of c alone; given c, x = x_b - X c with
+the solutions of the right-hand sides, so that cov(x) = cov(x | c) + X cov(c) X' and cov(x, c) = -X cov(c).
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def _substitute(s: Structure, t: Triangle, dim: IntArray, x: Array) -> None:
 
 @numba.njit(cache=True)
 def _covariances(s: Structure, t: Triangle, dim: IntArray, out: Array) -> None:
-    """Marginals by clique: the covariance of a clique is kept until the last of its children has taken its part."""
+    """Marginals by clique: the covariance of a clique is kept until its last child is done."""
     variable, parent, children, start, separator = s.variable, s.parent, s.children, s.start, s.separator
     R, S, at_S = t.R, t.S, t.at_S
     size = len(variable)
@@ -68,7 +68,7 @@ def _covariances(s: Structure, t: Triangle, dim: IntArray, out: Array) -> None:
         n = dim[v]
         w = (at_S[v + 1] - at_S[v]) // n
         p = parent[v]
-        # the separator's covariance, out of the parent's clique
+        # covariance of the separator from the parent's clique
         below = np.empty((w, w))
         if p >= 0:
             side = dim[p] + (at_S[p + 1] - at_S[p]) // dim[p]
@@ -90,7 +90,7 @@ def _covariances(s: Structure, t: Triangle, dim: IntArray, out: Array) -> None:
                     below[i, j] = cliques[row + index[j]]
             open_children[p] -= 1
             if open_children[p] == 0:
-                used = begin[p]  # nothing is above it: the subtrees of its other children are done
+                used = begin[p]  # top of the stack: the subtrees of its other children are done
         inverse = np.zeros((n, n))
         for j in range(n):
             inverse[j, j] = 1.0 / R[v, j, j]
@@ -147,8 +147,8 @@ class Solution(NamedTuple):
     Attributes:
         step: (V, 3), of the variables.
         constants: (q,), of the constant errors, in sigmas.
-        length: of all of it, in sigmas: half its square is what the cost falls by.
-        columns: (V, 3, q); -columns is by what the variables follow the constant errors.
+        length: of the whole step, in sigmas; half its square is the predicted decrease of the cost.
+        columns: (V, 3, q); -columns is the derivative of the variables with respect to the constant errors.
         covariance: (q, q) of the constant errors, in sigmas.
     """
 
@@ -160,7 +160,7 @@ class Solution(NamedTuple):
 
 
 def solve(rows: Rows, s: Structure, t: Triangle, now: Array) -> Solution:
-    """The step, from errors that are `now` (q,) sigmas from where their prior has them."""
+    """The step, from errors that are `now` (q,) sigmas from their prior means."""
     x, d = means(rows, s, t), t.d[:, :, :1]
     square = float(np.einsum("vic,vic->", d, d))
     if not len(now):

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from association.conditional import alone, beside, given, jcbb_conditional, prune
+from association.conditional import (
+    blocked_by_pairings,
+    conditional_expectation,
+    conditional_innovations,
+    jcbb_conditional,
+    prune,
+)
 from association.expectation import Expectation, SingularInnovationError, gate_threshold
 from association.jcbb import jcbb
 from data.result import DISCARD, NEW
@@ -46,7 +52,7 @@ def test_an_innovation_given_the_others_is_that_of_conditioning_on_them(seed):
     for i in range(5):
         S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += e.R[i]
     nu = e.residual(e.z, e.z_hat).ravel()
-    found = alone(e, every, every)
+    found = conditional_innovations(e, every, every)
     for j in range(5):
         own, rest = np.arange(2 * j, 2 * j + 2), np.delete(np.arange(10), [2 * j, 2 * j + 1])
         gain = S[np.ix_(own, rest)] @ np.linalg.inv(S[np.ix_(rest, rest)])
@@ -58,13 +64,14 @@ def test_an_innovation_given_the_others_is_that_of_conditioning_on_them(seed):
 
 def test_a_single_pairing_has_nothing_to_be_conditioned_on():
     e = problem(1, 1, 1, clutter=0.0)
-    assert alone(e, np.array([0]), np.array([0])).distance[0] == pytest.approx(e.individual_distances()[0, 0])
+    found = conditional_innovations(e, np.array([0]), np.array([0])).distance
+    assert found[0] == pytest.approx(e.individual_distances()[0, 0])
 
 
 def test_a_singular_joint_covariance_is_named():
     e = Expectation.from_arrays([[0.0, 0.0]], [[0.0, 0.0]], np.zeros((2, 2)), np.zeros((1, 2, 2)), number=np.array([7]))
     with pytest.raises(SingularInnovationError, match=r"\[7\] is singular"):
-        alone(e, np.array([0]), np.array([0]))
+        conditional_innovations(e, np.array([0]), np.array([0]))
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -81,7 +88,7 @@ def test_what_is_given_the_pairings_is_what_a_linear_update_expects(seed):
     mean = e.z_hat.ravel() + K @ (e.z[rows] - e.z_hat[chosen]).ravel()
     after = P - K @ H @ P
     some = np.array([5, 2, 1])
-    g = given(e, decisions, some)
+    g = conditional_expectation(e, decisions, some)
     index = (2 * some[:, None] + np.arange(2)).ravel()
     assert g.number.tolist() == some.tolist()
     np.testing.assert_allclose(g.z_hat.ravel(), mean[index], atol=1e-12)
@@ -109,7 +116,7 @@ def test_the_worst_is_undone_first_so_that_it_takes_no_other_with_it():
     across = np.array([-e.z_hat[3, 1], e.z_hat[3, 0]]) / 5.0
     e = turned(shift=(3, 0.4 * across))
     everything = np.arange(8)
-    contradicted = alone(e, everything, everything).distance > gate_threshold(GATE)
+    contradicted = conditional_innovations(e, everything, everything).distance > gate_threshold(GATE)
     assert contradicted.sum() > 1
     assert prune(e, everything, GATE).tolist() == [0, 1, 2, NEW, 4, 5, 6, 7]
 
@@ -130,9 +137,9 @@ def test_what_is_left_beside_a_landmark_that_was_seen_is_another_one():
     for third, left in (([5.0, 3.0], True), ([5.04, 0.03], False)):
         z_hat = np.array([[5.0, 0.0], third])
         e = Expectation.from_arrays(z, z_hat, 0.01**2 * np.eye(4), np.tile(0.01**2 * EYE, (2, 1, 1)))
-        assert beside(e, np.array([0, DISCARD]), NEW_GATE).tolist() == [False, left]
-    assert not beside(e, np.array([0, 1]), NEW_GATE).any()
-    assert not beside(e, np.array([DISCARD, DISCARD]), NEW_GATE).any()  # neither landmark was seen
+        assert blocked_by_pairings(e, np.array([0, DISCARD]), NEW_GATE).tolist() == [False, left]
+    assert not blocked_by_pairings(e, np.array([0, 1]), NEW_GATE).any()
+    assert not blocked_by_pairings(e, np.array([DISCARD, DISCARD]), NEW_GATE).any()  # neither landmark was seen
 
 
 def usual(rate, opportunities=10_000):

@@ -9,7 +9,7 @@ import pytest
 
 from association.decide import decide
 from association.expectation import Expectation
-from association.faces import MARGIN, Faces, named_as_read
+from association.faces import MARGIN, Faces, aligned_with_observations
 from data.se2 import wrap_angle
 from data.sensors import Line
 
@@ -32,7 +32,7 @@ def test_a_reading_is_as_far_from_a_wall_by_whatever_name_it_is_expected():
     turned = P * [[1, -1], [-1, 1]]
     z, z_hat = np.array([[0.45, -1.5]]), np.array([0.05, -1.55])
     plain = expectation(z, z_hat[None], P).individual_distances()
-    renamed = named_as_read(expectation(z, other(z_hat)[None], turned), SENSOR)
+    renamed = aligned_with_observations(expectation(z, other(z_hat)[None], turned), SENSOR)
     assert np.allclose(renamed.z_hat, z_hat)
     assert np.allclose(renamed.individual_distances(), plain)
     assert np.allclose(renamed.joint(np.array([0])), P)
@@ -43,7 +43,7 @@ def test_a_reading_is_as_far_from_a_wall_by_whatever_name_it_is_expected():
 def test_of_parallel_walls_each_is_named_as_its_own_reading():
     z = np.array([[0.45, -1.57], [0.8, 1.57]])
     z_hat = np.array([other([0.40, -1.55]), [0.85, 1.60], [6.0, 0.0]])
-    e = named_as_read(expectation(z, z_hat, 0.01 * np.eye(6)), SENSOR)
+    e = aligned_with_observations(expectation(z, z_hat, 0.01 * np.eye(6)), SENSOR)
     assert np.allclose(e.z_hat, [[0.40, -1.55], [0.85, 1.60], [6.0, 0.0]])
     assert decide("jcbb", e, 0.99, 0.99999, known_map=False).decisions.tolist() == [0, 1]
     chosen = np.array([1, 0])
@@ -66,7 +66,7 @@ def test_the_other_face_of_a_wall_is_offered_where_the_first_was_seen(x, offered
     # from y < 0, driving along it to the right, it is on the left
     faces = seen(1.0, 2.0, 3.0)
     below, z_hat = np.array([x, -0.5, 0.0]), np.array([[0.5, math.pi / 2]])
-    assert faces.offered(below, SURE, np.array([0]), z_hat).tolist() == [offered]
+    assert faces.visible(below, SURE, np.array([0]), z_hat).tolist() == [offered]
 
 
 def test_a_wall_keeps_the_face_it_was_first_seen_from():
@@ -74,17 +74,17 @@ def test_a_wall_keeps_the_face_it_was_first_seen_from():
     below, left = np.array([2.0, -0.5, 0.0]), np.array([[0.5, math.pi / 2]])
     faces.see(below, np.array([0]), left)
     far = np.array([30.0, 0.5, 0.0])
-    assert faces.offered(far, SURE, np.array([0]), np.array([[0.5, -math.pi / 2]])).all()
-    assert not faces.offered(far - [0.0, 1.0, 0.0], SURE, np.array([0]), left).any()
+    assert faces.visible(far, SURE, np.array([0]), np.array([[0.5, -math.pi / 2]])).all()
+    assert not faces.visible(far - [0.0, 1.0, 0.0], SURE, np.array([0]), left).any()
 
 
 def test_the_same_face_is_offered_anywhere_and_an_unsure_robot_is_given_more():
     faces = seen(1.0)
     far, right = np.array([30.0, 0.5, 0.0]), np.array([[0.5, -math.pi / 2]])
-    assert faces.offered(far, SURE, np.array([0]), right).all()
+    assert faces.visible(far, SURE, np.array([0]), right).all()
     below, left = np.array([4.0, -0.5, 0.0]), np.array([[0.5, math.pi / 2]])
-    assert not faces.offered(below, SURE, np.array([0]), left).any()
-    assert faces.offered(below, np.diag([1.0, 0.0, 0.0]), np.array([0]), left).all()
+    assert not faces.visible(below, SURE, np.array([0]), left).any()
+    assert faces.visible(below, np.diag([1.0, 0.0, 0.0]), np.array([0]), left).all()
 
 
 def test_faces_are_seen_by_a_sensor_wherever_it_is_mounted():
@@ -94,7 +94,7 @@ def test_faces_are_seen_by_a_sensor_wherever_it_is_mounted():
     faces.see(pose, np.array([0]), mounted.predict(pose, wall))
     for x, y, offered in [(9.0, 0.5, True), (1.2, 3.5, True), (5.0, 3.5, False)]:
         here = np.array([x, y, -0.4])
-        assert faces.offered(here, SURE, np.array([0]), mounted.predict(here, wall)).tolist() == [offered]
+        assert faces.visible(here, SURE, np.array([0]), mounted.predict(here, wall)).tolist() == [offered]
 
 
 def test_what_is_kept_grows_with_the_walls_and_not_with_the_frames():

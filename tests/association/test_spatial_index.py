@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from association.candidates import FEW, Places, reading_radius, view_radius
+from association.candidates import FEW, Places, gate_radius, view_radius
 from association.decide import METHODS, decide, horizon
 from data.inputs import FrameObservations, LandmarkMap, Prior
 from data.sensors import RangeBearing, RelativePoint
@@ -76,4 +76,4 @@ def test_radii_are_those_on_paper():
     P = np.diag([9.0, 16.0, 0.04])
     assert view_radius(sensor, P) == pytest.approx(10.0 + 5.0 + 3.0 * (5.0 + 5.0 * 0.2))
     z = FrameObservations(np.array([[7.0, 0.0], [2.0, 1.0]]), np.tile(np.diag([0.25, 0.1]), (2, 1, 1)))
-    assert reading_radius(sensor, P, z, 4.0) == pytest.approx(7.0 + 2.0 * 0.5 + 5.0 + 2.0 * (5.0 + 5.0 * 0.2))
+    assert gate_radius(sensor, P, z, 4.0) == pytest.approx(7.0 + 2.0 * 0.5 + 5.0 + 2.0 * (5.0 + 5.0 * 0.2))

@@ -13,7 +13,7 @@ import pytest
 from association.decide import METHODS
 from data.logs import open_log
 from eval.referee.confusion import OUTCOMES
-from eval.replay.recorder import NullObserver
+from eval.replay.recorder import Observer
 from eval.replay.run import step_by_step
 from tests.browser.opened import NAME, Opened
 
@@ -102,7 +102,7 @@ def test_every_decision_is_the_one_of_the_result_folder(corridor, results):
         assert shown[2] == [int(r["truth"]) for r in rows]
 
 
-class Expectations(NullObserver):
+class Expectations(Observer):
     """What the filter expected in one frame: squared distances and every method's decisions, by plain formulas."""
 
     def __init__(self, frame):
@@ -155,7 +155,7 @@ def test_a_click_on_an_observation_shows_its_candidates_and_what_each_method_say
                 assert gate == ("inside" if oracle.d2[i, number] < 9.21034 else "outside")
         said = corridor.js(
             "Object.fromEntries([...document.querySelectorAll('#methods tr')]"
-            ".map((r) => [r.dataset.method, +r.dataset.said]))"
+            ".map((r) => [r.dataset.method, +r.dataset.decision]))"
         )
         assert said == {name: made[i] for name, made in oracle.said.items()}
         clicked += 1

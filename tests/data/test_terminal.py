@@ -11,7 +11,7 @@ import pytest
 
 from data import terminal
 from data.errors import DataError
-from data.terminal import counted, ended, missing, told
+from data.terminal import counted, ended, message_of, missing
 
 FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -24,7 +24,7 @@ def raising(fault):
 
 
 @pytest.mark.parametrize(("fault", "said"), [
-    (DataError("log.csv: line 3: no number"), "slamref: log.csv: line 3: no number\n"),
+    (DataError("log.csv:3: no number"), "slamref: log.csv:3: no number\n"),
     (FULL, "slamref: output cannot be written: No space left on device; free some space, or write to another place\n"),
     (PermissionError(errno.EACCES, "Permission denied", "out/a.csv"), "slamref: out/a.csv: Permission denied\n"),
     (OSError(errno.EROFS, "Read-only file system", "out"), "slamref: out: Read-only file system\n"),
@@ -85,8 +85,8 @@ def test_a_package_that_is_missing_is_named_with_the_way_to_install_it(monkeypat
 
 
 def test_a_file_is_named_where_it_is_known():
-    assert told(OSError(errno.ENOSPC, "No space left on device", "a.csv")).startswith("a.csv: No space")
-    assert told(OSError()) == "OSError"
+    assert message_of(OSError(errno.ENOSPC, "No space left on device", "a.csv")).startswith("a.csv: No space")
+    assert message_of(OSError()) == "OSError"
 
 
 def test_one_is_singular():

@@ -76,10 +76,10 @@ def test_what_is_left_out_has_its_default():
     (lambda t: t.one_of("y", ("yes", "no")), "y: missing; known: yes, no"),
     (lambda t: t.names("text", (), ()), "text = 'so': a list is needed"),
     (lambda t: t.names("two", ("p",), ()), "two = [1, 2.0]: 1 is unknown; known: p"),
-    (lambda t: t.names("twice", ("p",), ()), "twice = ['p', 'p']: at least one name, and none twice"),
-    (lambda t: t.names("none", ("p",), ()), "none = []: at least one name, and none twice"),
+    (lambda t: t.names("twice", ("p",), ()), "twice = ['p', 'p']: at least one name, none of them twice, is needed"),
+    (lambda t: t.names("none", ("p",), ()), "none = []: at least one name, none of them twice, is needed"),
     (lambda t: t.table_of("n"), "n = 3: this must be a table"),
-    (lambda t: t.table_of("y"), "no [y] table"),
+    (lambda t: t.table_of("y"), "no [y] table; one is needed"),
     (lambda t: t.tables_of("n"), "n = 3: tables [[n]] are needed"),
     (lambda t: t.tables_of("two"), "two = [1, 2.0]: this must be a table"),
 ])  # fmt: skip

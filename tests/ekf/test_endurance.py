@@ -9,8 +9,8 @@ import pytest
 from data.sensors import RangeBearing, RelativePoint
 from ekf import kernels
 from ekf.filter import FilterOptions
-from ekf.kernels import Seen, augment, predict
-from ekf.updates import Done, How, update
+from ekf.kernels import Pairings, augment, predict
+from ekf.updates import Outcome, UpdateRule, update
 
 STEPS, BLOCK = 1_000_000, 50_000
 
@@ -41,8 +41,8 @@ def drive(kind, extrinsic, mean, P, d, landmarks, rng, steps, sigma, rule, first
             else:
                 z[i, 0], z[i, 1] = x, y
             z[i] += sigma * rng.standard_normal(2)
-        seen, how = Seen(at, np.zeros((2, 2)), z, Rs), How(np.inf, rule[0], rule[1], first)
-        status = update(kind, extrinsic, mean, P, d, seen, how, Done(keep, stats, white))
+        seen, how = Pairings(at, np.zeros((2, 2)), z, Rs), UpdateRule(np.inf, rule[0], rule[1], first)
+        status = update(kind, extrinsic, mean, P, d, seen, how, Outcome(keep, stats, white))
         if status != 0:
             return -1.0
         for i in range(d):
@@ -71,7 +71,7 @@ def test_p_stays_symmetric_and_positive_semidefinite_over_a_million_steps(sensor
         augment(sensor.kind, sensor.extrinsic, mean, P, 3 + 2 * i, z[i], np.diag(sigma**2), -1.0, first)
     rng = np.random.default_rng(0)
     for _ in range(STEPS // BLOCK):
-        worst = drive(sensor.kind, sensor.extrinsic, mean, P, d, landmarks, rng, BLOCK, sigma, options.rule, first)
+        worst = drive(sensor.kind, sensor.extrinsic, mean, P, d, landmarks, rng, BLOCK, sigma, options.rule(), first)
         assert worst == 0.0
         assert np.isfinite(mean).all()
         assert np.linalg.eigvalsh(P)[0] >= -1e-12 * np.trace(P)

@@ -192,7 +192,7 @@ def test_expectation_blocks_are_those_of_the_joint_and_go_stale():
     )
     assert np.allclose(e.joint(picked), H @ P @ H.T, atol=1e-8)
     f.predict(inputs.increment(1))
-    with pytest.raises(RuntimeError, match="moved on"):
+    with pytest.raises(RuntimeError, match="updated since"):
         e.joint(picked)
 
 

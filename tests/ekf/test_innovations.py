@@ -7,7 +7,7 @@ import numpy as np
 from data.se2 import Array
 from data.sensors import RelativePoint
 from ekf import updates
-from ekf.kernels import NEWEST, Seen
+from ekf.kernels import NEWEST, Pairings
 
 
 def whitened(readings: Array, threshold: float) -> Array:
@@ -17,9 +17,9 @@ def whitened(readings: Array, threshold: float) -> Array:
     known, R = np.tile([1.0, 0.0], (k, 1)), np.tile(0.01 * np.eye(2), (k, 1, 1))
     at = np.full(k, -1, np.int64)
     sensor = RelativePoint(max_range=8.0)
-    how = updates.How(threshold, updates.ADDITIVE, 1, NEWEST)
-    done = updates.Done(keep, np.zeros(3), white)
-    seen = Seen(at, known, readings, R)
+    how = updates.UpdateRule(threshold, updates.ADDITIVE, 1, NEWEST)
+    done = updates.Outcome(keep, np.zeros(3), white)
+    seen = Pairings(at, known, readings, R)
     updates.update(sensor.kind, sensor.extrinsic, np.zeros(3), 1e-12 * np.eye(3), 3, seen, how, done)
     return white
 

@@ -66,7 +66,7 @@ def test_no_parked_landmark_inside_the_gate_is_missed(seed, sensor, within, drif
 
 
 def test_a_landmark_that_was_put_right_far_from_where_it_was_parked_is_found():
-    """Seen after a turn of unknown angle and parked; then the angle turns out to be another one, by two sigmas."""
+    """Pairings after a turn of unknown angle and parked; then the angle turns out to be another one, by two sigmas."""
     sensor = RangeBearing()
     f, full = (EkfSlam(Prior(np.zeros(3), 1e-8 * np.eye(3)), sensor) for _ in range(2))
     R = 1e-6 * np.eye(2)

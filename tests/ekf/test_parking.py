@@ -155,12 +155,12 @@ def test_parking_makes_expectations_stale_and_parking_nobody_does_not():
     f.restore(NOBODY)
     assert e.joint(np.array([0])).shape == (2, 2)
     f.park(np.array([0]))
-    with pytest.raises(RuntimeError, match="moved on"):
+    with pytest.raises(RuntimeError, match="updated since"):
         e.joint(np.array([0]))
     e = f.expect(NOTHING_SEEN)
     assert e.number.tolist() == [1, 2, 3]
     f.restore(np.array([0]))
-    with pytest.raises(RuntimeError, match="moved on"):
+    with pytest.raises(RuntimeError, match="updated since"):
         e.joint(np.array([0]))
 
 

@@ -206,7 +206,7 @@ def test_bad_data_and_bad_names_are_one_line_and_exit_2(tmp_path, capsys):
     observations.write_text(observations.read_text().replace("\n0,", "\n99,", 1))
     (tmp_path / "file").write_text("")
     for arguments, named in (
-        ([str(tmp_path / "kept")], "observations.csv: line 2, column frame: 99 is out of range"),
+        ([str(tmp_path / "kept")], "observations.csv:2: column frame: 99 is out of range"),
         ([str(tmp_path / "nowhere")], "nowhere"),
         (["arena:0", "--plot", "picture.bmp"], "picture.bmp"),
         (["arena:0", "--plot", str(tmp_path / "file" / "picture.png")], "cannot be written"),

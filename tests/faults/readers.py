@@ -19,7 +19,7 @@ from data.formats.mrclam.load import load_mrclam
 from data.formats.recordings import esde
 from data.formats.recordings.victoria_park import load_victoria_park
 from data.formats.results.reading import read_path
-from data.formats.results.tables import beside
+from data.formats.results.tables import companions
 from data.logs import open_log
 from data.robot.packets import command_of
 from data.robot.traffic.recording import Recording
@@ -151,7 +151,7 @@ def results() -> list[Files]:
 
 def read_result(folder: Path) -> Any:
     name = next((n for n in ("path.tum", "online.csv") if (folder / n).exists()), "online.csv")
-    return read_path(str(folder / name)), beside(folder)
+    return read_path(str(folder / name)), companions(folder)
 
 
 def sound_path(found: Any) -> None:

@@ -18,7 +18,7 @@ from data.formats.lab.folder import open_lab
 from data.formats.mrclam.load import load_mrclam
 from data.formats.recordings.esde import load_esde
 from data.formats.results.reading import read_path
-from data.formats.results.tables import beside
+from data.formats.results.tables import companions
 from data.formats.tables.files import read_text
 from data.logs import open_log
 from eval.plan.flags.options import read_options
@@ -131,7 +131,7 @@ def test_an_image_of_few_bytes_and_many_pixels_gets_no_room(tmp_path):
 
 def test_a_laser_log_has_finite_parameters_and_is_no_bomb(tmp_path):
     (tmp_path / "a.log").write_text(SMALL.replace("robot_frontlaser_offset 0.25", "robot_frontlaser_offset 1e309"))
-    assert "line 2: PARAM robot_frontlaser_offset is 1e309" in peak(open_log, str(tmp_path / "a.log"))[1]
+    assert ":2: PARAM robot_frontlaser_offset is 1e309" in peak(open_log, str(tmp_path / "a.log"))[1]
     (tmp_path / "b.log.gz").write_bytes(gzip.compress(bytes(200 << 20), mtime=0))
     assert "unpack to more than" in peak(open_log, str(tmp_path / "b.log.gz"))[1]
 
@@ -145,11 +145,11 @@ def test_a_result_without_a_pose_and_a_number_of_many_digits_are_said_in_few_wor
 
 def test_a_landmark_of_a_great_number_needs_no_room_for_all_before(tmp_path):
     (tmp_path / "landmarks.csv").write_text("landmark,x,y\n1000000000000000,1,2\n3,1,2\n")
-    assert beside(tmp_path).landmarks.number.tolist() == [1000000000000000, 3]
+    assert companions(tmp_path).landmarks.number.tolist() == [1000000000000000, 3]
     (tmp_path / "landmarks.csv").write_text("landmark,x,y\n1e19,1,2\n")
-    assert "1e+19; a whole number" in peak(beside, tmp_path)[1]
+    assert "1e+19; a whole number" in peak(companions, tmp_path)[1]
     (tmp_path / "landmarks.csv").write_text("landmark,x,y\n5,1,2\n3,1,2\n5,1,1\n")
-    assert "line 4, column landmark: 5 is there twice" in peak(beside, tmp_path)[1]
+    assert ":4: column landmark: 5 is repeated" in peak(companions, tmp_path)[1]
 
 
 def test_a_message_is_one_line_whatever_a_file_is_called(tmp_path):
@@ -178,7 +178,7 @@ def test_a_damaged_stored_run_is_one_line_and_no_crash(tmp_path):
 
 def test_a_field_that_is_too_long_and_a_file_that_cannot_be_are_named(tmp_path):
     (tmp_path / "robot.csv").write_text("t,v\n0," + "9" * 200_000 + "\n")
-    assert "line 2: more than 131072 characters" in peak(read_text, tmp_path / "robot.csv")[1]
+    assert ":2: more than 131072 characters" in peak(read_text, tmp_path / "robot.csv")[1]
     assert "no file can be called so" in peak(read_text, tmp_path / "a\0b.csv")[1]
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.candidates import Drift, in_view, may_be_in_view, polar_sigma
+from association.candidates import UncertaintyBounds, in_view, may_be_in_view, polar_sigma
 from association.decide import known_decisions
 from data.inputs import FrameObservations, LabelledObservations, Prior
 from data.sensors import RangeBearing, RelativePoint
@@ -68,7 +68,7 @@ def test_the_quick_cut_keeps_everything_the_exact_one_keeps(sensor):
     inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
     inputs = inputs.without_map()
     decisions, created = known_decisions(inputs)
-    drift, kept = Drift(), 0
+    drift, kept = UncertaintyBounds(), 0
     for k in range(20):
         drive(inputs, decisions, until=k, smoother=(twin := EkfSlam(inputs.prior, inputs.sensor)))
         n = (twin.size - 3) // 2
@@ -92,7 +92,7 @@ def test_the_bounds_on_relative_uncertainty_are_bounds_and_stay_small_far_from_t
     inputs, _, _ = circle(sensor, noise=0.0, landmarks=25)
     inputs = inputs.without_map()
     decisions, created = known_decisions(inputs)
-    drift, twin = Drift(), EkfSlam(inputs.prior, inputs.sensor)
+    drift, twin = UncertaintyBounds(), EkfSlam(inputs.prior, inputs.sensor)
     for k in range(len(inputs)):
         if k:
             drift.move(inputs.increment(k))
@@ -176,7 +176,7 @@ def test_what_was_expected_bounds_from_then_on_what_may_be_in_view(sensor):
     twin, *_ = drive(inputs, decisions, until=6, smoother=EkfSlam(inputs.prior, inputs.sensor))
     n = (twin.size - 3) // 2
     xy, P, number = twin.mean[3:].reshape(n, 2), twin.covariance, np.arange(n)
-    drift = Drift()
+    drift = UncertaintyBounds()
     first = inputs.sensor.predict(twin.mean[:3], xy)
     drift.see(sensor, FrameObservations(first, np.tile(np.eye(2), (n, 1, 1))), number, 1e6 * np.eye(3))
     loose = drift.sigmas(number, 1e6 * np.eye(3))[0]

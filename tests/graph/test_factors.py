@@ -14,12 +14,12 @@ from data.sensors import RangeBearing, RelativePoint
 from graph.factors import (
     between_factors,
     graph_of,
+    known_landmark_factors,
+    landmark_factors,
     name_of,
     pose2,
     prior_factor,
     root_information,
-    sight_known,
-    sight_landmarks,
 )
 from tests.graph.driving import every_sensor
 
@@ -36,11 +36,11 @@ def values(pose=POSE, landmark=LANDMARK):
 
 
 def slam_factors(sensor, z):
-    return sight_landmarks(sensor, z[None], R[None], ONE, ONE)[0].measured
+    return landmark_factors(sensor, z[None], R[None], ONE, ONE)[0].measured
 
 
 def known_factors(sensor, z):
-    return sight_known(sensor, z[None], R[None], ONE, ONE, LANDMARK[None], 0)[0].measured
+    return known_landmark_factors(sensor, z[None], R[None], ONE, ONE, LANDMARK[None], 0)[0].measured
 
 
 @every_sensor
@@ -71,7 +71,7 @@ def test_a_bearing_across_the_seam_costs_its_short_way():
     sensor = RangeBearing()
     z = sensor.predict(np.zeros(3), np.array([[-4.0, 1e-3]]))[0] + [0.0, 2e-3]
     assert z[1] > np.pi
-    factors = sight_landmarks(sensor, z[None], np.diag([1.0, 1e-6])[None], ONE, ONE)[0].measured
+    factors = landmark_factors(sensor, z[None], np.diag([1.0, 1e-6])[None], ONE, ONE)[0].measured
     assert 2.0 * graph_of(factors).error(values(np.zeros(3), np.array([-4.0, 1e-3]))) == pytest.approx(4.0, rel=1e-6)
 
 
@@ -126,7 +126,7 @@ def test_a_singular_increment_is_refused_by_frame():
 @every_sensor
 def test_a_measurement_covariance_that_is_not_definite_is_refused_by_frame(sensor):
     with pytest.raises(DataError, match=r"frame 9: measurement covariance .* not positive definite"):
-        sight_landmarks(sensor, np.ones((1, 2)), np.zeros((1, 2, 2)), np.array([9]), ONE)
+        landmark_factors(sensor, np.ones((1, 2)), np.zeros((1, 2, 2)), np.array([9]), ONE)
 
 
 def test_variables_are_named_in_plain_words():
@@ -137,7 +137,9 @@ def test_variables_are_named_in_plain_words():
 def test_readings_nearer_than_three_sigma_are_points_and_all_others_range_and_bearing(task):
     sensor, R = RangeBearing(), np.tile(np.diag([0.01, 0.0004]), (3, 1, 1))
     z, rows = np.array([[0.29, 0.5], [0.31, 0.5], [5.0, -1.0]]), np.arange(3)
-    seen = sight_landmarks(sensor, z, R, rows, rows) if task == "slam" else sight_known(sensor, z, R, rows, rows, z, 0)
+    seen = landmark_factors(sensor, z, R, rows, rows)
+    if task != "slam":
+        seen = known_landmark_factors(sensor, z, R, rows, rows, z, 0)
     kinds = [type(s.measured[0]) for s in seen]
     assert kinds[1:] == [gtsam.BearingRangeFactor2D] * 2
     assert kinds[0] is not gtsam.BearingRangeFactor2D

@@ -114,7 +114,7 @@ def test_gtsams_fixed_lag_smoother_that_refreshes_every_landmark_says_the_same(s
     for k in range(len(inputs)):
         if k:
             ours.predict(inputs.increment(k))
-        seen = [s for s in problem.sighted if s.frame == k]
+        seen = [s for s in problem.observations if s.frame == k]
         values, mean = gtsam.Values(), ours.estimate().mean
         values.insert(X(k), pose2(mean))
         for s, z in zip(seen, inputs.frame_observations(k).z):

@@ -139,7 +139,7 @@ def test_joined_landmarks_are_one_in_the_window_and_before_it(sensor, lag):
     np.testing.assert_allclose(s.estimate().covariance, whole.estimate().covariance, atol=1e-6)
     np.testing.assert_allclose(s.landmarks().xy, whole.landmarks().xy, atol=1e-4)
     np.testing.assert_allclose(s.landmarks().covariance, whole.landmarks().covariance, atol=1e-6)
-    with pytest.raises(ValueError, match="cannot join"):
+    with pytest.raises(ValueError, match="cannot merge"):
         s.merge(np.array([number]), np.array([2]))
 
 

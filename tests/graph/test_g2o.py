@@ -159,7 +159,7 @@ def test_loop_closures_become_relations_and_are_spoken_of(tmp_path):
     assert log.truth.relations.row2.tolist() == [3]
     assert log.truth.relations.relative.tolist() == [[3.1, 0.2, 0.1]]
     said = " ".join(log.notes)
-    assert "1 EDGE_SE2 besides the chain" in said
+    assert "1 EDGE_SE2 outside the chain" in said
     assert "1 PARAMS_SE2OFFSET left out" in said
     assert "FIX 9" in said
     assert log.recorded.increments.covariance[1] == pytest.approx(np.diag([0.01, 0.01, 0.0025]))
@@ -201,13 +201,13 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
     ("text", "said"),
     [
         ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "in space"),
-        ("VERTEX_SE2 0 0 0\n", "line 1: VERTEX_SE2 with 3 numbers; 4 are needed"),
+        ("VERTEX_SE2 0 0 0\n", ":1: VERTEX_SE2 with 3 numbers; 4 are needed"),
         ("VERTEX_SE2 0 0 0 x\n", "'x' is not a number"),
         ("VERTEX_SE2 0.5 0 0 0\n", "'0.5' is not an id"),
-        ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 stands there twice"),
+        ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 is repeated"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
-        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", "line 2: no VERTEX_SE2 5"),
-        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 2 1\n", "line 2: EDGE_SE2_XY: its information matrix is not"),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: no VERTEX_SE2 5"),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 2 1\n", ":2: EDGE_SE2_XY: its information matrix is not"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_BEARING_SE2_XY 0 9 1 4\n", "no VERTEX_XY"),
         ("hello\n", "no pose"),
     ],

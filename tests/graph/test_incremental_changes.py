@@ -95,7 +95,7 @@ def test_joining_landmarks_is_having_known_that_they_are_one(sensor):
     np.testing.assert_allclose(one.map.xy, two.map.xy, atol=1e-6)
     assert one.total_nis[1] == two.total_nis[1]
     for senseless in ((number, 2), (2, 2), (2, 99)):
-        with pytest.raises(ValueError, match="cannot join"):
+        with pytest.raises(ValueError, match="cannot merge"):
             s.merge(np.array(senseless[:1]), np.array(senseless[1:]))
     localizer = Isam2Smoother(inputs.prior, inputs.sensor, circle(sensor)[0].map)
     with pytest.raises(ValueError, match="known map"):

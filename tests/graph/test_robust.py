@@ -80,7 +80,7 @@ def test_where_all_is_well_it_is_the_plain_smoother(sensor, task):
     np.testing.assert_array_equal(accepted, (decisions != DISCARD) | (created >= 0))
     np.testing.assert_allclose(result.trajectory.pose, plain.trajectory.pose, atol=1e-6)
     np.testing.assert_allclose(result.trajectory.covariance, plain.trajectory.covariance, atol=1e-7)
-    assert result.chi_square == pytest.approx(plain.chi_square, rel=1e-6)
+    assert result.cost == pytest.approx(plain.cost, rel=1e-6)
     assert result.dof == plain.dof
 
 
@@ -99,7 +99,7 @@ def test_the_result_is_the_optimum_over_what_it_accepted_and_judges_each_observa
         landmark[result.map.number] = result.map.xy
     again = smooth(inputs, *kept, Start(result.trajectory.pose, landmark))
     np.testing.assert_allclose(result.trajectory.pose, again.trajectory.pose, atol=1e-5)
-    assert result.total_nis == (pytest.approx(again.chi_square, rel=1e-6), again.dof)
+    assert result.total_nis == (pytest.approx(again.cost, rel=1e-6), again.dof)
     # by the sensor model itself, not by factors
     o, pose = inputs.observations, result.trajectory.pose
     xy = inputs.map.xy if task == "localization" else landmark
@@ -125,7 +125,7 @@ def test_a_landmark_none_of_whose_sightings_are_believed_leaves_the_map(kind, mo
 
     def disbelieving(problem, start, *rest, **options):
         solution, believed = graduate(problem, start, *rest, **options)
-        return solution, believed & (np.array([s.number for s in problem.sighted]) != number)
+        return solution, believed & (np.array([s.number for s in problem.observations]) != number)
 
     monkeypatch.setattr(module, "_graduate", disbelieving)
     result, accepted = gnc(inputs, decisions, created, filtered(inputs, decisions))

@@ -106,7 +106,7 @@ def ties_cut(monkeypatch):
 
 def without_a_guard(monkeypatch):
     bare = interpreted(measure, {"if r < MIN_RANGE:": "if False:"})
-    expect = interpreted(kernels.expect, look=interpreted(kernels.look, measure=bare))
+    expect = interpreted(kernels.expect, measure_landmark=interpreted(kernels.measure_landmark, measure=bare))
 
     def expect_quietly(*arguments):
         with np.errstate(all="ignore"):

@@ -136,7 +136,7 @@ def test_batch_and_isam2_find_the_linear_solution(world, oracle):
     inputs, decisions, created = inputs_of(world, 1e-12)
     run = run_filter(inputs, decisions)
     batch = smooth(inputs, decisions, created, Start(run.pose, run.map.xy))
-    assert batch.chi_square == pytest.approx(chi_square, abs=1e-4)
+    assert batch.cost == pytest.approx(chi_square, abs=1e-4)
     s = Isam2Smoother(inputs.prior, inputs.sensor, threshold=1e-6, skip=1)
     for k in range(FRAMES):
         if k:

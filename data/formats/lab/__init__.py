@@ -1,1 +1,1 @@
-"""The visual lab's format: configuration, log and images, as MATLAB or numpy wrote them."""
+"""The visual lab's format: configuration, log and images, as MATLAB or NumPy files."""

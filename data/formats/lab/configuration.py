@@ -1,13 +1,12 @@
 """The configuration of a lab recording, a MATLAB file in cm and degrees, to and from a setup in SI units.
 
-Does what the robot saw first fit the map? If not: would it with another reading of the camera's pose, or unit?
+`unit_suspicion` checks it against the first observations.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +22,9 @@ from data.pictures import CORNERS, VisualSetup
 from data.se2 import Array, inverse, rotation, transform_points, wrap_angle
 
 REFERENCES = "landmark"
-"""Folder of the reference images, one for each row of the map."""
+"""Folder of the reference images, one per row of the map."""
 CM = 0.01
-"""Metres; the map's and the prior's unit, and T's unless said otherwise."""
+"""m; the unit of map and prior, and T's default."""
 TRANSLATION_UNITS = {"cm": CM, "mm": 0.001, "m": 1.0}
 READINGS = ("to-camera", "to-body")
 PARTS = {
@@ -35,23 +34,19 @@ PARTS = {
 }
 """Structs of the file and their fields."""
 ORTHOGONAL = 1e-3
-"""Largest deviation of R R' from the identity: matrices typed with four digits pass."""
+"""Largest deviation of R R' from the identity, for matrices typed with four digits."""
 
 
 def camera_from_body(R: Array, T: Array, *, translation_unit: str, reading: str) -> tuple[float, tuple[float, float]]:
     """Rotation [rad] and translation [m] of p_c = R p_b + T from the file's R (2, 2) and T (2,).
 
-    Args:
-        R: as in the file.
-        T: as in the file.
-        translation_unit: of T: "cm", "mm" or "m".
-        reading: "to-camera" if R and T are those of p_c = R p_b + T (the lab's formula); "to-body" if they are those of
-            p_b = R p_c + T (what the name camera_to_body says).
+    reading: "to-camera" if R and T are those of p_c = R p_b + T (the lab's formula); "to-body" if they are those of
+    p_b = R p_c + T (as the name camera_to_body says).
     """
     T = T * TRANSLATION_UNITS[translation_unit]
     if reading == "to-body":
         R, T = R.T, -R.T @ T
-    # of a matrix rounded to a few digits this is the nearest rotation
+    # the nearest rotation of a rounded matrix
     angle = math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1])
     return angle, (float(T[0]), float(T[1]))
 
@@ -59,10 +54,7 @@ def camera_from_body(R: Array, T: Array, *, translation_unit: str, reading: str)
 def read_configuration(variables: Iterable[Variable], *, translation_unit: str, reading: str) -> VisualSetup:
     """The setup from the variables of a file; its corners have a row for each picture of the map.
 
-    Raises:
-        DataError: a struct or field is missing, not finite or not of its size, a sigma is negative, a picture has no
-            width, or R is no rotation.
-        UsageError: unknown unit or reading.
+    Raises DataError for missing or invalid fields, UsageError for an unknown unit or reading.
     """
     if translation_unit not in TRANSLATION_UNITS:
         raise UsageError(f"unit of T {translation_unit!r}; known: {', '.join(TRANSLATION_UNITS)}")
@@ -85,11 +77,7 @@ def read_configuration(variables: Iterable[Variable], *, translation_unit: str, 
 
 
 def configuration(setup: VisualSetup) -> dict[str, dict[str, Any]]:
-    """The same setup as the file's structs, p_c = R p_b + T with T in cm.
-
-    Raises:
-        DataError: the prior's errors are correlated, which the format cannot say.
-    """
+    """The setup as the file's structs, p_c = R p_b + T with T in cm; DataError for a correlated prior."""
     P = setup.prior.covariance
     if np.any(P - np.diag(np.diag(P))):
         raise DataError("the prior's covariance is not diagonal; the lab's format has standard deviations only")
@@ -128,7 +116,7 @@ class _Values:
                     raise self.error(name, f"no field {field}; {', '.join(needed)} are needed")
 
     def error(self, place: str, what: str) -> DataError:
-        """What is wrong with a field."""
+        """The error of a field."""
         return DataError.at(self._path, f"{place}: {what}")
 
     def array(self, part: str, field: str) -> Array:
@@ -174,13 +162,10 @@ class _Values:
         if x.shape != y.shape:
             raise self.error("landmark.ypos", f"size {_size(y)}, but xpos has size {_size(x)}; the same is needed")
         both = np.stack([x, y], axis=-1)
-        for i, picture in enumerate(both):
+        for i, picture in enumerate(both, start=1):
             if np.array_equal(picture[0], picture[1]):
-                raise self.error(
-                    f"landmark.xpos({i + 1},:), ypos({i + 1},:)",
-                    "a picture without width: its first two corners are one place in plan; "
-                    "corners run upper left, upper right, lower right, lower left",
-                )
+                what = "a picture without width; corners run upper left, upper right, lower right, lower left"
+                raise self.error(f"landmark.xpos({i},:), ypos({i},:)", what)
         return both
 
 
@@ -189,11 +174,11 @@ def _size(value: NDArray[Any]) -> str:
 
 
 SIGMA = np.array([0.04, 0.10])
-"""m, of a corner's x and z: twice the lab's constants, so that only gross faults are spoken of."""
+"""m, of a corner's x and z: twice the lab's constants, so that only gross faults are reported."""
 CONFIDENCE = 1.0 - 1e-6
 STEPS = 20
 EXACT = 1e-6
-"""m or rad: added to the prior's sigma, which may be 0."""
+"""m or rad, added to the prior's sigma, which may be 0."""
 
 
 def unit_suspicion(
@@ -204,17 +189,17 @@ def unit_suspicion(
     translation_unit: str = "cm",
     reading: str = "to-camera",
 ) -> str | None:
-    """A warning if the first observations do not fit the map, with the reading of camera_to_body with which they would.
+    """A warning if the first observations do not fit the map, with the reading of camera_to_body that would.
 
-    A picture fits if some first pose, weighed by the prior, explains its four corners: the least sum of squares is
-    below the chi-square quantile. The observations fit if the median picture does, as one may be mistaken for another.
+    A picture fits if some first pose explains its corners and the prior: the least sum of squares is below the
+    chi-square quantile. The observations fit if the median picture does.
 
     Args:
-        setup: as read.
+        setup: as read with `translation_unit` and `reading`.
         first_points: (m, 4, 3) m, corners in the camera's frame, all from the first frame with detections.
         pictures: (m,) rows of `setup.corners`.
-        translation_unit: with which the setup was read.
-        reading: likewise.
+        translation_unit: see `camera_from_body`.
+        reading: see `camera_from_body`.
     """
     usable = np.isfinite(first_points).all(axis=(1, 2))
     seen, expected = first_points[usable][:, :, [0, 2]], setup.corners[pictures[usable]]
@@ -228,9 +213,8 @@ def unit_suspicion(
             cost = _fits(setup, angle, translation, seen, expected)
             if cost is not None:
                 found.append((cost, f"{other!r} with T in {unit}"))
-    start = (
-        f"the first observations do not fit the map with camera_to_body read {reading!r} and T in {translation_unit}"
-    )
+    settings = f"camera_to_body read {reading!r} and T in {translation_unit}"
+    start = f"the first observations do not fit the map with {settings}"
     if found:
         return f"{start}, but they do with {min(found)[1]}; see the options for both"
     wide = np.median(_width(seen) / _width(expected))
@@ -238,13 +222,13 @@ def unit_suspicion(
     camera = np.array([*setup.translation, setup.rotation])
     away = np.median(_range(seen) / _range(transform_points(camera, transform_points(body, expected))))
     return (
-        f"{start}, nor with another reading: pictures are seen {wide:.3g} times as wide and {away:.3g} times as far "
-        "away as map and first pose say; units are cm in map and first pose, degrees in theta0, mm in xyz"
+        f"{start}, nor with another reading: pictures appear {wide:.3g} times as wide and {away:.3g} times as far "
+        "away as by map and first pose; units are cm in map and first pose, degrees in theta0, mm in xyz"
     )
 
 
 def _as_in_file(setup: VisualSetup, translation_unit: str, reading: str) -> tuple[Array, Array]:
-    """R and T as the file has them."""
+    """R and T as in the file."""
     R, T = rotation(setup.rotation), np.array(setup.translation)
     if reading == "to-body":
         R, T = R.T, -R.T @ T
@@ -254,7 +238,7 @@ def _as_in_file(setup: VisualSetup, translation_unit: str, reading: str) -> tupl
 def _fits(
     setup: VisualSetup, angle: float, translation: tuple[float, float], seen: Array, expected: Array
 ) -> float | None:
-    """Median over pictures of the least sum of squares; None if that one does not fit."""
+    """Median over pictures of the least sum of squares; None if it exceeds the gate."""
     camera = np.array([*translation, angle])
     mean = setup.prior.mean
     root = np.linalg.cholesky(setup.prior.covariance + EXACT**2 * np.eye(3))
@@ -264,25 +248,18 @@ def _fits(
         here = transform_points(camera, transform_points(inverse(pose), corners))
         return np.concatenate([((z - here) / SIGMA).ravel(), change])
 
-    # where pictures are far off, not having converged is as good an answer as any
+    # distant pictures need not converge
     pairs = zip(seen, expected, strict=True)
     costs = [
         2.0 * scipy.optimize.least_squares(residual, np.zeros(3), args=pair, max_nfev=STEPS).cost for pair in pairs
     ]
     cost = float(np.median(costs))
-    return cost if cost < _gate() else None
-
-
-@lru_cache
-def _gate() -> float:
-    return float(2.0 * gammaincinv(CORNERS, CONFIDENCE))
+    return cost if cost < 2.0 * gammaincinv(CORNERS, CONFIDENCE) else None
 
 
 def _width(corners: Array) -> Array:
-    width: Array = np.linalg.norm(corners[:, 1] - corners[:, 0], axis=-1)
-    return width
+    return np.asarray(np.linalg.norm(corners[:, 1] - corners[:, 0], axis=-1))
 
 
 def _range(points: Array) -> Array:
-    distance: Array = np.maximum(np.linalg.norm(points.mean(axis=1), axis=-1), math.ulp(1.0))
-    return distance
+    return np.asarray(np.maximum(np.linalg.norm(points.mean(axis=1), axis=-1), math.ulp(1.0)))

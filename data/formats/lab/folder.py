@@ -5,7 +5,7 @@
       log.mat|.npy|.npz    timestamp [s], commands [m/s, rad/s], rgb, xyz [mm] per frame; see data.formats.lab.frames
       landmark/            a reference image for each row of landmark.xpos, in the order of their names
 
-The two files are told by what is in them, whatever they are called; one .mat may hold both.
+The two files are recognized by content, not by name; one .mat may hold both.
 """
 
 from __future__ import annotations
@@ -43,31 +43,25 @@ from data.whole import whole_folder
 def write_lab(folder: Path, recording: VisualRecording, *, form: str = "mat") -> None:
     """Write config.mat, log.mat (or .npy, .npz) and landmark/NN.png into `folder`, which must be free or empty.
 
-    One frame is in memory at a time. The folder is written beside its final name and moved into place when complete.
+    One frame is in memory at a time. Points in m become mm (float32), NaN becomes 0. `form` "mat": MATLAB 5, at most
+    2 GiB; "npy": a structured array; "npz": an array per field, uncompressed.
 
-    Args:
-        folder: to be made.
-        recording: its points in m become mm (float32), NaN becomes 0.
-        form: "mat": MATLAB 5, at most 2 GiB; "npy": a structured array; "npz": an array per field, uncompressed.
-
-    Raises:
-        DataError: the folder is in use or cannot be written, frames differ in size or number from what was announced,
-            the prior is correlated, or the log is too long for MATLAB 5.
-        UsageError: unknown form.
+    Raises DataError for a folder in use or not writable, inconsistent frames, a correlated prior, or a log that exceeds
+    MATLAB 5; UsageError for an unknown form.
     """
     if form not in WRITERS:
         raise UsageError(f"form {form!r}; known: {', '.join(WRITERS)}")
     folder = Path(os.path.abspath(folder))
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-            raise DataError.at(folder, "exists and is not an empty folder; choose another name")
+            raise DataError.at(folder, "exists and is not an empty folder; name another one")
         with whole_folder(folder) as partial:
             (partial / REFERENCES).mkdir()
             scipy.io.savemat(partial / "config.mat", configuration(recording.setup))
             _write_references(partial / REFERENCES, recording.references)
             WRITERS[form](partial / f"log.{form}", recording)
             if folder.exists():
-                folder.rmdir()  # fails, as it should, where somebody has put something into it meanwhile
+                folder.rmdir()  # fails, as it should, if it was filled meanwhile
     except OSError as error:
         raise DataError.at(folder, f"cannot be written: {error.strerror}") from error
 
@@ -80,7 +74,7 @@ def _write_references(folder: Path, references: list[NDArray[np.uint8]]) -> None
 
 
 def _records(recording: VisualRecording) -> Iterator[dict[str, NDArray[Any]]]:
-    """The frames in the file's units; as many, and of one size, as the recording says."""
+    """The frames in the file's units; their number and size are checked."""
     size, count = None, 0
     for frame in recording.frames():
         size = size or frame.rgb.shape
@@ -92,7 +86,7 @@ def _records(recording: VisualRecording) -> Iterator[dict[str, NDArray[Any]]]:
         yield _record(frame)
         count += 1
     if count < len(recording):
-        raise DataError(f"the recording says {len(recording)} frames and has {count}")
+        raise DataError(f"the recording has {count} frames; the stated {len(recording)} are needed")
 
 
 def _record(frame: VisualFrame) -> dict[str, NDArray[Any]]:
@@ -107,7 +101,7 @@ def _record(frame: VisualFrame) -> dict[str, NDArray[Any]]:
 
 def _write_mat(path: Path, recording: VisualRecording) -> None:
     with path.open("wb") as file:
-        write_struct_array(file, path.name, "log", FIELDS, len(recording), _records(recording))
+        write_struct_array(file, path.name, LOG_VARIABLE, FIELDS, len(recording), _records(recording))
 
 
 def _write_npy(path: Path, recording: VisualRecording) -> None:
@@ -123,7 +117,7 @@ def _write_npy(path: Path, recording: VisualRecording) -> None:
 
 
 def _write_npz(path: Path, recording: VisualRecording) -> None:
-    """Members of an archive are written one after the other, frames hold a bit of each: columns wait in files."""
+    """Write members one after the other; columns are buffered in files."""
     with ExitStack() as stack:
         columns = {name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in FIELDS}
         for i, record in enumerate(_records(recording)):
@@ -149,7 +143,7 @@ WRITERS: dict[str, Callable[[Path, VisualRecording], None]] = {"mat": _write_mat
 T = TypeVar("T")
 LOG_VARIABLE = "log"
 MOST_PIXELS = 5e7
-"""Of a reference image; the largest cameras have as many."""
+"""Most pixels of a reference image."""
 IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
 
 
@@ -159,8 +153,8 @@ class LabRecording:
 
     Attributes:
         path: the folder.
-        translation_unit, reading: how T and R were read, see `data.formats.lab.configuration.camera_from_body`.
-        notes: what was assumed or left aside.
+        translation_unit, reading: of T and R, see `data.formats.lab.configuration.camera_from_body`.
+        notes: assumptions and ignored files.
     """
 
     setup: VisualSetup
@@ -176,11 +170,11 @@ class LabRecording:
         return len(self._log)
 
     def frames(self) -> Iterator[VisualFrame]:
-        """Every frame in order, one in memory at a time; DataError names the frame and field that is wrong."""
+        """Every frame in order, one in memory at a time; DataError names a wrong frame and field."""
         return frames(self._log)
 
     def digest(self) -> str:
-        """SHA-256 over the contents of configuration, log and reference images (in their order)."""
+        """SHA-256 of configuration, log and reference images, in their order."""
         total = hashlib.sha256()
         for path in self._files:
             try:
@@ -192,7 +186,7 @@ class LabRecording:
 
 
 def is_lab(folder: Path) -> bool:
-    """Whether a folder seems to be a recording of this format, perhaps a faulty one."""
+    """Whether a folder seems to hold a recording of this format, perhaps a faulty one."""
     if not folder.is_dir():
         return False
     if (folder / REFERENCES).is_dir():
@@ -210,10 +204,10 @@ def open_lab(
         folder: holds the configuration, the log and `landmark/`.
         translation_unit: of camera_to_body.T, which the format does not state: "cm", "mm" or "m".
         reading: "to-camera": p_c = R p_b + T, the lab's formula; "to-body": p_b = R p_c + T, the name's meaning.
-        trust_pickle: load a log of Python objects, which can run any code in it.
+        trust_pickle: load a log of Python objects, which can run code.
 
     Raises:
-        DataError: a file, field or image is missing, ambiguous or wrong; one line names it.
+        DataError: a file, field or image is missing, ambiguous or wrong.
         UsageError: unknown unit or reading.
     """
     if not folder.is_dir():
@@ -227,29 +221,20 @@ def open_lab(
     images, others = _reference_files(folder / REFERENCES)
     if len(images) != len(setup.corners):
         names = ", ".join(p.name for p in images)
-        raise DataError.at(
-            known[0].path,
-            f"landmark.xpos: {len(setup.corners)} rows, but {folder / REFERENCES} holds {len(images)} images "
-            f"({names}); a row per image is needed, in the order of their names",
-        )
+        what = f"{len(setup.corners)} rows, but {folder / REFERENCES} holds {len(images)} images ({names})"
+        right = "a row per image is needed, in the order of their names"
+        raise DataError.at(known[0].path, f"landmark.xpos: {what}; {right}")
     formula = "p_c = R p_b + T" if reading == "to-camera" else "p_b = R p_c + T"
     notes = [f"camera_to_body is read as {formula} with T in {translation_unit} (the format states neither)"]
     if others:
-        notes.append(f"not images, left aside in {REFERENCES}/: {', '.join(others)}")
-    return LabRecording(
-        setup,
-        [read_image(path) for path in images],
-        folder,
-        translation_unit,
-        reading,
-        tuple(notes),
-        log,
-        (known[0].path, log.path, *images),
-    )
+        notes.append(f"ignored in {REFERENCES}/, not images: {', '.join(others)}")
+    files = (known[0].path, log.path, *images)
+    pictures = [read_image(path) for path in images]
+    return LabRecording(setup, pictures, folder, translation_unit, reading, tuple(notes), log, files)
 
 
 class _Found:
-    """The files of a folder that look like a configuration or a log, and what was wrong with those that do not open."""
+    """Files of a folder that look like a configuration or a log, and errors of those that do not open."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -281,12 +266,12 @@ class _Found:
             self.logs[path.name] = path
 
     def the(self, what: str, candidates: Mapping[str, T], right: str) -> T:
-        """The only candidate; otherwise a DataError that says what would be `right`."""
+        """The only candidate; else DataError, with `right` as remedy."""
         if len(candidates) == 1:
             return next(iter(candidates.values()))
         if candidates:
             raise DataError.at(self._folder, f"{', '.join(candidates)} each hold a {what}; one per folder is needed")
-        # a file that does not open is the likeliest reason
+        # a file that does not open is the most likely reason
         if self._faults:
             raise self._faults[0]
         names = ", ".join(self._names) or "no files"
@@ -302,22 +287,23 @@ def _open_log(source: Variable | Path, *, trust_pickle: bool) -> LogFile:
 
 
 def _reference_files(folder: Path) -> tuple[list[Path], list[str]]:
-    """Images of the folder in the natural order of their names (2 before 10), and the names of other files."""
+    """Images of the folder in natural order (2 before 10), and the names of other files."""
     if not folder.is_dir():
         raise DataError.at(folder, "missing; a folder with one reference image per picture is needed")
     files = [p for p in folder.iterdir() if not p.name.startswith(".")]
     images = [p for p in files if p.is_file() and p.suffix.lower() in IMAGES]
     others = sorted(p.name for p in files if p not in images)
-    return sorted(images, key=lambda p: (_natural(p.name), p.name)), others
+
+    def natural(name: str) -> list[tuple[int, str]]:
+        parts = re.split(r"(\d+)", name.casefold())
+        return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts if part]
+
+    return sorted(images, key=lambda p: (natural(p.name), p.name)), others
 
 
-def _natural(name: str) -> list[tuple[int, str]]:
-    """Sort key: text as text and runs of digits as numbers."""
-    return [(int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name.casefold()) if part]
-
-
-def _require_bearable(path: Path, content: bytes) -> None:
-    """Raise DataError for an image that says it has more pixels than `MOST_PIXELS`; there need not be any in it."""
+def read_image(path: Path) -> NDArray[np.uint8]:
+    """An image as RGB (H, W, 3); DataError for a file that is none, or states more than `MOST_PIXELS`."""
+    content = bytes_of(path)
     try:
         with warnings.catch_warnings(action="error"), Image.open(io.BytesIO(content)) as image:
             width, height = image.size
@@ -325,13 +311,7 @@ def _require_bearable(path: Path, content: bytes) -> None:
         raise DataError.at(path, f"not an image that can be read, or one of more than {MOST_PIXELS:g} pixels") from None
     if width * height > MOST_PIXELS:
         raise DataError.at(path, f"{width} x {height} pixels; at most {MOST_PIXELS:g} are read")
-
-
-def read_image(path: Path) -> NDArray[np.uint8]:
-    """An image as RGB (H, W, 3) uint8. Raises DataError for a file that is none."""
-    content = bytes_of(path)
-    _require_bearable(path, content)
-    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
+    pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    if pixels is None:
         raise DataError.at(path, "not an image that can be read")
-    return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2RGB), np.uint8)
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8)

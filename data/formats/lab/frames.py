@@ -1,4 +1,4 @@
-"""The frames of a lab recording: raw records of any of its file formats, checked and brought to SI units one by one."""
+"""The frames of a lab recording: records of any of its file formats, checked and converted to SI units one by one."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from data.pictures import VisualFrame
 FIELDS = ("timestamp", "commands", "rgb", "xyz")
 COMMANDS = ("v", "omega")
 MM = np.float32(0.001)
-"""Metres; the unit of xyz."""
+"""m; the unit of xyz."""
 WHITE = 255
 
 
@@ -28,15 +28,12 @@ class LogFile(Protocol):
 
     def __len__(self) -> int:
         """Number of frames."""
-        ...
 
     def place(self, frame: int, field: str) -> str:
-        """A frame's field as the file's own language writes it, for messages."""
-        ...
+        """A frame's field in the notation of the file's language, for messages."""
 
     def records(self) -> Iterator[Mapping[str, Any]]:
         """Values by field, one frame in memory at a time."""
-        ...
 
 
 class MatLog:
@@ -45,10 +42,8 @@ class MatLog:
     def __init__(self, variable: Variable) -> None:
         self.path, self.fields, self._variable = variable.path, variable.fields, variable
         if variable.kind != "struct":
-            raise DataError.at(
-                self.path,
-                f"{variable.name} is of kind {variable.kind}; a struct array, one element per frame, is needed",
-            )
+            right = "a struct array, one element per frame, is needed"
+            raise DataError.at(self.path, f"{variable.name} is of kind {variable.kind}; {right}")
 
     def __len__(self) -> int:
         return len(self._variable)
@@ -63,22 +58,19 @@ class MatLog:
 
 
 def check_fields(log: LogFile) -> None:
-    """Raise DataError unless the log has frames, and all their fields."""
+    """Raise DataError unless the log has frames with all their fields."""
     for field in FIELDS:
         if field not in log.fields:
             raise DataError.at(log.path, f"the log has no {field}; {', '.join(FIELDS)} are needed")
     if not len(log):
-        raise DataError.at(log.path, "the log has no frames")
+        raise DataError.at(log.path, "the log has no frames; at least one is needed")
 
 
 def frames(log: LogFile) -> Iterator[VisualFrame]:
     """The frames of a log in SI units: colours uint8, points [m] with NaN where stereo found none.
 
-    A pixel is without a point where its three coordinates are all 0 or one is not finite.
-
-    Raises:
-        DataError: naming file, frame and field: missing, not numbers, not finite, wrong or changing size, time that
-            does not increase, colours out of range; or no point in any frame.
+    A pixel without a point has three zeros or a coordinate that is not finite. DataError names file, frame and field of
+    a missing or invalid value, or a log without any point.
     """
     previous, size, seen = -np.inf, None, False
     colours = _Colours()
@@ -89,9 +81,7 @@ def frames(log: LogFile) -> Iterator[VisualFrame]:
                 raise place.error(field, f"missing; {', '.join(FIELDS)} are needed")
         time = float(place.numbers("timestamp", record["timestamp"], 1)[0])
         if time <= previous:
-            raise place.error(
-                "timestamp", f"{time!r} s is not after {previous!r} s, the frame before; it must increase"
-            )
+            raise place.error("timestamp", f"{time!r} s follows {previous!r} s; it must increase")
         previous = time
         v, omega = place.commands(record["commands"])
         rgb, xyz = place.image("rgb", record["rgb"]), place.image("xyz", record["xyz"])
@@ -104,13 +94,12 @@ def frames(log: LogFile) -> Iterator[VisualFrame]:
         seen = seen or not bool(np.isnan(points[..., 0]).all())
         yield VisualFrame(time, v, omega, colours.bytes(place, rgb), points)
     if not seen:
-        raise DataError.at(
-            log.path, f"xyz: not one valid point in {len(log)} frames; mm in the camera's frame, 0 or NaN where unknown"
-        )
+        right = "mm in the camera's frame, 0 or NaN where unknown"
+        raise DataError.at(log.path, f"xyz: not one valid point in {len(log)} frames; {right}")
 
 
 class _Place:
-    """A frame of a log: reads its values and says where one is wrong."""
+    """A frame of a log: reads its values, and names the place of a wrong one."""
 
     def __init__(self, log: LogFile, frame: int) -> None:
         self._log, self._frame = log, frame
@@ -119,7 +108,7 @@ class _Place:
         return DataError.at(self._log.path, f"{self._log.place(self._frame, field)}: {what}")
 
     def array(self, field: str, value: Any) -> NDArray[Any]:
-        """A value that must be real numbers."""
+        """A value of real numbers."""
         kind = "a struct" if isinstance(value, Struct | Mapping) else value.kind if isinstance(value, Unread) else None
         if kind is None and (array := np.asarray(value)).dtype.kind in "fiu":
             return array
@@ -153,7 +142,7 @@ class _Place:
         return v, omega
 
     def image(self, field: str, value: Any) -> NDArray[Any]:
-        """Something (H, W, 3)."""
+        """An array (H, W, 3)."""
         array = self.array(field, value)
         if array.ndim != 3 or array.shape[-1] != 3 or not array.size:
             raise self.error(field, f"size {_size(array)}; H x W x 3 is needed")
@@ -161,7 +150,7 @@ class _Place:
 
 
 class _Colours:
-    """Brings colours to 0..255; whether fractions are of 1 or of 255 shows in the first frame that is not black."""
+    """Scales colours to 0..255; the first frame that is not black shows whether fractions are of 1 or of 255."""
 
     def __init__(self) -> None:
         self._white: float | None = None
@@ -176,9 +165,7 @@ class _Colours:
         white = (self._white or WHITE) if fractions else WHITE
         if not (low >= 0 and high <= white):
             wrong = low if not low >= 0 else high
-            raise place.error(
-                "rgb", f"colour {wrong:g}; 0 to {white:g} is needed (as in the frames before), best uint8"
-            )
+            raise place.error("rgb", f"colour {wrong:g}; 0 to {white:g} is needed (as in the frames before)")
         return np.ascontiguousarray(np.rint(rgb * (WHITE / white)), np.uint8)
 
 

@@ -1,8 +1,7 @@
-"""MATLAB files of versions 5 to 7, read piece by piece and written: a struct array comes one element at a time.
+"""MATLAB files of versions 5 to 7, read and written incrementally: a struct array comes one element at a time.
 
 A file is a header of 128 bytes and elements, each a tag (type, number of bytes) and its content; a variable is a
-matrix element, in version 7 wrapped into a zlib stream of its own. After the MAT-File Format description of The
-MathWorks, Level 5.
+matrix element, in version 7 inside a zlib stream of its own. Source: MAT-File Format, Level 5, The MathWorks.
 """
 
 from __future__ import annotations
@@ -26,25 +25,23 @@ from data.errors import DataError
 HEADER_BYTES, ENDIAN_AT, VERSION_AT = 128, 126, 124
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_AT = (0, 512)
-"""Where version 7.3 keeps the signature: after MATLAB's own header, or at the start if another program wrote it."""
+"""Positions of the signature in version 7.3: at the start, or after MATLAB's own header."""
 
 
 class DamagedError(Exception):
-    """What is wrong with the bytes; turned into a DataError where the file is known."""
+    """Damaged bytes; becomes a DataError where the file is known."""
 
 
 class Source(Protocol):
-    """Bytes in their order; `position` counts those given or skipped."""
+    """Bytes in their order; `position` counts those read or skipped."""
 
     position: int
 
     def read(self, count: int) -> bytes:
         """The next `count` bytes, all of them."""
-        ...
 
     def skip(self, count: int) -> None:
-        """Leave `count` bytes out."""
-        ...
+        """Skip `count` bytes."""
 
 
 class Plain:
@@ -56,21 +53,21 @@ class Plain:
         file.seek(position)
 
     def read(self, count: int) -> bytes:
-        """The next `count` bytes, all of them."""
-        # a damaged count would reserve gigabytes before the end of the file is met
+        """See `Source`."""
+        # a damaged count would reserve gigabytes before the end of the file is reached
         if self.position + count > self._size:
             raise DamagedError(f"ends early: {count} bytes are announced and {self._size - self.position} are left")
         self.position += count
         return self._file.read(count)
 
     def skip(self, count: int) -> None:
-        """Leave `count` bytes out."""
+        """See `Source`."""
         self.position += count
         self._file.seek(count, os.SEEK_CUR)
 
 
 class Inflated:
-    """What a zlib stream of `count` bytes at the file's place unpacks to, no more of it in memory than is asked for."""
+    """The content of a zlib stream of `count` bytes at the file's position, unpacked as it is read."""
 
     CHUNK = 1 << 16
 
@@ -92,7 +89,7 @@ class Inflated:
         return b""
 
     def read(self, count: int) -> bytes:
-        """The next `count` bytes, all of them."""
+        """See `Source`."""
         pieces, left = [], count
         while left:
             piece = self._some(left)
@@ -104,12 +101,12 @@ class Inflated:
         return b"".join(pieces)
 
     def skip(self, count: int) -> None:
-        """Leave `count` bytes out."""
+        """See `Source`."""
         while count:
             count -= len(self.read(min(count, self.CHUNK)))
 
     def close(self) -> None:
-        """Read to the end, where the checksum is."""
+        """Read to the checksum at the end."""
         while self._some(self.CHUNK):
             pass
         if not self._stream.eof:
@@ -118,7 +115,7 @@ class Inflated:
 
 @contextmanager
 def open_mat(path: Path) -> Iterator[tuple[BinaryIO, str]]:
-    """The file and its byte order; whatever is wrong with its bytes becomes a DataError."""
+    """The file and its byte order; damaged bytes become a DataError."""
     try:
         with path.open("rb") as file:
             yield file, _byte_order(path, file.read(HDF5_AT[-1] + len(HDF5_SIGNATURE)))
@@ -133,9 +130,7 @@ def _byte_order(path: Path, head: bytes) -> str:
     order = {b"IM": "<", b"MI": ">"}.get(head[ENDIAN_AT:HEADER_BYTES])
     version = struct.unpack(f"{order}H", head[VERSION_AT:ENDIAN_AT])[0] if order else 0
     if hdf5 or version >> 8 == 2:
-        raise DataError.at(
-            path, f"MATLAB 7.3 (HDF5), which is not read; save it with -v7: save('{path.name}', ..., '-v7')"
-        )
+        raise DataError.at(path, f"MATLAB 7.3 (HDF5) is not read; save it with save('{path.name}', ..., '-v7')")
     if order and version >> 8 == 1:
         return order
     if 0 in head[:4] and len(head) >= 20:
@@ -155,7 +150,7 @@ COMPLEX = 0x08
 
 @dataclass(frozen=True)
 class Unread:
-    """A value of a kind that is not read (text, cell array, ...), by the name of the kind."""
+    """A value of an unsupported kind (text, cell array, ...)."""
 
     kind: str
 
@@ -165,7 +160,7 @@ Value: TypeAlias = "NDArray[Any] | Struct | Unread"
 
 @dataclass(frozen=True, eq=False)
 class Struct:
-    """A struct array: its shape and its elements, column by column, each values by field name."""
+    """A struct array: its shape, and its elements column by column, each a dict by field name."""
 
     shape: tuple[int, ...]
     elements: tuple[dict[str, Value], ...]
@@ -173,7 +168,7 @@ class Struct:
 
 @dataclass(frozen=True)
 class Variable:
-    """A variable of a file: where it begins, its name, kind (`struct`, `numbers`, `text`, ...), shape and fields."""
+    """A variable of a file: its position, name, kind (`struct`, `numbers`, `text`, ...), shape and fields."""
 
     path: Path
     start: int
@@ -183,13 +178,12 @@ class Variable:
     fields: tuple[str, ...] = ()
 
     def __len__(self) -> int:
-        """Number of elements."""
         return math.prod(self.shape)
 
 
 @dataclass(frozen=True)
 class _Matrix:
-    """The beginning of a matrix element, and the position behind its end."""
+    """The header of a matrix element, and the position of its end."""
 
     kind: int
     flags: int
@@ -205,7 +199,7 @@ class _Reader:
         self.source, self.order = source, order
 
     def tag(self) -> tuple[int, int, bytes | None]:
-        """Type, number of bytes, and the content if it is small enough to sit in the tag."""
+        """Type, number of bytes, and the content if it is inside the tag."""
         first, second = struct.unpack(self.order + "II", raw := self.source.read(8))
         if first >> 16:
             return first & 0xFFFF, first >> 16, raw[4 : 4 + (first >> 16)]
@@ -227,7 +221,7 @@ class _Reader:
         return np.frombuffer(content, dtype)
 
     def header(self) -> _Matrix | None:
-        """Tag, flags, dimensions and name of a matrix element; None for the empty one of a field never set."""
+        """Tag, flags, dimensions and name of a matrix element; None for the empty one of an unset field."""
         kind, count, _ = self.tag()
         if kind != MATRIX:
             raise DamagedError(f"an element of type {kind} is where a matrix should be")
@@ -256,7 +250,7 @@ class _Reader:
         return tuple(part.split(b"\0")[0].decode("latin-1") for part in parts)
 
     def leave(self, matrix: _Matrix) -> None:
-        """Go behind the end of a matrix."""
+        """Skip to the end of a matrix."""
         if self.source.position > matrix.end:
             raise DamagedError("a matrix is longer than announced")
         self.source.skip(matrix.end - self.source.position)
@@ -275,7 +269,7 @@ class _Reader:
             content = self.numbers()
             if len(content) != math.prod(matrix.shape):
                 raise DamagedError(f"{len(content)} numbers for a matrix of size {'x'.join(map(str, matrix.shape))}")
-            with np.errstate(invalid="ignore"):  # of values that the class cannot hold nothing is known anyway
+            with np.errstate(invalid="ignore"):  # values that the class cannot hold are undefined
                 content = content.astype(NUMERIC[matrix.kind], copy=False)
             result = content.reshape(matrix.shape, order="F")
         self.leave(matrix)
@@ -284,7 +278,7 @@ class _Reader:
     def elements(
         self, matrix: _Matrix, fields: tuple[str, ...], wanted: Collection[str] | None
     ) -> Iterator[dict[str, Value]]:
-        """Elements of a struct array whose header and field names have been read."""
+        """Elements of a struct array after its header and field names."""
         for _ in range(math.prod(matrix.shape) if fields else 0):
             element: dict[str, Value] = {}
             for name in fields:
@@ -298,11 +292,7 @@ class _Reader:
 
 
 def variables(path: str | PathLike[str]) -> tuple[Variable, ...]:
-    """The variables of a file, their values unread.
-
-    Raises:
-        DataError: not a MATLAB file, one of version 4 or 7.3, or damaged.
-    """
+    """The variables of a file, their values unread; DataError for another kind or version of file, or a damaged one."""
     path, found = Path(path), []
     with open_mat(path) as (file, order):
         size, position = os.fstat(file.fileno()).st_size, HEADER_BYTES
@@ -321,7 +311,7 @@ def variables(path: str | PathLike[str]) -> tuple[Variable, ...]:
 
 
 def read(variable: Variable) -> Value:
-    """The whole value of a variable, numbers in MATLAB's class and shape; DataError if the file is damaged."""
+    """The value of a variable in MATLAB's class and shape; DataError if the file is damaged."""
     with open_mat(variable.path) as (file, order):
         reader, close = _at(file, order, variable.start)
         value = reader.value()
@@ -330,16 +320,15 @@ def read(variable: Variable) -> Value:
 
 
 def elements(variable: Variable, wanted: Collection[str] | None = None) -> Iterator[dict[str, Value]]:
-    """Elements of a struct array in MATLAB's order, one in memory at a time; only the `wanted` fields if given.
+    """Elements of a struct array in MATLAB's order, one in memory at a time, with the `wanted` fields.
 
-    Raises:
-        DataError: the variable is not a struct, or the file is damaged.
+    Raises DataError if the variable is no struct, or the file is damaged.
     """
     with open_mat(variable.path) as (file, order):
         reader, close = _at(file, order, variable.start)
         matrix = reader.header()
         if matrix is None or matrix.kind != STRUCT:
-            raise DataError.at(variable.path, f"{variable.name} is not a struct array but of kind {variable.kind}")
+            raise DataError.at(variable.path, f"{variable.name} is of kind {variable.kind}; a struct array is needed")
         yield from reader.elements(matrix, reader.fields(), wanted)
         close()
 
@@ -353,7 +342,7 @@ def _kind(matrix: _Matrix) -> str:
 
 
 def _at(file: BinaryIO, order: str, start: int) -> tuple[_Reader, Callable[[], None]]:
-    """A reader before the matrix of the top-level element at `start`, and what to call when it has been read."""
+    """A reader of the top-level matrix at `start`, and a function to call after reading it."""
     plain = Plain(file, start)
     kind, count, _ = _Reader(plain, order).tag()
     if kind != COMPRESSED:
@@ -363,15 +352,15 @@ def _at(file: BinaryIO, order: str, start: int) -> tuple[_Reader, Callable[[], N
 
 
 LIMIT = 2**31 - 1
-"""Bytes of a variable in versions 5 to 7."""
+"""Most bytes of a variable in versions 5 to 7."""
 NAME_BYTES = 32
-"""For each field name, the closing zero included."""
+"""Bytes of a field name, with its closing zero."""
 VERSION = 0x0100
 
 
 def write_struct_array(
     file: IO[bytes],
-    said: str,
+    shown: str,
     name: str,
     fields: Sequence[str],
     count: int,
@@ -379,23 +368,20 @@ def write_struct_array(
 ) -> None:
     """Write a file whose one variable `name` is a struct array of 1 x `count` elements with real numeric fields.
 
-    Scalars become 1x1 and vectors rows, as MATLAB has no fewer than two dimensions.
+    Scalars become 1x1 and vectors rows. DataError, as soon as the size is known, if the variable exceeds 2 GiB.
 
     Args:
-        file: a new one that can seek, little-endian content goes to its beginning.
-        said: the file as messages name it.
+        file: a new seekable file.
+        shown: its name in messages.
         name: of the variable.
         fields: names, at most 31 letters.
         count: number of elements.
-        elements: exactly that many, each with all fields; all of the size of the first if the limit is to show early.
-
-    Raises:
-        DataError: the variable would exceed the 2 GiB of the format.
+        elements: exactly that many, each with all fields.
     """
     file.write(b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H2s", VERSION, b"IM"))
     start = file.tell() + 8
     names = b"".join(field.encode("ascii").ljust(NAME_BYTES, b"\0") for field in fields)
-    # the number of bytes is not known before the end
+    # the number of bytes is filled in at the end
     file.write(struct.pack("<II", MATRIX, 0) + _head(STRUCT, (1, count), name))
     file.write(struct.pack("<HHi", INT32, 4, NAME_BYTES) + _element(INT8, names))
     for i, element in enumerate(elements):
@@ -403,7 +389,7 @@ def write_struct_array(
         bytes_now = file.tell() - start
         if (not i and bytes_now + len(content) * count > LIMIT) or bytes_now + len(content) > LIMIT:
             total = (bytes_now + len(content) * count) / 2**30
-            raise DataError(f"{said}: {total:.1f} GiB for {count} frames; a .mat holds 2 GiB, write npy or npz instead")
+            raise DataError(f"{shown}: {total:.1f} GiB for {count} frames; a .mat holds 2 GiB, write npy or npz")
         file.write(content)
     end = file.tell()
     file.seek(start - 4)

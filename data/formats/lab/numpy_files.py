@@ -1,6 +1,6 @@
-"""Logs of the lab's format kept by NumPy, `.npy` or `.npz`: their records one by one, read from the file as they come.
+"""Logs of the lab's format as `.npy` or `.npz`, read one record at a time.
 
-A memory map would count every page once touched as memory in use; plain reads of one record do not.
+Plain reads instead of a memory map keep the memory in use small.
 """
 
 from __future__ import annotations
@@ -21,28 +21,24 @@ from data.formats.open_log.scans import BROKEN, open_archive
 
 Record: TypeAlias = "dict[str, NDArray[Any] | Mapping[str, Any]]"
 NEEDS_TRUST = (
-    "holds Python objects (a pickle), and loading those can run any code in them; save plain arrays, "
-    "or give --trust-pickle if the file's maker is trusted"
+    "holds Python objects (a pickle), which can run code when loaded; save plain arrays, "
+    "or add --trust-pickle if you trust the file's author"
 )
 SMALL = 2
-"""Dimensions of timestamps and commands: such arrays may be read whole, whatever their order."""
+"""Most dimensions of arrays that are read whole (timestamps and commands)."""
 
 
 @dataclass(frozen=True)
 class _Layout:
-    """What an array's header says."""
+    """The header of an array."""
 
     dtype: np.dtype[Any]
     shape: tuple[int, ...]
     fortran: bool
 
-    @property
-    def bytes(self) -> int:
-        return math.prod(self.shape) * self.dtype.itemsize
-
 
 class NpyLog:
-    """A structured array (N,), its fields those of a frame; or, trusted, objects: dicts or records."""
+    """A structured array (N,) with the fields of a frame; or, if trusted, objects: dicts or records."""
 
     def __init__(self, path: Path, *, trust_pickle: bool) -> None:
         self.path = path
@@ -59,22 +55,19 @@ class NpyLog:
             self.fields = _names(self._objects[0]) if self._objects else ()
             return
         if layout.dtype.names is None or len(layout.shape) != 1:
-            raise DataError.at(
-                path, f"an array of {layout.dtype} and shape {layout.shape}; a structured array (N,) is needed"
-            )
-        if size < self._offset + layout.bytes:
-            raise DataError.at(
-                path,
-                f"damaged: ends early: {len(self)} frames of {layout.dtype.itemsize} bytes are announced "
-                f"and {size - self._offset} bytes are there",
-            )
+            what = f"an array of {layout.dtype} and shape {layout.shape}"
+            raise DataError.at(path, f"{what}; a structured array (N,) is needed")
+        if size < self._offset + math.prod(layout.shape) * layout.dtype.itemsize:
+            announced = f"{len(self)} frames of {layout.dtype.itemsize} bytes are announced"
+            what = f"{announced} and {size - self._offset} bytes are there"
+            raise DataError.at(path, f"damaged: ends early: {what}")
         self.fields = layout.dtype.names
 
     def __len__(self) -> int:
         return self._layout.shape[0] if self._objects is None else len(self._objects)
 
     def place(self, frame: int, field: str) -> str:
-        """How NumPy writes a frame's field."""
+        """A frame's field in NumPy's notation."""
         return f"[{frame}][{field!r}]"
 
     def records(self) -> Iterator[Record]:
@@ -110,10 +103,8 @@ class NpzLog:
                     with np.load(path, allow_pickle=layout.dtype.hasobject) as arrays:
                         self._whole[name] = arrays[name]
                 elif layout.fortran and len(layout.shape) > 1:
-                    raise DataError.at(
-                        path,
-                        f"{name}: in Fortran order, frames are not in one piece; save numpy.ascontiguousarray of it",
-                    )
+                    what = "frames are not contiguous in Fortran order; save numpy.ascontiguousarray of it"
+                    raise DataError.at(path, f"{name}: {what}")
         lengths = {name: layout.shape[0] for name, layout in self._layouts.items()}
         if len(set(lengths.values())) > 1:
             counts = ", ".join(f"{name} {n}" for name, n in lengths.items())
@@ -124,7 +115,7 @@ class NpzLog:
         return self._length
 
     def place(self, frame: int, field: str) -> str:
-        """How NumPy writes a frame's field."""
+        """A frame's field in NumPy's notation."""
         return f"{field}[{frame}]"
 
     def records(self) -> Iterator[Record]:
@@ -140,28 +131,28 @@ class NpzLog:
                 member = stack.enter_context(archive.open(f"{name}.npy"))
                 streams.append(_rows(member, _layout(member)))
             for i, rows in enumerate(zip(*streams, strict=True)):
-                yield {
-                    name: _plain(self.path, self.place(i, name), row)
-                    for name, row in zip(self.fields, rows, strict=True)
-                }
+                named = zip(self.fields, rows, strict=True)
+                yield {name: _plain(self.path, self.place(i, name), row) for name, row in named}
 
 
 def npy_fields(path: Path) -> tuple[str, ...] | None:
-    """Field names of a structured array, none of a plain one; None of objects, which may hold any. DataError if bad."""
+    """Field names of a structured array, none of a plain one; None for objects, which may have any. DataError if
+    damaged.
+    """
     with _reading(path), path.open("rb") as file:
         dtype = _layout(file).dtype
     return None if dtype.hasobject else dtype.names or ()
 
 
 def npz_arrays(path: Path) -> tuple[str, ...]:
-    """Names of an archive's arrays; DataError if it is none."""
+    """Names of an archive's arrays; DataError if damaged."""
     with _reading(path), open_archive(path, whole=False) as archive:
         return tuple(n.removesuffix(".npy") for n in archive.namelist() if n.endswith(".npy"))
 
 
 @contextmanager
 def _reading(path: Path) -> Iterator[None]:
-    """Whatever is wrong with a file's bytes becomes a DataError."""
+    """Damaged bytes become a DataError."""
     try:
         yield
     except BROKEN as error:
@@ -171,7 +162,7 @@ def _reading(path: Path) -> Iterator[None]:
 
 
 def _layout(stream: IO[bytes]) -> _Layout:
-    """The header of an array; the stream is left at its first value."""
+    """The header of an array; leaves the stream at its first value."""
     version = np.lib.format.read_magic(stream)
     if version == (1, 0):
         shape, fortran, dtype = np.lib.format.read_array_header_1_0(stream)
@@ -183,7 +174,7 @@ def _layout(stream: IO[bytes]) -> _Layout:
 
 
 def _rows(stream: IO[bytes], layout: _Layout) -> Iterator[Any]:
-    """The rows of an array whose header has been read, one in memory at a time."""
+    """The rows of an array after its header, one in memory at a time."""
     shape = layout.shape[1:]
     size = math.prod(shape) * layout.dtype.itemsize
     for i in range(layout.shape[0]):
@@ -194,7 +185,7 @@ def _rows(stream: IO[bytes], layout: _Layout) -> Iterator[Any]:
 
 
 def _unpickled(path: Path) -> list[Any]:
-    """The objects of a trusted array: its elements, or those of the one list in it."""
+    """The objects of a trusted array: its elements, or those of its only list."""
     try:
         array = np.load(path, allow_pickle=True)
     except (pickle.UnpicklingError, EOFError, ImportError, AttributeError, ValueError, IndexError, TypeError) as error:
@@ -213,7 +204,7 @@ def _names(item: Any) -> tuple[str, ...]:
 
 
 def _plain(path: Path, place: str, value: Any) -> NDArray[Any] | Mapping[str, Any]:
-    """A field as an array, or as a mapping if it is one (commands may be)."""
+    """A field as an array, or a mapping (commands may be one)."""
     if isinstance(value, Mapping):
         return value
     if isinstance(value, np.ndarray) and value.dtype.hasobject and value.size == 1:

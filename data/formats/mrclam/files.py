@@ -6,7 +6,7 @@
     RobotN_Odometry.dat        time [s], forward velocity [m/s], angular velocity [rad/s]
     RobotN_Measurement.dat     time [s], barcode (not subject), range [m], bearing [rad]
 
-White-space separated numbers; a line that starts with # is a comment; stamps never decrease, some are equal.
+Numbers separated by white space; a line that starts with # is a comment; stamps never decrease, some are equal.
 Published by K.Y.K. Leung, Y. Halpern, T.D. Barfoot and H.H.T. Liu, IJRR 30(8), 2011.
 """
 
@@ -18,13 +18,12 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
 from data.errors import DataError
-from data.formats.csv_table import Table, bytes_of, shown
+from data.formats.csv_table import Table, bytes_of, cut_off, lines_of, number_rows
 from data.formats.open_log.scans import open_archive
 from data.inputs import IntArray, LandmarkMap
 from data.se2 import Array
@@ -40,10 +39,10 @@ class Files:
     Attributes:
         name: of the dataset.
         names: of its files.
-        read: bytes of one of them.
-        path: how errors name one of them.
+        read: bytes of a file.
+        path: a file's name in errors.
         zipped: whether they are in a zip.
-        sha256: digests by file name, of what was read so far; for a zip its own.
+        sha256: digests by file name, of the files read so far; for a zip its own.
     """
 
     name: str
@@ -54,22 +53,17 @@ class Files:
     sha256: dict[str, str]
 
     def content(self, name: str) -> bytes:
-        """Bytes of a file; DataError naming it if it is not there."""
+        """Bytes of a file; DataError if it is missing."""
         if name not in self.names:
-            raise DataError.at(self.path(name), "no such file" + self._others(name))
+            there = f"; robots with odometry and measurements here: {', '.join(map(str, self.robots())) or 'none'}"
+            raise DataError.at(self.path(name), "no such file" + (there if ROBOT_FILE.fullmatch(name) else ""))
         content = self.read(name)
         if not self.zipped:
             self.sha256[name] = hashlib.sha256(content).hexdigest()
         return content
 
-    def _others(self, name: str) -> str:
-        if ROBOT_FILE.fullmatch(name) is None:
-            return ""
-        there = ", ".join(map(str, self.robots())) or "none"
-        return f"; robots with odometry and measurements here: {there}"
-
     def robots(self) -> list[int]:
-        """Robots that have odometry and measurements, ascending."""
+        """Robots with odometry and measurements, ascending."""
         found = (ROBOT_FILE.fullmatch(n) for n in self.names)
         numbers = {int(m[1]) for m in found if m is not None}
         return sorted(n for n in numbers if {robot_file(n, "Odometry"), robot_file(n, "Measurement")} <= self.names)
@@ -80,13 +74,10 @@ def robot_file(robot: int, what: str) -> str:
     return f"Robot{robot}_{what}.dat"
 
 
-def _belongs(name: str) -> bool:
-    return name in (BARCODES, LANDMARKS) or ROBOT_FILE.fullmatch(name) is not None
-
-
 def _one_home(source: Path, names: list[PurePosixPath]) -> PurePosixPath:
-    """The folder that holds the dataset's files: the top, or its one subfolder with such files."""
-    homes = sorted({n.parent for n in names if _belongs(n.name) and len(n.parts) <= 2})
+    """The folder of the dataset's files: the top, or its only subfolder with such files."""
+    ours = (n for n in names if n.name in (BARCODES, LANDMARKS) or ROBOT_FILE.fullmatch(n.name) is not None)
+    homes = sorted({n.parent for n in ours if len(n.parts) <= 2})
     if PurePosixPath(".") in homes:
         return PurePosixPath(".")
     if not homes:
@@ -105,10 +96,8 @@ def _open_folder(source: Path) -> Files:
         raise DataError.at(source, f"cannot be read: {error.strerror}") from None
     home = _one_home(source, names)
     folder = source / home
-
     inside = frozenset(n.name for n in names if n.parent == home)
-    name = folder.resolve().name
-    return Files(name, inside, lambda n: bytes_of(folder / n), lambda n: str(folder / n), False, {})
+    return Files(folder.resolve().name, inside, lambda n: bytes_of(folder / n), lambda n: str(folder / n), False, {})
 
 
 def _open_zip(source: Path) -> Files:
@@ -123,7 +112,7 @@ def _open_zip(source: Path) -> Files:
     def read(name: str) -> bytes:
         try:
             return archive.read(members[home / name])
-        # the library tells an encrypted member by a RuntimeError, an unknown method by a NotImplementedError
+        # RuntimeError: an encrypted member; NotImplementedError: an unknown method
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError) as error:
             raise DataError.at(source / home / name, f"cannot be read from the zip: {error}") from None
 
@@ -134,10 +123,9 @@ def _open_zip(source: Path) -> Files:
 
 
 def open_files(source: Path) -> Files:
-    """Files of a dataset: `source` is a folder or a zip that holds them, or whose one subfolder does.
+    """Files of a dataset: `source` is a folder or a zip that holds them, or whose only subfolder does.
 
-    Raises:
-        DataError: neither folder nor zip, no dataset in it, or more than one.
+    Raises DataError if it is neither, or holds no dataset or several.
     """
     if not source.exists():
         raise DataError.at(source, "no such folder or zip file")
@@ -147,16 +135,12 @@ def open_files(source: Path) -> Files:
 ROBOTS = range(1, 6)
 """Subjects that are robots, in every dataset of the collection."""
 LONGEST = 1e6
-"""s. No recording is longer; a stamp further on is broken, and keyframes up to it would fill the memory."""
+"""s, longest recording; keyframes up to a broken stamp would fill the memory."""
 
 
 def parse(path: str, content: bytes, columns: tuple[str, ...]) -> Table:
-    """Rows of numbers, checked: as many as `columns`, finite, and the last one not cut off.
-
-    Raises:
-        DataError: with file, line and column.
-    """
-    lines = content.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").replace(b"\r", b"\n").split(b"\n")
+    """Rows of finite numbers, checked to be complete; DataError names file, line and column."""
+    lines = lines_of(content)
     fields = [line.split() for line in lines]
     data = [i for i, row in enumerate(fields) if row and not row[0].startswith(b"#")]
     if not data:
@@ -164,16 +148,11 @@ def parse(path: str, content: bytes, columns: tuple[str, ...]) -> Table:
     rows = [fields[i] for i in data]
     for i, row in zip(data, rows, strict=True):
         if len(row) != len(columns):
-            last = " (the file ends here: was it cut off?)" if i == data[-1] and len(row) < len(columns) else ""
+            last = cut_off(len(row), len(columns), last=i == data[-1])
             what = f"{len(row)} fields where {len(columns)} are needed ({', '.join(columns)}){last}"
             raise DataError.at(path, what, line=i + 1)
     line = np.array(data, np.int64) + 1
-    try:
-        if b"_" in b"".join(chain.from_iterable(rows)):  # Python reads 1_0 as ten
-            raise ValueError
-        values = np.array(list(map(float, chain.from_iterable(rows)))).reshape(-1, len(columns))
-    except ValueError:
-        raise _not_a_number(path, data, rows, columns) from None
+    values = number_rows(path, line.tolist(), rows, columns)
     table = Table(path, dict(zip(columns, values.T, strict=True)), line=line)
     table.require_finite(columns)
     if lines[-1].strip():
@@ -181,25 +160,12 @@ def parse(path: str, content: bytes, columns: tuple[str, ...]) -> Table:
     return table
 
 
-def _not_a_number(path: str, data: list[int], rows: list[list[bytes]], columns: tuple[str, ...]) -> DataError:
-    for i, row in zip(data, rows, strict=True):
-        for column, field in zip(columns, row, strict=True):
-            try:
-                float(field)
-                fine = b"_" not in field
-            except ValueError:
-                fine = False
-            if not fine:
-                return DataError.at(path, f"{shown(field)} is not a number", line=i + 1, column=column)
-    raise AssertionError("called for rows that are all numbers")
-
-
 def _require_whole_end(table: Table, rows: list[list[bytes]]) -> None:
-    """Without a line end the last number may be cut: it is if it shows fewer decimals than every other row's."""
+    """Raise if the last number has fewer decimals than every other row's, and no line end."""
     decimals = [len(row[-1].partition(b".")[2]) for row in rows]
     if len(rows) > 1 and decimals[-1] < min(decimals[:-1]):
         last = rows[-1][-1].decode("utf-8", "replace")
-        what = f"{last} has fewer decimals than any other row and no line end: the file was cut off"
+        what = f"{last} has fewer decimals than any other row, and no line end; the file was cut off"
         raise table.error(len(rows) - 1, list(table.columns)[-1], what)
 
 
@@ -211,11 +177,8 @@ def _stamped(files: Files, name: str, columns: tuple[str, ...]) -> Table:
     if backwards.any():
         before = float(stamp[int(np.argmax(backwards)) - 1])
         table.require(~backwards, "time", f"{{}} follows {before!r}; stamps must not decrease")
-    table.require(
-        stamp - stamp[0] <= LONGEST,
-        "time",
-        f"{{}} is more than {LONGEST:g} s after the first row; stamps are in seconds",
-    )
+    far = f"{{}} is more than {LONGEST:g} s after the first row; stamps are in seconds"
+    table.require(stamp - stamp[0] <= LONGEST, "time", far)
     return table
 
 
@@ -229,7 +192,7 @@ def read_barcodes(files: Files) -> dict[int, int]:
 
 
 def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap:
-    """Surveyed landmarks by subject, ascending; `replacement` is read instead of the dataset's own file."""
+    """Surveyed landmarks by subject, ascending; `replacement` is read instead of the dataset's file."""
     path = files.path(LANDMARKS) if replacement is None else str(replacement)
     if replacement is None:
         content = files.content(LANDMARKS)
@@ -249,11 +212,11 @@ def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap
 def _require_distinct(table: Table, column: str, values: IntArray) -> None:
     first = np.zeros(len(values), bool)
     first[np.unique(values, return_index=True)[1]] = True
-    table.require(first, column, "{} stands in two rows")
+    table.require(first, column, "{} is in two rows")
 
 
 def read_truth(files: Files, robot: int) -> Array | None:
-    """Stamp and true pose (K, 4) of a robot; None if the dataset has no such file."""
+    """Stamp and true pose (K, 4) of a robot; None without such a file."""
     name = robot_file(robot, "Groundtruth")
     return _stamped(files, name, ("x", "y", "orientation")).all() if name in files.names else None
 

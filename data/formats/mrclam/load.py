@@ -1,8 +1,8 @@
-"""UTIAS MRCLAM: one robot's recording as a log, with the stamps it was recorded with or resampled to a grid.
+"""UTIAS MRCLAM: one robot's recording as a log, at the recorded stamps or resampled to a grid.
 
-Frames are the instants with readings (all readings of one image are one frame) and keyframes in between; the odometry
-is preintegrated between them. Times are seconds after the robot's first ground-truth row (after its first odometry row
-where it has no ground truth); `Inputs.time` counts from the log's first frame.
+Frames are the instants with observations (one per image) and keyframes in between; the odometry is preintegrated
+between them. Times are seconds after the robot's first ground-truth row (or odometry row, without ground truth);
+`Inputs.time` counts from the log's first frame.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import Truth
 
 STALE = 0.05
-"""s; on a grid, a reading older than this at its frame's instant is dropped, as the classic tutorials do."""
+"""s, largest age of an observation on a grid, as in the classic tutorials."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,13 @@ class Odometry:
 
 @dataclass(frozen=True)
 class Grid:
-    """Frames a fixed time apart, as the classic tutorials have them; the switches are what some of their programs do.
+    """Frames a fixed time apart, as in the classic tutorials; the switches follow some of their programs.
 
     Attributes:
         period: s.
-        own: a frame moves with the odometry at its own instant; else with that of the frame before, held until it.
-        gapless: odometry is interpolated across its gaps, too, and its first row holds from the first ground-truth
-            row on, however long that is.
-        skip_led_by: the readings of a frame are left out where the first of them is of this landmark.
+        own: a frame moves with the odometry at its own instant, not with that of the frame before.
+        gapless: odometry is interpolated across gaps, and its first row holds from the first ground-truth row on.
+        skip_led_by: drop the observations of a frame whose first one is of this landmark.
     """
 
     period: float
@@ -70,7 +69,7 @@ class Grid:
 
 @dataclass(frozen=True)
 class Course:
-    """Frames: time (N,) s, increments, readings (M,) and the frame (M,) of each."""
+    """Frames: time (N,) s, increments, observations (M,) and their frames (M,)."""
 
     time: Array
     increments: Increments
@@ -78,22 +77,20 @@ class Course:
     frame: IntArray
 
     def after(self, first: int) -> Course:
-        """The course from frame `first` on, without the readings of that frame and before."""
+        """The course from frame `first` on, without observations up to that frame."""
         mean, covariance = self.increments.mean[first:].copy(), self.increments.covariance[first:].copy()
         mean[0], covariance[0] = 0.0, 0.0
-        rest = self.frame > first
-        return Course(
-            self.time[first:], Increments(mean, covariance), self.readings.where(rest), self.frame[rest] - first
-        )
+        rest, increments = self.frame > first, Increments(mean, covariance)
+        return Course(self.time[first:], increments, self.readings.where(rest), self.frame[rest] - first)
 
 
 def lay_out(
     readings: Readings, odometry: Odometry, first: float, last: float, grid: Grid | None, motion: VelocityModel
 ) -> tuple[Course, list[str]]:
-    """Frames from `first` to `last` [s], and sentences about what was lost on the way.
+    """Frames from `first` to `last` [s], and notes about dropped observations and gaps.
 
-    Without `grid` they are the readings' instants and keyframes. With it they are its period apart, the odometry
-    is interpolated at each, and readings move to the nearest.
+    Without `grid` frames are the observations' instants and keyframes. With it they are a period apart, the odometry is
+    interpolated, and observations move to the nearest frame.
     """
     notes = []
     if grid is None:
@@ -108,35 +105,31 @@ def lay_out(
         stale = inside & (time[nearest.clip(0, len(time) - 1)] - readings.time > STALE)
         if stale.any():
             notes.append(
-                f"{counted(int(stale.sum()), 'reading')} older than {STALE:g} s at the instant of their frame: dropped."
+                f"{counted(int(stale.sum()), 'observation')} more than {STALE:g} s before their frame: dropped."
             )
         readings, frame = readings.where(inside & ~stale), nearest[inside & ~stale]
         led = np.zeros(len(frame), bool)
         if grid.skip_led_by is not None:
             led = readings.true_id[np.searchsorted(frame, frame)] == grid.skip_led_by
             why = f"the first of their frame is of landmark {grid.skip_led_by}"
-            notes.append(f"{int(led.sum())} readings left out: {why}.")
+            notes.append(f"{int(led.sum())} observations dropped: {why}.")
         readings, frame = readings.where(~led), frame[~led]
     increments, gaps = preintegrate(motion, odometry.time, odometry.v, odometry.omega, time)
     if gaps:
-        many = "1 gap" if gaps == 1 else f"{gaps} gaps"
-        notes.append(f"{many} of more than {MAX_HOLD:g} s in the odometry: the increments' covariance grows there.")
+        many = f"{counted(gaps, 'gap')} of more than {MAX_HOLD:g} s in the odometry"
+        notes.append(f"{many}: the increments' covariance grows there.")
     return Course(time, increments, readings, frame), notes
 
 
 def held_back(odometry: Odometry) -> Odometry:
-    """The first row holds from time 0 on: copies of it, close enough together to be no gap."""
+    """The odometry with its first row repeated from time 0 on, without gaps."""
     earlier = np.arange(0.0, odometry.time[0], 0.5 * MAX_HOLD)
-    same = np.zeros(len(earlier), np.int64)
-    return Odometry(
-        np.concatenate([earlier, odometry.time]),
-        np.concatenate([odometry.v[same], odometry.v]),
-        np.concatenate([odometry.omega[same], odometry.omega]),
-    )
+    v, omega = (np.pad(values, (len(earlier), 0), mode="edge") for values in (odometry.v, odometry.omega))
+    return Odometry(np.concatenate([earlier, odometry.time]), v, omega)
 
 
 def _on_grid(odometry: Odometry, time: Array, grid: Grid) -> Odometry:
-    """Velocities from each of the grid's instants (N,) to the next; none inside a gap, unless `gapless`."""
+    """Velocities from each of the grid's instants (N,) to the next; none in a gap, unless `gapless`."""
     t = odometry.time
     after = np.searchsorted(t, time, side="left").clip(0, len(t) - 1)
     before = (np.searchsorted(t, time, side="right") - 1).clip(0)
@@ -149,14 +142,14 @@ def _on_grid(odometry: Odometry, time: Array, grid: Grid) -> Odometry:
 FLOOR = 1e-10
 """Smallest eigenvalue of an increment's covariance."""
 SENSOR = RangeBearing(max_range=10.0, min_angle=-0.6, max_angle=0.6)
-"""The camera as the recordings show it: ranges up to 9.2 m, bearings up to 0.58 rad to either side."""
+"""The camera; recordings have ranges up to 9.2 m and bearings up to 0.58 rad to either side."""
 CORRECTED = "Landmark_Groundtruth.corrected.dat"
-"""A landmark file with rows put right, beside a dataset whose published file has them exchanged."""
+"""A corrected landmark file, for a dataset whose published file has rows exchanged."""
 
 
 @dataclass(frozen=True)
 class _TruePath:
-    """Ground truth: time (K,) s, pose (K, 3), and the stretches that are marked bad."""
+    """Ground truth: time (K,) s, pose (K, 3), and stretches marked bad."""
 
     time: Array
     pose: Array
@@ -171,12 +164,12 @@ class _TruePath:
 
 
 def robots(source: Path) -> list[int]:
-    """Robots of a dataset (folder or zip) that have odometry and measurements, ascending."""
+    """Robots of a dataset (folder or zip) with odometry and measurements, ascending."""
     return open_files(Path(source)).robots()
 
 
 def is_mrclam(source: Path) -> bool:
-    """Whether a folder or zip holds an MRCLAM dataset with at least one robot; raises for nothing."""
+    """Whether a folder or zip holds an MRCLAM dataset with at least one robot."""
     source = Path(source)
     if not source.is_dir() and not (source.is_file() and zipfile.is_zipfile(source)):
         return False
@@ -189,7 +182,7 @@ def is_mrclam(source: Path) -> bool:
 def corrected_landmarks(source: Path) -> Path | None:
     """`Landmark_Groundtruth.corrected.dat` in or beside a dataset, if it has the same places under exchanged numbers.
 
-    One for another dataset, whose landmarks stand elsewhere, is told apart that way.
+    A file for another dataset has other places.
     """
     source = Path(source)
     files = open_files(source)
@@ -206,20 +199,16 @@ def corrected_landmarks(source: Path) -> Path | None:
 
 @dataclass(frozen=True)
 class Treatment:
-    """What is done with a recording.
+    """Processing of a recording. Raises UsageError for an invalid value.
 
     Attributes:
-        start, stop: s, the wanted window (the module's first lines say what it counts from).
-        landmarks: file read instead of the dataset's Landmark_Groundtruth.dat.
-        exclude_truth: stretches (from, to) [s] whose truth is bad and left out, ends included.
-        keep_robots: keep observations of the other robots, as clutter that moves.
-        grid: resample to frames a fixed time apart, as the classic tutorials do: odometry interpolated at each frame
-            and held until the next, readings moved to the nearest frame.
+        start, stop: s, the wanted window (origin: see the module).
+        landmarks: file instead of the dataset's Landmark_Groundtruth.dat.
+        exclude_truth: stretches (from, to) [s] of bad truth, ends included.
+        keep_robots: keep observations of other robots, as moving clutter.
+        grid: resample to frames a fixed time apart.
         calibration: corrections and noise of odometry and camera.
-        prior_sigma: (m, rad), standard deviations of x and y, and of the heading, at the start.
-
-    Raises:
-        UsageError: values that make no sense.
+        prior_sigma: (m, rad), standard deviations of position and heading at the start.
     """
 
     start: float | None = None
@@ -239,7 +228,7 @@ class Treatment:
             raise UsageError(f"stop {self.stop:g} s does not come after start {self.start:g} s")
         for begin, end in self.exclude_truth:
             if not begin < end:
-                raise UsageError(f"exclude truth {begin:g}:{end:g}: the end must come after the beginning")
+                raise UsageError(f"exclude truth {begin:g}:{end:g}: the end must come after the start")
         if self.grid is not None and not 0.0 < self.grid.period <= MAX_GAP:
             raise UsageError(f"grid {self.grid.period:g} s: more than 0 and at most {MAX_GAP:g} s is needed")
         if not all(0.0 <= s < math.inf for s in self.prior_sigma):
@@ -255,7 +244,7 @@ class Treatment:
         return Prior(pose, np.diag(np.square(self.spread)))
 
     def described(self) -> dict[str, object]:
-        """What differs from the default, for the source of the log."""
+        """Settings that differ from the default, for the log's source."""
         given = {
             "start": self.start,
             "stop": self.stop,
@@ -268,15 +257,14 @@ class Treatment:
 
 
 def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) -> Log:
-    """The log of one robot (1 to 5); `source` is the published zip, or a folder with its files, or one above that.
+    """The log of one robot (1 to 5); `source` is the published zip, a folder with its files, or its parent.
 
-    The barcodes are sensed labels: granting them grants no truth. The log starts at the first instant with truth and
-    odometry, with the true pose there as the prior's mean, and ends with the odometry. A robot without ground truth
-    gets its prior from the first observations that fix it, which are then not part of the log (see `readings`). If none
-    do, the prior is the zero pose and the map is withheld: the log's world frame is then the robot's own.
+    Barcodes are sensed labels. The log starts at the first instant with truth and odometry, with the true pose as prior
+    mean, and ends with the odometry. Without ground truth the prior comes from the first observations that fix the
+    pose, which are then not part of the log (see `readings`). If none do, the prior is the zero pose and the map is
+    withheld.
 
-    Raises:
-        DataError: anything missing or wrong in the files, with file and line; nothing in the window.
+    Raises DataError for missing or invalid files, or nothing in the window.
     """
     source = Path(source)
     files = open_files(source)
@@ -286,7 +274,7 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     if truth is not None:
         pose = truth.at(course.time)
         prior: Prior | None = treatment.prior(pose[0])
-        notes += [f"Ground truth left out from {a:g} to {b:g} s after its first row." for a, b in truth.bad]
+        notes += [f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in truth.bad]
         notes += misplaced(course.readings, pose[course.frame], survey)
     else:
         course, prior, note = _without_truth(course, survey, treatment.spread)
@@ -326,7 +314,7 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
 def _course(
     files: Files, robot: int, survey: LandmarkMap, treatment: Treatment
 ) -> tuple[Course, _TruePath | None, float, list[str]]:
-    """Frames, ground truth (None: there is none), the stamp from which times count [s], and what was lost."""
+    """Frames, ground truth (or None), the stamp at time 0 [s], and notes."""
     calibration, grid = treatment.calibration, treatment.grid
     subjects = read_barcodes(files)
     commands, measured, rows = read_odometry(files, robot), read_measurements(files, robot), read_truth(files, robot)
@@ -347,7 +335,7 @@ def _course(
 
 
 def _since(stamps: Array, origin: float, shift: float = 0.0) -> Array:
-    """Seconds after `origin`, moved by `shift`; rounded to microseconds, as a large binary number loses the rest."""
+    """Seconds after `origin`, moved by `shift`, rounded to microseconds, the precision of large stamps."""
     seconds: Array = np.round(stamps - origin + shift, 6)
     return seconds
 
@@ -355,7 +343,7 @@ def _since(stamps: Array, origin: float, shift: float = 0.0) -> Array:
 def _window(
     files: Files, robot: int, odometry: Odometry, truth: _TruePath | None, treatment: Treatment
 ) -> tuple[float, float, list[str]]:
-    """First and last instant of the log, and a sentence about what comes before the first."""
+    """First and last instant of the log, and a note about what precedes the first."""
     start, stop = treatment.start, treatment.stop
     path = files.path(robot_file(robot, "Odometry"))
     last = float(odometry.time[-1]) if stop is None else min(stop, float(odometry.time[-1]))
@@ -368,9 +356,8 @@ def _window(
         instants = np.append(first, truth.time[truth.time > first])
         known = np.isfinite(truth.at(instants)[:, 2])
         if not known.any():
-            raise DataError.at(
-                path, "no instant with both odometry and ground truth" + (f" from {first:g} s on" if start else "")
-            )
+            window = f" from {first:g} s on" if start else ""
+            raise DataError.at(path, f"no instant with both odometry and ground truth{window}")
         if not known[0]:
             first, why = float(instants[np.argmax(known)]), "the first instant with truth"
     if not first < last:
@@ -386,21 +373,19 @@ def _window(
 def _without_truth(
     course: Course, survey: LandmarkMap, spread: tuple[float, float, float]
 ) -> tuple[Course, Prior | None, str]:
-    """The course from where its readings fix the pose, that pose as the prior, and a sentence; no prior if none do."""
+    """The course after the observations that fix the pose, that pose as prior (None without a fix), and a note."""
     seen = course.readings.true_id != CLUTTER
     readings = course.readings.where(seen)
-    fix = first_fix(
-        course.time, course.increments.mean, course.frame[seen], readings.body(), readings.surveyed(survey), spread
-    )
+    body, there = readings.body(), readings.surveyed(survey)
+    fix = first_fix(course.time, course.increments.mean, course.frame[seen], body, there, spread)
     if fix is None:
         note = (
-            "No ground truth, and the readings do not fix the pose: the log starts at the zero pose, its frame is the "
-            "robot's own, and the map is withheld."
+            "No ground truth, and the observations do not fix the pose: the log starts at the zero pose, its frame is "
+            "the robot's own, and the map is withheld."
         )
         return course, None, note
-    at = course.time[fix.frame]
     note = (
-        f"No ground truth: the prior is a fit to {counted(fix.readings, 'reading')} (rms {fix.rms:.2f} m), "
-        f"and the log starts after them, {at:.3f} s after the first odometry row."
+        f"No ground truth: the prior is a fit to {counted(fix.readings, 'observation')} (rms {fix.rms:.2f} m), "
+        f"and the log starts after them, {course.time[fix.frame]:.3f} s after the first odometry row."
     )
     return course.after(fix.frame), fix.prior, note

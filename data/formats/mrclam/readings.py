@@ -1,8 +1,8 @@
-"""Camera readings of a UTIAS MRCLAM robot: whose barcode each shows, whether the survey fits, a first pose from them.
+"""Observations of a UTIAS MRCLAM robot: identity by barcode, agreement with the survey, and a first pose from them.
 
-For a log without ground truth the first observations of known landmarks give the prior: readings of a few seconds are
-carried to one body frame with the odometry and laid onto the map by a rigid fit (closed form, least squares). They are
-spent: the log starts after them, so they are not counted twice.
+Without ground truth the first observations of known landmarks give the prior: those of a few seconds are carried to one
+body frame by odometry and fitted to the map (rigid least squares, closed form). The log starts after them, so they are
+not used twice.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from data.terminal import counted
 
 UNKNOWN_BARCODE = -2
 MISPLACED = 1.0
-"""m; a landmark that its readings miss by more, in the median, is not where the survey says."""
+"""m, largest median distance of a landmark's observations from its surveyed place."""
 ENOUGH = 5
-"""Readings of a landmark before its place is doubted."""
+"""Fewest observations of a landmark for that check."""
 
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings, ascending by time: time (M,) s, true_id (M,) landmark's subject or `CLUTTER`, z (M, 2) in m and rad."""
+    """Observations, ascending by time: time (M,) s, true_id (M,) subject or `CLUTTER`, z (M, 2) in m and rad."""
 
     time: Array
     true_id: IntArray
@@ -44,21 +44,21 @@ class Readings:
         return self.z[:, :1] * direction
 
     def surveyed(self, survey: LandmarkMap) -> Array:
-        """Where the survey has the landmark of each (M, 2), NaN for clutter."""
+        """Surveyed place (M, 2) of each landmark, NaN for clutter."""
         return survey.positions(self.true_id)
 
 
 def identify(
     time: Array, barcode: Array, z: Array, subjects: dict[int, int], survey: LandmarkMap, *, keep_robots: bool
 ) -> tuple[Readings, list[str]]:
-    """Readings of landmarks (and of robots as clutter, if they are to be kept), and a sentence for each kind left out.
+    """Observations of landmarks (and of robots as clutter, if kept), and a note for each kind dropped.
 
     Args:
-        time: (M,) s, when each was taken.
-        barcode: (M,) what the camera read.
+        time: (M,) s.
+        barcode: (M,) read by the camera.
         z: (M, 2) range [m] and bearing [rad].
         subjects: subject by barcode.
-        survey: the landmarks whose places are known; readings of any other are left out.
+        survey: landmarks with known places; observations of others are dropped.
         keep_robots: keep observations of robots.
     """
     notes = []
@@ -68,16 +68,15 @@ def identify(
     stray = ~nobody & ~robot & ~np.isin(subject, survey.id)
     if nobody.any():
         codes = ", ".join(f"{b:g}" for b in np.unique(barcode[nobody]))
-        notes.append(f"{counted(nobody.sum(), 'reading')} of a barcode that no subject has ({codes}): skipped.")
+        notes.append(f"{counted(nobody.sum(), 'observation')} of a barcode that no subject has ({codes}): skipped.")
     if robot.any():
         share = 100.0 * robot.sum() / len(robot)
         what = "kept as clutter" if keep_robots else "dropped"
-        notes.append(f"{counted(robot.sum(), 'reading')} of other robots ({share:.0f} % of all): {what}.")
+        notes.append(f"{counted(robot.sum(), 'observation')} of other robots ({share:.0f} % of all): {what}.")
     if stray.any():
         who = ", ".join(map(str, np.unique(subject[stray])))
-        notes.append(
-            f"{counted(stray.sum(), 'reading')} of subjects that the landmark file does not have ({who}): dropped."
-        )
+        many = counted(stray.sum(), "observation")
+        notes.append(f"{many} of subjects that the landmark file does not have ({who}): dropped.")
     keep = ~nobody & ~stray
     if not keep_robots:
         keep &= ~robot
@@ -85,10 +84,10 @@ def identify(
 
 
 def within(readings: Readings, first: float, last: float) -> tuple[Readings, list[str]]:
-    """Readings between the first and the last odometry, and a sentence for each end that lost some."""
+    """Observations between the first and the last odometry, and a note for each end that lost some."""
     early, late = readings.time < first, readings.time > last
     notes = [
-        f"{counted(lost.sum(), 'reading')} {where} odometry: dropped."
+        f"{counted(lost.sum(), 'observation')} {where} odometry: dropped."
         for lost, where in ((early, "before the first"), (late, "after the last"))
         if lost.any()
     ]
@@ -96,9 +95,9 @@ def within(readings: Readings, first: float, last: float) -> tuple[Readings, lis
 
 
 def misplaced(readings: Readings, pose: Array, survey: LandmarkMap) -> list[str]:
-    """A sentence if readings contradict the survey, given the true pose (M, 3) of each; none if they agree.
+    """A note if observations contradict the survey, given their true poses (M, 3).
 
-    Where the readings of one landmark lie at the place of another, it says so: two rows may have been exchanged.
+    It names another landmark at the observed place: two rows may have been exchanged.
     """
     points = se2.transform_points(pose, readings.body())
     known = np.isfinite(points).all(axis=1) & (readings.true_id != CLUTTER)
@@ -114,22 +113,22 @@ def misplaced(readings: Readings, pose: Array, survey: LandmarkMap) -> list[str]
         findings.append(f"{number} ({miss:.1f} m{hint})")
     if not findings:
         return []
-    who = ", ".join(findings)
-    return [f"The readings contradict the landmark file (or the ground truth is wrong); median miss of landmark {who}."]
+    what = "The observations contradict the landmark file (or the ground truth is wrong)"
+    return [f"{what}; median distance of landmark {', '.join(findings)}."]
 
 
 SPAN = 10.0
-"""s of readings that one fix may use; odometry drifts."""
+"""s, longest stretch of observations of one fix, as odometry drifts."""
 READINGS = 6
-"""A fix needs that many, of two different landmarks at least."""
+"""Fewest observations of a fix, of two landmarks at least."""
 SURE = (0.25, 0.15)
-"""m, rad: standard deviations the fit must reach; else it waits for landmarks better placed, or readings that agree."""
+"""m, rad, largest standard deviations of a fix."""
 USUAL = 0.1
-"""m; readings that fit one another better than this do so by luck."""
+"""m, smallest RMS distance that a fix is credited with."""
 
 
 class Fix(NamedTuple):
-    """The frame of the fix, the pose there as a prior, how many readings it took, and their rms distance [m]."""
+    """The frame of the fix, the pose there as a prior, the number of observations, and their RMS distance [m]."""
 
     frame: int
     prior: Prior
@@ -140,15 +139,15 @@ class Fix(NamedTuple):
 def first_fix(
     time: Array, increments: Array, frame: IntArray, points: Array, landmark: Array, sigma: tuple[float, float, float]
 ) -> Fix | None:
-    """The first frame at which the recent readings fix the pose; None if there is none.
+    """The first frame at which the recent observations fix the pose, or None.
 
     Args:
         time: (N,) s of the frames.
         increments: (N, 3) motion into each.
-        frame: (M,) ascending, frame of each reading.
-        points: (M, 2) m, the readings in the body frame.
-        landmark: (M, 2) m, where the map has the landmark of each.
-        sigma: added to the fit's own standard deviations of x, y [m] and theta [rad], for what the fit does not know.
+        frame: (M,) ascending, frame of each observation.
+        points: (M, 2) m, observations in the body frame.
+        landmark: (M, 2) m, map position of each landmark.
+        sigma: added to the fit's standard deviations of x, y [m] and theta [rad], for systematic errors.
     """
     path = se2.dead_reckoned(np.zeros(3), increments)
     path[:, 2] = se2.wrap_angle(path[:, 2])
@@ -170,9 +169,9 @@ def first_fix(
 
 
 def _covariance(pose: Array, body: Array, sigma: float) -> Array | None:
-    """World-frame covariance (3, 3) of a fit whose points' mean errs by `sigma` [m]; None if they are all in one place.
+    """World-frame covariance (3, 3) of a fit whose points' mean has an error of `sigma` [m]; None if all coincide.
 
-    Errors of one landmark's readings are alike, so the points count as their mean point and spread, not one by one.
+    Errors of one landmark's observations are alike, so the points count by their mean and spread.
     """
     offset = se2.transform_points(np.array([0.0, 0.0, pose[2]]), body)
     x, y = offset.mean(axis=0)

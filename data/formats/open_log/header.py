@@ -1,4 +1,4 @@
-"""`log.toml` of an open log folder: what its tables say, checked key by key.
+"""`log.toml` of an open log folder, checked key by key.
 
 Format 1. Keys, with their defaults where they may be left out:
 
@@ -19,12 +19,12 @@ Format 1. Keys, with their defaults where they may be left out:
                                         a table [sensor.extrinsic] with these two keys is the same
     [scanner] of a log with scans.npz, for which [sensor] may be left out:
               angle_min, angle_step [rad]    beam i points at angle_min + i * angle_step
-              max_range, sigma [m]      a range not below max_range is no return; noise of a range
+              max_range, sigma [m]      a longer range is no return; noise of a range
               rotation, translation     as in [sensor]
-    [motion]  model = "unicycle" or "half_angle", noise = "velocity" or "density" with sigma = [2 numbers],
-              or noise = "displacement" with alphas = [4 numbers], or noise = "textbook" with alphas = [4 or 6
-              numbers]     needed with odometry.csv only;
-              without odometry, instead: prior = "forward" with step_mean, step_sigma, lateral_sigma [m] and turn_sigma
+    [motion]  with odometry.csv: model = "unicycle" or "half_angle", noise = "velocity" or "density" with
+              sigma = [2 numbers], or noise = "displacement" with alphas = [4 numbers], or noise = "textbook" with
+              alphas = [4 or 6 numbers];
+              without odometry: prior = "forward" with step_mean, step_sigma, lateral_sigma [m] and turn_sigma
               [rad] per frame, or prior = "constant_velocity" with velocity, velocity_sigma, lateral_sigma [m/s],
               turn_rate and turn_rate_sigma [rad/s]; frames.csv then has the column t alone (see
               data.motion.motion_prior)
@@ -41,7 +41,7 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import DataError
-from data.formats.open_log.scans import KEYS, read_scanner
+from data.formats.open_log.scans import KEYS, mounting, read_scanner
 from data.inputs import Prior, Scanner
 from data.motion.motion_prior import PRIORS, MotionPrior
 from data.motion.velocity import MODELS, NOISES, WITH_ALPHAS, VelocityModel, VelocityNoise
@@ -73,9 +73,10 @@ SENSORS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, R
 
 @dataclass(frozen=True)
 class Header:
-    """Contents of `log.toml`; `sigma` (2,) is the sensor's default noise, `motion` how odometry becomes increments.
+    """Contents of `log.toml`.
 
-    `motion_prior`: what stands in for odometry, where the log states that. `scanner`: of a laser log.
+    `sigma` (2,): the sensor's default noise. `motion`: how odometry becomes increments. `motion_prior`: model instead
+    of odometry. `scanner`: of a laser log.
     """
 
     name: str
@@ -105,12 +106,8 @@ def _name(top: TomlTable) -> str:
 def _prior(table: TomlTable) -> Prior:
     mean = table.numbers("mean", 3, "three numbers x [m], y [m], theta [rad] are", finite)
     if ("sigma" in table) == ("covariance" in table):
-        raise table.error(
-            "sigma",
-            "either sigma or covariance is needed, not both"
-            if "sigma" in table
-            else "missing; sigma or covariance is needed",
-        )
+        start = "either sigma or covariance is needed, not both" if "sigma" in table else "missing"
+        raise table.error("sigma", start if "sigma" in table else f"{start}; sigma or covariance is needed")
     if "sigma" in table:
         sigma = table.numbers("sigma", 3, "three numbers >= 0 [m, m, rad] are", not_negative)
         return Prior(mean, np.diag(sigma**2))
@@ -123,10 +120,8 @@ def _prior(table: TomlTable) -> Prior:
     if np.abs(P - P.T).max() > 1e-12 * np.trace(P):
         raise table.error("covariance", "not symmetric")
     P = 0.5 * (P + P.T)
-    if np.linalg.eigvalsh(P)[0] < -1e-12 * np.trace(P):
-        raise table.error(
-            "covariance", f"not positive semidefinite (smallest eigenvalue {np.linalg.eigvalsh(P)[0]:.3g})"
-        )
+    if (low := np.linalg.eigvalsh(P)[0]) < -1e-12 * np.trace(P):
+        raise table.error("covariance", f"not positive semidefinite (smallest eigenvalue {low:.3g})")
     return Prior(mean, P)
 
 
@@ -158,13 +153,7 @@ def _sensor(table: TomlTable) -> tuple[Sensor, Array | None]:
     extrinsic = table.optional_table("extrinsic")
     if extrinsic is not None and ("rotation" in table or "translation" in table):
         raise table.error("extrinsic", "give rotation and translation here or in [sensor], not both")
-    place = table if extrinsic is None else extrinsic
-    rotation = place.number("rotation", 0.0, "a finite angle (radians)", finite)
-    translation = (0.0, 0.0)
-    if "translation" in place:
-        tx, ty = place.numbers("translation", 2, "two numbers [m] are", finite)
-        translation = (float(tx), float(ty))
-    return SENSORS[kind](max_range, low, high, rotation, translation), sigma
+    return SENSORS[kind](max_range, low, high, *mounting(table if extrinsic is None else extrinsic)), sigma
 
 
 def _motion(table: TomlTable) -> VelocityModel:
@@ -177,9 +166,8 @@ def _motion(table: TomlTable) -> VelocityModel:
         given, counts = table.table.get("alphas"), WITH_ALPHAS[kind]
         count = len(given) if isinstance(given, list) and len(given) in counts else counts[0]
         what = f"{' or '.join({4: 'four', 6: 'six'}[n] for n in counts)} numbers >= 0 are"
-        return VelocityModel(
-            VelocityNoise(kind, alphas=tuple(table.numbers("alphas", count, what, not_negative))), model
-        )
+        alphas = tuple(table.numbers("alphas", count, what, not_negative))
+        return VelocityModel(VelocityNoise(kind, alphas=alphas), model)
     s1, s2 = table.numbers("sigma", 2, "two numbers >= 0 are", not_negative).tolist()
     return VelocityModel(VelocityNoise(kind, sigma=(s1, s2)), model)
 
@@ -198,11 +186,7 @@ def _motion_prior(table: TomlTable) -> MotionPrior:
 
 
 def read_header(path: Path) -> Header:
-    """Read and check a `log.toml`.
-
-    Raises:
-        DataError: missing file, not TOML, unknown format number or key, or a value that makes no sense.
-    """
+    """Read and check a `log.toml`; DataError names file and key."""
 
     def fault(what: str) -> DataError:
         return DataError.at(path, what)
@@ -215,9 +199,9 @@ def read_header(path: Path) -> Header:
     top = TomlTable(fault, table, KNOWN)
     lasers = top.optional_table("scanner")
     scanner = None if lasers is None else read_scanner(lasers)
-    sensor: Sensor
     if scanner is not None and "sensor" not in top:
-        sensor, sigma = RangeBearing(scanner.max_range), None
+        sensor: Sensor = RangeBearing(scanner.max_range)
+        sigma = None
     else:
         sensor, sigma = _sensor(top.table_of("sensor"))
     motion = top.optional_table("motion")

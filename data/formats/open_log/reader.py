@@ -1,6 +1,6 @@
-"""Open log folder, format 1: read and check a log that anybody can write.
+"""Open log folder, format 1: reader with strict checks.
 
-    log.toml            see `header`; a motion prior stated there stands in for increments and odometry
+    log.toml            see `header`; a motion prior there replaces increments and odometry
     frames.csv          t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt        row 0: zero increment
     or odometry.csv     t,v,omega                                           preintegrated on loading
     observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame
@@ -9,13 +9,11 @@
     scans.npz           range scans (see `scans`); then observations.csv and [sensor] may be missing
     relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2]         optional
 
-Columns come in any order; others are left out.
-frames.csv of a log with relations may have a column stamp: stamps as recorded, which need not increase.
-true_id: -1 clutter, blank unknown. label: what the sensor claimed, where that can differ; absent, it is true_id.
-With odometry.csv the frames are the instants with observations, and keyframes where those are more than 1 s apart.
-relations.csv: reference relations by which a log without a true path is scored. x,y,theta: pose of frame row2 in that
-of frame row1 [m, m, rad], rows from 0; exact: 1 where both rows are sure, 0 where not; stamps [s] that the reference's
-author tied the relation to.
+Columns may have any order; unknown ones are ignored. frames.csv of a log with relations may have a column stamp: the
+recorded stamps, which need not increase. true_id: -1 false alarm, blank unknown. label: the sensor's, where it may
+differ from true_id. With odometry.csv the frames are the instants with observations, and keyframes where those are more
+than 1 s apart. relations.csv: reference relations for scoring without a true path. x,y,theta: pose of frame row2 in
+that of frame row1 [m, m, rad], rows from 0; exact: 1 where both rows are certain, else 0; stamps [s] of the reference.
 """
 
 from __future__ import annotations
@@ -37,12 +35,13 @@ from data.motion.motion_prior import MotionPrior, note_of
 from data.motion.velocity import VelocityModel, floor_covariances, preintegrate
 from data.se2 import Array
 from data.sensors import RelativePoint
+from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import CLUTTER, UNKNOWN_ID, Relations, Truth
 
 
 def read_landmarks(path: Path) -> tuple[LandmarkMap | None, bool]:
-    """landmarks.csv, ascending by id, and whether a survey's sigmas were left out; None where there is none."""
+    """landmarks.csv, ascending by id (None without the file), and whether a survey's sigmas were ignored."""
     if not path.exists():
         return None, False
     table = read_table(path, ("id", "x", "y"), ("sx", "sy"))
@@ -54,10 +53,9 @@ def read_landmarks(path: Path) -> tuple[LandmarkMap | None, bool]:
     order = np.argsort(number, kind="stable")
     repeated = np.zeros(len(number), bool)
     repeated[order[1:]] = number[order[1:]] == number[order[:-1]]
-    table.require(~repeated, "id", "{} stands for two landmarks")
-    return LandmarkMap(number[order], table.stack(("x", "y"))[order]), any(
-        (table.columns[n] > 0.0).any() for n in sigmas
-    )
+    table.require(~repeated, "id", "{} is the id of two landmarks")
+    surveyed = any((table.columns[n] > 0.0).any() for n in sigmas)
+    return LandmarkMap(number[order], table.stack(("x", "y"))[order]), surveyed
 
 
 RELATIVE = ("x", "y", "theta")
@@ -66,11 +64,7 @@ EXACT = "exact"
 
 
 def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) -> Relations:
-    """Relations between the frames of a log of so many; `frame_stamp` (N,) is kept beside them.
-
-    Raises:
-        DataError: no such file, a column missing, a value that is not a number, or a row that the log has not.
-    """
+    """Relations between the frames of a log of so many; `frame_stamp` (N,): its recorded stamps."""
     table = read_table(path, ("row1", "row2", *RELATIVE), (EXACT, *STAMPS))
     for name in ("row1", "row2"):
         table.integers(name, 0)
@@ -93,17 +87,18 @@ def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) ->
 
 
 def relations_columns(relations: Relations) -> tuple[list[str], list[list[object]]]:
-    """Names of the columns, and the rows: what `read_relations` reads."""
+    """Names of the columns, and the rows, as `read_relations` reads them."""
     r = relations
-    names = ["row1", "row2", *RELATIVE]
-    columns = [r.row1.tolist(), r.row2.tolist(), *r.relative.T.tolist()]
+    columns = {
+        "row1": r.row1.tolist(),
+        "row2": r.row2.tolist(),
+        **dict(zip(RELATIVE, r.relative.T.tolist(), strict=True)),
+    }
     if r.exact is not None:
-        names.append(EXACT)
-        columns.append(r.exact.tolist())
+        columns[EXACT] = r.exact.tolist()
     if r.stamp is not None:
-        names += STAMPS
-        columns += r.stamp.T.tolist()
-    return names, [list(row) for row in zip(*columns, strict=True)]
+        columns |= dict(zip(STAMPS, r.stamp.T.tolist(), strict=True))
+    return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
 
 
 HEADER = "log.toml"
@@ -119,18 +114,16 @@ NOISE = ("r11", "r12", "r22")
 POSE = ("x", "y", "theta")
 
 LONGEST = 1e6
-"""s. An odometry log that lasts longer has stamps in another unit, or a broken one; keyframes would fill the memory."""
+"""s, longest odometry log; keyframes up to a broken stamp would fill the memory."""
 
 
 def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log:
     """Read an open log folder; `relations`: a file instead of its relations.csv.
 
-    Observations outside the sensor's stated range or angles are kept. The covariance floor is applied once, here;
-    a folder that was written by `writer` already holds it. A survey's sigmas (sx, sy in landmarks.csv)
-    are checked but not used, because every estimator takes the map as exact; a note says so.
+    Observations outside the sensor's stated field of view are kept. The covariance floor is applied here. A survey's
+    sigmas (sx, sy in landmarks.csv) are checked but not used, since estimators take the map as exact; a note says so.
 
-    Raises:
-        DataError: anything missing or wrong, with file, line, column and value.
+    Raises DataError with file, line, column and value.
     """
     folder = Path(path)
     if not os.path.isdir(folder):  # unlike Path.is_dir, also false for a name the system refuses
@@ -139,13 +132,11 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     by_stamp = (folder / ODOMETRY).exists()
     if (folder / FRAMES).exists() == by_stamp:
         if by_stamp:
-            raise DataError.at(folder / ODOMETRY, f"there is {FRAMES} as well; one of them must go")
+            raise DataError.at(folder / ODOMETRY, f"there is {FRAMES} as well; remove one of them")
         raise DataError.at(folder / FRAMES, f"no such file; {FRAMES} or {ODOMETRY} is needed")
     if by_stamp:
         if header.motion_prior is not None:
-            raise DataError.at(
-                folder / ODOMETRY, f"[motion] prior in {HEADER} is for logs without; one of them must go"
-            )
+            raise DataError.at(folder / ODOMETRY, f"{HEADER} states a [motion] prior instead; remove one of them")
         if header.motion is None:
             raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
         observations = _observations(folder / OBSERVATIONS, header, "t")
@@ -155,9 +146,8 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         observations = _observations(folder / OBSERVATIONS, header, "frame")
         motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
         frame = observations.table.integers("frame", 0)
-        observations.table.require(
-            frame < len(motion.time), "frame", f"{{}} is out of range; there are frames 0 to {len(motion.time) - 1}"
-        )
+        there = f"{{}} is out of range; there are frames 0 to {len(motion.time) - 1}"
+        observations.table.require(frame < len(motion.time), "frame", there)
         observations.table.require_ascending("frame", strictly=False)
         pose = _truth_per_frame(folder / TRUTH, len(motion.time))
     landmarks, survey = read_landmarks(folder / LANDMARKS)
@@ -182,12 +172,12 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         scans=scans,
     )
     notes = list(header.notes) + ([note_of(header.motion_prior)] if header.motion_prior is not None else [])
-    notes += [f"{OBSERVATIONS}: column {name!r} is not known and was left out" for name in table.unknown]
+    notes += [f"{OBSERVATIONS}: unknown column {name!r} ignored" for name in table.unknown]
     if gaps:
-        plural = "gap" if gaps == 1 else "gaps"
-        notes.append(f"{ODOMETRY}: {gaps} {plural} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
+        many = counted(gaps, "gap")
+        notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
     if survey:
-        notes.append(f"{LANDMARKS}: the survey's sigmas were left out; estimators take the map as exact")
+        notes.append(f"{LANDMARKS}: the survey's sigmas are ignored; estimators take the map as exact")
     return Log(
         name=header.name,
         recorded=recorded,
@@ -206,7 +196,7 @@ class _Motion(NamedTuple):
 
 
 class _FrameObservations(NamedTuple):
-    """Observations before their frames are known; R (M, 2, 2), true_id and label (M,) or None."""
+    """Observations without frames: R (M, 2, 2), true_id and label (M,) or None."""
 
     table: Table
     R: Array
@@ -215,7 +205,7 @@ class _FrameObservations(NamedTuple):
 
 
 def _require_semidefinite(table: Table, matrices: Array) -> None:
-    """Raise unless each increment covariance (K, 3, 3) is positive semidefinite, to 1e-12 of its trace."""
+    """Raise unless each covariance (K, 3, 3) is positive semidefinite, to 1e-12 of its trace."""
     eigenvalues = np.linalg.eigvalsh(matrices)
     fine = eigenvalues[:, 0] >= -1e-12 * eigenvalues.sum(axis=1)
     if not fine.all():
@@ -226,7 +216,7 @@ def _require_semidefinite(table: Table, matrices: Array) -> None:
 
 
 def _frames(path: Path, prior: MotionPrior | None) -> _Motion:
-    """frames.csv: time (N,) and increments, or the increments of a prior where there is one."""
+    """frames.csv: time (N,) and increments, or those of a motion prior."""
     motion = (*MEAN, *COVARIANCE)
     columns = ("t", *motion) if prior is None else ("t",)
     table = read_table(path, columns, (*motion, STAMP))
@@ -238,27 +228,23 @@ def _frames(path: Path, prior: MotionPrior | None) -> _Motion:
     if prior is not None:
         for name in motion:
             if name in table:
-                what = f"[motion] prior in {HEADER} states the increments; one of them must go"
+                what = f"[motion] prior in {HEADER} states the increments; remove one of them"
                 raise DataError.at(path, what, line=1, column=name)
         return _Motion(table.columns["t"], prior.increments(table.columns["t"]), stamp)
-    for name in (*MEAN, *COVARIANCE):
-        table.require(
-            (table.columns[name] == 0.0) | (np.arange(len(table)) > 0),
-            name,
-            "{} in row 0; the first frame has no motion, so 0 is needed",
-        )
+    later = np.arange(len(table)) > 0
+    for name in motion:
+        what = "{} in row 0; the first frame has no motion, so 0 is needed"
+        table.require((table.columns[name] == 0.0) | later, name, what)
     covariance = table.symmetric(COVARIANCE)
     _require_semidefinite(table, covariance)
     return _Motion(table.columns["t"], Increments(table.stack(MEAN), covariance), stamp)
 
 
 def _observations(path: Path, header: Header, key: str) -> _FrameObservations:
-    """observations.csv, checked but for the range and order of `key` (frame or t)."""
+    """observations.csv, checked except for range and order of `key` (frame or t)."""
     if header.scanner is not None and not path.exists():
-        nothing = np.zeros(0)
-        return _FrameObservations(
-            Table(path, {key: nothing, "z1": nothing, "z2": nothing}), np.zeros((0, 2, 2)), None, None
-        )
+        nothing = Table(path, dict.fromkeys((key, "z1", "z2"), np.zeros(0)))
+        return _FrameObservations(nothing, np.zeros((0, 2, 2)), None, None)
     ids = ("true_id", "label")
     other = "t" if key == "frame" else "frame"
     table = read_table(path, (key, "z1", "z2"), (*NOISE, *ids, other), may_be_blank=(*ids, other))
@@ -278,9 +264,8 @@ def _noise(table: Table, header: Header) -> Array:
     """R (M, 2, 2) of each observation: its own, else the sensor's."""
     if not any(n in table for n in NOISE):
         if header.sigma is None:
-            raise DataError.at(
-                table.path, f"no columns {','.join(NOISE)}, and no sigma in [sensor] of {HEADER}; one of them is needed"
-            )
+            what = f"no columns {','.join(NOISE)}, and no sigma in [sensor] of {HEADER}"
+            raise DataError.at(table.path, f"{what}; one of them is needed")
         return np.tile(np.diag(header.sigma**2), (len(table), 1, 1))
     for name in NOISE:
         if name not in table:
@@ -289,16 +274,15 @@ def _noise(table: Table, header: Header) -> Array:
     r11, r12, r22 = (table.columns[n] for n in NOISE)
     table.require(r11 > 0.0, "r11", "variance {} must be positive")
     table.require(r22 > 0.0, "r22", "variance {} must be positive")
-    # by the correlation, so that the units of z1 and z2 do not matter
+    # by the correlation, whatever the units of z1 and z2
     largest = (1.0 - 1e-12) * np.sqrt(r11) * np.sqrt(r22)
-    table.require(
-        np.abs(r12) < largest, "r12", "{} is too large for r11 and r22: the covariance must be positive definite"
-    )
+    what = "{} is too large for r11 and r22; the covariance must be positive definite"
+    table.require(np.abs(r12) < largest, "r12", what)
     return table.symmetric(NOISE)
 
 
 def _scans(folder: Path, header: Header, frames: int, *, by_stamp: bool) -> Scans | None:
-    """scans.npz, which comes with [scanner] and with frames.csv."""
+    """scans.npz, which needs [scanner] and frames.csv."""
     path = folder / SCANS
     if header.scanner is None:
         if path.exists():
@@ -310,7 +294,7 @@ def _scans(folder: Path, header: Header, frames: int, *, by_stamp: bool) -> Scan
 
 
 def _odometry(path: Path, model: VelocityModel, observations: Table) -> tuple[_Motion, IntArray, int]:
-    """odometry.csv preintegrated between the frames; frame of each observation (M,); number of gaps in the odometry."""
+    """odometry.csv preintegrated between the frames; frame of each observation (M,); number of gaps."""
     table = read_table(path, ("t", "v", "omega"))
     if len(table) == 0:
         raise DataError.at(table.path, "no rows; at least one sample is needed", line=1)
@@ -318,12 +302,9 @@ def _odometry(path: Path, model: VelocityModel, observations: Table) -> tuple[_M
     table.require_ascending("t", strictly=True)
     observations.require_ascending("t", strictly=False)
     stamps, seen = table.columns["t"], observations.columns["t"]
+    far = f"{{}} s is more than {LONGEST:g} s from the first odometry; stamps are in seconds"
     for part in (table, observations):
-        part.require(
-            np.abs(part.columns["t"] - stamps[0]) <= LONGEST,
-            "t",
-            f"{{}} s is more than {LONGEST:g} s from the first odometry; stamps are in seconds",
-        )
+        part.require(np.abs(part.columns["t"] - stamps[0]) <= LONGEST, "t", far)
     both = np.concatenate([stamps, seen])
     time = frame_times(seen, both.min(), both.max())
     increments, gaps = preintegrate(model, stamps, table.columns["v"], table.columns["omega"], time)
@@ -344,11 +325,8 @@ def _truth_per_frame(path: Path, frames: int) -> Array | None:
     if table is None:
         return None
     if len(table) != frames:
-        raise DataError.at(
-            path,
-            f"{len(table)} rows for {frames} frames; one row per frame is needed",
-            line=min(len(table), frames + 1) + 1,
-        )
+        what = f"{len(table)} rows for {frames} frames; one row per frame is needed"
+        raise DataError.at(path, what, line=min(len(table), frames + 1) + 1)
     return table.stack(POSE)
 
 

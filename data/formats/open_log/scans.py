@@ -1,9 +1,9 @@
-"""`scans.npz` of an open log folder: the range scans of a laser log; [scanner] in `log.toml` says what took them.
+"""`scans.npz` of an open log folder: the range scans of a laser log, taken by the [scanner] of `log.toml`.
 
-    frame   (S,) whole numbers      frame of each scan, ascending, none twice
-    ranges  (S, B) numbers [m]      of each beam; 0 or NaN: nothing came back, and so from max_range on
+    frame   (S,) whole numbers      frame of each scan, strictly ascending
+    ranges  (S, B) numbers [m]      of each beam; 0, NaN, or max_range and more: no return
 
-Files stored or deflated are read in little memory, as NumPy and every common program write them.
+Stored and deflated files are read in little memory.
 """
 
 from __future__ import annotations
@@ -24,26 +24,21 @@ from data.se2 import Array
 from data.toml_table import TomlTable, finite, positive
 
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-"""The others take megabytes for a dictionary whose size the file names."""
-
-
+"""Other methods take megabytes for a dictionary whose size the file states."""
 LARGE, DENSEST = 1 << 26, 100
-"""Bytes, and times its compressed size, that an entry which is read whole may inflate to; logs deflate to a tenth."""
-
-
+"""Bytes, and multiple of its compressed size, that an entry read whole may inflate to; logs deflate to a tenth."""
 BROKEN = (
     *(ValueError, EOFError, KeyError, NotImplementedError, RuntimeError, zipfile.BadZipFile, zlib.error),
     *(SyntaxError, TypeError, tokenize.TokenError),
 )
-"""What zipfile and NumPy raise for bytes that are not what they should be; the last three for an array's header."""
+"""Errors of zipfile and NumPy for damaged bytes; the last three for an array's header."""
 
 
 def open_archive(path: Path, *, whole: bool) -> zipfile.ZipFile:
     """An archive; `whole`: its entries will be read whole, not in pieces.
 
-    Raises:
-        DataError: an entry is compressed in another way, or inflates beyond all measure.
-        OSError, ValueError, NotImplementedError, zipfile.BadZipFile: it is none, or damaged.
+    Raises DataError for another compression method or an excessive size; OSError, ValueError, NotImplementedError or
+    zipfile.BadZipFile if it is none, or damaged.
     """
     archive = zipfile.ZipFile(path)
     for entry in archive.infolist():
@@ -54,39 +49,39 @@ def open_archive(path: Path, *, whole: bool) -> zipfile.ZipFile:
         if whole and entry.file_size > max(LARGE, DENSEST * entry.compress_size):
             archive.close()
             what = f"{entry.filename[:60]!r} would inflate from {entry.compress_size} to {entry.file_size} bytes"
-            raise DataError.at(path, f"{what}; logs deflate to a tenth or so")
+            raise DataError.at(path, f"{what}; logs deflate to about a tenth")
     return archive
 
 
 FRAME, RANGES = "frame", "ranges"
 KEYS = ("angle_min", "angle_step", "max_range", "sigma", "rotation", "translation")
-"""Of [scanner]; the last two may be left out."""
+"""Keys of [scanner]; the last two are optional."""
+
+
+def mounting(table: TomlTable) -> tuple[float, tuple[float, float]]:
+    """Rotation [rad] and translation [m] of p_sensor = R p_body + T; zero by default."""
+    rotation = table.number("rotation", 0.0, "a finite angle (radians)", finite)
+    if "translation" not in table:
+        return rotation, (0.0, 0.0)
+    tx, ty = table.numbers("translation", 2, "two numbers [m] are", finite)
+    return rotation, (float(tx), float(ty))
 
 
 def read_scanner(table: TomlTable) -> Scanner:
     """[scanner], checked."""
-    what = "a finite angle (radians)"
-    step = table.number("angle_step", None, "an angle other than 0 (radians)", lambda v: finite(v) and v != 0.0)
-    translation = (0.0, 0.0)
-    if "translation" in table:
-        tx, ty = table.numbers("translation", 2, "two numbers [m] are", finite)
-        translation = (float(tx), float(ty))
     return Scanner(
-        table.number("angle_min", None, what, finite),
-        step,
+        table.number("angle_min", None, "a finite angle (radians)", finite),
+        table.number("angle_step", None, "an angle other than 0 (radians)", lambda v: finite(v) and v != 0.0),
         table.number("max_range", None, "a finite range > 0 [m]", positive),
         table.number("sigma", None, "a number > 0 [m]", positive),
-        table.number("rotation", 0.0, what, finite),
-        translation,
+        *mounting(table),
     )
 
 
 def read_scans(path: Path, scanner: Scanner, frames: int) -> Scans:
-    """The scans of a log of so many frames, 0 where nothing came back.
+    """The scans of a log of so many frames, 0 for no return.
 
-    Raises:
-        DataError: not such a file (object arrays are not read), arrays missing, unknown or of the wrong shape or type,
-            frames out of range or not ascending, or a range that is negative or infinite.
+    Raises DataError for missing, unknown or invalid arrays; object arrays are not read.
     """
     frame, ranges = _arrays(path)
     if frame.dtype.kind not in "iu" or frame.ndim != 1:
@@ -100,24 +95,24 @@ def read_scans(path: Path, scanner: Scanner, frames: int) -> Scans:
     if not fine.all():
         row, beam = np.argwhere(~fine)[0].tolist()
         what = f"scan {row}, beam {beam}: {float(metres[row, beam])!r} is not a range; a number from 0 up is needed"
-        raise DataError.at(path, f"{what} (0 or NaN: nothing came back)", column=RANGES)
+        raise DataError.at(path, f"{what} (0 or NaN: no return)", column=RANGES)
     return Scans(scanner, frame.astype(np.int64), with_returns(metres, scanner.max_range))
 
 
 def with_returns(ranges: Array, max_range: float) -> Array:
-    """Ranges [m] of any shape with 0 where nothing came back: NaN, and what is not below `max_range`."""
+    """Ranges [m] with 0 for no return: NaN, and what is not below `max_range`."""
     return np.where(ranges < max_range, ranges, 0.0)
 
 
 def scans_content(scans: Scans) -> bytes:
-    """The file: the same bytes for the same scans."""
+    """The file's bytes, reproducible."""
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, frame=scans.frame, ranges=scans.ranges)
     return buffer.getvalue()
 
 
 def _arrays(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
-    """Frame and ranges; no code of the file is run, and no array is made that the file does not hold."""
+    """Frame and ranges; runs no code of the file, and allocates no more than it holds."""
     try:
         if path.read_bytes()[:6] == np.lib.format.MAGIC_PREFIX:
             raise DataError.at(path, "one array; an npz file with frame and ranges is needed")
@@ -138,7 +133,7 @@ def _arrays(path: Path) -> tuple[NDArray[np.generic], NDArray[np.generic]]:
 
 
 def _array(archive: zipfile.ZipFile, name: str) -> NDArray[np.generic]:
-    """An array of an archive, its size compared with what its header says before there is room made for it."""
+    """An array of an archive; its size is compared with its header before it is allocated."""
     content = io.BytesIO(archive.read(f"{name}.npy"))
     version = np.lib.format.read_magic(content)
     read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
@@ -156,7 +151,7 @@ def _kind(array: NDArray[np.generic]) -> str:
 
 
 def _check_frames(path: Path, frame: NDArray[np.generic], frames: int) -> None:
-    number = frame.astype(np.float64)  # exact below 2^53, and order and range stay what they are above
+    number = frame.astype(np.float64)  # exact below 2^53, and monotone above
     out = (number < 0) | (number >= frames)
     if out.any():
         row = int(np.argmax(out))

@@ -1,4 +1,4 @@
-"""Write a log as an open log folder, format 1, that loads again with every number the same bit for bit."""
+"""Write a log as an open log folder, format 1; every number loads again bit for bit."""
 
 from __future__ import annotations
 
@@ -41,12 +41,11 @@ from data.whole import whole_folder
 def write_folder(log: Log, path: str | PathLike[str]) -> None:
     """Write `log` into the folder `path`, whose last component becomes the log's name; an older log there is replaced.
 
-    Always with frames.csv: calibration, preintegration and covariance floor are baked in. The folder is written beside
-    its final name, read back as a check, and moved into place, so an interruption leaves the old folder or the new one.
-    landmarks.csv is map and truth in one, so a log without a map that has true landmarks gets them as its map.
+    Increments are written (frames.csv), with calibration, preintegration and covariance floor applied. The folder is
+    written beside its final name, read back as a check, and moved into place. landmarks.csv is map and truth in one, so
+    a log with true landmarks but without a map gets them as its map.
 
-    Raises:
-        DataError: `path` holds something other than a log, cannot be written, or the log cannot be stated in format 1.
+    Raises DataError if `path` holds something else, cannot be written, or format 1 cannot hold the log.
     """
     target = Path(os.path.abspath(path))
     _require_replaceable(target)
@@ -66,17 +65,17 @@ def _require_replaceable(target: Path) -> None:
     if not target.exists() and not target.is_symlink():
         return
     if target.is_symlink() or not target.is_dir():
-        raise DataError.at(target, "exists and is not a folder; choose another name")
+        raise DataError.at(target, "exists and is not a folder; name another one")
     inside = sorted(p.name for p in target.iterdir())
     if inside and HEADER not in inside:
-        raise DataError.at(target, f"exists and is not a log folder (no {HEADER}); choose another name")
+        raise DataError.at(target, f"exists and is not a log folder (no {HEADER}); name another one")
     other = [name for name in inside if name not in FILES]
     if other:
-        raise DataError.at(target, f"holds {other[0]!r}, which is not part of a log; choose another name or move it")
+        raise DataError.at(target, f"holds {other[0]!r}, which is no part of a log; move it or name another folder")
 
 
 def contents(log: Log, name: str) -> dict[str, str]:
-    """Contents by file name, of a log under a name; scans aside."""
+    """Contents by file name, except scans, of a log under a name."""
     inputs, truth = log.recorded, log.truth
     increments, observations = inputs.increments, inputs.observations
     files = {HEADER: tomli_w.dumps(_header(log, name))}
@@ -90,39 +89,33 @@ def contents(log: Log, name: str) -> dict[str, str]:
             frames = np.column_stack([frames, truth.relations.frame_stamp])
     files[FRAMES] = _csv(frame_names, frames.tolist())
     R = observations.R
-    columns: list[Sequence[object]] = [
-        observations.frame.tolist(),
-        *np.column_stack([observations.z, R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]]).T.tolist(),
-    ]
-    names = ["frame", "z1", "z2", *NOISE]
+    numbers = np.column_stack([observations.z, R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]]).T.tolist()
+    columns: dict[str, Sequence[object]] = {"frame": observations.frame.tolist()}
+    columns |= dict(zip(("z1", "z2", *NOISE), numbers, strict=True))
     if truth.landmark_of is not None:
-        names.append("true_id")
-        columns.append(_or_blank(truth.landmark_of, UNKNOWN_ID))
+        columns["true_id"] = _or_blank(truth.landmark_of, UNKNOWN_ID)
     if log.label is not None:
-        names.append("label")
-        columns.append(_or_blank(log.label, UNLABELLED))
-    if inputs.scans is None or len(observations.frame) or len(names) > 3 + len(NOISE):
-        files[OBSERVATIONS] = _csv(names, zip(*columns, strict=True))
+        columns["label"] = _or_blank(log.label, UNLABELLED)
+    if inputs.scans is None or len(observations.frame) or len(columns) > 3 + len(NOISE):
+        files[OBSERVATIONS] = _csv(columns, zip(*columns.values(), strict=True))
     if truth.pose is not None:
         files[TRUTH] = _csv(POSE, truth.pose.tolist())
     landmarks = _landmarks(log)
     if landmarks is not None:
-        files[LANDMARKS] = _csv(
-            ("id", "x", "y"), zip(landmarks.id.tolist(), *landmarks.xy.reshape(-1, 2).T.tolist(), strict=True)
-        )
+        x, y = landmarks.xy.reshape(-1, 2).T.tolist()
+        files[LANDMARKS] = _csv(("id", "x", "y"), zip(landmarks.id.tolist(), x, y, strict=True))
     return files
 
 
 def _landmarks(log: Log) -> LandmarkMap | None:
-    """The one map the format has room for."""
+    """The only map that the format can hold."""
     known, true = log.recorded.map, log.truth.landmarks
-    if known is not None and true is not None:
-        if not (np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy)):
-            raise DataError(
-                f"log {log.name!r}: its map differs from its true landmarks; {LANDMARKS} can hold only one of them"
-            )
-        return known
-    return known if known is not None else true
+    if known is None or true is None:
+        return known if known is not None else true
+    if not (np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy)):
+        what = f"log {log.name!r}: its map differs from its true landmarks"
+        raise DataError(f"{what}; {LANDMARKS} can hold only one of them")
+    return known
 
 
 def _header(log: Log, name: str) -> dict[str, Any]:
@@ -165,7 +158,7 @@ def _csv(names: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
 
 
 def _plain(value: object) -> object:
-    """A value in the types that TOML has: what is None in a table is left out, text for whatever else (paths)."""
+    """A value in TOML's types: None in a table is dropped, others (paths) become text."""
     if isinstance(value, np.generic | np.ndarray):
         return _plain(value.tolist())
     if isinstance(value, bool | int | float | str):

@@ -1,1 +1,1 @@
-"""Recordings that others published: Victoria Park, the ESDE study."""
+"""Published recordings: CARMEN logs, ROS bags, Victoria Park, the ESDE study."""

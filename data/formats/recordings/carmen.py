@@ -1,24 +1,23 @@
-"""A CARMEN log (`.log` or `.clf`, also packed as `.gz`) as a laser log: odometry and range scans, no landmarks.
+"""A CARMEN log (`.log` or `.clf`, also as `.gz`) as a laser log: odometry and range scans, no landmarks.
 
-Every ODOM line is a frame, row k (from 0) being the k-th of them; where there is none, every scan is. A scan belongs
-to the ODOM line before it in line order, which is the true order: stamps of such logs come in bursts and go back.
+Every ODOM line is a frame; without any, every scan is. A scan belongs to the last ODOM line in line order, since stamps
+of such logs come in bursts and go back.
 
-Raw odometry is recovered from a log whose poses a particle filter has corrected: it states the corrected pose in each
-scan line that the filter used, at the instant of the ODOM line before it, and the ODOM lines up to the next one are
-that pose with the raw increments behind it. Some programs write the corrected pose once more, as an ODOM line without a
-stamp of its own, before the NEFF line.
+Raw odometry can be recovered from a log corrected by a particle filter. Each scan line that the filter used states its
+corrected pose, at the instant of the ODOM line before it; the following ODOM lines are that pose with raw increments.
+Some programs repeat the corrected pose as an ODOM line without a stamp, before the NEFF line.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
+import re
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from data.errors import DataError
 from data.formats.open_log.reader import read_relations
@@ -35,16 +34,16 @@ from data.formats.recordings.carmen_lines import (
 from data.formats.recordings.laser import laser_inputs
 from data.inputs import IntArray, Scanner, Scans
 from data.log import Log
-from data.se2 import Array, between, dead_reckoned, inverse, wrap_angle
+from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, wrap_angle
 from data.terminal import counted
 from data.truth import Truth
 
 
 def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
-    """The same lines with raw odometry from the first ODOM pose on, and a sentence about it.
+    """The same lines with raw odometry from the first ODOM pose on, and a note.
 
-    The raw increment into an ODOM line leads from the newest pose stated before it, be it corrected or not. ODOM lines
-    that state a corrected pose once more are left out. The poses of the scan lines stay as they are.
+    The raw increment into an ODOM line starts at the last pose stated before it, corrected or not. Repeated corrected
+    poses are dropped; poses of scan lines are kept.
     """
     odometry, scans = lines.odometry, lines.scans
     again = _stated_again(lines)
@@ -62,63 +61,55 @@ def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
     corrections = between(odometry.pose[before[before >= 0]], scans.robot[before >= 0])
     distance = np.hypot(corrections[:, 0], corrections[:, 1])
     moved = int(((distance > 0.0) | (corrections[:, 2] != 0.0)).sum())
-    said = (
+    note = (
         f"Raw odometry recovered: {moved} corrections undone, the largest {distance.max(initial=0.0):.3g} m; "
-        f"{int(again.sum())} ODOM lines that state a corrected pose once more were left out."
+        f"{int(again.sum())} ODOM lines that repeat a corrected pose dropped."
     )
-    return replace(lines, odometry=kept, neff=lines.neff[:0]), said
+    return replace(lines, odometry=kept, neff=lines.neff[:0]), note
 
 
-def _stated_again(lines: CarmenLines) -> NDArray[np.bool_]:
-    """Which ODOM lines (O,) state the pose of the scan line before them once more: no other line of a pose is between,
-    the pose is the same, and a NEFF line follows at once or the stamp is 0.
+def _stated_again(lines: CarmenLines) -> BoolArray:
+    """Which ODOM lines (O,) repeat the pose of the last scan line: no other pose is between, the pose is equal, and a
+    NEFF line follows or the stamp is 0.
     """
     odometry, scans = lines.odometry, lines.scans
     scan = np.searchsorted(scans.line, odometry.line) - 1
     first = np.append(True, scan[1:] != scan[:-1]) & (scan >= 0)
     same = (odometry.pose == scans.robot[np.maximum(scan, 0)]).all(axis=1)
     marked = np.isin(odometry.line + 1, lines.neff) | (odometry.stamp == 0.0)
-    stated: NDArray[np.bool_] = first & same & marked
-    return stated
+    return np.asarray(first & same & marked)
 
 
 ENDINGS = (".log", ".clf")
 RELATIONS = ".relations.csv"
 REACH = 80.0
-"""m. Reach of the laser scanners of these logs (SICK LMS 2xx), whose codes for no return begin at 81.83."""
+"""m, reach of the SICK LMS 2xx; its codes for no return begin at 81.83 m."""
 SIGMA = 0.01
-"""m, of a range: their resolution, which is above their noise (5 mm, data sheet of the LMS 200)."""
+"""m, of a range: the resolution, above the noise of 5 mm (data sheet of the LMS 200)."""
 PILE, BESIDE, STANDS_OUT = 1e-3, 0.01, 10
-"""The largest reading is a code for no return if it is this share of all, and there are this many times as many of it
-as of the readings less than this share below it."""
+"""The largest reading is a code for no return if it is the share PILE of all, and STANDS_OUT times as frequent as
+readings less than the share BESIDE below it."""
 OFFSET = "robot_frontlaser_offset"
 LARGEST_RANGE = ("laser_max_range", "robot_front_laser_max")
 """Parameters that state the reach."""
 NARROW = {101: 100.0, 201: 100.0, 401: 100.0}
-"""Beams of scanners that do not open 180 degrees."""
+"""Opening angle [deg] by number of beams, where it is not 180."""
 MOUNTED = 0.01
-"""m, rad. A laser whose pose on the robot varies more from scan to scan is not given by the line's two poses."""
+"""m, rad, largest variation of a laser's pose on the robot, as given by the line's two poses."""
 
 
 def log_name(path: Path) -> str:
     """The file's name without `.gz`, `.log`, `.clf`."""
-    name = path.name
-    for endings in ((".gz",), ENDINGS):
-        for ending in endings:
-            if name.lower().endswith(ending) and len(name) > len(ending):
-                name = name[: -len(ending)]
-                break
-    return name
+    return re.sub(r"(?i)(?<=.)\.(log|clf)$", "", re.sub(r"(?i)(?<=.)\.gz$", "", path.name))
 
 
 def is_named_carmen(path: Path) -> bool:
-    """Whether the file's name is one of a CARMEN log."""
-    name = path.name.lower()
-    return name.removesuffix(".gz").endswith(ENDINGS)
+    """Whether a file is named as a CARMEN log."""
+    return path.name.lower().removesuffix(".gz").endswith(ENDINGS)
 
 
 def is_carmen(path: Path) -> bool:
-    """Whether a file has the name of a CARMEN log, and a scan in it."""
+    """Whether a file is named as a CARMEN log, and holds a scan."""
     if not is_named_carmen(path) or not path.is_file():
         return False
     try:
@@ -129,36 +120,30 @@ def is_carmen(path: Path) -> bool:
 
 
 def relations_beside(path: Path) -> Path | None:
-    """The file of relations beside a log, `<name>.relations.csv`, or None."""
+    """`<name>.relations.csv` beside a log, or None."""
     beside = path.with_name(log_name(path) + RELATIONS)
     return beside if beside.is_file() else None
 
 
 def load_carmen(path: str | PathLike[str], relations: Path | None = None, *, undo_correction: bool = False) -> Log:
-    """A CARMEN log with the relations in a file, or in the file beside it.
+    """A CARMEN log with the relations in a file, or in the file beside it; `undo_correction` recovers raw odometry.
 
-    `undo_correction`: its poses are a particle filter's; the raw odometry is recovered from them (see
-    `data.formats.recordings.carmen`).
+    The prior is the first odometry pose, exactly; increments have the noise of `data.formats.recordings.laser`. The
+    first scan of a frame, nearest to its odometry, is kept. Times are the stamps made strictly increasing in line
+    order; `Relations.frame_stamp` are the recorded ones, a scan's before its frame's, since references relate scans.
 
-    The first pose is that of the odometry, exactly. Increments are those of the odometry, with the noise of
-    `data.formats.recordings.laser`. Of several scans of a frame the first is kept, the nearest to the frame's
-    odometry. Times are the stamps made strictly increasing in line order. `Relations.frame_stamp` are the stamps as
-    recorded, a frame's scan before its odometry: references tie relations to scans.
-
-    Raises:
-        DataError: the file cannot be read or unpacked, has no scan, or something is wrong in a line or in a row of
-            the relations.
+    Raises DataError for an unreadable file, one without a scan, or an invalid line or relation.
     """
     file = Path(path)
     content, sha256 = content_of(file)
     lines = parse_carmen(file, content)
-    said: list[str] = []
+    notes: list[str] = []
     if undo_correction:
         if not len(lines.odometry.line):
-            raise DataError.at(file, "no ODOM line; without one there is no raw odometry to recover")
-        lines, *said = without_corrections(lines)
+            raise DataError.at(file, "no ODOM line; recovering raw odometry needs them")
+        lines, *notes = without_corrections(lines)
     log = log_of(file, sha256, lines, relations or relations_beside(file))
-    return replace(log, notes=(*said, *log.notes))
+    return replace(log, notes=(*notes, *log.notes))
 
 
 def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None) -> Log:
@@ -171,7 +156,7 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None) 
         frame, pose, stamp = np.arange(len(scans.line)), scans.robot, scans.stamp
     kept = np.flatnonzero((frame >= 0) & np.append(True, frame[1:] != frame[:-1]))
     if len(kept) == 0:
-        raise DataError.at(file, "no scan after the first ODOM line; scans with odometry before them are needed")
+        raise DataError.at(file, "no scan after the first ODOM line; at least one is needed")
     scanner, of_scanner = _scanner(lines)
     raw = stamp.copy()
     raw[frame[kept]] = scans.stamp[kept]
@@ -188,28 +173,24 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None) 
 
 
 def _notes(lines: CarmenLines, frame: IntArray, kept: IntArray, stamp: Array) -> list[str]:
-    """What a reader should know, a sentence each."""
     notes = ["No ground truth: the prior is the first pose of the odometry."]
     if lines.left_out:
         notes.append("Lines left out: " + ", ".join(f"{n} {kind}" for kind, n in sorted(lines.left_out.items())) + ".")
-    early, dropped = int((frame < 0).sum()), len(frame) - len(kept)
+    scans, early, dropped = counted(len(frame), "scan"), int((frame < 0).sum()), len(frame) - len(kept)
     if early:
-        notes.append(f"{early} of {counted(len(frame), 'scan')} before the first ODOM line: left out.")
+        notes.append(f"{early} of {scans} before the first ODOM line: left out.")
     if dropped > early:
-        notes.append(
-            f"{dropped - early} of {counted(len(frame), 'scan')} after another without an ODOM line between: left out."
-        )
+        notes.append(f"{dropped - early} of {scans} after another without an ODOM line between: left out.")
     if (back := int((np.diff(stamp) <= 0.0).sum())) > 0:
-        notes.append(f"{back} of {len(stamp)} stamps do not increase; line order counts.")
+        notes.append(f"{back} of {len(stamp)} stamps do not increase; line order is used.")
     if len(lines.neff):
-        notes.append(
-            "Poses of a particle filter (NEFF lines): data.convert carmen --undo-correction recovers the odometry."
-        )
+        recover = "data.convert carmen --undo-correction recovers the odometry"
+        notes.append(f"Poses of a particle filter (NEFF lines): {recover}.")
     return notes
 
 
 def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str]]:
-    """The scanner, and what is to be said about it."""
+    """The scanner, and notes about it."""
     scans = lines.scans
     notes: list[str] = []
     mounting: Array
@@ -228,14 +209,14 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str]]:
     if mounting.any():
         x, y, turned = mounting[0], mounting[1], math.degrees(mounting[2])
         notes.append(f"The laser is mounted at ({x:.6g}, {y:.6g}) m, turned by {turned:.4g} deg.")
-    # p_scanner = R p_body + T is the body's pose as the laser sees it
+    # p_scanner = R p_body + T: the body's pose in the laser's frame
     tx, ty, turn = (float(v) + 0.0 for v in inverse(mounting))
     scanner = Scanner(low, step, largest, sigma, turn, (tx, ty))
     return scanner, [*notes, said]
 
 
 def beams_of(n: int) -> tuple[float, float]:
-    """Angle of the first beam and step [rad] of a FLASER line with n beams, which does not say: the first looks right.
+    """Angle of the first beam and step [rad] of a FLASER line with n beams, which states neither.
 
     From -90 degrees; an odd number reaches +90 (181: every degree, 361: every half), an even one stops a step before
     (180, 360). 101, 201 and 401 beams open 100 degrees.
@@ -245,10 +226,9 @@ def beams_of(n: int) -> tuple[float, float]:
 
 
 def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:
-    """The range [m] from which on a reading is no return, and a sentence that says why.
+    """The range [m] from which on a reading is no return, and a note.
 
-    What the log states; else the largest reading below 80 m if readings pile up there (a code for no return, or ranges
-    cut off); else 80 m.
+    It is the stated one; else the largest reading below 80 m if readings pile up there; else 80 m.
     """
     if stated is not None:
         return stated, f"No return: readings of {stated:g} m and more, as the log states."
@@ -262,12 +242,12 @@ def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:
 
 
 def _mounting(scans: ScanLines, offset: float | None) -> tuple[Array, list[str]]:
-    """Pose (3,) of the laser on the robot: from both poses of each line if they agree, else the parameter's."""
+    """Pose (3,) of the laser on the robot: from the two poses of each line if they are consistent, else the
+    parameter's.
+    """
     on_robot = between(scans.robot, scans.laser)
     middle = np.median(on_robot, axis=0)
     if float(np.median(np.abs(on_robot - middle).max(axis=1))) <= MOUNTED:
         return np.where(np.abs(middle) < 1e-5, 0.0, middle), []
-    stated = np.array([offset or 0.0, 0.0, 0.0])
-    return stated, [
-        "The two poses of ROBOTLASER1 lines do not keep their distance; the laser's place is the parameter's."
-    ]
+    note = "The distance of the two poses of ROBOTLASER1 lines varies; the laser's place is the parameter's."
+    return np.array([offset or 0.0, 0.0, 0.0]), [note]

@@ -1,6 +1,6 @@
-"""CARMEN log text, packed by gzip or not: lines of odometry and of a front laser as arrays.
+"""CARMEN log text, plain or gzip: lines of odometry and of a front laser as arrays.
 
-Fields are separated by blanks; a line is known by its first word:
+Fields are separated by blanks; the first word is the kind of line:
 
     PARAM name value ...                    a parameter of the robot
     ODOM x y theta tv rv accel              and the tail; pose of the robot [m, m, rad]
@@ -9,8 +9,8 @@ Fields are separated by blanks; a line is known by its first word:
                 x y theta  odom_x odom_y odom_theta  tv rv front side turn_axis      and the tail; angles [rad]
     the tail: ipc_timestamp host logger_timestamp [s]
 
-Any other line is left out and counted, but comments (#) and blank lines, which are not counted.
-Source: the CARMEN toolkit's log format (M. Montemerlo, N. Roy, S. Thrun), as its logs state it in their first lines.
+Other lines are counted and ignored; comments (#) and blank lines are not counted.
+Source: the CARMEN toolkit's log format (M. Montemerlo, N. Roy, S. Thrun), as stated at the head of its logs.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
-import math
 import zlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -28,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
-from data.formats.csv_table import Table, shown
+from data.formats.csv_table import Table, number_rows, shown
 from data.formats.open_log.scans import DENSEST, LARGE
 from data.inputs import IntArray
 from data.se2 import Array
@@ -38,7 +37,7 @@ SCANS = (FLASER, ROBOTLASER)
 POSES = ("x", "y", "theta", "odom_x", "odom_y", "odom_theta")
 HEAD = ("type", "start_angle", "fov", "resolution", "max_range", "accuracy", "remission_mode")
 GEOMETRY = slice(1, 4)
-"""Of `HEAD`: what may not change within a log."""
+"""Entries of `HEAD` that may not change within a log."""
 TAIL = 3
 """Fields at the end of a line: stamp, host, stamp of the logger."""
 ODOM_FIELDS = 1 + 6 + TAIL
@@ -46,7 +45,7 @@ ODOM_FIELDS = 1 + 6 + TAIL
 
 @dataclass(frozen=True)
 class OdometryLines:
-    """pose (O, 3) of the robot, stamp (O,) s, line (O,) of the file."""
+    """pose (O, 3) of the robot, stamp (O,) s, line (O,) in the file."""
 
     pose: Array
     stamp: Array
@@ -62,7 +61,7 @@ class ScanLines:
         ranges: (S, B) m, as in the file.
         laser, robot: (S, 3) poses of laser and robot in the odometry frame.
         stamp: (S,) s.
-        line: (S,) of the file.
+        line: (S,) in the file.
         head: (S, 7) the numbers `HEAD` of each line (ROBOTLASER1), else None.
     """
 
@@ -77,13 +76,13 @@ class ScanLines:
 
 @dataclass(frozen=True)
 class CarmenLines:
-    """What a file holds.
+    """The contents of a file.
 
     Attributes:
         odometry, scans: its lines.
-        parameters: values of PARAM lines that are numbers.
-        left_out: how many lines of each other kind there are.
-        neff: (K,) lines that state a particle filter's effective number of particles: the poses are its own.
+        parameters: numeric values of PARAM lines.
+        left_out: counts of other lines by kind.
+        neff: (K,) lines with a particle filter's effective number of particles: the poses are the filter's.
     """
 
     odometry: OdometryLines
@@ -94,12 +93,9 @@ class CarmenLines:
 
 
 def parse_carmen(path: Path, content: bytes) -> CarmenLines:
-    """Lines of a log. Where it holds scans of both kinds (a logger may write each scan twice), those of the more
-    frequent kind are taken, of ROBOTLASER1 where there are as many; the others count as left out.
+    """Lines of a log, with the scans of the more frequent kind (ROBOTLASER1 if equal); a logger may write both.
 
-    Raises:
-        DataError: no scan, a line with too few or too many fields, a field that is not a number, a range that is
-            negative or NaN, or a line whose beams differ from those of the first.
+    Raises DataError for a log without scans, a line with wrong fields, or beams that change.
     """
     found: dict[str, tuple[list[int], list[list[bytes]]]] = {kind: ([], []) for kind in (ODOM, *SCANS)}
     words = {kind.encode(): found[kind] for kind in found}
@@ -147,10 +143,8 @@ def _odometry(path: Path, lines: list[int], rows: list[list[bytes]]) -> Odometry
     chosen = []
     for line, fields in zip(lines, rows, strict=True):
         if len(fields) != ODOM_FIELDS:
-            what = (
-                f"{ODOM} with {len(fields)} fields; {ODOM_FIELDS} are needed (x y theta tv rv accel stamp host stamp)"
-            )
-            raise DataError.at(path, what, line=line)
+            right = f"{ODOM_FIELDS} are needed (x y theta tv rv accel stamp host stamp)"
+            raise DataError.at(path, f"{ODOM} with {len(fields)} fields; {right}", line=line)
         chosen.append([*fields[1:4], fields[7]])
     table = _table(path, lines, chosen, names)
     table.require_finite(names)
@@ -169,7 +163,7 @@ def _count(path: Path, line: int, kind: str, fields: list[bytes], at: int, what:
 
 
 def _complete(path: Path, line: int, kind: str, fields: list[bytes], needed: int, because: str) -> None:
-    """Raise unless a line has as many fields as its counts say."""
+    """Raise unless a line has the number of fields that its counts imply."""
     if len(fields) != needed:
         hint = " (was the line cut off?)" if len(fields) < needed else ""
         raise DataError.at(path, f"{kind} with {len(fields)} fields; {because} take {needed}{hint}", line=line)
@@ -189,8 +183,7 @@ def _flaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLines:
     for line, fields, n in zip(lines, rows, counts, strict=True):
         _complete(path, line, FLASER, fields, 2 + n + len(POSES) + TAIL, f"{n} beams, two poses and stamps")
     _same_beams(path, FLASER, lines, counts)
-    n = counts[0]
-    return _scans(path, FLASER, lines, [f[2:-2] for f in rows], n)
+    return _scans(path, FLASER, lines, [f[2:-2] for f in rows], counts[0])
 
 
 def _robotlaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLines:
@@ -213,17 +206,15 @@ def _robotlaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLi
     table.require(table.columns["max_range"] > 0.0, "max_range", "{} m; a number above 0 is needed")
     head = table.stack(HEAD)
     for i in range(GEOMETRY.start, GEOMETRY.stop):
-        fine = np.abs(head[:, i] - head[0, i]) <= 1e-6
-        table.require(
-            fine, HEAD[i], f"{{}} differs from {float(head[0, i])!r} in line {lines[0]}; one geometry is needed"
-        )
+        what = f"{{}} differs from {float(head[0, i])!r} in line {lines[0]}; one geometry is needed"
+        table.require(np.abs(head[:, i] - head[0, i]) <= 1e-6, HEAD[i], what)
     return replace(_scans(path, ROBOTLASER, lines, chosen, counts[0]), head=head)
 
 
 def _scans(path: Path, kind: str, lines: list[int], rows: list[list[bytes]], n: int) -> ScanLines:
-    """Scans from the fields of each line: n ranges, six numbers of poses, the stamp. A range may be infinite."""
+    """Scans from the fields of each line: n ranges (may be infinite), six numbers of poses, the stamp."""
     names = (*(f"range {i}" for i in range(1, n + 1)), *POSES, "stamp")
-    values = _numbers(path, lines, rows, names)
+    values = number_rows(path, lines, rows, names)
     numbers = np.array(lines, np.int64)
     ranges = values[:, :n]
     fine = ranges >= 0.0  # false for NaN
@@ -238,50 +229,22 @@ def _scans(path: Path, kind: str, lines: list[int], rows: list[list[bytes]], n: 
 
 
 def _table(path: Path, lines: list[int], rows: list[list[bytes]], names: Sequence[str]) -> Table:
-    values = _numbers(path, lines, rows, names)
+    values = number_rows(path, lines, rows, names)
     return Table(path, dict(zip(names, values.T, strict=True)), line=np.array(lines, np.int64))
 
 
-def _numbers(path: Path, lines: list[int], rows: list[list[bytes]], names: Sequence[str]) -> Array:
-    """Fields (K, len(names)) as numbers, NaN and infinity included."""
-    values = np.empty((len(rows), len(names)))
-    for k, row in enumerate(rows):
-        try:
-            values[k] = list(map(float, row))
-        except ValueError:
-            raise _not_a_number(path, lines[k], row, names) from None
-        if b"_" in b"".join(row):  # Python reads 1_0 as ten
-            raise _not_a_number(path, lines[k], row, names)
-    return values
-
-
-def _not_a_number(path: Path, line: int, row: list[bytes], names: Sequence[str]) -> DataError:
-    for name, field in zip(names, row, strict=True):
-        try:
-            fine = b"_" not in field and not math.isnan(float(field))
-        except ValueError:
-            fine = False
-        if not fine:
-            return DataError.at(path, f"{shown(field)} is not a number", line=line, column=name)
-    raise AssertionError("called for a line whose fields are all numbers")
-
-
 PART = 1 << 16
-"""Bytes that are unpacked at a time."""
+"""Bytes unpacked at a time."""
 
 
 def content_of(path: Path) -> tuple[bytes, str]:
-    """Bytes of a file, unpacked if its name ends in .gz, and the SHA-256 of the file as it is.
-
-    Raises:
-        DataError: the file cannot be read or unpacked.
-    """
+    """Contents of a file, unpacked if its name ends in .gz, and its SHA-256 as it is; DataError if unreadable."""
     try:
         packed = path.read_bytes()
         content = _unpacked(path, packed) if path.suffix.lower() == ".gz" else packed
         return content, hashlib.sha256(packed).hexdigest()
     except gzip.BadGzipFile:
-        raise DataError.at(path, "not a gzip file, though named so; pack it, or name it without .gz") from None
+        raise DataError.at(path, "not a gzip file; compress it, or rename it without .gz") from None
     except (EOFError, zlib.error) as error:
         raise DataError.at(path, f"the gzip file is broken or cut off ({error}); a whole one is needed") from None
     except OSError as error:
@@ -289,7 +252,7 @@ def content_of(path: Path) -> tuple[bytes, str]:
 
 
 def _unpacked(path: Path, packed: bytes) -> bytes:
-    """The content of a gzip file, which logs are a fifth or so of; more than any log is not unpacked."""
+    """The content of a gzip file; logs pack to about a fifth, so much larger contents are refused."""
     most = max(LARGE, DENSEST * len(packed))
     parts, length = [], 0
     with gzip.open(io.BytesIO(packed)) as file:
@@ -298,5 +261,5 @@ def _unpacked(path: Path, packed: bytes) -> bytes:
             length += len(part)
             if length > most:
                 what = f"{len(packed)} bytes that unpack to more than {most}"
-                raise DataError.at(path, f"{what}; logs pack to a fifth or so")
+                raise DataError.at(path, f"{what}; logs pack to about a fifth")
     return b"".join(parts)

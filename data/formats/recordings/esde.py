@@ -1,4 +1,4 @@
-"""One recorded EKF-SLAM run of a published study with the NEES its filters had: a `results.mat` made log and yardstick.
+"""A recorded EKF-SLAM run of a published study with the NEES of its filters: a `results.mat` as log and reference.
 
 Source: M. Brossard, A. Barrau, S. Bonnabel, "Exploiting Symmetries to Design EKFs With Consistency Properties for
 Navigation and SLAM", IEEE Sensors Journal 19(4), 2019; the file is `simulations/results.mat` of its public code. It
@@ -25,9 +25,9 @@ from data.truth import Truth
 
 NAME = "results.mat"
 LEAST = float(np.sqrt(np.finfo(float).tiny))
-"""m; the variance of a smaller standard deviation is no normal number."""
+"""m; the variance of a smaller standard deviation underflows."""
 RUN = 1
-"""Row of the per-run arrays that the inputs belong to."""
+"""Row of the inputs' run in per-run arrays."""
 STORED = {"ekf": "neesR_std", "ekf-invariant": "neesR_iekf"}
 NEEDED = ("v_m", "omega_m", "z", "xR_true", "xL_true_fixed", "sigma_v", "sigma_w", "sigma_p", *STORED.values())
 
@@ -58,7 +58,7 @@ def find_esde(folders: list[Path]) -> Path | None:
 
 
 def load_esde(path: Path) -> StoredRun:
-    """Read the recording; DataError where the file is not one."""
+    """Read the recording; DataError for any other file."""
     content = path.read_bytes()
     # not by scipy, which a damaged file can make crash
     m = {v.name: read(v) for v in variables(path) if v.name in NEEDED}
@@ -78,7 +78,7 @@ def load_esde(path: Path) -> StoredRun:
     if not a["sigma_p"].flat[0] >= LEAST or a["sigma_v"].size != 1 or a["sigma_w"].size != 1:
         raise DataError(f"{path}: sigma_v and sigma_w are numbers, sigma_p is above 0")
     if not (z[2] == np.floor(z[2])).all():
-        raise DataError(f"{path}: variable z names landmarks by what are no whole numbers")
+        raise DataError(f"{path}: variable z has landmark ids that are no whole numbers")
     return StoredRun(
         v=a["v_m"].ravel(),
         omega=a["omega_m"].ravel(),
@@ -94,31 +94,29 @@ def load_esde(path: Path) -> StoredRun:
 
 
 def _numbers(path: Path, name: str, value: Value) -> Array:
-    """An array of numbers, at least one; all but those of the NEES are finite, and none absurdly large."""
+    """An array of numbers; all but those of the NEES are finite and at most `LARGEST`."""
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or not value.size:
         raise DataError(f"{path}: variable {name} does not hold numbers")
     if name not in STORED.values() and not (np.abs(value) <= LARGEST).all():
-        raise DataError(f"{path}: variable {name} holds what is no number, or one too large")
+        raise DataError(f"{path}: variable {name} holds a value that is not finite or too large")
     return value
 
 
 def _fits(shape: tuple[int, ...], needed: tuple[int | None, ...]) -> bool:
-    """Whether a shape is the one needed; None is any side that holds all runs up to `RUN`."""
-    return len(shape) == len(needed) and all(
-        n > RUN if w is None else n == w for n, w in zip(shape, needed, strict=True)
-    )
+    """Whether a shape is the needed one; None: any length above `RUN`."""
+    pairs = zip(shape, needed, strict=False)
+    return len(shape) == len(needed) and all(n > RUN if w is None else n == w for n, w in pairs)
 
 
 def log_of(run: StoredRun, name: str, *, speed_noise: str = "start", floor: float = 0.0) -> Log:
-    """The recording as a log; the measurement of the first step is not used there, nor here.
+    """The recording as a log, without the measurement of the first step, which the study does not use.
 
     Args:
         run: the recording.
         name: of the log.
-        speed_noise: whether the noise of the speed acts along the heading at the `start` or at the `end` of a step (the
-            study's invariant filter takes the end).
-        floor: m^2, rad^2, added where a covariance of an increment is singular (all are: speed and turn rate only);
-            smoothers need one.
+        speed_noise: whether speed noise acts along the heading at the `start` or `end` of a step (the study's invariant
+            filter uses the end).
+        floor: m^2, rad^2, floor of the increments' covariances, which are all singular; smoothers need one.
     """
     n = len(run.v)
     mean = np.zeros((n, 3))

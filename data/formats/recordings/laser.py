@@ -1,7 +1,4 @@
-"""What the estimators get of a recorded laser robot: increments of its odometry, its scans, and no observations.
-
-Increments of a robot from the poses of its wheel odometry, with the noise that wheels have.
-"""
+"""Estimator inputs of a recorded laser robot: odometry increments with wheel noise, scans, and no observations."""
 
 from __future__ import annotations
 
@@ -17,16 +14,15 @@ from data.sensors import RangeBearing
 TRANSLATION_PER_METRE, TRANSLATION_PER_RADIAN = 0.05, 0.05
 """m / sqrt(m), m / sqrt(rad)."""
 ROTATION_PER_METRE, ROTATION_PER_RADIAN = 0.075, 0.045
-"""rad / sqrt(m), rad / sqrt(rad). All four are measured: the largest-likelihood fit of the variances to the difference
-between raw odometry and the poses of a particle filter over the 909 stretches between corrections of the Intel log
-(median 0.7 m, 0.5 rad): 0.051 and 0.033 along, 0.032 and 0.072 across, 0.075 and 0.043 in heading; standardised,
-the errors have a fourth moment of 3.8, 3.0 and 3.9, a Gaussian's being 3."""
+"""rad / sqrt(m), rad / sqrt(rad). Maximum-likelihood fit to raw odometry against particle filter poses, over the 909
+stretches between corrections of the Intel log: 0.051 and 0.033 along, 0.032 and 0.072 across, 0.075 and 0.043 in
+heading."""
 FLOOR = 1e-10
 """Smallest eigenvalue of an increment's covariance, for a robot at rest [m^2, rad^2]."""
 
 
 class TravelNoise(NamedTuple):
-    """Odometry noise that grows with the way: standard deviations per square root of a metre and of a radian.
+    """Odometry noise that grows with travel: standard deviations per sqrt(m) and per sqrt(rad).
 
     `translation_*` of the motion along and across [m / sqrt(m), m / sqrt(rad)], `rotation_*` of the heading
     [rad / sqrt(m), rad / sqrt(rad)].
@@ -44,10 +40,9 @@ MEASURED = TravelNoise()
 def increments_of(pose: Array, noise: TravelNoise = MEASURED) -> tuple[Increments, int]:
     """Increments (N) between odometry poses (N, 3), and how many got the covariance floor.
 
-    Variances grow with the distance d and the turn |a| of an increment: those along and across by
-    0.05^2 d + 0.05^2 |a|, that of the heading by 0.075^2 d + 0.045^2 |a| (with the default noise). It is the
-    four-parameter model of Probabilistic Robotics, section 5.4, with variances instead of sigmas in proportion to the
-    motion, so that an increment cut in two has the same total however often odometry is logged.
+    Variances grow with the distance d and the turn |a| of an increment: along and across 0.05^2 d + 0.05^2 |a|, of the
+    heading 0.075^2 d + 0.045^2 |a| (with the default noise). It is the four-parameter model of Probabilistic Robotics,
+    section 5.4, with additive variances, so that splitting an increment does not change the total.
     """
     mean = np.zeros((len(pose), 3))
     mean[1:] = between(pose[:-1], pose[1:])
@@ -62,8 +57,8 @@ def increments_of(pose: Array, noise: TravelNoise = MEASURED) -> tuple[Increment
 
 
 def made_increasing(stamp: Array) -> Array:
-    """Stamps (N,) in the order they were recorded as strictly increasing times: one that is not above all before it
-    becomes the largest before it plus 1 us (or the next number there is, where 1 us is lost to rounding).
+    """Stamps (N,) in recorded order made strictly increasing: one that is not above all before it becomes the largest
+    before it plus 1 us, or the next float.
     """
     time = np.array(stamp, float)
     for i in range(1, len(time)):
@@ -73,10 +68,9 @@ def made_increasing(stamp: Array) -> Array:
 
 
 def laser_inputs(pose: Array, stamp: Array, scans: Scans) -> Inputs:
-    """Inputs from odometry poses (N, 3) and stamps (N,) [s] in the order they were recorded, and scans.
+    """Inputs from odometry poses (N, 3) and stamps (N,) [s] in recorded order, and scans.
 
-    The first pose is that of the odometry, exactly: nothing else fixes the frame of the map. Times are the stamps made
-    strictly increasing.
+    The first pose is the odometry's, exactly. Times are the stamps made strictly increasing.
     """
     increments, floored = increments_of(pose)
     return Inputs(

@@ -1,4 +1,4 @@
-"""A ROS bag as a laser log: every scan is a frame, with the odometry at its stamp; tf says where the laser is.
+"""A ROS bag as a laser log: every scan is a frame, with interpolated odometry; tf gives the laser's mounting.
 
 Needs `rosbags`.
 """
@@ -46,36 +46,37 @@ class Transform:
 
 
 def heading(q: Quaternion) -> float:
-    """Heading [rad] of a rotation: the angle of its x axis in the plane; NaN if the quaternion is none."""
+    """Heading [rad] of a rotation: the angle of its x axis in the plane; NaN for an invalid quaternion."""
     R = rotation_of(q)
     return math.atan2(R[1, 0], R[0, 0])
 
 
-def rotation_of(q: Quaternion) -> Array:
-    """Rotation matrix (3, 3) of a quaternion of any length above 0; NaN for one of length 0."""
-    x, y, z, w = np.array(q, float) / (math.sqrt(sum(v * v for v in q)) or math.nan)
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+def rotation_of(q: Quaternion | Array) -> Array:
+    """Rotation matrices (..., 3, 3) of quaternions (..., 4); NaN for length 0."""
+    values = np.asarray(q, float)
+    length = np.sqrt(np.sum(values * values, axis=-1, keepdims=True))
+    x, y, z, w = np.moveaxis(values / np.where(length > 0.0, length, np.nan), -1, 0)
+    rows = [
+        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
+        [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
+        [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
 @dataclass
 class Transforms:
-    """The first transform stated for each frame to its parent: a laser's does not move."""
+    """The first transform stated for each frame to its parent; a laser's is static."""
 
     parent: dict[str, tuple[str, Transform]] = field(default_factory=dict)
 
     def add(self, parent: str, child: str, translation: Vector, rotation: Quaternion) -> None:
-        """Keep what is stated about a frame, unless something was before."""
+        """Keep a frame's transform, unless there is one."""
         entry = (_name(parent), Transform(rotation_of(rotation), np.array(translation, float)))
         self.parent.setdefault(_name(child), entry)
 
     def between(self, target: str, source: str) -> Transform | None:
-        """p_target = R p_source + t, by the frames above both; None where they are not connected."""
+        """p_target = R p_source + t through a common ancestor; None without one."""
         up, down = self._chain(target), self._chain(source)
         for name, to_common in up.items():
             if name in down:
@@ -83,12 +84,12 @@ class Transforms:
         return None
 
     def _chain(self, name: str) -> dict[str, Transform]:
-        """The frame itself and each above it, with the transform from the frame to it."""
+        """The frame and its ancestors, with the transform from the frame to each."""
         name, so_far = _name(name), Transform(np.eye(3), np.zeros(3))
         chain = {name: so_far}
         while name in self.parent:
             name, step = self.parent[name]
-            if name in chain:  # a circle
+            if name in chain:  # a cycle
                 break
             so_far = step @ so_far
             chain[name] = so_far
@@ -96,7 +97,7 @@ class Transforms:
 
 
 def _name(frame: str) -> str:
-    """ROS 1 wrote names with a slash in front."""
+    """Frame name without the leading slash of ROS 1."""
     return frame.lstrip("/")
 
 
@@ -108,15 +109,15 @@ GEOMETRY = ("angle_min", "angle_increment", "range_min", "range_max")
 
 @dataclass(frozen=True)
 class Bag:
-    """What a log needs of a bag, in the order of recording.
+    """The parts of a bag that a log needs, in recorded order.
 
     Attributes:
-        scan_topic, odometry_topic: where it comes from.
+        scan_topic, odometry_topic: their topics.
         scan_stamp, odometry_stamp: (S,), (O,) s.
         geometry: numbers of `GEOMETRY`, the same in every scan.
         ranges: (S, B) m, as in the messages.
         pose: (O, 3) of the robot.
-        mounting: of the laser's frame in the robot's, None where the bag does not say.
+        mounting: of the laser's frame in the robot's, None if unknown.
         frames: names of the robot's frame and of the laser's.
     """
 
@@ -132,12 +133,11 @@ class Bag:
 
 
 def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | None = None) -> Bag:
-    """Read a bag; a topic may be left out where there is only one of its kind.
+    """Read a bag; a topic may be left out if it is the only one of its kind.
 
     Raises:
-        UsageError: `rosbags` is not installed, or a topic is not in the bag, or not the only one of its kind.
-        DataError: not a bag, or a broken one; no message; a scan that differs from the first in beams or geometry, or
-            a number in it that makes no sense.
+        UsageError: `rosbags` is not installed, or a topic is missing or ambiguous.
+        DataError: no bag, a damaged one, no message, or an invalid scan.
     """
     with opened(path) as reader:
         topics = {c.topic: c.msgtype for c in reader.connections}
@@ -155,44 +155,43 @@ BROKEN = (
     *(OSError, ValueError, LookupError, EOFError, RuntimeError, ArithmeticError, AssertionError),
     *(AttributeError, TypeError, SyntaxError, MemoryError, StopIteration, struct.error),
 )
-"""What `rosbags` raises for bytes that are not what they should be, beside its own errors; a bag brings the definitions
-of its messages along, so that a field may be missing, or be anything."""
+"""Errors of `rosbags` for damaged bytes, besides its own; a bag defines its messages, so a field may be missing or have
+any type."""
 
 
 @contextmanager
-def said(path: Path) -> Iterator[None]:
-    """What goes wrong in the library, or because a message is not what its type says, is a DataError."""
+def _reported(path: Path) -> Iterator[None]:
+    """Errors of the library, or of an unexpected message, become a DataError."""
     from data.formats.recordings.ros_bounded import LIBRARY
 
     try:
         yield
     except (*LIBRARY, *BROKEN) as error:
         what = " ".join(str(error).split())[:120] or type(error).__name__
-        raise DataError.at(
-            path, f"not a bag that can be read ({what}); a whole .bag, .mcap or .db3 is needed"
-        ) from None
+        right = "a whole .bag, .mcap or .db3 is needed"
+        raise DataError.at(path, f"not a bag that can be read ({what}); {right}") from None
 
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """A reader of the bag, within bounds; what goes wrong in it is a DataError."""
+    """A reader of the bag, within bounds; its errors become a DataError."""
     try:
         from data.formats.recordings.ros_bounded import any_reader, bounded
     except ImportError as error:
         raise UsageError(f"rosbag needs the package rosbags ({error}): pip install 'slamref[ros]'") from None
     if not path.exists():
         raise DataError.at(path, "no such bag; a .bag file, a folder of ROS 2, or its .mcap or .db3 is needed")
-    with bounded(), said(path), any_reader(path, {SCAN, ODOMETRY, TRANSFORMS}) as reader:
+    with bounded(), _reported(path), any_reader(path, {SCAN, ODOMETRY, TRANSFORMS}) as reader:
         yield reader
 
 
 def _topic(path: Path, topics: dict[str, str], kind: str, wanted: str | None, flag: str) -> str:
-    """The topic asked for, or the only one of a kind."""
+    """The requested topic, or the only one of a kind."""
     of_kind = sorted(topic for topic, t in topics.items() if t == kind)
     there = f"{SHORT[kind]}: {', '.join(of_kind) or 'none'}"
     if wanted is None:
         if len(of_kind) != 1:
-            raise UsageError(f"{path}: {flag} TOPIC is needed, as there is not one topic of {there}")
+            raise UsageError(f"{path}: {flag} TOPIC is needed, because the topic is ambiguous; {there}")
         return of_kind[0]
     if wanted not in topics:
         raise UsageError(f"{flag} {wanted}: no such topic in {path}; of {there}")
@@ -215,7 +214,7 @@ class _Messages:
         self.frames = ["", ""]
 
     def add(self, topic: str, message: Any, recorded: float) -> None:
-        """One message; `recorded`: when it was written [s], which stands in for a stamp that was never set."""
+        """Add a message; `recorded`: the time it was written [s], which replaces a missing stamp."""
         if topic == self.scan_topic:
             self._scan(message, recorded)
         elif topic == self.odometry_topic:
@@ -231,7 +230,7 @@ class _Messages:
         ranges = np.asarray(message.ranges, np.float64)
         if not self.ranges:
             if not np.isfinite(list(geometry.values())).all() or geometry["angle_increment"] == 0.0 or not len(ranges):
-                raise self._error(number, f"{geometry} with {len(ranges)} beams is no scan")
+                raise self._error(number, f"{geometry} with {len(ranges)} beams is no scan; finite numbers are needed")
             if not geometry["range_max"] > max(geometry["range_min"], 0.0):
                 raise self._error(number, f"range_max {geometry['range_max']:g} m; a number above range_min is needed")
             self.geometry, self.frames[1] = geometry, message.header.frame_id
@@ -277,28 +276,24 @@ class _Messages:
 
 
 def stamp_of(message: Any, recorded: float) -> float:
-    """s; `sec` is `secs` nowhere: rosbags names the fields of both versions alike."""
+    """Stamp of a message [s], or the time it was recorded."""
     stamp = message.header.stamp
     return float(stamp.sec + 1e-9 * stamp.nanosec) if stamp.sec or stamp.nanosec else recorded
 
 
 SIGMA = 0.01
-"""m, of a range, which messages do not state: the accuracy of the better small scanners; most state 1 to 3 cm."""
+"""m, of a range, which messages do not state; small scanners state 1 to 3 cm."""
 LONG = 1.0
-"""s between two poses of the odometry, over which it is interpolated all the same, but counted."""
+"""s; longer gaps of the odometry are counted."""
 SMALL = 1e-3
-"""Share of a laser's tilt that is taken for none: the cosine may miss 1 by so much (2.6 degrees)."""
+"""Largest deviation of the tilt's cosine from 1 (2.6 degrees)."""
 
 
 def log_of(path: Path, bag: Bag) -> Log:
     """The log: frames are the scans within the span of the odometry, which is interpolated at their stamps.
 
-    Odometry may come far more often than scans, or a little before and after them; scan matching needs the pose at the
-    scan. Scans are taken in the order of their stamps. A reading below range_min, not below range_max, infinite or NaN
-    is no return, as sensor_msgs/LaserScan has it.
-
-    Raises:
-        DataError: no scan within the span of the odometry, or a laser that is not level.
+    Scans are taken in the order of their stamps. A range below range_min, not below range_max, infinite or NaN is no
+    return, as in sensor_msgs/LaserScan. DataError without a scan within the odometry, or if the laser is not level.
     """
     scanner, note = _scanner(path, bag)
     time, first = np.unique(bag.odometry_stamp, return_index=True)
@@ -318,9 +313,8 @@ def log_of(path: Path, bag: Bag) -> Log:
         note,
     ]
     if not inside.all():
-        notes.append(
-            f"{int((~inside).sum())} of {counted(len(inside), 'scan')} outside the span of the odometry: left out."
-        )
+        scans_of = f"{int((~inside).sum())} of {counted(len(inside), 'scan')}"
+        notes.append(f"{scans_of} outside the span of the odometry: left out.")
     after = np.clip(np.searchsorted(time, stamp), 1, len(time) - 1)
     far = int((time[after] - time[after - 1] > LONG).sum()) if len(time) > 1 else 0
     if far:
@@ -333,11 +327,11 @@ def log_of(path: Path, bag: Bag) -> Log:
 
 
 def _scanner(path: Path, bag: Bag) -> tuple[Scanner, str]:
-    """The scanner on the robot, and a sentence about where it is."""
+    """The scanner on the robot, and a note about its place."""
     g, robot, laser = bag.geometry, *bag.frames
     low, step = g["angle_min"], g["angle_increment"]
     if bag.mounting is None:
-        text = f"Where {laser!r} is on {robot!r} is not in the bag: it is taken to be at its origin."
+        text = f"The bag does not state the pose of {laser!r} on {robot!r}: the origin is assumed."
         return Scanner(low, step, g["range_max"], SIGMA), text
     R, t = bag.mounting.R, bag.mounting.t
     if not abs(abs(R[2, 2]) - 1.0) <= SMALL:
@@ -348,7 +342,5 @@ def _scanner(path: Path, bag: Bag) -> tuple[Scanner, str]:
         low, step = -low, -step
     turn = float(np.arctan2(R[1, 0], R[0, 0]))
     tx, ty, rotation = (float(v) + 0.0 for v in inverse(np.array([t[0], t[1], turn])))
-    place = (
-        f"at ({t[0]:.4g}, {t[1]:.4g}) m, turned by {np.degrees(turn):.4g} deg{', upside down' if upside_down else ''}"
-    )
+    place = f"at ({t[0]:.4g}, {t[1]:.4g}) m, turned by {np.degrees(turn):.4g} deg{', upside down' * bool(upside_down)}"
     return Scanner(low, step, g["range_max"], SIGMA, rotation, (tx, ty)), f"The laser is mounted {place}."

@@ -1,6 +1,6 @@
-"""rosbags, made to believe no number in a file beyond what is there: no read past its end, no chunk larger than stated.
+"""rosbags within bounds: no read past the end of a file, no chunk larger than stated.
 
-The library makes room for what a length says and unpacks whatever comes; a damaged bag would take gigabytes.
+The library allocates any stated length and unpacks everything; a damaged bag would take gigabytes.
 """
 
 from __future__ import annotations
@@ -39,37 +39,35 @@ from data.formats.open_log.scans import DENSEST, LARGE
 
 lz4: Any = import_module("lz4.frame")
 zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
-"""As the library has it."""
+"""The library's own module."""
 LIBRARY = (
     *(AnyReaderError, Reader1Error, Reader2Error, SerdeError, TypesysError),
     *(YAMLError, apsw.Error, zstd.ZstdError),
 )
-"""Errors of the library, and of those that it reads YAML, SQLite and zstd with."""
+"""Errors of the library, and of its readers of YAML, SQLite and zstd."""
 MADE_FOR = "0.11"
-"""Of rosbags: its readers use these names."""
+"""Version of rosbags with the replaced names."""
 PART = 1 << 18
-"""Bytes that are unpacked at a time."""
+"""Bytes unpacked at a time."""
 ZSTD_WINDOW = 23
-"""Logarithm of the largest window that a zstd frame may ask for: 8 MB, which RFC 8878 recommends to support."""
+"""log2 of the largest window of a zstd frame: 8 MB, as RFC 8878 recommends."""
 DEEPEST = 100
-"""Brackets in brackets of YAML; the metadata of a bag has a few."""
+"""Deepest nesting of YAML."""
 
 
 class TooLargeError(ValueError):
-    """What unpacks to more than it says, or to more than any log does."""
+    """Content that unpacks to more than stated, or more than any log."""
 
 
 def most_of(size: int) -> int:
-    """Bytes that so many packed ones may become: no log packs better."""
+    """Most bytes that so many packed ones may become."""
     return max(LARGE, DENSEST * size)
 
 
 def unpacking(make: Callable[[], Any], packed: Iterable[bytes], most: int) -> Iterator[bytes]:
-    """All streams in parts of some bytes, part by part, by decompressors that `make` makes.
+    """All packed streams, part by part, by decompressors from `make`.
 
-    Raises:
-        TooLargeError: more than `most` bytes.
-        EOFError: they are cut off.
+    Raises TooLargeError for more than `most` bytes, EOFError if they are cut off.
     """
     stream, length = None, 0
     for rest in packed:
@@ -89,7 +87,7 @@ def unpacking(make: Callable[[], Any], packed: Iterable[bytes], most: int) -> It
 
 
 def unpacked(make: Callable[[], Any], packed: bytes, stated: int | None = None) -> bytes:
-    """All of it, as by `unpacking`, of `stated` bytes at most; TooLargeError if these are more than logs pack to."""
+    """The whole content, at most `stated` bytes; TooLargeError if that exceeds what logs pack to."""
     most = most_of(len(packed))
     if stated is not None and stated > most:
         raise TooLargeError(f"{len(packed)} bytes that say they unpack to {stated}")
@@ -104,7 +102,7 @@ MAKE: dict[str, Callable[[], Any]] = {"bz2": bz2.BZ2Decompressor, "lz4": lz4.LZ4
 
 
 class _File(io.BufferedReader):
-    """Reads what is there, and makes room for no more."""
+    """Allocates no more than the file holds."""
 
     def read(self, size: int | None = -1, /) -> bytes:
         if size is not None and size > PART:
@@ -122,7 +120,7 @@ class _Path(type(Path())):  # type: ignore[misc]
 
 
 class _Reader1(Reader1):
-    """Unpacks chunks to the size that their header states."""
+    """Unpacks chunks to at most the size in their header."""
 
     def read_chunk(self) -> Any:
         assert self.bio is not None
@@ -151,7 +149,7 @@ class _Unpacking(io.BytesIO):
 
 
 class _Yaml(YAML):
-    """Reads no text nested deeper than any bag's, which takes time by the square."""
+    """Refuses deeply nested text, which takes quadratic time."""
 
     def load(self, stream: Any) -> Any:
         if isinstance(stream, str):
@@ -166,7 +164,7 @@ METHODS: dict[str, Callable[[bytes, int], bytes]] = {
     "lz4": lambda packed, size: unpacked(MAKE["lz4"], packed, size),
     "zstd": lambda packed, size: unpacked(MAKE["zstd"], packed, size),
 }
-"""Of MCAP, from bytes and the size stated; one that is not here is refused by the library."""
+"""Decompression of MCAP, from bytes and the stated size; the library refuses other methods."""
 REPLACED = (
     (storage_mcap, "DECOMPRESSORS", METHODS),
     (reader2, "zstd", SimpleNamespace(decompress=partial(unpacked, _zstd), open=_Unpacking)),
@@ -174,16 +172,16 @@ REPLACED = (
     (reader2, "YAML", _Yaml),
     (metadata, "YAML", _Yaml),
 )
-"""What readers of ROS 2 bags use instead of what they import, as they let nobody hand it in."""
+"""Module, name, and replacement in readers of ROS 2 bags."""
 ALONE = RLock()
-"""Two threads would put names back in the wrong order."""
+"""Serializes replacement and restoration among threads."""
 
 
 @contextmanager
 def bounded() -> Iterator[None]:
-    """While this lasts, ROS 2 bags are read within bounds; threads take turns, and within each it may be nested.
+    """Read ROS 2 bags within bounds meanwhile; threads take turns, nesting is allowed.
 
-    Raises UsageError if this version of the library has no such names to replace.
+    Raises UsageError if this version of the library lacks a replaced name.
     """
     with ALONE, ExitStack() as stack:
         for module, name, instead in REPLACED:
@@ -197,7 +195,7 @@ def bounded() -> Iterator[None]:
 
 
 def _named(description: Any) -> set[str]:
-    """Types that a field's description names."""
+    """Types named in a field's description."""
     kind, inside = description
     if kind == Nodetype.NAME:
         return {inside}
@@ -205,7 +203,7 @@ def _named(description: Any) -> set[str]:
 
 
 def _definitions(names: set[str]) -> Any:
-    """A store of these types and those they are made of: of all there are it would take seconds and megabytes."""
+    """A store of these types and their parts; one of all types would take seconds and megabytes."""
     every, found = get_typestore(Stores.LATEST).fielddefs, dict[str, Any]()
     while names:
         name = names.pop()
@@ -217,7 +215,7 @@ def _definitions(names: set[str]) -> Any:
 
 
 def any_reader(path: Path, names: set[str]) -> Any:
-    """The library's reader of a bag, not open yet; `names`: of the types to know if the bag does not define its own."""
+    """The library's reader of a bag, not yet open; `names`: types to define if the bag does not."""
     reader = AnyReader([_Path(path)], default_typestore=_definitions(names))
     if not reader.is2:
         reader.readers = [_Reader1(_Path(path))]

@@ -1,12 +1,12 @@
-"""Victoria Park: the car log that the gtsam wheel bundles (odometry and tree detections, associated; no ground truth).
+"""Victoria Park: the car log bundled with gtsam (odometry and associated tree detections; no ground truth).
 
-Space-separated text, two kinds of line in time order; a LANDMARK line belongs to the pose made last:
+Space-separated text, two kinds of line in time order; a LANDMARK line belongs to the newest pose:
 
     ODOMETRY i j dx dy dtheta Cxx Cxy Cxt Cyy Cyt Ctt    pose j in the frame of pose i, covariance (upper triangle)
     LANDMARK i l x y Cxx Cxy Cyy                         landmark l in the frame of pose i [m], covariance [m^2]
 
-Poses and landmarks share one counter in the file, so pose numbers have gaps; frames here are counted without them.
-There are no stamps: time is the frame number. Recorded by E. Nebot's group in Sydney; this form by M. Kaess (iSAM).
+Poses and landmarks share one counter in the file; frames are counted without its gaps. There are no stamps: time is the
+frame number. Recorded by E. Nebot's group in Sydney; this form by M. Kaess (iSAM).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
-from data.formats.csv_table import bytes_of, symmetric
+from data.formats.csv_table import bytes_of, is_number, symmetric
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
@@ -29,7 +29,7 @@ from data.truth import Truth
 
 FILE = "victoria_park.txt"
 SENSOR = RelativePoint(max_range=25.0, min_angle=-0.5 * math.pi, max_angle=0.5 * math.pi)
-"""A laser that looks forward. It reaches 80 m, but the trees of this log are 4.6 to 20.7 m away."""
+"""A forward laser. It reaches 80 m, but the trees of this log are 4.6 to 20.7 m away."""
 FLOOR = 1e-10
 """Smallest eigenvalue of an increment's covariance; the file's are all larger."""
 ODOMETRY, LANDMARK = "ODOMETRY", "LANDMARK"
@@ -40,7 +40,7 @@ COLUMNS = {
 
 
 def bundled_file() -> Path:
-    """The file inside the installed gtsam wheel, found without importing gtsam; DataError if it is not there."""
+    """The file inside the installed gtsam wheel, found without importing gtsam; DataError if missing."""
     spec = importlib.util.find_spec("gtsam")
     if spec is None or not spec.submodule_search_locations:
         raise DataError(f"{FILE}: gtsam is not installed, and its wheel holds this file; pip install gtsam")
@@ -54,10 +54,7 @@ def bundled_file() -> Path:
 def load_victoria_park(path: Path | None = None) -> Log:
     """The log; `path` is read instead of the bundled file.
 
-    The first pose is the origin, exactly. True ids are the file's landmark numbers, that is, its given associations.
-
-    Raises:
-        DataError: gtsam or the file missing, or something wrong in it, with line and column.
+    The first pose is the origin, exactly. True ids are the file's associations. DataError names line and column.
     """
     file = bundled_file() if path is None else Path(path)
     content = bytes_of(file)
@@ -119,17 +116,13 @@ def _numbers(path: Path, line: int, kind: str, fields: list[str]) -> list[float]
     """The fields of a line as finite numbers, the first two whole and not negative."""
     names = COLUMNS[kind]
     if len(fields) != len(names):
-        raise DataError.at(
-            path, f"{kind} with {len(fields)} numbers; {len(names)} are needed ({', '.join(names)})", line=line
-        )
+        right = f"{len(names)} are needed ({', '.join(names)})"
+        raise DataError.at(path, f"{kind} with {len(fields)} numbers; {right}", line=line)
     values = []
     for name, field in zip(names, fields, strict=True):
-        try:
-            value = float(field)
-        except ValueError:
-            value = math.nan
+        value = float(field) if is_number(field) else math.nan
         whole = name in ("i", "j", "l")
-        if "_" in field or not abs(value) <= LARGEST or (whole and (value < 0 or not value.is_integer())):
+        if not abs(value) <= LARGEST or (whole and (value < 0 or not value.is_integer())):
             wanted = "a whole number from 0 up" if whole else "a number"
             raise DataError.at(path, f"{field[:40]!r} is not {wanted}", line=line, column=name)
         values.append(value)
@@ -137,7 +130,7 @@ def _numbers(path: Path, line: int, kind: str, fields: list[str]) -> list[float]
 
 
 def _require_covariance(path: Path, line: int, upper: list[float], d: int) -> None:
-    """Positive definite for a reading (d = 2), semidefinite for an increment (d = 3)."""
+    """Raise unless positive definite for an observation (d = 2), or semidefinite for an increment (d = 3)."""
     if d == 2 or any(upper[k] for k in (1, 2, 4)):
         matrix = symmetric(np.array([upper]))[0]
         low, trace = float(np.linalg.eigvalsh(matrix)[0]), float(np.trace(matrix))
@@ -145,4 +138,4 @@ def _require_covariance(path: Path, line: int, upper: list[float], d: int) -> No
         low, trace = min(upper[0], upper[3], upper[5]), upper[0] + upper[3] + upper[5]
     if low < -1e-12 * trace or trace < 0.0 or (d == 2 and low <= 1e-12 * trace):
         kind = "positive definite" if d == 2 else "positive semidefinite"
-        raise DataError.at(path, f"covariance is not {kind} (smallest eigenvalue {low:.3g})", line=line)
+        raise DataError.at(path, f"the covariance is not {kind} (smallest eigenvalue {low:.3g})", line=line)

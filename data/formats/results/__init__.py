@@ -1,1 +1,1 @@
-"""Trajectories that other programs wrote: one file a format, each read into the same type."""
+"""Trajectories of other programs: readers by format, one common type."""

@@ -1,7 +1,4 @@
-"""What a trajectory of somebody else is here: poses in the plane at stamps, and the covariance claimed for them.
-
-Lines of numbers of a text file, each with its place, and a `DataError` for whatever is no number.
-"""
+"""Trajectories of other programs: poses in the plane at stamps, with claimed covariances, and numbers of text files."""
 
 from __future__ import annotations
 
@@ -14,21 +11,22 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
+from data.formats.csv_table import cut_off, is_number
 from data.inputs import Locked
 from data.se2 import Array
 
 WORLD, LOCAL, LEFT = "world", "local", "left"
 FRAMES = (WORLD, LOCAL, LEFT)
-"""What a covariance is of: errors added in the world's axes; T = T_mean Exp(xi), in the body's axes (right
+"""Frame of a covariance: additive errors in the world's axes; T = T_mean Exp(xi), in the body's axes (right
 perturbation); T = Exp(xi) T_mean, in the world's axes about its origin (left perturbation)."""
 ROBOT, CAMERA = "robot", "camera"
 AXES = (ROBOT, CAMERA)
-"""Axes of world and body: x forward, y left, z up (REP 103); or x right, y down, z forward, as KITTI's poses have."""
+"""Axes of world and body: x forward, y left, z up (REP 103); or x right, y down, z forward, as in KITTI."""
 
 
 @dataclass(frozen=True)
 class Outside:
-    """What the plane has no room for: least and largest z [m], roll and pitch [rad] of a trajectory in space."""
+    """Ranges outside the plane of a trajectory in space: z [m], roll and pitch [rad]."""
 
     z: tuple[float, float]
     roll: tuple[float, float]
@@ -37,18 +35,18 @@ class Outside:
 
 @dataclass(frozen=True, eq=False)
 class GivenPath(Locked):
-    """A trajectory as a file gives it, in the plane.
+    """A trajectory of a file, in the plane.
 
     Attributes:
-        file: where it was read, with the topic of a bag.
+        file: its name, with the topic of a bag.
         kind: the format, in words.
         time: (n,) s, strictly increasing.
         pose: (n, 3) x [m], y [m], heading [rad].
-        covariance: (n, 3, 3) of errors added in the world's axes [x, y, heading]; rows NaN where unknown; None: the
-            file has none.
-        frame: what the file's covariance was of (`FRAMES`), before it was turned into the above; "" without one.
-        outside: of a trajectory in space; None where the file is planar itself.
-        notes: what was left out or taken as given, a sentence each.
+        covariance: (n, 3, 3) of additive errors in the world's axes [x, y, heading]; rows NaN where unknown; None:
+            none.
+        frame: of the file's covariance (`FRAMES`), before conversion; "" without one.
+        outside: of a trajectory in space; None for a planar file.
+        notes: sentences about ignored or assumed things.
     """
 
     file: str
@@ -65,7 +63,7 @@ class GivenPath(Locked):
 
     @property
     def digest(self) -> str:
-        """sha256 over all that was read."""
+        """SHA-256 of all numbers."""
         digest = hashlib.sha256(self.time.tobytes() + self.pose.tobytes())
         if self.covariance is not None:
             digest.update(self.covariance.tobytes())
@@ -74,12 +72,12 @@ class GivenPath(Locked):
 
 @dataclass(frozen=True)
 class Manner:
-    """What a file may not say of itself, and the person does.
+    """User options that complete a file.
 
     Attributes:
         cov: file with the covariances of a TUM file.
         times: file with the stamps of KITTI poses.
-        frame: of the covariances (`FRAMES`); None: as the format has them.
+        frame: of the covariances (`FRAMES`); None: the format's.
         axes: of a trajectory in space (`AXES`).
     """
 
@@ -90,14 +88,14 @@ class Manner:
 
 
 def in_order(time: Array) -> Array:
-    """Rows (k,) that count where stamps (n,) ascend: of several with one stamp the last."""
+    """Rows (k,) to keep of ascending stamps (n,): the last of equal ones."""
     keep = np.append(np.diff(time) > 0.0, True)
     return np.asarray(np.flatnonzero(keep))
 
 
 @dataclass(frozen=True)
 class Text:
-    """A file's lines that hold data, split into fields, each with its number from 1; and its comments."""
+    """Data lines of a file, split into fields, with their numbers from 1; and its comments."""
 
     path: Path
     fields: tuple[tuple[str, ...], ...]
@@ -106,49 +104,36 @@ class Text:
     commas: bool
 
     def place(self, row: int) -> str:
-        """Where a row of data stands, for messages."""
-        return f"line {self.line[row]}"
+        """Place of a row, for messages."""
+        return f"{self.path}:{self.line[row]}"
 
 
 def read_text(path: Path) -> Text:
-    """Split a file at commas if its first line of data has any, else at blanks; `#` begins a comment line."""
+    """Split a file at commas if its first data line has any, else at blanks; `#` begins a comment line."""
     try:
         content = path.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise DataError.at(path, "no such file") from None
     except UnicodeDecodeError:
-        raise DataError.at(path, "not a text file; what is read is listed in docs/results-files.md") from None
+        raise DataError.at(path, "not a text file; docs/results-files.md lists the formats") from None
     except OSError as fault:
         raise DataError.at(path, f"cannot be read: {fault.strerror}") from None
     lines = [(i, line.strip()) for i, line in enumerate(content.splitlines(), start=1)]
     comments = tuple((i, line) for i, line in lines if line.startswith("#"))
     data = [(i, line) for i, line in lines if line and not line.startswith("#")]
     if not data:
-        raise DataError.at(path, "no line of data")
+        raise DataError.at(path, "no line of data; at least one is needed")
     commas = "," in data[0][1]
     split = tuple(tuple(f.strip() for f in line.split(",")) if commas else tuple(line.split()) for _, line in data)
     return Text(path, split, tuple(i for i, _ in data), comments, commas)
 
 
-def is_number(field: str) -> bool:
-    """Whether a field is a finite number or NaN."""
-    try:
-        float(field)
-    except ValueError:
-        return False
-    return "_" not in field
-
-
 def numbers(text: Text, columns: Sequence[str], *, more: bool = False) -> Array:
-    """The fields as numbers (n, columns), all finite; `more`: further fields of a line are left alone.
-
-    Raises:
-        DataError: a line has another number of fields, or one that is no number.
-    """
+    """The fields as finite numbers (n, columns); `more`: further fields of a line are ignored."""
     k = len(columns)
     for line, fields in zip(text.line, text.fields, strict=True):
         if len(fields) < k or (len(fields) > k and not more):
-            last = " (the file ends here: was it cut off?)" if line == text.line[-1] and len(fields) < k else ""
+            last = cut_off(len(fields), k, last=line == text.line[-1])
             raise DataError.at(text.path, f"{len(fields)} fields; {k} are needed{last}", line=line)
         for name, field in zip(columns, fields, strict=False):
             if not is_number(field):
@@ -160,11 +145,9 @@ def numbers(text: Text, columns: Sequence[str], *, more: bool = False) -> Array:
 
 
 def require_order(text: Text, time: Array) -> None:
-    """Stamps (n,) must not go back; DataError names the line."""
+    """DataError where stamps (n,) decrease."""
     back = np.flatnonzero(np.diff(time) < 0.0)
     if len(back):
         k = int(back[0]) + 1
-        what = (
-            f"stamp {float(time[k])!r} is before {float(time[k - 1])!r} of the line above; ascending stamps are needed"
-        )
-        raise DataError.at(text.path, what, line=text.line[k])
+        what = f"stamp {float(time[k])!r} is before {float(time[k - 1])!r} of the line above"
+        raise DataError.at(text.path, f"{what}; ascending stamps are needed", line=text.line[k])

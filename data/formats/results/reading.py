@@ -1,7 +1,7 @@
-"""A result by its file: the format is recognized by content, and read; and poses of a ROS bag.
+"""Read a result in any format, recognized by content; and poses of a ROS bag.
 
-Bags: `PoseWithCovarianceStamped` and `Odometry`, with their 6x6 covariance, row by row, by definition about fixed axes
-of the frame named in the header: it is `world` here. All zeros, or -1 in front, mean that it is not known.
+Bags: `PoseWithCovarianceStamped` and `Odometry`, with a 6x6 covariance, row by row, about fixed axes of the header's
+frame: `world` here. All zeros, or -1 first, mean unknown.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from data.errors import DataError, UsageError
+from data.formats.csv_table import is_number
 from data.formats.recordings.ros import ODOMETRY, opened, stamp_of
 from data.formats.results import pose_lines, tables
-from data.formats.results.path import WORLD, GivenPath, Manner, Text, is_number, read_text
+from data.formats.results.path import WORLD, GivenPath, Manner, Text, read_text
 from data.formats.results.space import Spatial, header_of, on_plane, rotations
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -24,16 +25,16 @@ SUFFIXES = (".bag", ".mcap", ".db3")
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path looks like a bag: its ending, or a folder with metadata.yaml."""
+    """Whether a path looks like a bag: by its suffix, or as a folder with metadata.yaml."""
     return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
 
 
 def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
-    """The poses of a topic, which may be left out where one alone is of these kinds; sorted by stamp.
+    """The poses of a topic, which may be left out if it is the only one; sorted by stamp.
 
     Raises:
-        UsageError: no such topic, several to choose from, or `rosbags` is not installed.
-        DataError: not a bag, no message, or a number that makes no sense.
+        UsageError: a missing or ambiguous topic, or `rosbags` is not installed.
+        DataError: no bag, no message, or an invalid number.
     """
     with opened(path) as reader:
         kinds = {c.topic: c.msgtype for c in reader.connections if c.msgtype in KINDS}
@@ -47,18 +48,18 @@ def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
         rows = [_row(reader.deserialize(raw, c.msgtype), recorded) for c, recorded, raw in reader.messages(wanted)]
     file = f"{path}:{topic}"
     if not rows:
-        raise DataError.at(file, "no message")
+        raise DataError.at(file, "no message; at least one is needed")
     table = np.array(rows)
     order = np.argsort(table[:, 0], kind="stable")
 
     def place(k: int) -> str:
-        return f"message {int(order[k])}"
+        return f"{file}: message {int(order[k])}"
 
     table = table[order]
     bad = np.flatnonzero(~np.isfinite(table).all(axis=1))
     if len(bad):
-        raise DataError(f"{file}: {place(int(bad[0]))}: a number is not finite")
-    R = rotations(table[:, 4:8], file, place)
+        raise DataError(f"{place(int(bad[0]))}: a number is not finite")
+    R = rotations(table[:, 4:8], place)
     covariance = table[:, 8:].reshape(-1, 6, 6)
     unknown = (covariance[:, 0, 0] < 0.0) | ~covariance.any(axis=(1, 2))
     covariance[unknown] = np.nan
@@ -75,20 +76,17 @@ def _row(message: Any, recorded: int) -> list[float]:
     return [stamp, p.x, p.y, p.z, q.x, q.y, q.z, q.w, *np.asarray(message.pose.covariance, float).tolist()]
 
 
-AS_SAID = Manner()
-"""Nothing is said beyond the file."""
+PLAIN = Manner()
 ACCEPTED = (
     "a CSV with the columns t,x,y,theta, TUM (8 columns), TUM with covariance (29), SQUARE, EuRoC (commas, ns), KITTI "
     "poses (12), or a ROS bag"
 )
 
 
-def read_path(name: str, manner: Manner = AS_SAID) -> GivenPath:
+def read_path(name: str, manner: Manner = PLAIN) -> GivenPath:
     """The trajectory in a file, or in a bag (`FILE` or `FILE:/TOPIC`).
 
-    Raises:
-        DataError: not one of the formats, or a value in it that is wrong, with file and line.
-        UsageError: what the file does not say of itself was not said (stamps, topic), or what it does not need was.
+    Raises DataError for an unknown format or invalid value, UsageError for missing or inapplicable options.
     """
     path, topic = _with_topic(name)
     if is_bag(path):
@@ -100,16 +98,16 @@ def read_path(name: str, manner: Manner = AS_SAID) -> GivenPath:
         read = _reader(text)
         found, cov, times = read(text, manner), read is pose_lines.read_tum, read is pose_lines.read_kitti
     if manner.cov is not None and not cov:
-        raise UsageError(f"--cov {manner.cov}: for a TUM file of 8 columns; {name} is {found.kind}")
+        raise UsageError(f"--cov {manner.cov}: {name} is {found.kind}; a TUM file of 8 columns is needed")
     if manner.times is not None and not times:
-        raise UsageError(f"--times {manner.times}: for KITTI poses; {name} is {found.kind}")
+        raise UsageError(f"--times {manner.times}: {name} is {found.kind}; KITTI poses are needed")
     if manner.frame is not None and found.covariance is None:
         raise UsageError(f"--cov-frame {manner.frame}: {name} has no covariance")
     return found
 
 
 def _with_topic(name: str) -> tuple[Path, str | None]:
-    """`FILE:/TOPIC` in its parts; the name of a file may itself hold a colon."""
+    """File and topic of `FILE:/TOPIC`; a file name may hold a colon, too."""
     file, colon, topic = name.partition(":/")
     if colon and not Path(name).exists() and is_bag(Path(file)):
         return Path(file), f"/{topic}"
@@ -117,7 +115,7 @@ def _with_topic(name: str) -> tuple[Path, str | None]:
 
 
 def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
-    """Which format a text is in."""
+    """The reader of a text's format."""
     if "FORMAT" in header_of(text).values:
         return pose_lines.read_square
     if tables.is_plane(text):
@@ -129,4 +127,4 @@ def _reader(text: Text) -> Callable[[Text, Manner], GivenPath]:
     if not text.commas and len(first) in by_width and is_number(first[0]):
         return by_width[len(first)]
     shown = f"{len(first)} fields, {','.join(first)[:40]!r}"
-    raise DataError.at(text.path, f"{shown}: not a trajectory that is known here; {ACCEPTED}", line=text.line[0])
+    raise DataError.at(text.path, f"{shown}: no known trajectory format; {ACCEPTED} is needed", line=text.line[0])

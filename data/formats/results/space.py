@@ -1,11 +1,11 @@
-"""From space to the plane: poses with their 6x6 covariances, and SQUARE files, which state what a covariance is of.
+"""Projection of spatial poses and 6x6 covariances to the plane; headers and samples of SQUARE files.
 
-Kept are x, y and the yaw of Z-Y-X angles, atan2(R10, R00). The covariance of these three follows to first order from
-that of the pose, whatever its tangent: with p the position, c the first column of R, and a small turn w in the
-world's axes, dyaw = w_z - c_z (c_x w_x + c_y w_y) / (c_x^2 + c_y^2).
+x, y and the yaw of Z-Y-X angles, atan2(R10, R00), are kept. Their covariance follows to first order from that of the
+pose: with p the position, c the first column of R, and a small rotation w in the world's axes, dyaw = w_z - c_z (c_x
+w_x + c_y w_y) / (c_x^2 + c_y^2).
 
-SQUARE: `#%KEY value` lines declare columns and tangent; its files of samples (`ensemble_se3`), a particle a line, are
-reduced to mean and covariance in the plane.
+SQUARE: `#%KEY value` lines declare columns and tangent; samples (`ensemble_se3`), a particle a line, are reduced to
+mean and covariance in the plane.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from data.errors import DataError
+from data.formats.recordings.ros import rotation_of
 from data.formats.results.path import (
     CAMERA,
     LEFT,
@@ -33,25 +34,25 @@ from data.formats.results.path import (
 from data.se2 import Array, wrap_angle
 
 LEVEL = 1e-9
-"""m and rad: what is less outside the plane is not said."""
+"""m and rad, smallest reported extent outside the plane."""
 UNIT = 0.01
-"""A quaternion may be so far from length 1, and a rotation matrix from orthonormal: two digits were written."""
+"""Largest deviation of a quaternion from length 1, and of a rotation matrix from orthonormality."""
 FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Robot axes from a camera's: forward is its z, left its -x, up its -y."""
 
 
 @dataclass(frozen=True, eq=False)
 class Spatial:
-    """A trajectory in space as a file has it.
+    """A trajectory in space as in a file.
 
     Attributes:
         file, kind: as of `GivenPath`.
         time: (n,) s, ascending.
         position: (n, 3) m.
         rotation: (n, 3, 3), world from body.
-        covariance: (n, 6, 6), translation first, then rotation; rows NaN where unknown; None: there is none.
-        frame: what it is of, and whether the file says so itself (`declared`).
-        place: where row k stands, for messages.
+        covariance: (n, 6, 6), translation first, then rotation; rows NaN where unknown; None: none.
+        frame: of the covariance, which the file itself may state (`declared`).
+        place: place of row k, for messages.
         notes: sentences.
     """
 
@@ -67,31 +68,23 @@ class Spatial:
     notes: tuple[str, ...] = ()
 
 
-def rotations(quaternion: Array, file: str, place: Callable[[int], str]) -> Array:
-    """Rotation matrices (n, 3, 3) of quaternions x, y, z, w (n, 4); DataError for one that is not of length 1."""
+def rotations(quaternion: Array, place: Callable[[int], str]) -> Array:
+    """Rotation matrices (n, 3, 3) of quaternions x, y, z, w (n, 4); DataError for one without length 1."""
     length = np.sqrt(np.sum(quaternion**2, axis=1))
     bad = np.flatnonzero(~(np.abs(length - 1.0) < UNIT))
     if len(bad):
         k = int(bad[0])
         what = f"quaternion {quaternion[k].tolist()} has length {length[k]:.4g}; 1 is needed (order x, y, z, w)"
-        raise DataError(f"{file}: {place(k)}: {what}")
-    x, y, z, w = (quaternion / length[:, None]).T
-    return np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=-1),
-            np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=-1),
-            np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=-1),
-        ],
-        axis=-2,
-    )
+        raise DataError(f"{place(k)}: {what}")
+    return rotation_of(quaternion)
 
 
 def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
-    """The trajectory in the plane; DataError where its declared covariance frame is denied or a covariance is none."""
+    """The trajectory in the plane; DataError for a contradicted covariance frame or an invalid covariance."""
     s, frame = spatial, spatial.frame
     if s.covariance is not None and manner.frame is not None:
         if s.declared and manner.frame != s.frame:
-            raise DataError.at(s.file, f"its header says that covariances are {s.frame}; --cov-frame {manner.frame}")
+            raise DataError.at(s.file, f"its header states {s.frame} covariances; remove --cov-frame {manner.frame}")
         frame = manner.frame
     p, R, C = s.position, s.rotation, s.covariance
     if manner.axes == CAMERA:
@@ -102,20 +95,21 @@ def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
     pose = np.column_stack([p[:, :2], yaw])
     planar = None if C is None else _planar_covariance(p, R, C, frame)
     if planar is not None:
-        require_covariances(planar, s.file, s.place)
+        require_covariances(planar, s.place)
     keep = in_order(s.time)
     notes = s.notes
     if len(keep) < len(s.time):
-        notes += (f"{len(s.time) - len(keep)} of {len(s.time)} poses share their stamp with a later one, which counts",)
-    if planar is None:
-        return GivenPath(s.file, s.kind, s.time[keep], pose[keep], outside=_outside(p, R), notes=notes)
-    return GivenPath(s.file, s.kind, s.time[keep], pose[keep], planar[keep], frame, _outside(p, R), notes)
+        notes += (
+            f"{len(s.time) - len(keep)} of {len(s.time)} poses share their stamp with a later one, which is used",
+        )
+    kept, frame = (None, "") if planar is None else (planar[keep], frame)
+    return GivenPath(s.file, s.kind, s.time[keep], pose[keep], kept, frame, _outside(p, R), notes)
 
 
 def _planar_covariance(p: Array, R: Array, C: Array, frame: str) -> Array:
     """World-additive covariance (n, 3, 3) of x, y, yaw."""
     n = len(p)
-    # error of position and small turn in the world's axes, from the tangent of the file
+    # from the file's tangent to position error and small rotation in the world's axes
     world = np.zeros((n, 6, 6))
     if frame == LOCAL:
         world[:, :3, :3] = R
@@ -139,15 +133,15 @@ def _planar_covariance(p: Array, R: Array, C: Array, frame: str) -> Array:
     return np.asarray(0.5 * (P + P.transpose(0, 2, 1)))
 
 
-def require_covariances(P: Array, file: str, place: Callable[[int], str]) -> None:
-    """Covariances (n, 3, 3) must be positive semidefinite (tolerance 1e-12 trace); NaN: not known."""
+def require_covariances(P: Array, place: Callable[[int], str]) -> None:
+    """DataError unless covariances (n, 3, 3) are positive semidefinite (tolerance 1e-12 trace); NaN: unknown."""
     known = np.asarray(np.isfinite(P).all(axis=(1, 2)))
     least = np.linalg.eigvalsh(np.where(known[:, None, None], P, np.eye(3)))[:, 0]
     bad = np.flatnonzero(known & (least < -1e-12 * np.abs(np.trace(P, axis1=1, axis2=2))))
     if len(bad):
         k = int(bad[0])
         what = f"covariance of x, y, heading has the eigenvalue {least[k]:.3g}; none may be negative"
-        raise DataError(f"{file}: {place(k)}: {what}")
+        raise DataError(f"{place(k)}: {what}")
 
 
 def _outside(p: Array, R: Array) -> Outside:
@@ -161,7 +155,7 @@ def _outside(p: Array, R: Array) -> Outside:
 
 
 def projection(path: GivenPath) -> str:
-    """What was projected, in a sentence; empty where nothing was."""
+    """The projection, in a sentence; empty without one."""
     o = path.outside
     if o is None:
         return ""
@@ -174,11 +168,11 @@ def projection(path: GivenPath) -> str:
     ]
     if not there:
         return ""
-    said = f"projected to the plane: {', '.join(there)} left out"
+    text = f"projected to the plane: {', '.join(there)} ignored"
     flat = float(np.max(np.ptp(path.pose[:, :2], axis=0))) if len(path) else 0.0
     if o.z[1] - o.z[0] > flat:
-        said += "; more is outside than in it: a camera's axes (z forward)? then --axes camera"
-    return said
+        text += "; more than in the plane: if axes are a camera's (z forward), add --axes camera"
+    return text
 
 
 POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
@@ -188,12 +182,12 @@ ORDERS = ("translation_rotation", "rotation_translation")
 
 @dataclass(frozen=True)
 class Header:
-    """What `#%KEY value` lines say, by key, each with its line."""
+    """Values of `#%KEY value` lines by key, each with its line."""
 
     values: dict[str, tuple[int, str]]
 
     def one_of(self, text: Text, key: str, allowed: tuple[str, ...]) -> str | None:
-        """A value that must be one of a few; None: not said."""
+        """A value that must be one of a few; None if absent."""
         line, value = self.values.get(key, (0, ""))
         if key not in self.values:
             return None
@@ -209,7 +203,7 @@ def header_of(text: Text) -> Header:
         if comment.startswith("#%"):
             key, _, value = comment[2:].strip().partition(" ")
             if key.upper() in found:
-                raise DataError.at(text.path, f"{key} is said twice", line=line)
+                raise DataError.at(text.path, f"{key} is stated twice; once is needed", line=line)
             found[key.upper()] = line, value.strip()
     return Header(found)
 
@@ -221,11 +215,11 @@ def tangent(text: Text, header: Header) -> tuple[str | None, str | None]:
 
 
 FEWEST = 4
-"""Samples at an instant that a covariance of three numbers needs to have full rank."""
+"""Fewest samples at an instant for a covariance of full rank."""
 
 
 def read_samples(text: Text, header: Header, unit: float, manner: Manner) -> GivenPath:
-    """Means and covariances of the particles at each stamp; heading by its circular mean, weights made to sum to 1."""
+    """Means and covariances of the particles at each stamp; heading by circular mean, weights normalized."""
     weighted = header.one_of(text, "WEIGHTED", ("true", "false")) == "true"
     logarithmic = header.one_of(text, "WEIGHT_FORMAT", ("linear", "log")) == "log"
     columns = ("t", "particle", *(("weight",) if weighted else ()), *POSE[1:])
@@ -233,9 +227,9 @@ def read_samples(text: Text, header: Header, unit: float, manner: Manner) -> Giv
     time = rows[:, 0] * unit
     require_order(text, time)
     file, first = str(text.path), 3 if weighted else 2
-    R = rotations(rows[:, first + 3 :], file, text.place)
+    R = rotations(rows[:, first + 3 :], text.place)
     stamps, start, count = np.unique(time, return_index=True, return_counts=True)
-    # each particle on the plane by itself (the stamps of one instant made different), then their moments
+    # each particle is projected (with distinct stamps), then their moments are formed
     apart = Spatial(file, "", np.arange(len(rows), dtype=float), rows[:, first : first + 3], R, None, "", text.place)
     flat = on_plane(apart, Manner(axes=manner.axes))
     pose, covariance = np.empty((len(stamps), 3)), np.full((len(stamps), 3, 3), np.nan)
@@ -256,7 +250,7 @@ def read_samples(text: Text, header: Header, unit: float, manner: Manner) -> Giv
 
 
 def _moments(pose: Array, weight: Array) -> tuple[Array, Array]:
-    """Mean (3,) and covariance (3, 3), unbiased for weights that sum to 1."""
+    """Mean (3,) and unbiased covariance (3, 3) for normalized weights."""
     heading = np.arctan2(weight @ np.sin(pose[:, 2]), weight @ np.cos(pose[:, 2]))
     mean = np.array([*(weight @ pose[:, :2]), heading])
     off = pose - mean

@@ -1,7 +1,7 @@
 """CSV results: our own `online.csv` and `final.csv`, `truth.csv` of an open log, EuRoC's ground truth.
 
-Beside a result may stand `landmarks.csv` and `decisions.csv` with the columns of our result folder. A `landmarks.csv`
-without a column `landmark` is the map of an open log and no result, so it is left alone.
+Beside a result may be `landmarks.csv` and `decisions.csv` with the columns of our result folder. A `landmarks.csv`
+without a column `landmark` is the map of an open log and is ignored.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
-from data.formats.csv_table import FIRST_ROW, read_table, symmetric
-from data.formats.results.path import WORLD, GivenPath, Manner, Text, in_order, is_number, numbers, require_order
+from data.formats.csv_table import FIRST_ROW, is_number, read_table, symmetric
+from data.formats.results.path import WORLD, GivenPath, Manner, Text, in_order, numbers, require_order
 from data.formats.results.space import Spatial, on_plane, require_covariances, rotations
 from data.inputs import IntArray
 from data.result import DISCARD, MapEstimate
@@ -23,7 +23,7 @@ PLANE = ("t", "x", "y", "theta")
 COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
 EUROC = ("timestamp [ns]", "p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z")
 NANOSECONDS = 1e14
-"""Above this a stamp is in ns: a day and more of them, three million years of seconds."""
+"""Smallest stamp that is taken for ns: a day of them, or three million years of seconds."""
 
 
 def is_plane(text: Text) -> bool:
@@ -36,18 +36,18 @@ def _names(text: Text) -> list[str]:
 
 
 def read_plane(text: Text, manner: Manner) -> GivenPath:
-    """Columns t, x, y, theta by name, and the covariance where all six are there; a blank or NaN is unknown."""
+    """Columns t, x, y, theta by name, and the covariance if complete; blank or NaN is unknown."""
     names = _names(text)
     if "t" not in names:
-        raise DataError.at(
-            text.path, "no column t: these are poses of a log's frames; give its folder instead", line=text.line[0]
-        )
+        what = "no column t: these are poses of a log's frames; name its folder instead"
+        raise DataError.at(text.path, what, line=text.line[0])
     if manner.frame not in (None, WORLD):
-        raise DataError.at(text.path, f"its covariances are {WORLD} by definition; --cov-frame {manner.frame}")
+        raise DataError.at(text.path, f"its covariances are {WORLD} ones; remove --cov-frame {manner.frame}")
     there = [c for c in COVARIANCE if c in names]
     if there and len(there) < len(COVARIANCE):
         lacking = next(c for c in COVARIANCE if c not in names)
-        raise DataError.at(text.path, f"no such column, but {there[0]}; all six or none", line=1, column=lacking)
+        what = f"no such column, but {there[0]}; all six or none are needed"
+        raise DataError.at(text.path, what, line=1, column=lacking)
     columns = [names.index(c) for c in (*PLANE, *there)]
     rows = np.full((len(text.fields) - 1, len(columns)), np.nan)
     for k, (line, fields) in enumerate(zip(text.line[1:], text.fields[1:], strict=True)):
@@ -70,24 +70,18 @@ def read_plane(text: Text, manner: Manner) -> GivenPath:
     require_order(Text(text.path, text.fields[1:], text.line[1:], (), True), time)
     keep = in_order(time)
     shared = len(rows) - len(keep)
-    notes = (f"{shared} poses share their stamp with a later one, which counts",) if shared else ()
+    notes = (f"{shared} poses share their stamp with a later one, which is used",) if shared else ()
     pose = np.column_stack([rows[:, 1:3], wrap_angle(rows[:, 3])])[keep]
     path, kind = str(text.path), "CSV of t, x, y, theta"
     if not there:
         return GivenPath(path, kind, time[keep], pose, notes=notes)
-    covariance = _covariance(text, rows[:, 4:])[keep]
-    return GivenPath(path, f"{kind} and covariance", time[keep], pose, covariance, WORLD, notes=notes)
-
-
-def _covariance(text: Text, entries: Array) -> Array:
-    """Matrices (n, 3, 3) of their upper triangles (n, 6)."""
-    P = symmetric(entries)
-    require_covariances(P, str(text.path), lambda k: f"line {text.line[k + 1]}")
-    return P
+    P = symmetric(rows[:, 4:])
+    require_covariances(P, lambda k: text.place(k + 1))
+    return GivenPath(path, f"{kind} and covariance", time[keep], pose, P[keep], WORLD, notes=notes)
 
 
 def is_euroc(text: Text) -> bool:
-    """Whether lines are comma-separated numbers that begin with a stamp in ns, or a comment's header says so."""
+    """Whether lines are comma-separated numbers that begin with a stamp in ns, or a comment's header names it."""
     first = text.fields[0]
     if not text.commas or len(first) < len(EUROC) or not all(is_number(f) for f in first[: len(EUROC)]):
         return False
@@ -95,14 +89,13 @@ def is_euroc(text: Text) -> bool:
 
 
 def read_euroc(text: Text, manner: Manner) -> GivenPath:
-    """Stamp [ns], position, quaternion w, x, y, z; velocities and biases behind are left alone."""
+    """Stamp [ns], position, quaternion w, x, y, z; velocities and biases after them are ignored."""
     rows = numbers(text, EUROC, more=True)
-    # whole nanoseconds have more digits than a float: split before dividing
+    # whole nanoseconds have more digits than a float
     time = np.array([_seconds(fields[0]) for fields in text.fields])
     require_order(text, time)
-    file = str(text.path)
-    R = rotations(rows[:, [5, 6, 7, 4]], file, text.place)
-    return on_plane(Spatial(file, "EuRoC CSV", time, rows[:, 1:4], R, None, "", text.place), manner)
+    R = rotations(rows[:, [5, 6, 7, 4]], text.place)
+    return on_plane(Spatial(str(text.path), "EuRoC CSV", time, rows[:, 1:4], R, None, "", text.place), manner)
 
 
 def _seconds(stamp: str) -> float:
@@ -114,7 +107,7 @@ MAP_COVARIANCE = ("c_xx", "c_xy", "c_yy")
 
 @dataclass(frozen=True, eq=False)
 class Companions:
-    """What was found beside a result; None: not there.
+    """Files beside a result; None: absent.
 
     Attributes:
         landmarks: the map.
@@ -128,7 +121,7 @@ class Companions:
 
 
 def companions(folder: Path) -> Companions:
-    """Landmarks and decisions in a folder, if they are there; DataError for a number in them that makes no sense."""
+    """Landmarks and decisions in a folder, if present; DataError for an invalid number."""
     landmarks, decisions = folder / "landmarks.csv", folder / "decisions.csv"
     known = _landmarks(landmarks) if _has(landmarks, "landmark") else None
     if not _has(decisions, "decision"):
@@ -137,7 +130,7 @@ def companions(folder: Path) -> Companions:
 
 
 def _has(path: Path, column: str) -> bool:
-    """Whether a file is there with a column of that name."""
+    """Whether a file exists and has a column of that name."""
     if not path.is_file():
         return False
     with path.open("rb") as file:
@@ -145,7 +138,7 @@ def _has(path: Path, column: str) -> bool:
 
 
 def _landmarks(path: Path) -> MapEstimate:
-    """Number, place, and where they are there covariance, first frame and times seen."""
+    """Number and position, and covariance, first frame and times seen if present."""
     table = read_table(path, ("landmark", "x", "y"), (*MAP_COVARIANCE, "first_frame", "times_seen"))
     c = table.columns
     n = len(c["landmark"])
@@ -155,19 +148,19 @@ def _landmarks(path: Path) -> MapEstimate:
         P[:, 0, 1] = P[:, 1, 0] = c["c_xy"]
         wide = np.zeros((n, 3, 3))
         wide[:, :2, :2] = P
-        require_covariances(wide, str(path), lambda k: f"line {k + FIRST_ROW}")
+        require_covariances(wide, lambda k: f"{path}:{k + FIRST_ROW}")
     number = _whole(path, "landmark", c["landmark"], 0)
     again = np.setdiff1d(np.arange(n), np.unique(number, return_index=True)[1])
     if len(again):
         k = int(again[-1])
-        raise DataError.at(path, f"{number[k]} is there twice", line=k + FIRST_ROW, column="landmark")
+        raise DataError.at(path, f"{number[k]} is repeated", line=k + FIRST_ROW, column="landmark")
     none = np.full(n, -1.0)
     first, seen = (_whole(path, q, c.get(q, none), -1) for q in ("first_frame", "times_seen"))
     return MapEstimate(number, np.column_stack([c["x"], c["y"]]), P, first, seen)
 
 
 def _decisions(path: Path) -> IntArray:
-    """Frame, observation, decision and final decision (the same, if there is no such column)."""
+    """Frame, observation, decision and final decision (by default the same)."""
     table = read_table(path, ("frame", "observation", "decision"), ("final_decision",))
     c = table.columns
     least = {"frame": 0, "observation": 0, "decision": DISCARD, "final_decision": DISCARD}

@@ -1,4 +1,4 @@
-// The camera's image of this frame, or of the last one before it that is kept, and the pictures found in it.
+// Camera image of this frame, or of the last kept one before it, with the pictures found in it.
 let imageWanted = -1, imageShown = null;
 
 function drawCamera() {

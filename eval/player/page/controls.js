@@ -1,7 +1,7 @@
 // Buttons, menus and keys.
 function runName(run) {
   const tasks = new Set(runs().map((r) => r.task));
-  return run.name + (tasks.size > 1 ? `, ${run.task}` : "") + (run.beside ? `, ${run.beside}` : "");
+  return run.name + (tasks.size > 1 ? `, ${run.task}` : "") + (run.variant ? `, ${run.variant}` : "");
 }
 
 function swatch(run) {
@@ -35,8 +35,8 @@ function fillLegend() {
     const count = [0, 0, 0, 0];
     for (const o of decided(run).outcome) count[o] += 1;
     OUTCOMES.forEach((o, i) => parts.push(`<span><b style="color:${shade(o.colour)}">${mark[o.mark]} ${o.name}</b> ${o.about} (${count[i]})</span>`));
-  } else if (run.decides) parts.push(`<span>● observations; which landmark each shows is not known</span>`);
-  for (const look of run.loops || []) parts.push(`<span><b style="color:${shade(look.colour)}">―</b> loop closure ${look.name}</span>`);
+  } else if (run.decides) parts.push(`<span>● observations; their true landmarks are unknown</span>`);
+  for (const state of run.loops || []) parts.push(`<span><b style="color:${shade(state.colour)}">―</b> loop closure ${state.name}</span>`);
   if (recording.head.truth) parts.push(`<span><b style="color:${ink()}">―</b> truth, with a hollow robot; ${recording.head.walls ? "grey lines: true walls" : "+ true landmarks"}</span>`);
   $$("legend").innerHTML = parts.join(" ");
 }
@@ -46,17 +46,17 @@ function focused() {
   const run = focus();
   S.shown.add(run.key); S.row = -1;
   for (const radio of document.querySelectorAll("input[name=phase]")) radio.checked = radio.value === S.phase;
-  const said = [];
-  if (run.status !== "ok") said.push(`${run.status}, ${run.why}.`);
-  if (!run.phases.includes(S.phase)) said.push(`It has no ${S.phase} path; the ${phaseOf(run)} one is shown.`);
+  const notes = [];
+  if (run.status !== "ok") notes.push(`${run.status}, ${run.why}.`);
+  if (!run.phases.includes(S.phase)) notes.push(`It has no ${S.phase} path; the ${phaseOf(run)} one is shown.`);
   if (run.decides && run.task === "slam") {
-    if (phaseOf(run) === "final") said.push("Landmarks are those of the last map.");
-    else if (run.history && !run.certain) said.push(`Landmarks as they were, every ${run.every} frames with observations, without ellipses: a smoother's marginals take longer than the run.`);
-    else if (recording.head.walls && recording.head.now !== undefined) said.push("Walls as they were each second; changes below 1 mm or mrad are left out.");
-    else if (run.history) said.push(`Landmarks as they were after each frame${run.every > 1 ? ` (of so large a map after every ${run.every} with observations)` : ""}; changes below ${1000 * recording.head.quantum} mm are left out.`);
-    else said.push("Where landmarks were at each instant was not recorded; here each stands where it was in the end.");
+    if (phaseOf(run) === "final") notes.push("Landmarks are those of the last map.");
+    else if (run.history && !run.covariances) notes.push(`Landmarks every ${run.every} frames with observations, without ellipses: a smoother's marginals take longer than the run.`);
+    else if (recording.head.walls && recording.head.now !== undefined) notes.push("Walls each second, without changes below 1 mm or 1 mrad.");
+    else if (run.history) notes.push(`Landmarks after ${run.every > 1 ? `every ${run.every} frames with observations (large map)` : "each frame"}, without changes below ${1000 * recording.head.quantum} mm.`);
+    else notes.push("Landmarks in their final places; earlier places were not recorded.");
   }
-  $$("about").textContent = said.join(" ");
+  $$("about").textContent = notes.join(" ");
   const wrong = run.decides && wrongFrames().length > 0;
   $$("wrong-back").disabled = $$("wrong-next").disabled = !wrong;
   fillRuns(); fillLegend(); makePlots(); changed();
@@ -66,7 +66,7 @@ function wire() {
   const head = recording.head, observations = recording.column("point").length;
   $$("facts").textContent = `${recording.frames} frames, ${observations} observations. ${head.left_out.join(" ")}`;
   $$("slider").max = recording.frames - 1;
-  // first a run that decided for itself and whose landmarks are known at each instant, joint compatibility before others
+  // first a run with its own decisions and earlier landmarks; joint compatibility before other methods
   const worth = (r) => 8 * ((r.decides || (r.loops || []).length > 0) && r.status === "ok") + 4 * r.candidates + 2 * r.history + (r.association !== "known") + 0.5 * r.association.startsWith("jcbb");
   S.run = runs().reduce((best, r, i) => (worth(r) > worth(runs()[best]) ? i : best), 0);
   const few = new Map();
@@ -74,9 +74,9 @@ function wire() {
   S.shown = new Set(few.values());
   const groups = new Map();
   for (const [i, run] of runs().entries()) {
-    const name = run.beside ? `${run.task}, ${run.beside}` : run.task;
+    const name = run.variant ? `${run.task}, ${run.variant}` : run.task;
     if (!groups.has(name)) { const g = document.createElement("optgroup"); g.label = name; groups.set(name, g); }
-    groups.get(name).append(option(i, run.name + (run.beside ? `, ${run.beside}` : ""), i === S.run));
+    groups.get(name).append(option(i, run.name + (run.variant ? `, ${run.variant}` : ""), i === S.run));
   }
   $$("focus").replaceChildren(...groups.values());
   $$("focus").addEventListener("change", (e) => { S.run = +e.target.value; focused(); });

@@ -1,4 +1,4 @@
-// Chunks become arrays: inflate, put the bytes of each integer together, add up the differences (see eval/player/pack.py).
+// Decode chunks: inflate, join the bytes of each integer, add up the differences (see eval/player/pack.py).
 async function inflated(base64) {
   const text = atob(base64), bytes = new Uint8Array(text.length);
   for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);

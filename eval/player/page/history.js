@@ -1,4 +1,4 @@
-// Landmarks of a run as they were after any frame, and what its observations could have been paired with.
+// Landmarks of a run after any frame, and candidates of its observations.
 const COARSE = 0.01, ROUGH = 0.02;  // steps of the stored logarithm of a sigma, and of a correlation (eval/player/scene.py)
 
 /** By landmark number: frames of its changes, and state after each: x, y, sigma_x, sigma_y, rho, there. */
@@ -8,7 +8,7 @@ function landmarkHistory(recording, key, quantum) {
   const frame = recording.column(key + "change_frame"), there = recording.column(key + "change_there");
   const steps = recording.of(key + "change"), begins = recording.begins.get(key + "change"), found = new Map();
   for (let i = 0; i < number.length; i++) {
-    if (begins.has(i)) for (const own of found.values()) own.sum.fill(0);  // differences begin anew
+    if (begins.has(i)) for (const own of found.values()) own.sum.fill(0);  // differences restart
     let own = found.get(number[i]);
     if (!own) found.set(number[i], own = { sum: [0, 0, 0, 0, 0], frames: [], states: [] });
     for (let c = 0; c < 5; c++) own.sum[c] += steps[c][i];
@@ -29,7 +29,7 @@ function landmarksAt(history, frame) {
   return found;
 }
 
-/** Landmarks of the last map, those initialized up to `frame`; of a map that was given all. */
+/** Landmarks of the last map initialized up to `frame`; all of a given map. */
 function landmarksLast(recording, key, frame) {
   const number = recording.column(key + "map_number"), found = [];
   if (!number) return found;

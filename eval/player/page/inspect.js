@@ -1,4 +1,4 @@
-// A frame's observations as a list, and of the one that is looked at: candidates, gates, what each method says, truth.
+// A frame's observations as a list; of the selected one candidates, gates, decisions of each method, and truth.
 let listed = "";
 
 function pick(x, y) {
@@ -18,7 +18,7 @@ function wireDetail() {
 
 function inspect() {
   const run = focus(), [from, to] = run.decides ? rowsIn(S.frame) : [0, 0];
-  // the eye does not follow a list faster; what is left out comes with the next frame, the last one when play stops
+  // five lists a second are enough; when play stops, the last frame is listed
   if (S.playing && performance.now() - inspect.last < 200) return;
   inspect.last = performance.now();
   const wanted = [S.frame, S.run, S.phase, S.row, S.method, DARK.matches].join();
@@ -34,8 +34,8 @@ function inspect() {
     return b;
   }));
   if (held) { const again = document.querySelector(`#list button[data-row="${held}"]`); if (again) again.focus(); }
-  if (to === from) $$("list").textContent = run.decides ? "Nothing was seen." : run.loops && run.loops.length ? "A laser log: key poses and loop closures stand in the map instead." : "This run decides about no observation.";
-  $$("inspected").innerHTML = S.row >= 0 ? described(run, d, S.row, from) : to > from ? '<p class="note">Click on one, here or in the map.</p>' : "";
+  if (to === from) $$("list").textContent = run.decides ? "No observations." : run.loops && run.loops.length ? "A laser log: the map shows key poses and loop closures." : "This run makes no decisions.";
+  $$("inspected").innerHTML = S.row >= 0 ? described(run, d, S.row, from) : to > from ? '<p class="note">Click on an observation, here or in the map.</p>' : "";
   drawMatching(run, from, to);
 }
 inspect.last = 0;
@@ -59,26 +59,26 @@ function described(run, d, row, from) {
   const candidates = candidatesOf(recording, run.key, row);
   if (candidates.length) {
     const inside = (x, t) => t === null || x < t ? "inside" : "outside";
-    html += `<table id="candidates"><caption>Candidates: ${gateWords()}${head.new_gate === null ? "" : `; new only beyond ${head.new_gate.toFixed(2)} (${head.gates[1]}) of all`}</caption><thead><tr><th>landmark</th><th>d²</th><th>gate</th><th></th></tr></thead><tbody>${
+    html += `<table id="candidates"><caption>Candidates: ${gateWords()}${head.new_gate === null ? "" : `; new only outside ${head.new_gate.toFixed(2)} (${head.gates[1]}) of all`}</caption><thead><tr><th>landmark</th><th>d²</th><th>gate</th><th></th></tr></thead><tbody>${
       candidates.map((k) => `<tr data-number="${k.number}" data-d2="${k.d2}"><td>${k.number}</td><td>${k.d2 < 1e4 ? k.d2.toPrecision(4) : k.d2.toExponential(2)}</td><td>${inside(k.d2, head.gate)}</td><td>${[k.number === d.decision[row] ? "chosen" : "", k.number === right ? "right" : ""].filter(Boolean).join(", ")}</td></tr>`).join("")}</tbody></table>`;
     html += methodsTable(run, row, right, d);
   } else {
-    html += `<p class="note">${run.candidates ? "There was no candidate." : run.phases.includes("online") ? "Candidates were not recorded for this run." : "A batch smoother decides nothing itself: see the run whose decisions it uses."}</p>`;
+    html += `<p class="note">${run.candidates ? "No candidates." : run.phases.includes("online") ? "Candidates were not recorded for this run." : "A batch smoother makes no decisions; see the run whose decisions it uses."}</p>`;
   }
   return html;
 }
 
-/** What a method says of an observation on the expectation of this run. */
-function saidBy(run, row, w) {
-  const said = recording.of(run.key + "said");
-  return said ? said[w][row] + recording.column(run.key + "decision")[row] : NOT_ASKED;
+/** Decision of a method about an observation, from the expectation of this run. */
+function decidedBy(run, row, w) {
+  const made = recording.of(run.key + "method_decision");
+  return made ? made[w][row] + recording.column(run.key + "decision")[row] : NOT_ASKED;
 }
 
 function methodsTable(run, row, right, d) {
   const names = recording.head.methods;
-  if (!names.some((_, w) => saidBy(run, row, w) !== NOT_ASKED)) return '<p class="note">Other methods were not asked: the log is long, and labels decided.</p>';
+  if (!names.some((_, w) => decidedBy(run, row, w) !== NOT_ASKED)) return '<p class="note">Decisions of other methods were not recorded: the log is long, and labels decided.</p>';
   const verdict = (n) => !d.right || n < SINGULAR + 1 ? "" : n === right || (n < 0 && right < 0) ? "right" : "wrong";
-  const lines = names.map((name, w) => { const n = saidBy(run, row, w); return `<tr data-method="${name}" data-said="${n}"><td>${name}</td><td>${named(n)}</td><td>${verdict(n)}</td></tr>`; });
-  return `<table id="methods"><caption>What each method says on the same expectation</caption><tbody>${lines.join("")}</tbody></table>
+  const lines = names.map((name, w) => { const n = decidedBy(run, row, w); return `<tr data-method="${name}" data-decision="${n}"><td>${name}</td><td>${named(n)}</td><td>${verdict(n)}</td></tr>`; });
+  return `<table id="methods"><caption>Decisions of each method from the same expectation</caption><tbody>${lines.join("")}</tbody></table>
     <label>Picture: decisions by <select id="method">${["", ...names].map((n) => `<option value="${n}"${n === S.method ? " selected" : ""}>${n || `this run (${run.association})`}</option>`).join("")}</select></label>`;
 }

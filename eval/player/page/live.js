@@ -1,8 +1,8 @@
-// The recording comes while the robot drives: new chunks are asked for each second, and the newest frame is shown.
-const EVERY = 1000, LATER = 3000;  // ms from answer to question; where nobody answers
+// The recording grows while the robot drives: new chunks are fetched each second, and the newest frame is shown.
+const EVERY = 1000, LATER = 3000;  // ms from answer to request; without an answer
 let following = true, shown = 0, plotted = 0, plotting = 0, connected = true;
 
-/** Whoever goes elsewhere is left there. */
+/** Follow the newest frame, or stay at the present one. */
 function follow(on) {
   following = on;
   $$("live").setAttribute("aria-pressed", on);
@@ -11,11 +11,11 @@ function follow(on) {
 
 function newest() { go(recording.frames - 1); shown = S.frame; }
 
-/** What came after the frames that are there; true where it ended. */
+/** Fetch the frames after those that are here; true if the drive ended. */
 async function fetched() {
   const from = recording.head ? `chunks/${recording.first + recording.frames}` : "chunks";
   const answer = await fetch(from, { cache: "no-store" });
-  if (answer.status === 410) { location.reload(); return new Promise(() => {}); }  // kept no more: begin anew
+  if (answer.status === 410) { location.reload(); return new Promise(() => {}); }  // no longer kept: reload
   if (!answer.ok) throw new Error(answer.statusText);
   const { ended, chunks } = await answer.json(), begun = recording.head !== null;
   for (const chunk of chunks) await recording.append(chunk);
@@ -41,25 +41,25 @@ function grown(chunk) {
   if (following && S.frame !== shown) follow(false);
   if (following) newest();
   const begin = performance.now();
-  if (begin - plotted > 20 * plotting) {  // a long plot takes its time: no more than a twentieth of all
+  if (begin - plotted > 20 * plotting) {  // plots may take a twentieth of the time
     fillRuns(); makePlots();
     plotted = performance.now(); plotting = plotted - begin;
   }
   inspect.last = 0; changed();
-  says(chunk.now);
+  show(chunk.now);
 }
 
-function says(text) { $$("facts").textContent = text; }
+function show(text) { $$("facts").textContent = text; }
 
 async function ask() {
   let wait = EVERY;
   try {
     const ended = await fetched();
     connected = true;
-    if (ended) { says(`The drive has ended. ${recording.frames} frames.`); return; }
-    if (!recording.head) says("Waiting for the robot's first answer.");
+    if (ended) { show(`The drive has ended. ${recording.frames} frames.`); return; }
+    if (!recording.head) show("Waiting for the robot's first answer.");
   } catch (fault) {
-    if (connected) says("No connection: the drive has ended, or is held up.");
+    if (connected) show("No connection: the drive has ended or is delayed.");
     connected = false; wait = LATER;
   }
   setTimeout(ask, wait);

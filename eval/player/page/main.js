@@ -1,4 +1,4 @@
-// The page comes to life: controls wired, frames played.
+// Wire the controls and play frames.
 const $$ = (id) => document.getElementById(id);
 let dirty = true, drawn = 0, spent = 0;
 
@@ -16,7 +16,7 @@ function go(frame) {
 function play(on) {
   if (on && S.frame >= recording.frames - 1) go(0);
   S.playing = on; S.clock = timeOf(S.frame);
-  $$("detail").setAttribute("aria-live", on ? "off" : "polite");  // nobody can listen to thirty frames a second
+  $$("detail").setAttribute("aria-live", on ? "off" : "polite");  // not thirty announcements a second
   $$("play").textContent = on ? "Pause" : "Play";
   $$("play").setAttribute("aria-pressed", on);
   changed();

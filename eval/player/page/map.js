@@ -1,5 +1,5 @@
 // The map at the present frame.
-const KNOWN = 1e-8;  // m; a smaller sigma says that none is known, or that there is nothing to know
+const KNOWN = 1e-8;  // m; a smaller sigma is unknown or zero
 let mapView = null, marks = [];
 
 function worldBox() {
@@ -105,7 +105,7 @@ function drawObserved(c, view, run, pose) {
   }
 }
 
-/** Landmark numbers beside their landmarks, those of the frame's pairings first; none on top of another. */
+/** Landmark numbers, those of the frame's pairings first, without overlap. */
 function writeNumbers(c, view, landmarks, colour, paired) {
   const taken = [];
   c.textAlign = "left";
@@ -118,14 +118,14 @@ function writeNumbers(c, view, landmarks, colour, paired) {
   }
 }
 
-/** Key poses, and the loop closures found up to now by what became of them. */
+/** Key poses and the loop closures found up to now, by their state. */
 function drawLoops(c, view, run) {
   const keys = recording.column(run.key + "key_frame"), xy = recording.of(run.key + "key_xy");
-  const pairs = recording.of(run.key + "loop_keys"), fate = recording.column(run.key + "loop_fate");
-  for (let i = 0; i < fate.length; i++) {
-    const [a, b] = [pairs[0][i], pairs[1][i]], look = run.loops[fate[i]];
-    if (keys[b] > S.frame || !look) continue;
-    c.strokeStyle = shade(look.colour); c.lineWidth = fate[i] === 0 ? 0.6 : 1.2; c.setLineDash(look.dash.map((d) => 2 * d));
+  const pairs = recording.of(run.key + "loop_keys"), state = recording.column(run.key + "loop_state");
+  for (let i = 0; i < state.length; i++) {
+    const [a, b] = [pairs[0][i], pairs[1][i]], style = run.loops[state[i]];
+    if (keys[b] > S.frame || !style) continue;
+    c.strokeStyle = shade(style.colour); c.lineWidth = state[i] === 0 ? 0.6 : 1.2; c.setLineDash(style.dash.map((d) => 2 * d));
     c.beginPath(); c.moveTo(view.px(xy[0][a]), view.py(xy[1][a])); c.lineTo(view.px(xy[0][b]), view.py(xy[1][b])); c.stroke();
   }
   c.fillStyle = ink();

@@ -1,12 +1,12 @@
-// What is drawn: paths, ellipses, robots, symbols. Colours are those of the figures; on a dark page they are lighter.
+// Paths, ellipses, robots, symbols, in the colours of the figures, lighter on a dark page.
 const DARK = window.matchMedia("(prefers-color-scheme: dark)");
 const OUTCOMES = [
   { key: "tp", name: "TP", colour: "#0072B2", mark: "dot", dash: [], about: "paired with the right landmark" },
-  { key: "tn", name: "TN", colour: "#56B4E9", mark: "star", dash: [2, 2], about: "rightly not paired: not in the map" },
+  { key: "tn", name: "TN", colour: "#56B4E9", mark: "star", dash: [2, 2], about: "correctly unpaired: not in the map" },
   { key: "fp", name: "FP", colour: "#D55E00", mark: "cross", dash: [], about: "paired with a wrong landmark" },
-  { key: "fn", name: "FN", colour: "#E69F00", mark: "ring", dash: [5, 3], about: "not paired, though in the map" },
+  { key: "fn", name: "FN", colour: "#E69F00", mark: "ring", dash: [5, 3], about: "unpaired, but in the map" },
 ];
-const UNSCORED = { key: "", name: "?", colour: "#7A7A7A", mark: "dot", dash: [], about: "the right landmark is not known" };
+const UNSCORED = { key: "", name: "?", colour: "#7A7A7A", mark: "dot", dash: [], about: "the right landmark is unknown" };
 const SIGMAS = 3;
 
 function ink() { return DARK.matches ? "#E4E4E4" : "#1B1B1B"; }

@@ -9,8 +9,8 @@ function drawMatching(run, from, to) {
   canvas.width = Math.round(box.width * ratio); canvas.height = Math.round(box.height * ratio);
   const p = recording.of("point"), sigma = recording.of("point_sigma"), rho = recording.column("point_rho");
   const c = canvas.getContext("2d"), d = decided(run), w = recording.head.methods.indexOf(S.method);
-  const chosen = (row) => (w < 0 ? d.decision[row] : saidBy(run, row, w));
-  // shown: the observation looked at with its candidates, and what is near; forward is up
+  const chosen = (row) => (w < 0 ? d.decision[row] : decidedBy(run, row, w));
+  // the selected observation with its candidates and neighbours; forward is up
   const near = candidatesOf(recording, run.key, S.row).slice(0, 4).map((k) => expected.get(k.number)).filter(Boolean);
   const xs = [p[0][S.row], ...near.map((l) => l.x)], ys = [p[1][S.row], ...near.map((l) => l.y)];
   const middle = [(Math.min(...xs) + Math.max(...xs)) / 2, (Math.min(...ys) + Math.max(...ys)) / 2];
@@ -52,5 +52,5 @@ function drawMatching(run, from, to) {
     c.textAlign = "right"; label(c, String(row - from), x - 6, y - 4, tint);
   }
   scaleBar(c, view);
-  canvas.setAttribute("aria-label", `Observation ${S.row - from} and its candidates as the robot expects them, forward is up; grey lines join what is compatible, coloured ones what ${S.method || run.association} pairs; wrong pairs are dashed and dotted lines lead to the right landmark; dot: paired, star: new, cross: not used`);
+  canvas.setAttribute("aria-label", `Observation ${S.row - from} and its expected candidates, forward is up. Grey lines: compatible pairs; coloured lines: pairs by ${S.method || run.association}; dashed: wrong pairs; dotted: to the right landmark. Dot: paired, star: new, cross: not used`);
 }

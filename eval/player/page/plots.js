@@ -1,6 +1,6 @@
-// Error with its 3 sigma and NEES (without truth: 3 sigma and NIS) over time, with a cursor at the present frame.
+// Error with 3 sigma and NEES (without truth: 3 sigma and NIS) over time, with a cursor at the present frame.
 let plots = [];
-const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000]; // of frames there is no half
+const WHOLE = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000]; // frames are whole
 const COMPONENTS = [["x", 0, "m", 1], ["y", 1, "m", 1], ["heading", 2, "°", 180 / Math.PI]];
 
 function wrapped(angle) { return Math.atan2(Math.sin(angle), Math.cos(angle)); }
@@ -70,7 +70,7 @@ function makePlots() {
   plotInto($$("plot-error"), head.truth ? `error of ${name}` : `±3σ of ${name}`, unit, shown, data, {});
   const values = consistencySeries(run);
   $$("plot-nees").hidden = !values;
-  $$("plot-note").textContent = head.truth ? "A consistent pose has a NEES within the band in 95 % of the frames." : `The log has no true path, so there are no errors.${values ? ` NIS per degree of freedom: ${run.nis_expected.toFixed(2)} is expected.` : ""}`;
+  $$("plot-note").textContent = head.truth ? "A consistent pose has a NEES within the band in 95 % of the frames." : `The log has no true path, so there are no errors.${values ? ` NIS per degree of freedom: ${run.nis_expected.toFixed(2)} expected.` : ""}`;
   $$("plot-error").setAttribute("aria-label", `Error of ${name} of ${runName(run)} over time with its own 3 sigma`);
   $$("plot-nees").setAttribute("aria-label", `${head.truth ? "NEES" : "NIS"} of ${runName(run)} over time`);
   if (values) {

@@ -1,4 +1,4 @@
-// What is shown at the moment, and what follows from it.
+// What is shown now.
 const recording = new Recording();
 const S = { frame: 0, playing: false, speed: 1, clock: 0, run: 0, phase: "online", shown: new Set(), follow: false,
   numbers: true, rays: true, enlarge: 1, row: -1, method: "", component: 0 };

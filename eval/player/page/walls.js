@@ -1,4 +1,4 @@
-// Landmarks that are walls: straight lines n(alpha) . p = rho, where x of a landmark stands for rho [m] and y for alpha.
+// Landmarks that are walls: straight lines n(alpha) . p = rho, where x of a landmark is rho [m] and y is alpha.
 const BEYOND = 0.15;  // m that a wall is shown on either side of where it was seen
 
 /** Where the run saw something, in the world, and how far along its wall: x, y by observation, for frames up to now. */

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -121,14 +121,9 @@ def expectation_of(who: str, given: Any, observations: FrameObservations) -> Exp
 
 
 def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, created: int) -> Updated:
-    """The result of an update. None, or a mapping of some of the fields of `Updated`: everything decided was done.
+    """The result of an update with decisions (m,), `new` (m,) of them for landmarks, after `created` landmarks.
 
-    Args:
-        who: names it in errors.
-        given: what it returned.
-        decisions: (m,) that it received.
-        new: (m,) which of them were to initialize a landmark.
-        created: number of landmarks initialized before.
+    None, or a mapping of some of the fields of `Updated`: everything decided was done. `who` names it in errors.
     """
     m = len(decisions)
     numbers = np.where(new, created + np.cumsum(new) - 1, -1)
@@ -188,21 +183,17 @@ NONE.setflags(write=False)
 KEYWORDS = ("threshold", "at", "innovations")  # optional keywords of `update`
 
 
+OPTIONAL = ("stamp", "remove", "merge", "park", "restore", "inflate", "reset", "amend")
+
+
 class Adapter:
-    """A foreign estimator with the methods of `eval.replay.estimators.Estimator`; capabilities follow from `inner`.
+    """A foreign estimator with the methods of `eval.replay.estimators.Estimator`; capabilities follow from `inner`."""
 
-    Attributes:
-        name: in tables.
-        inner: the foreign object.
-        smooths: whether it revises its past.
-        lacks_covariance: whether it ever gave a pose without one.
-    """
-
-    def __init__(self, name: str, inner: Any, known: LandmarkMap | None, frames: int | None = None) -> None:
+    def __init__(self, name: str, inner: Any, known: LandmarkMap | None) -> None:
         """Wrap `inner`; `known` is the map of localization."""
         self.name, self.inner, self._known = name, inner, known
-        self.smooths = bool(getattr(inner, "smooths", False))
-        self.lacks_covariance = False
+        self.smooths = bool(getattr(inner, "smooths", False))  # whether it revises its past
+        self.lacks_covariance = False  # whether it ever gave a pose without one
         self._created, self._takes = 0, _taken(inner)
 
     def has(self, verb: str) -> bool:
@@ -228,46 +219,18 @@ class Adapter:
         """Move by an increment."""
         self._call("predict", increment)
 
-    def stamp(self, time: float) -> None:
-        """The present frame's time [s]."""
-        self._call("stamp", time)
-
     def expect(self, observations: FrameObservations) -> Expectation:
         """Its expectation."""
         return expectation_of(f"{self.name}.expect", self._call("expect", observations), observations)
 
-    def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = math.inf,
-        at: Array | None = None,
-        innovations: bool = False,
-    ) -> Updated:
+    def update(self, observations: FrameObservations, decisions: IntArray, **options: Any) -> Updated:
         """Use the pairings; it gets the keywords that it takes."""
-        given = {"threshold": threshold, "at": at, "innovations": innovations}
+        given = {"threshold": math.inf, "at": None, "innovations": False} | options
         done = self._call("update", observations, decisions.copy(), **{k: given[k] for k in self._takes})
         new = (decisions == NEW) if self._known is None else np.zeros(len(decisions), np.bool_)
         found = updated_of(f"{self.name}.update", done, decisions, new, self._created)
         self._created += int((found.created >= 0).sum())
         return found
-
-    def remove(self, numbers: IntArray) -> None:
-        """Drop landmarks."""
-        self._call("remove", numbers.copy())
-
-    def merge(self, merged: IntArray, kept: IntArray) -> None:
-        """Merge landmarks `merged` into `kept`."""
-        self._call("merge", merged.copy(), kept.copy())
-
-    def park(self, numbers: IntArray) -> None:
-        """Move landmarks out of the state."""
-        self._call("park", numbers.copy())
-
-    def restore(self, numbers: IntArray) -> None:
-        """Move parked landmarks into the state."""
-        self._call("restore", numbers.copy())
 
     def parked_xy(self) -> Array:
         """Positions (b, 2) of the parked landmarks."""
@@ -277,17 +240,15 @@ class Adapter:
         found: Array = array(who, self._call("parked_xy"), (len(self.parked), 2), "what it returned")
         return found
 
-    def inflate(self, covariance: Array) -> None:
-        """Add a covariance to the last motion."""
-        self._call("inflate", covariance.copy())
+    def __getattr__(self, verb: str) -> Callable[..., None]:
+        """An optional method of `inner`, called with copies of arrays."""
+        if verb not in OPTIONAL:
+            raise AttributeError(verb)
 
-    def reset(self, mean: Array, covariance: Array) -> None:
-        """Restart at another pose."""
-        self._call("reset", mean.copy(), covariance.copy())
+        def handed_on(*arguments: Any) -> None:
+            self._call(verb, *(a.copy() if isinstance(a, np.ndarray) else a for a in arguments))
 
-    def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
-        """Change the landmarks of earlier observations."""
-        self._call("amend", frames.copy(), observations, decisions.copy())
+        return handed_on
 
     def estimate(self) -> PoseEstimate:
         """The newest pose; NaN for a covariance that it does not give."""

@@ -18,15 +18,11 @@ PASSED = (FilterDivergedError, UnderConstrained, SingularInnovationError, Memory
 
 
 class ForeignError(Exception):
-    """Foreign code crashed, or returned an unusable value.
-
-    Attributes:
-        trace: its traceback, empty where it did not crash.
-    """
+    """Foreign code crashed, or returned an unusable value."""
 
     def __init__(self, why: str, trace: str = "") -> None:
         super().__init__(why)
-        self.trace = trace
+        self.trace = trace  # its traceback, empty where it did not crash
 
 
 def call(who: str, function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:

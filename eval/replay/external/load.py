@@ -23,18 +23,12 @@ Thing = Callable[..., Any]  # a class or a function
 
 @dataclass(frozen=True)
 class Loaded:
-    """A loaded class or function.
+    """A loaded class or function."""
 
-    Attributes:
-        text, name: the settled text, and the name in tables.
-        thing: the class or function.
-        sources: its file, and the files beside it that it imports.
-    """
-
-    text: str
-    name: str
-    thing: Callable[..., Any]
-    sources: tuple[Path, ...] = ()
+    text: str  # settled
+    name: str  # in tables
+    thing: Callable[..., Any]  # the class or function
+    sources: tuple[Path, ...] = ()  # its file, and the files beside it that it imports
 
     @property
     def digest(self) -> str:
@@ -70,8 +64,7 @@ def text_of(what: str | Thing, kind: str) -> str:
 def load(text: str) -> Loaded:
     """The class or function that a settled text names.
 
-    Raises:
-        UsageError: it cannot be imported, there is no such attribute, or it cannot be called.
+    Raises UsageError: it cannot be imported, there is no such attribute, or it cannot be called.
     """
     if text in _LIVE:
         return _LIVE[text]
@@ -147,7 +140,6 @@ def _sources(module: ModuleType) -> tuple[Path, ...]:
 
 
 def _import_failure(place: Place, fault: BaseException) -> str:
-    """Why an import failed, with the line of the file."""
     if isinstance(fault, ModuleNotFoundError) and place.module and (fault.name or "") in _parents(place.module):
         return f"there is no module {fault.name!r}, neither installed nor in {Path.cwd()}"
     if isinstance(fault, SyntaxError):
@@ -182,7 +174,6 @@ LIBRARIES = (
 
 
 def _elsewhere(file: str) -> bool:
-    """Whether a file is ours or a library's."""
     return file.startswith(LIBRARIES)
 
 

@@ -39,8 +39,7 @@ def estimator(text: str, given: Given, options: FilterOptions | None = None) -> 
 def tasks_of(loaded: Loaded) -> tuple[str, ...]:
     """Its tasks, from its attribute `tasks`, or else from the number of arguments of its constructor.
 
-    Raises:
-        UsageError: neither is given, or it lacks a required method.
+    Raises UsageError: neither is given, or it lacks a required method.
     """
     missing = [v for v in VERBS if isinstance(loaded.thing, type) and not callable(getattr(loaded.thing, v, None))]
     if missing:
@@ -111,22 +110,18 @@ T = TypeVar("T", bound=np.generic)
 class Method:
     """A foreign association method; `NEW` founds a landmark only outside the gate of new ones, as with our plain
     methods.
-
-    Attributes:
-        name: in tables.
     """
 
     def __init__(self, loaded: Loaded) -> None:
         """Use `loaded.thing`; a class is instantiated once, without arguments, and then called."""
-        self.name = loaded.name
+        self.name = loaded.name  # in tables
         thing = loaded.thing
         self._function = call(f"{self.name}()", thing) if isinstance(thing, type) else thing
 
     def __call__(self, expectation: Expectation, gate: float | None) -> IntArray:
         """Decisions (m,): landmark number, `NEW` or `DISCARD`.
 
-        Raises:
-            ForeignError: it crashed, or returned no decisions.
+        Raises ForeignError: it crashed, or returned no decisions.
         """
         m = len(expectation.z)
         found: IntArray = whole(self.name, call(self.name, self._function, expectation, gate), m, "what it returned")

@@ -32,21 +32,13 @@ FORM = "[NAME=]package.module:Attribute or [NAME=]./file.py:Attribute"
 
 @dataclass(frozen=True)
 class Place:
-    """Where something foreign is.
+    """Where something foreign is."""
 
-    Attributes:
-        name: in tables and file names.
-        file: an absolute path, or empty.
-        module: its dotted name, or empty.
-        folder: where the module is found if it is not installed; absolute, or empty.
-        attribute: dotted if it is inside a class.
-    """
-
-    name: str
-    file: str
-    module: str
-    folder: str
-    attribute: str
+    name: str  # in tables and file names
+    file: str  # an absolute path, or empty
+    module: str  # its dotted name, or empty
+    folder: str  # where the module is found if it is not installed; absolute, or empty
+    attribute: str  # dotted if it is inside a class
 
     @property
     def text(self) -> str:
@@ -96,15 +88,9 @@ def place_of(text: str) -> Place:
 
 
 def settled(label: str, text: str, kind: str) -> str:
-    """A foreign text for any process; relative places are those of the working directory.
+    """A foreign text of a kind for any process; relative places are those of the working directory.
 
-    Args:
-        label: of the flag, for messages.
-        text: as written by a person, or settled already.
-        kind: `estimator` or `association`.
-
-    Raises:
-        UsageError: wrong form, missing file, or a name that cannot be used.
+    `label` of the flag is for messages. Raises UsageError: wrong form, missing file, or a name that cannot be used.
     """
     given, has_name, rest = text.partition("=")
     if not has_name:
@@ -141,7 +127,7 @@ def check_name(label: str, name: str, kind: str, chosen: bool, rest: str) -> Non
     instead = "" if chosen else f"; put a name before it, as in mine={rest}"
     if not NAME.fullmatch(name):
         raise UsageError(
-            f"{label}: {name!r} cannot stand in file names; letters, digits, '.', '_' and '-' can, at most 40{instead}"
+            f"{label}: {name!r} cannot be part of file names; letters, digits, '.', '_', '-' can, at most 40{instead}"
         )
     ours = next((n for n in OURS[kind] if n.lower() == name.lower()), None)
     if ours is not None:
@@ -201,8 +187,7 @@ def one_settled(label: str, text: str, kind: str) -> str:
 def entry_points(kind: str) -> dict[str, str]:
     """Names that installed packages add, each with its `package.module:Attribute`.
 
-    Raises:
-        UsageError: one of them has a name of ours, or two have the same.
+    Raises UsageError: one of them has a name of ours, or two have the same.
     """
     from importlib import metadata
 

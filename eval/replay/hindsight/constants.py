@@ -126,7 +126,7 @@ WINDOW_MOST = 16  # landmarks of a constellation, those seen last
 WINDOW_GATE = 0.999  # gate of the difference of two landmarks in a constellation
 TURN_SIGMAS, TURN_MARGIN = 3.0, 0.1  # largest rotation of a constellation: heading sigmas, plus a margin [rad]
 SINGLE_GATE = 0.99  # gate of the difference of two landmarks merged without a constellation
-SINGLE_CHANCE = 0.1  # landmarks expected by chance where two stand, below which a single pair may be merged; ...
+SINGLE_CHANCE = 0.1  # landmarks expected by chance at the place of two, below which a single pair may be merged; ...
 SINGLE_CHANCE_YOUNG = 0.2  # ... share of it if the other landmark is not old
 
 # --- Dense landmarks (gates.py) -------------------------------------------------------------------------------------

@@ -63,14 +63,8 @@ def recognize(
 ) -> list[tuple[int, int]]:
     """New landmarks (indices) that equal old ones, [(new, old), ...]; none if no alignment stands out.
 
-    Args:
-        new: m landmarks.
-        old: n landmarks.
-        cross: (2m, 2n) covariance between both.
-        allowed: (m, n) pairs that may be the same by themselves.
-        density: landmarks per square metre in the old map.
-        max_turn: rad, largest rotation of the new ones.
-        scale: learned variance scale of distances between landmarks.
+    For m new and n old landmarks, cross (2m, 2n) is their covariance, and allowed (m, n) the pairs that may be the same
+    by themselves. density [1/m^2] of the old map, max_turn [rad] of the new ones; scale: learned variance scale.
     """
     if len(new.xy) < constants.CONSTELLATION_FEWEST:
         return []
@@ -155,7 +149,7 @@ def _vote(
                         continue
                     reach = math.hypot(tolerance[i, a], tolerance[k, b])
                     ex, ey = y[b, 0] - y[a, 0], y[b, 1] - y[a, 1]
-                    # a short pair says nothing about the turn
+                    # a short pair does not give the rotation
                     if apart < long * reach or abs(math.hypot(ex, ey) - apart) > reach:
                         continue
                     turn = math.atan2(dx * ey - dy * ex, dx * ex + dy * ey)

@@ -98,15 +98,9 @@ def comparable(slam: EkfSlam, young: list[int], old: list[int], gate: float) -> 
 def constellation(
     slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int], density: float, scale: float
 ) -> Pairs:
-    """Young landmarks that equal old ones by their relative positions.
+    """Young landmarks, in the order in which they were last seen, that equal old ones by their relative positions.
 
-    Args:
-        slam: the filter.
-        ledger: its landmarks.
-        young: in the order in which they were last seen.
-        old: with which they are compared.
-        density: landmarks per square metre.
-        scale: learned variance scale.
+    density: landmarks per square metre; scale: learned variance scale.
     """
     if not young or not old:
         return []

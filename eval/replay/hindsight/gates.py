@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.conditional import beside, jcbb_conditional, settled
+from association.conditional import blocked_by_pairings, conditional_newness, jcbb_conditional
 from association.expectation import Expectation, gate_threshold
 from data.inputs import IntArray
 from data.result import NEW
@@ -33,16 +33,12 @@ from eval.replay.settings import Setup
 
 
 class Scales(NamedTuple):
-    """Learned variance scales of the sensor, and of map and motion.
-
-    log_tails: logarithm of a factor on variances for tails beyond Student's; observations: number from which it was
-    learned.
-    """
+    """Learned variance scales of the sensor, and of map and motion."""
 
     sensor: NoiseScale
     motion: NoiseScale
-    log_tails: float = 0.0
-    observations: float = 0.0
+    log_tails: float = 0.0  # logarithm of a factor on variances for tails beyond Student's
+    observations: float = 0.0  # number from which it was learned
 
 
 def as_stated() -> Scales:
@@ -66,7 +62,6 @@ def widest(scales: Scales) -> float:
 
 
 def _core(scales: Scales) -> float:
-    """The scale without tails."""
     return min(1.0, constants.TAILS * max(scales.sensor.scale, scales.motion.scale))
 
 
@@ -185,20 +180,16 @@ class LearnedGates:
         self.scales = relearned(self.scales, e, decisions)
 
     def put_off(self, e: Expectation, decisions: IntArray, pose: Array, new_gate: float | None) -> IntArray:
-        """Decisions (m,) with `DISCARD` for what may be a landmark under the stated noise, until several observations
-        agree.
+        """Decisions (m,) with `DISCARD` for what may be a landmark under the stated noise, until several agree.
 
-        Args:
-            e: expectation under the stated noise.
-            decisions: (m,) under the learned noise.
-            pose: (3,) of the robot.
-            new_gate: outside of which, under the stated noise, an observation is new at once.
+        e is under the stated noise, decisions (m,) under the learned noise; pose (3,) of the robot. An observation
+        outside `new_gate` under the stated noise is new at once.
         """
         ledger, sensor, reach = self.ledger, self.ledger.sensor, self.ledger.range
-        stated, nearest = settled(e, decisions, new_gate), e.individual_distances()
+        stated, nearest = conditional_newness(e, decisions, new_gate), e.individual_distances()
         waiting = (decisions == NEW) & (stated != NEW)
-        if widest(self.scales) == 1.0:  # where less noise is there than was stated, three observations agree too easily
-            waiting |= beside(e, stated, new_gate)
+        if widest(self.scales) == 1.0:  # under smaller noise three observations agree too easily
+            waiting |= blocked_by_pairings(e, stated, new_gate)
         paired = stated[stated >= 0].tolist()
         self._pairings += len(paired)
         inside, outside = sum(ledger.gated_elsewhere(n, True) for n in paired), 0
@@ -228,12 +219,7 @@ class Paired(NamedTuple):
 def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: Setup) -> Paired:
     """Joint compatibility; an ambiguous pairing counts only if its frame as a whole supports it.
 
-    Args:
-        e: expectation of the landmarks in view, under the stated noise.
-        slam: the deciding filter.
-        ledger: its landmarks; an ambiguous frame begins an epoch.
-        scales: learned variance scales.
-        setup: its gates.
+    e: landmarks in view under the stated noise; an ambiguous frame begins an epoch of the ledger.
     """
     real = scaled(e, scales)
     found = Paired(e, *jcbb_conditional(real, setup.gate, setup.new_gate))

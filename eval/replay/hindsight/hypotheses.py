@@ -80,17 +80,10 @@ class Standing(NamedTuple):
 class Hypotheses:
     """A bank of localizers that begins with one and branches at every ambiguous observation."""
 
-    def __init__(
-        self,
-        prior: Prior,
-        sensor: Sensor,
-        known: LandmarkMap,
-        options: FilterOptions = DEFAULT,
-        limit: int | None = None,
-    ) -> None:
-        """Start at the prior with an exact map; `options` of the updates; `limit`: see `LIMIT`."""
-        self.sensor, self.map, self.limit = sensor, known, LIMIT if limit is None else limit
-        self._how, self._extrinsic = updates.How(math.inf, *options.rule, kernels.NEWEST), sensor.extrinsic
+    def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT) -> None:
+        """Start at the prior with an exact map; `options` of the updates."""
+        self.sensor, self.map = sensor, known
+        self._how, self._extrinsic = updates.UpdateRule(math.inf, *options.rule(), kernels.NEWEST), sensor.extrinsic
         self._xy = np.array(known.xy)
         # as far as the map reaches, where the sensor has no limit
         self._reach = min(sensor.max_range, max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0))
@@ -184,8 +177,8 @@ class Hypotheses:
             if number in h.taken:
                 continue
             mean, P, stats = h.mean.copy(), h.P.copy(), np.zeros(3)
-            seen = kernels.Seen(self._at[:1], self._xy[j : j + 1], z, R)
-            done = updates.Done(np.ones(1, np.bool_), stats, np.empty((1, 2)))
+            seen = kernels.Pairings(self._at[:1], self._xy[j : j + 1], z, R)
+            done = updates.Outcome(np.ones(1, np.bool_), stats, np.empty((1, 2)))
             status = updates.update(self.sensor.kind, self._extrinsic, mean, P, 3, seen, self._how, done)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
@@ -201,7 +194,7 @@ class Hypotheses:
         children.sort(key=lambda h: -h.weight)
         kept: list[Hypothesis] = []
         for child in children:
-            if len(kept) == self.limit or child.weight < children[0].weight - DROP:
+            if len(kept) == LIMIT or child.weight < children[0].weight - DROP:
                 break
             same = next((k for k in kept if _one(k, child)), None)
             if same is None:

@@ -33,17 +33,12 @@ class Relocated(NamedTuple):
 
 
 class Kidnapping:
-    """The cumulative sum of the evidence, and the scan since the alarm.
-
-    Attributes:
-        lost: since an alarm, until the place is found or landmarks of the map are paired again.
-        alarms, found: frames of alarms and of recoveries.
-    """
+    """The cumulative sum of the evidence, and the scan since the alarm."""
 
     def __init__(self, ledger: Ledger, setup: Setup) -> None:
         self.ledger, self.setup = ledger, setup
-        self.lost = False
-        self.alarms: list[int] = []
+        self.lost = False  # since an alarm, until the place is found or landmarks of the map are paired again
+        self.alarms: list[int] = []  # frames of alarms and of recoveries
         self.found: list[int] = []
         self._score, self._scan = 0.0, EMPTY
         self._before = 0  # number of the first landmark initialized since the trouble began
@@ -112,7 +107,6 @@ class Kidnapping:
         return np.array([number_of.get(row, DISCARD) for row in rows.tolist()], np.int64), place.pose
 
     def _recover(self) -> None:
-        """The place is known again."""
         self.lost, self._score = False, 0.0
         self.found.append(self.ledger.frame)
 

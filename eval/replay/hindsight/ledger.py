@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from association.candidates import holding
-from association.conditional import Alone, alone
+from association.conditional import ConditionalInnovations, conditional_innovations
 from association.expectation import Expectation
 from data.inputs import Frame, IntArray
 from data.notice import Code, Notice, Severity, notice
@@ -44,29 +44,21 @@ COUNTS = ("seen", "opportunities", "missed")
 
 
 class Ledger:
-    """The landmarks of one run, and the decisions about them that were revised.
-
-    Attributes:
-        records: of the landmarks in the map, by number, in order of initialization.
-        created: number of landmarks initialized so far; the number of the next one.
-        frame: the newest one.
-        frames: number of frames with observations.
-        travelled: m, until the newest frame.
-        events: the revisions, in order.
-        merged: (frame, away, kept) of every merged landmark.
-    """
+    """The landmarks of one run, and the decisions about them that were revised."""
 
     def __init__(self, sensor: Sensor) -> None:
         self.sensor = sensor
-        self.records: dict[int, Record] = {}
+        self.records: dict[int, Record] = {}  # of the landmarks in the map, by number, in order of initialization
+        # number of the next landmark, newest frame, number of frames with observations, distance travelled [m]
         self.created, self.frame, self.frames, self.travelled = 0, -1, 0, 0.0
         self.epoch = Epoch()
-        self.events: list[Event] = []
-        self.merged: list[tuple[int, int, int]] = []
+        self.events: list[Event] = []  # the revisions, in order
+        self.merged: list[tuple[int, int, int]] = []  # (frame, away, kept) of every merged landmark
         self._read = replace(sensor, max_range=0.0, min_angle=0.0, max_angle=0.0)  # the view that held observations
         self._touched: set[int] = set()
-        nobody = np.empty(0, np.int64)
-        self._judged = Judged(nobody, nobody, Alone(np.empty((0, 2)), np.empty((0, 2, 2))), nobody, nobody)
+        nothing = np.empty(0, np.int64)
+        none = ConditionalInnovations(np.empty((0, 2)), np.empty((0, 2, 2)))
+        self._judged = Judged(nothing, nothing, none, nothing, nothing)
         self._visibility = Visibility()
         self._former: list[bytes] = []  # opportunities of the retracted landmarks
 
@@ -82,14 +74,14 @@ class Ledger:
         return min(self.sensor.max_range, self._read.max_range)
 
     def judge(self, e: Expectation, decisions: IntArray, believed: Expectation | None = None) -> None:
-        """Note what the expectation of a frame says about the decisions (m,) made from it, for `see`.
+        """Judge the decisions (m,) of a frame by its expectation, for `see`.
 
         `believed`: expectation given these pairings, where the prediction alone is too uncertain.
         """
         rows, chosen = e.paired(decisions)
         expected = believed or e
         absent, in_read = (expected.number[missing(expected, decisions, s)] for s in (self.sensor, self._read))
-        self._judged = Judged(rows, e.number[chosen], alone(e, rows, chosen), absent, in_read)
+        self._judged = Judged(rows, e.number[chosen], conditional_innovations(e, rows, chosen), absent, in_read)
 
     def see(self, frame: Frame, decisions: IntArray, done: Updated, pose: Array) -> None:
         """Take in the judgement of a frame and its decisions (m,); `pose` (3,) is where it was taken."""
@@ -165,7 +157,7 @@ class Ledger:
         The observation that names a landmark becomes its first one; earlier ones are discarded.
         """
         first = beginnings(found)
-        gone = self._retract({n: UNREAD for n in self.records if n not in first})
+        leaving = self._retract({n: UNREAD for n in self.records if n not in first})
         former = {row: (n, decision) for n, r in self.records.items() for row, decision in r.observations}
         for record in self.records.values():
             record.observations.clear()
@@ -178,7 +170,7 @@ class Ledger:
                 continue
             steps = [before[1], *([n] if new == NEW and before[1] != n else []), new]
             self.events += [Event(self.frame, row, old, then, REASSOCIATED) for old, then in pairwise(steps)]
-        return gone
+        return leaving
 
     def transient(self) -> IntArray:
         """Retract landmarks (r,) that may be transient, at the end of a run."""
@@ -187,11 +179,11 @@ class Ledger:
         keep = kept_at_end([r.opportunities for r in every], self._former, observations)
         return self._retract(dict.fromkeys(np.array(list(self.records))[~keep].tolist(), "uncertain"))
 
-    def _retract(self, gone: dict[int, str]) -> IntArray:
-        for n, why in gone.items():
+    def _retract(self, leaving: dict[int, str]) -> IntArray:
+        for n, why in leaving.items():
             self.events += [Event(self.frame, row, old, DISCARD, why) for row, old in self.records[n].observations]
-        self._former += [bytes(self.records[n].opportunities) for n in gone]
-        self.drop(numbers := np.array(list(gone), np.int64))
+        self._former += [bytes(self.records[n].opportunities) for n in leaving]
+        self.drop(numbers := np.array(list(leaving), np.int64))
         return numbers
 
     def drop(self, numbers: IntArray) -> None:
@@ -260,10 +252,12 @@ class Ledger:
     def notes(self) -> list[Notice]:
         """Messages about revised decisions."""
         events = [e for e in self.events if e.why != REASSOCIATED]
-        anew = len({e.observation for e in self.events if e.why == REASSOCIATED})
+        reassociated = len({e.observation for e in self.events if e.why == REASSOCIATED})
         undone, again = sum(e.old >= 0 for e in events), sum(e.new >= 0 for e in events)
         revised = [notice(Code.REVISED, Severity.INFO, undone=undone, again=again)] if events else []
-        return revised + ([notice(Code.REASSOCIATED_AT_END, Severity.INFO, decisions=anew)] if anew else [])
+        return revised + (
+            [notice(Code.REASSOCIATED_AT_END, Severity.INFO, decisions=reassociated)] if reassociated else []
+        )
 
     def merge_notes(self) -> list[Notice]:
         """Messages about merged landmarks."""

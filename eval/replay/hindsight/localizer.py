@@ -24,14 +24,7 @@ from eval.replay.settings import Given
 
 
 class HindsightLocalizer:
-    """Decides about the observations of a log with a known map, frame by frame: `move`, `decide`; then `pose`.
-
-    Attributes:
-        alarms: frames in which the monitor detected a lost robot.
-        found: frames in which it was relocalized.
-        online: decisions as they were made, one for each observation so far.
-        events: revised decisions, in order.
-    """
+    """Decides about the observations of a log with a known map, frame by frame: `move`, `decide`; then `pose`."""
 
     def __init__(self, given: Given) -> None:
         """Start at the prior. Raises UsageError without a map."""
@@ -43,10 +36,10 @@ class HindsightLocalizer:
         )
         self.health = Health()
         self._scans = (EMPTY, EMPTY)  # observations since each cumulative sum left zero
-        self.alarms: list[int] = []
-        self.found: list[int] = []
-        self.online: list[int] = []
-        self.events: list[Event] = []
+        self.alarms: list[int] = []  # frames in which the monitor detected a lost robot
+        self.found: list[int] = []  # frames in which it was relocalized
+        self.online: list[int] = []  # decisions as they were made, one for each observation so far
+        self.events: list[Event] = []  # revised decisions, in order
         self._now: list[int] = []  # decisions after revisions
         self._restarted = 0  # rows before this one are settled: relocalization began a new past
         self._k, self._first = -1, 0  # the frame, and its first row

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,11 +29,7 @@ from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
 class Stretches:
-    """A smoother that can be restarted; its final path is joined from the stretches.
-
-    Attributes:
-        smooths: True.
-    """
+    """A smoother that can be restarted; its final path is joined from the stretches."""
 
     smooths = True
 
@@ -61,17 +57,9 @@ class Stretches:
         """The expectation of the present smoother."""
         return self._now.expect(observations)
 
-    def update(
-        self,
-        observations: FrameObservations,
-        decisions: IntArray,
-        *,
-        threshold: float = math.inf,
-        at: Array | None = None,
-        innovations: bool = False,
-    ) -> Updated:
+    def update(self, observations: FrameObservations, decisions: IntArray, **options: Any) -> Updated:
         """Use the pairings."""
-        return self._now.update(observations, decisions, threshold=threshold, at=at, innovations=innovations)
+        return self._now.update(observations, decisions, **options)
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
         """Change the landmarks of what frames (m,) saw; earlier stretches stay as they are."""
@@ -146,22 +134,16 @@ NOTHING = Handed(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)), n
 
 
 class LocalizingFrontEnd(FrontEnd):
-    """Front end with decisions by `HindsightLocalizer`; the log has a known map.
-
-    Attributes:
-        localizer: decides; its `events` are the revisions.
-    """
+    """Front end with decisions by `HindsightLocalizer`; the log has a known map."""
 
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
     ) -> None:
         """Check the map and the estimator.
 
-        Raises:
-            UsageError: without a map.
-            CannotError: the estimator has no `reset`.
+        Raises UsageError: without a map. Raises CannotError: the estimator has no `reset`.
         """
-        self.localizer = HindsightLocalizer(given)
+        self.localizer = HindsightLocalizer(given)  # decides; its `events` are the revisions
         super().__init__(estimator, association, given, setup, options)
         self._decided = np.empty(0, np.int64)
         self._was_single, self._found_again = True, False
@@ -247,7 +229,6 @@ class LocalizingFrontEnd(FrontEnd):
             self._held_until = self._seen
 
     def _reset(self) -> None:
-        """Reset the estimator to the hypotheses' pose."""
         self._pose.reset(*self.localizer.pose())
 
     def close(self) -> None:

@@ -30,23 +30,17 @@ from eval.replay.hindsight.ledger import Ledger
 
 @dataclass(frozen=True)
 class Health:
-    """State of the test after a frame.
+    """State of the test after a frame."""
 
-    Attributes:
-        unpaired, misfit: cumulative sums, 0 while nothing indicates a lost robot.
-        share, strays, scale: expected in a healthy frame: share of paired observations, number of unpaired ones, NIS
-            per degree of freedom.
-        learned: weight of what was learned, in observations.
-        lost: one of the sums has reached the threshold.
-    """
-
-    unpaired: float = 0.0
+    unpaired: float = 0.0  # cumulative sums, 0 while nothing indicates a lost robot
     misfit: float = 0.0
+    # expected in a healthy frame: share of paired observations, ...
     share: float = field(default_factory=lambda: constants.HEALTH_START[0])
-    strays: float = 0.0
-    scale: float = field(default_factory=lambda: constants.HEALTH_START[1])
+    strays: float = 0.0  # ... number of unpaired ones, ...
+    scale: float = field(default_factory=lambda: constants.HEALTH_START[1])  # ... NIS per degree of freedom
+    # weight of what was learned, in observations
     learned: float = field(default_factory=lambda: constants.HEALTH_WEIGHT)
-    lost: bool = False
+    lost: bool = False  # one of the sums has reached the threshold
 
 
 def watch(before: Health, offered: int, paired: int, nis: float, dof: int) -> Health:
@@ -94,16 +88,12 @@ def recovered(before: Health) -> Health:
 
 
 class Suspicion(NamedTuple):
-    """State of the test while mapping. score: see the module; since: frame after the last one with score 0.
-
-    alarm: frame since which the robot has been lost, from the first alarm, None: no alarm; over: frame where the score
-    returned to 0, None: not yet.
-    """
+    """State of the test while mapping. score: see the module; since: frame after the last one with score 0."""
 
     score: float = 0.0
     since: int = 0
-    alarm: int | None = None
-    over: int | None = None
+    alarm: int | None = None  # frame since which the robot has been lost, from the first alarm, None: no alarm
+    over: int | None = None  # frame where the score returned to 0, None: not yet
 
 
 def suspect(before: Suspicion, frame: int, paired: int, replaced: int) -> Suspicion:
@@ -122,17 +112,12 @@ def suspect(before: Suspicion, frame: int, paired: int, replaced: int) -> Suspic
 
 
 class Lost:
-    """Tests every frame that the ledger has judged.
-
-    Attributes:
-        suspicion: the state of the test.
-        often, retracted: number of often observed landmarks, and of those retracted at the end.
-    """
+    """Tests every frame that the ledger has judged."""
 
     def __init__(self, ledger: Ledger) -> None:
         self.ledger, self.suspicion = ledger, Suspicion()
         self._place = (math.inf, math.inf)
-        self.often, self.retracted = 0, 0
+        self.often, self.retracted = 0, 0  # number of often observed landmarks, and of those retracted at the end
 
     def see(self, frame: Frame, decisions: IntArray, pose: Array) -> None:
         """Add a frame with its decisions (m,), before the update; `pose` (3,) is the predicted one."""

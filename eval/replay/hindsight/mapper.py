@@ -75,31 +75,20 @@ class HindsightMapper:
     """Decides about the observations of a log without a map: `move`, `decide`, `revise`; at the end `close`.
 
     Landmark numbers are in the order of creation, as in every estimator that gets the decisions.
-
-    Attributes:
-        restated: noise of odometry and sensor.
-        filters: the deciding filters.
-        ledger: their landmarks and the revisions.
-        motion: whether a frame can be predicted.
-        gates: learned variance scales.
-        kidnapping: whether the robot was moved unseen.
-        duplicates: landmarks initialized twice.
-        lost: plausibility of the map; decides nothing.
-        whole: the log, for the final re-association.
     """
 
     def __init__(self, given: Given, setup: Setup) -> None:
         self.setup = setup
         self._systematic = with_tight(given.systematic)
-        self.restated = Restated(given.sensor)
+        self.restated = Restated(given.sensor)  # noise of odometry and sensor
         self.filters = TwoModels(given.prior, given.sensor, self._systematic, undecided=given.systematic is None)
-        self.ledger = Ledger(given.sensor)
-        self.motion = UncertainMotion(self.ledger, setup)
-        self.gates = LearnedGates(self.ledger)
-        self.kidnapping = Kidnapping(self.ledger, setup)
-        self.duplicates = Duplicates(self.ledger)
-        self.lost = Lost(self.ledger)
-        self.whole = WholeLog(given)
+        self.ledger = Ledger(given.sensor)  # their landmarks and the revisions
+        self.motion = UncertainMotion(self.ledger, setup)  # whether a frame can be predicted
+        self.gates = LearnedGates(self.ledger)  # learned variance scales
+        self.kidnapping = Kidnapping(self.ledger, setup)  # whether the robot was moved unseen
+        self.duplicates = Duplicates(self.ledger)  # landmarks initialized twice
+        self.lost = Lost(self.ledger)  # plausibility of the map; decides nothing
+        self.whole = WholeLog(given)  # the log, for the final re-association
 
     @property
     def filter(self) -> EkfSlam:

@@ -22,11 +22,7 @@ from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
 class MappingFrontEnd(FrontEnd):
-    """Front end with decisions by `HindsightMapper`; the log has no map.
-
-    Attributes:
-        mapper: decides; its `events` are the revisions.
-    """
+    """Front end with decisions by `HindsightMapper`; the log has no map."""
 
     revises_map = True
     asks_for_innovations = True
@@ -36,15 +32,14 @@ class MappingFrontEnd(FrontEnd):
     ) -> None:
         """Check options and estimator.
 
-        Raises:
-            UsageError: with one update per observation.
-            CannotError: landmarks of the estimator's map cannot be removed and merged.
+        Raises UsageError: with one update per observation. Raises CannotError: landmarks of the estimator's map cannot
+        be removed and merged.
         """
         if options is not None and options.each:
             raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
         super().__init__(estimator, association, given, setup, options)
         self._map = needed(self.can.revisable, "`remove` and `merge`", f"--association {HINDSIGHT}")
-        self.mapper = HindsightMapper(given, setup)
+        self.mapper = HindsightMapper(given, setup)  # decides; its `events` are the revisions
 
     @property
     def passed(self) -> Acceptance:

@@ -265,14 +265,10 @@ def _normal(x: Array, S: Array) -> float:
 
 
 class Restated:
-    """Estimates the noise from a log's frames and restates the covariances of later ones.
-
-    Attributes:
-        shares: variances of range, bearing and motion over the stated ones; none is below 1.
-    """
+    """Estimates the noise from a log's frames and restates the covariances of later ones."""
 
     def __init__(self, sensor: Sensor) -> None:
-        self.shares = AS_STATED
+        self.shares = AS_STATED  # variances of range, bearing and motion over the stated ones; none is below 1
         self._sensor = self._view = sensor
         self._differences = Differences(sensor)
 

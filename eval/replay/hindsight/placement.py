@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from association.conditional import given, prune, settled
+from association.conditional import conditional_expectation, conditional_newness, prune
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import search
 from data import se2
@@ -137,31 +137,22 @@ def _poses(
 
 
 class Memory(NamedTuple):
-    """Knowledge from the frames before.
+    """Knowledge from the frames before."""
 
-    seen_from: poses (3,) from which the map was seen; rate: (n,) detection probability of each candidate; strays: share
-    of observations in mapped areas that are of no landmark.
-    """
-
-    seen_from: Sequence[Array]
-    rate: Array
-    strays: float
+    seen_from: Sequence[Array]  # poses (3,) from which the map was seen
+    rate: Array  # (n,) detection probability of each candidate
+    strays: float  # share of observations in mapped areas that are of no landmark
 
 
 class Placed(NamedTuple):
-    """A frame with its pose.
+    """A frame with its pose."""
 
-    pose: (3,) in the world; expectation: linearized there; believed: the same given the pairings; decisions: (m,) as of
-    `association.conditional`; sudden: number of unpaired observations in mapped areas; score: log-likelihood, see
-    `place`.
-    """
-
-    pose: Array
-    expectation: Expectation
-    believed: Expectation
-    decisions: IntArray
-    sudden: int
-    score: float
+    pose: Array  # (3,) in the world
+    expectation: Expectation  # linearized there
+    believed: Expectation  # the same given the pairings
+    decisions: IntArray  # (m,) as of `association.conditional`
+    sudden: int  # number of unpaired observations in mapped areas
+    score: float  # log-likelihood, see `place`
 
 
 def drifted(covariance: Array, increment: Increment) -> Array:
@@ -202,14 +193,8 @@ def place(
     observations in mapped areas. Pairings must pass the gates jointly and each given the others. Their number and fit
     do not count, because a repetitive world provides them by chance.
 
-    Args:
-        e: expectation at the predicted pose, with `elsewhere`.
-        sensor: of the observations.
-        predicted: (3,) pose in the world.
-        motion: (3, 3) its covariance relative to the map, in the predicted body frame.
-        memory: of the frames before.
-        gate: chi-square probability of a pairing given the others of its frame.
-        new_gate: outside of which an unpaired observation is a new landmark.
+    e is linearized at the pose predicted (3,) in the world, with `elsewhere`; motion (3, 3) is its covariance relative
+    to the map, in the predicted body frame. Pairings pass `gate`; outside `new_gate` an observation is a new landmark.
     """
     near = _near(e, sensor, motion)
     if min(len(near), len(e.z)) < constants.PLACE_PAIRINGS:
@@ -225,7 +210,7 @@ def place(
             best = found
     if best is None:
         return None
-    decisions = settled(best.expectation, prune(best.expectation, best.decisions, gate), new_gate)
+    decisions = conditional_newness(best.expectation, prune(best.expectation, best.decisions, gate), new_gate)
     return best._replace(decisions=decisions)
 
 
@@ -258,15 +243,15 @@ def _verified(
             return None
         pose = se2.rigid_fit(xy[rows], landmarks[chosen])
         here = e.elsewhere(pose)
-        decisions = _clear(given(here, prune(here, decisions, gate), every), decisions, gate)
-        decisions = prune(here, _more(given(here, decisions, every), decisions, gate), gate)
+        decisions = _clear(conditional_expectation(here, prune(here, decisions, gate), every), decisions, gate)
+        decisions = prune(here, _more(conditional_expectation(here, decisions, every), decisions, gate), gate)
     rows, chosen = e.paired(decisions)
     if len(rows) < constants.PLACE_PAIRINGS:
         return None
     nis, dof, _ = here.innovation_statistics(rows, chosen)
     if nis >= gate_threshold(gate, dof):
         return None
-    believed = given(here, decisions, every)
+    believed = conditional_expectation(here, decisions, every)
     absent = missing(believed, decisions, sensor)
     stray = decisions == NEW
     sudden = _in_view_before(sensor, pose, xy[stray], R[stray], memory.seen_from)

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 
 from association.candidates import polar_sigma
-from association.conditional import Alone
+from association.conditional import ConditionalInnovations
 from association.expectation import Expectation, gate_threshold
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray, wrap_angle
@@ -32,22 +32,16 @@ from eval.replay.hindsight import constants
 
 
 class Evidence(NamedTuple):
-    """Evidence for and against one landmark.
+    """Evidence for and against one landmark."""
 
-    seen: observations, `opportunities` of them from different places; missed: missed detections from different places,
-    `row` of them since the last observation;
-    judged: observations judged by others of their frame; squares: sum of their squared innovations; pull (2,),
-    information (2, 2): their weighted sums in the world.
-    """
-
-    seen: int
+    seen: int  # observations, `opportunities` of them from different places
     opportunities: int
-    missed: int
+    missed: int  # missed detections from different places, `row` of them since the last observation
     row: int
-    judged: int
-    squares: float
-    pull: Array
-    information: Array
+    judged: int  # observations judged by others of their frame
+    squares: float  # sum of their squared innovations
+    pull: Array  # (2,) weighted sum of their innovations in the world
+    information: Array  # (2, 2) sum of their information
 
 
 INITIALIZED = Evidence(1, 1, 0, 0, 0, 0.0, np.zeros(2), np.zeros((2, 2)))  # of a landmark that was initialized just now
@@ -84,7 +78,7 @@ def add_miss(e: Evidence) -> Evidence:
 class Visibility(NamedTuple):
     """Counts over confirmed landmarks in view: detected and missed, after a detection and after a miss.
 
-    An occluded landmark stays occluded for a while, so misses come in rows.
+    Occlusions last, so misses come in rows.
     """
 
     seen_seen: int = 0
@@ -136,7 +130,7 @@ def confirmed(e: Evidence, v: Visibility) -> bool:
 
 
 def verdict(e: Evidence, v: Visibility) -> str:
-    """Why a landmark is to be retracted, `moved` or `missed`; empty if it stays.
+    """Why a landmark is to be retracted, `moved` or `missed`; or empty.
 
     A confirmed landmark has its own detection probability, if that is lower, and needs more evidence against it.
     """
@@ -164,31 +158,22 @@ def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
 
 @dataclass
 class Record:
-    """What is known of one landmark of the map, except its position.
+    """What is known of one landmark of the map, except its position."""
 
-    Attributes:
-        observations: (observation, decision) of all assigned to it; the first one initialized it.
-        place: (x, y) [m] of the robot at its last detection opportunity.
-        first, last: distances travelled [m] at its first and its last observation.
-        times: observations, by the decisions that were used.
-        covisible: landmarks seen in one frame with it: they cannot be the same.
-        gated: distance travelled [m] at the last judgement of its gate, by whether the observation was inside.
-        opportunities: detection opportunities after the first observation; 1 detected, 0 missed.
-    """
-
-    observations: list[tuple[int, int]]
-    place: tuple[float, float]
-    first: float
+    observations: list[tuple[int, int]]  # (observation, decision) of all assigned to it; the first one initialized it
+    place: tuple[float, float]  # (x, y) [m] of the robot at its last detection opportunity
+    first: float  # distances travelled [m] at its first and its last observation
     last: float
-    times: int = 0
+    times: int = 0  # observations, by the decisions that were used
     evidence: Evidence = INITIALIZED
-    covisible: set[int] = field(default_factory=set)
+    covisible: set[int] = field(default_factory=set)  # landmarks seen in one frame with it: they cannot be the same
+    # distance travelled [m] at the last judgement of its gate, by result
     gated: dict[bool, float] = field(default_factory=dict)
-    opportunities: bytearray = field(default_factory=bytearray)
+    opportunities: bytearray = field(default_factory=bytearray)  # after the first observation; 1 detected, 0 missed
 
 
 class Judged(NamedTuple):
-    """What a frame's expectation says about its pairings, computed before the update changes the state.
+    """Judgement of a frame's pairings by its expectation, before the update changes the state.
 
     rows (k,) of the paired observations, the landmarks' numbers (k,), their innovations given each other; missed
     landmarks (n,), and those of them where something was observed before.
@@ -196,7 +181,7 @@ class Judged(NamedTuple):
 
     rows: IntArray
     number: IntArray
-    alone: Alone
+    alone: ConditionalInnovations
     missing: IntArray
     in_read: IntArray
 
@@ -247,10 +232,7 @@ def kept_at_end(opportunities: Opportunities, former: Opportunities, observation
     of them, or `CONFIRMED`: a landmark observed twice among often observed ones is a person who came by at the end. If
     fewer than half of the expected number would stay, the most probable ones are kept.
 
-    Args:
-        opportunities: of the map's landmarks (n).
-        former: of retracted landmarks.
-        observations: (n,) number of each landmark of the map.
+    `former`: opportunities of retracted landmarks; observations (n,): number of each landmark of the map.
     """
     often = observations >= constants.CONFIRMED_AT_LEAST
     probability = np.where(often, persistent(opportunities, persistence([*opportunities, *former])), 0.0)
@@ -329,9 +311,9 @@ def _probability(opportunities: IntArray, counts: Array, p: Array, own: float, c
     """Probability that a landmark is persistent, given its opportunities and their counts (2, 2); `expected` as of
     `_transient`.
     """
-    there = log(p[0]) + _betas(counts[1, 1], counts[1, 0], p[3], own) + _betas(counts[0, 1], counts[0, 0], p[4], own)
-    gone = log(1.0 - p[0]) + _transient(opportunities, p, chance, expected)
-    return 1.0 / (1.0 + exp(min(gone - there, 700.0)))
+    stay = log(p[0]) + _betas(counts[1, 1], counts[1, 0], p[3], own) + _betas(counts[0, 1], counts[0, 0], p[4], own)
+    transient = log(1.0 - p[0]) + _transient(opportunities, p, chance, expected)
+    return 1.0 / (1.0 + exp(min(transient - stay, 700.0)))
 
 
 @njit(cache=True)
@@ -355,17 +337,17 @@ def _fitted(
         for i in range(len(begin) - 1):
             of = opportunities[begin[i] : begin[i + 1]]
             counts, row = _transitions(of)
-            there = _probability(of, counts, p, own, chance, expected)
-            gone = 1.0 - there
+            q = _probability(of, counts, p, own, chance, expected)
+            t = 1.0 - q  # transient
             if row:
                 counts[1, 0] -= 1.0
                 counts[0, 0] -= row - 1.0
-            yes += np.array([there, gone * expected[0], gone * expected[2], there * counts[1, 1], there * counts[0, 1]])
+            yes += np.array([q, t * expected[0], t * expected[2], q * counts[1, 1], q * counts[0, 1]])
             every[0] += 1.0
-            every[1] += gone * (expected[0] + expected[1])
-            every[2] += gone * (expected[2] + expected[3])
-            every[3] += there * counts[1].sum()
-            every[4] += there * counts[0].sum()
+            every[1] += t * (expected[0] + expected[1])
+            every[2] += t * (expected[2] + expected[3])
+            every[3] += q * counts[1].sum()
+            every[4] += q * counts[0].sum()
         p = yes / every
         p[2] = max(p[2], least)
     return p

@@ -111,7 +111,6 @@ def surest(scan: Scan, limit: int) -> IntArray:
 
 
 def _variance(scan: Scan) -> Array:
-    """Sum of both variances (n,) of each point."""
     total: Array = np.diag(scan.covariance).reshape(-1, 2).sum(axis=1)
     return total
 
@@ -119,14 +118,12 @@ def _variance(scan: Scan) -> Array:
 class Place(NamedTuple):
     """Pose (3,) in the world, its covariance (3, 3) additive in the world frame, and the landmark id of each point
     (n,).
-
-    pairings: -1 for none; log_odds: log odds against the next best place.
     """
 
     pose: Array
     covariance: Array
-    pairings: IntArray
-    log_odds: float
+    pairings: IntArray  # -1 for none
+    log_odds: float  # log odds against the next best place
 
 
 class _Fit(NamedTuple):
@@ -135,21 +132,11 @@ class _Fit(NamedTuple):
     score: float
 
 
-def relocalize(scan: Scan, known: LandmarkMap, gate: float | None = None) -> Place | None:
-    """The place in a known map at which the scan was taken, or None if there is none, or more than one.
+def relocalize(scan: Scan, known: LandmarkMap) -> Place | None:
+    """The place in a known, exact map at which the scan was taken; None if there is none, or more than one.
 
-    Assumes that the map holds what is seen there: in an unmapped place, few points may fit elsewhere.
-
-    Args:
-        scan: points with their joint covariance.
-        known: landmarks, taken as exact.
-        gate: chi-square probability of the joint distance of the fit (2 q - 3 dof for q pairings), by default
-            `RELOCALIZE_GATE`.
-
-    Returns:
-        The place; None also if the search was not completed.
+    None also if the search was not completed. In an unmapped place, few points may fit elsewhere.
     """
-    gate = constants.RELOCALIZE_GATE if gate is None else gate
     used = surest(scan, constants.SCAN_POINTS)
     m, fewest = len(used), max(constants.PLACE_PAIRINGS, math.ceil(constants.SCAN_SHARE * len(used)))
     if m < constants.PLACE_PAIRINGS or len(known.id) < constants.PLACE_PAIRINGS:
@@ -163,11 +150,8 @@ def relocalize(scan: Scan, known: LandmarkMap, gate: float | None = None) -> Pla
     if not complete or not len(choices):
         return None
     area = math.pi * float(np.hypot(*xy.T).max()) ** 2
-    fits = []
-    for choice in choices:
-        fit = _verify(xy, P, known.xy, choice, gate, area)
-        if fit is not None:
-            fits.append((fit, choice))
+    verified = ((_verify(xy, P, known.xy, choice, area), choice) for choice in choices)
+    fits = [(fit, choice) for fit, choice in verified if fit is not None]
     if not fits:
         return None
     best, choice = max(fits, key=lambda f: f[0].score)
@@ -181,7 +165,6 @@ def relocalize(scan: Scan, known: LandmarkMap, gate: float | None = None) -> Pla
 
 
 def _same(best: _Fit, other: _Fit) -> bool:
-    """Whether two fits are one place: closer than 5 sigma."""
     error = se2.pose_error(best.pose, other.pose)
     return float(error @ np.linalg.solve(best.covariance + other.covariance, error)) < constants.ONE_PLACE_SIGMAS**2
 
@@ -199,7 +182,7 @@ def distance_sigmas(xy: Array, P: Array) -> Array:
     return sigma
 
 
-def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, gate: float, area: float) -> _Fit | None:
+def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float) -> _Fit | None:
     """Gauss-Newton fit of the pose to the pairings with their joint covariance; None outside the joint gate.
 
     The score is the log-likelihood of all points, the pose marginalized over a flat prior; unpaired points are strays,
@@ -224,7 +207,7 @@ def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, gate: float
         if float(step @ information @ step) < constants.FIT_CONVERGED:
             break
     d2 = float(r @ r - r @ white @ np.linalg.solve(information, white.T @ r))
-    if d2 >= gate_threshold(gate, 2 * len(paired) - 3):
+    if d2 >= gate_threshold(constants.RELOCALIZE_GATE, 2 * len(paired) - 3):
         return None
     covariance = np.linalg.inv(information)
     score = -0.5 * d2 - float(np.log(np.diag(L)).sum()) - len(paired) * math.log(2.0 * math.pi)

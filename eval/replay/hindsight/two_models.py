@@ -23,17 +23,13 @@ inequality)."""
 
 
 class TwoModels:
-    """Both filters with the same landmark numbers, until the evidence leaves one.
-
-    Attributes:
-        log_odds: of systematic errors against odometry as stated, from the innovations so far.
-    """
+    """Both filters with the same landmark numbers, until the evidence leaves one."""
 
     def __init__(self, prior: Prior, sensor: Sensor, systematic: Systematic, *, undecided: bool = True) -> None:
         """Start at the prior with empty maps. `undecided`: test whether there are errors; else they are assumed."""
         self._stated, self._erring = EkfSlam(prior, sensor), EkfSlam(prior, sensor, systematic=systematic)
         self._kept = [self._stated, self._erring] if undecided else [self._erring]
-        self.log_odds = 0.0
+        self.log_odds = 0.0  # of systematic errors against odometry as stated, from the innovations so far
 
     @property
     def believed(self) -> EkfSlam:

@@ -18,15 +18,11 @@ from eval.replay.settings import Setup
 
 
 class UncertainMotion:
-    """Motion since the last pairing with the map, and the poses from which the map was seen.
-
-    Attributes:
-        placed: number of frames whose pose was found by geometry.
-    """
+    """Motion since the last pairing with the map, and the poses from which the map was seen."""
 
     def __init__(self, ledger: Ledger, setup: Setup) -> None:
         self.ledger, self.setup = ledger, setup
-        self.placed = 0
+        self.placed = 0  # number of frames whose pose was found by geometry
         self._motion = np.zeros((3, 3))
         self._explained = (0, 0)  # observations where the map was in view before: paired, and strays
         self._seen_from: deque[Array] = deque(maxlen=constants.REMEMBERED_FRAMES)

@@ -26,20 +26,14 @@ from graph.factors import UnderConstrained
 
 
 class WholeLog:
-    """All frames of a log with their online poses.
-
-    Attributes:
-        managed: landmarks left the map by rules of the setup, so their observations are unknown.
-        failed: why nothing was re-associated.
-        settled: frames (m,), observations (m) as stated, final landmarks (m,); None: as decided.
-        gate: squared distance under the noise as `restated` beyond which nothing was re-associated.
-    """
+    """All frames of a log with their online poses."""
 
     def __init__(self, given: Given) -> None:
-        self.managed = False
-        self.failed: Notice | None = None
+        self.managed = False  # landmarks left the map by rules of the setup, so their observations are unknown
+        self.failed: Notice | None = None  # why nothing was re-associated
+        # frames (m,), observations, landmarks (m,)
         self.settled: tuple[IntArray, FrameObservations, IntArray] | None = None
-        self.gate = math.inf
+        self.gate = math.inf  # squared distance under the noise as `restated` beyond which nothing was re-associated
         self._given = given
         self._frames: list[Frame] = []
         self._loosened: dict[int, Array] = {}
@@ -92,7 +86,6 @@ class WholeLog:
         self.settled = seen.frame, FrameObservations(seen.z, seen.R), _numbers(records, len(seen.frame))
 
     def _seen(self) -> Observations:
-        """All observations as stated."""
         each = [f.observations for f in self._frames]
         of = np.repeat(np.arange(len(each)), [len(s.z) for s in each])
         return Observations(of, np.concatenate([s.z for s in each]), np.concatenate([s.R for s in each]))

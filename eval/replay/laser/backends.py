@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import gammainc
 
 from association.expectation import gate_threshold
 from association.scans.constraints import SCAN, Chain, Loops
+from association.truncated import truncated_square
 from data.inputs import Inputs, IntArray
 from data.notice import Code, Notice, Severity, notice, stopped
 from data.result import DISCARD, Failure, Innovations, Run, Trajectory
@@ -33,15 +32,11 @@ PLAIN = Setup()
 
 
 class Solved(NamedTuple):
-    """The result of a back end.
+    """The result of a back end."""
 
-    run: with a path over all frames; final_keys (K, 3): final key poses, of a filter its last state (NaN: never
-    reached); weight (L,): final weight of each loop closure, 0: rejected, NaN: never accepted.
-    """
-
-    run: Run
-    final_keys: Array
-    weight: Array
+    run: Run  # with a path over all frames
+    final_keys: Array  # (K, 3) final key poses, of a filter its last state (NaN: never reached)
+    weight: Array  # (L,) final weight of each loop closure, 0: rejected, NaN: never accepted
 
 
 class _Constraints(NamedTuple):
@@ -118,15 +113,6 @@ def over_frames(chain: Chain, pose: Array, covariance: Array) -> Trajectory:
     return Trajectory(path, 0.5 * (world + world.transpose(0, 2, 1)))
 
 
-def chi2_within(threshold: float, dof: int = 3) -> tuple[float, float]:
-    """Mean and variance, per degree of freedom, of a chi-square variable below a threshold."""
-    if math.isinf(threshold):
-        return 1.0, 2.0
-    inside, first, second = (float(gammainc(0.5 * dof + k, 0.5 * threshold)) for k in range(3))
-    mean, square = dof * first / inside, dof * (dof + 2) * second / inside
-    return mean / dof, (square - mean**2) / dof
-
-
 def _run(name: str, **parts: object) -> Run:
     """A run without observations, map or decisions."""
     none = np.empty(0, np.int64)
@@ -142,7 +128,6 @@ def _diverged(name: str, chain: Chain, frame: int, stop: UnderConstrained) -> tu
 
 
 def _dead_reckoning(given: _Constraints) -> Solved:
-    """Wheel odometry alone."""
     inputs = given.inputs
     nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
     alone = run_filter(inputs.without_map(), nothing)
@@ -155,6 +140,7 @@ def _filter(given: _Constraints, gate: float | None) -> Solved:
     """EKF over all key poses, online only."""
     c, o, n = given.chain, given.loops, len(given.inputs)
     threshold = gate_threshold(gate, 3)
+    mean, variance = truncated_square(threshold, 3)
     found = run_pose_chain(
         given.inputs.prior, c.motion, c.covariance, o.key1, o.key2, o.relative, o.covariance, o.believed,
         threshold=threshold,
@@ -177,7 +163,7 @@ def _filter(given: _Constraints, gate: float | None) -> Solved:
         state_size=3 * (c.key + 1),
         failure=failure,
         notes=notes,
-        gated=chi2_within(threshold),
+        gated=(mean / 3.0, variance / 3.0),
     )
     return Solved(run, found.pose, given.weights(found.used[given.believed].astype(float)))
 
@@ -247,7 +233,6 @@ def _batch(name: str, given: _Constraints) -> Solved:
 
 
 def _smoothed(name: str, given: _Constraints, found: SmoothedPoses, loss: str) -> Run:
-    """An optimum as a run."""
     return _run(
         name,
         final=over_frames(given.chain, found.pose, found.covariance),

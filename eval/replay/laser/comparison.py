@@ -30,18 +30,12 @@ from graph.poses.online import PoseGraph
 
 @dataclass(frozen=True, eq=False)
 class FrontEndResult:
-    """The result of the front end.
+    """The result of the front end."""
 
-    Attributes:
-        chain, loops: constraints for every back end.
-        online: (N, 3) online world pose of each frame.
-        seconds: (N,) wall time of each frame: matching, loops and graph.
-    """
-
-    chain: Chain
+    chain: Chain  # constraints for every back end
     loops: Loops
-    online: Array
-    seconds: Array
+    online: Array  # (N, 3) online world pose of each frame
+    seconds: Array  # (N,) wall time of each frame: matching, loops and graph
 
 
 def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult:
@@ -188,7 +182,6 @@ def _learned(inputs: Inputs, front: FrontEndResult, setup: Setup) -> tuple[float
 
 
 def _scaled(front: FrontEndResult, factor: float) -> FrontEndResult:
-    """The same constraints with scaled covariances."""
     c, o = front.chain, front.loops
     chain = replace(c, covariance=factor * c.covariance, since_covariance=factor * c.since_covariance)
     return replace(front, chain=chain, loops=replace(o, covariance=factor * o.covariance))

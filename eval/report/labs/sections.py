@@ -30,7 +30,7 @@ from eval.report.labs.pictures import NEEDED, UPDATE_TIME, draw
 from eval.report.labs.pictures import stem as stem_of
 from eval.report.labs.questions import Answers, answers
 from eval.report.labs.visual import visual_hand_in
-from eval.report.page.blocks import Block, Picture, Section, Table
+from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.words import paragraph
 
@@ -108,7 +108,7 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
             f"**{line}**",
             *(made[kind] for kind in question.pictures if kind in made),
             written_table(_numbers(question, facts), folder, f"lab-question-{n}", caption, output),
-            LOST if q.lack else paragraph(f"{TEMPLATE}#{question.name}", q=q, **more),
+            LOST if q.lack else Folded("In detail", (paragraph(f"{TEMPLATE}#{question.name}", q=q, **more),)),
         ]
         answer = f"{n}. {question.heading} {line}"
         sections.append(Section(f"Question {n}: {question.heading}", tuple(blocks), facts=q, answer=answer))
@@ -166,8 +166,10 @@ def lab_sections(trials: Sequence[Trial], scores: Scores, *, answered_above: boo
         return []
     sections = [Section("The lab's questions", (paragraph(f"{TEMPLATE}#logs", names=facts.logs),))]
     for question, q in asked:
-        text = paragraph(f"{TEMPLATE}#lack", q=q.lack) if q.lack else paragraph(f"{TEMPLATE}#{question.name}", q=q)
-        section = Section(question.short, (text,), 3, facts=q)
+        line = paragraph(f"{TEMPLATE}#lack", q=q.lack) if q.lack else paragraph(f"{TEMPLATE}#{question.name}_line", q=q)
+        blocks: list[Block] = [line]
+        blocks += [] if q.lack else [Folded("In detail", (paragraph(f"{TEMPLATE}#{question.name}", q=q),))]
+        section = Section(question.short, tuple(blocks), 3, facts=q)
         sections += [*beyond, section, *changes] if question.name == "blind" else [section]
     return sections
 

@@ -17,9 +17,8 @@ from markdown_it.token import Token
 
 from eval.figures.paper import tex_escape
 from eval.referee.score import Scores, Trial
-from eval.report.names import stem
 from eval.report.page.blocks import Picture, Section
-from eval.report.rows import rows_of, value_of
+from eval.report.rows import rows_of, stem, value_of
 from eval.report.words import environment
 
 OTHERS = (r"$\omega$", r"$\varphi$", r"$\psi$", r"$\Delta$", r"$\pi$", r"$\to$", "'", "``", "''")

@@ -141,7 +141,8 @@ Block = str | Table | Picture | Formula | Film | Folded | Overview
 class Section:
     """A heading of level 2 to 4 and the blocks below it.
 
-    `facts` it was written from, for report.json; `answer` of a lab's question, in a line for the terminal.
+    facts: what it was written from, for report.json. answer: of a lab's question, in a line for the terminal.
+    page: name of its page in `details/`; empty: the report itself.
     """
 
     heading: str
@@ -149,6 +150,7 @@ class Section:
     level: int = 2
     facts: object = field(default=None, compare=False, repr=False)
     answer: str = field(default="", compare=False, repr=False)
+    page: str = ""
 
 
 @dataclass(frozen=True)
@@ -203,12 +205,25 @@ def fine_print(report: Report) -> tuple[FinePrint, ...]:
 
 def with_fine_print(report: Report) -> tuple[Section, ...]:
     """The sections, with the fine print at the end of the one that is called `READING` (made if there is none)."""
-    said = [f"**{f.title}.** {f.text}" for f in fine_print(report)]
-    if not said:
+    texts = [f"**{f.title}.** {f.text}" for f in fine_print(report)]
+    own = [b for s in report.sections if s.heading == READING for b in s.blocks]
+    if not own and not texts:
         return report.sections
-    if not any(s.heading == READING for s in report.sections):
-        return (*report.sections, Section(READING, tuple(said)))
-    return tuple(replace(s, blocks=(*s.blocks, *said)) if s.heading == READING else s for s in report.sections)
+    reading = Section(READING, (Folded("Definitions of the quantities and columns", (*own, *texts)),))
+    if not own:
+        return (*report.sections, reading)
+    return tuple(reading if s.heading == READING else s for s in report.sections)
+
+
+def pages(report: Report) -> dict[str, Report]:
+    """The report itself and its pages in `details/`, by file name; the first section of such a page gives its title."""
+    made = {"report.html": replace(report, sections=tuple(s for s in report.sections if not s.page))}
+    for name in dict.fromkeys(s.page for s in report.sections if s.page):
+        first, *more = (s for s in report.sections if s.page == name)
+        back = "[Back to the report](../report.html)"
+        sections = tuple(replace(s, level=max(s.level - 1, 2)) for s in more)
+        made[f"details/{name}.html"] = Report(first.heading, report.command, (back, *first.blocks), sections)
+    return made
 
 
 def cut(text: str, most: int = LINES) -> tuple[str, str]:

@@ -187,7 +187,7 @@ class TestMrclam:
         (source / name).write_text(text)
         capsys.readouterr()
         assert main(["mrclam", str(source), str(tmp_path / "out"), "--robot", "1"]) == 2
-        assert f"{name}: line {line}" in capsys.readouterr().err
+        assert f"{name}:{line}" in capsys.readouterr().err
         assert same(load_folder(tmp_path / "out"), before)
 
 

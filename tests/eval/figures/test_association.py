@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgba
-from tests.eval.figures.opportunities import SEEN_BY, lab, within
+from tests.eval.figures.looks import SEEN_BY, lab, within
 
 from data.result import MapEstimate, Trajectory
 from eval.figures import confusion_figure, growth_figure, state_figure

@@ -8,7 +8,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
-from tests.eval.figures.opportunities import SEEN_BY, lab
+from tests.eval.figures.looks import SEEN_BY, lab
 
 from eval.figures import state_figure
 from eval.figures.style import STYLES, colour_of_method, style_of

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.path import Path as Outline
-from tests.eval.figures.opportunities import within
+from tests.eval.figures.looks import within
 
 from data.notice import stopped
 from data.result import Failure, MapEstimate

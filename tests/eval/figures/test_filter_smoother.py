@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.eval.figures.opportunities import within
+from tests.eval.figures.looks import within
 
 from data.result import Trajectory
 from eval.figures import filter_smoother_figure

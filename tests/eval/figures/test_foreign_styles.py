@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from tests.eval.figures.opportunities import SEEN_BY, lab
+from tests.eval.figures.looks import SEEN_BY, lab
 
 from eval.figures.style import OTHERS, STYLES, colour_of_method, style_of
 from eval.replay.external.spec import introduce, place
@@ -22,10 +22,10 @@ def nobody():
 
 def test_introduced_names_all_look_different_in_colour_or_line_whatever_their_order():
     introduce(NAMES)
-    opportunities = [style_of(name) for name in NAMES]
-    assert len({(s.colour, s.line) for s in opportunities}) == len(NAMES)
+    styles = [style_of(name) for name in NAMES]
+    assert len({(s.colour, s.line) for s in styles}) == len(NAMES)
     introduce(reversed(NAMES))
-    assert [style_of(name) for name in NAMES] == opportunities
+    assert [style_of(name) for name in NAMES] == styles
 
 
 def test_a_name_keeps_its_look_from_report_to_report_where_nobody_else_has_it():

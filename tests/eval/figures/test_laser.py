@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
-from tests.eval.figures.opportunities import SEEN_BY, lab, within
+from tests.eval.figures.looks import SEEN_BY, lab, within
 
 from association.scans.constraints import Loops
 from association.scans.occupancy import Grid

@@ -12,7 +12,7 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from tests.eval.figures.opportunities import SEEN_BY, lab, pictures
+from tests.eval.figures.looks import SEEN_BY, lab, pictures
 
 from eval.figures import style
 from eval.figures.style import STYLES, TRUTH_COLOUR, save, series, style_of

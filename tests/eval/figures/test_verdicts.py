@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
-from tests.eval.figures.opportunities import within
+from tests.eval.figures.looks import within
 
 from eval.figures import Seen, anees_figure, coverage_figure, outlier_figure, power_figure, run_end_figure
 from eval.figures.style import STYLES, save

@@ -49,7 +49,7 @@ def packets(seconds):
 def online(folder, seconds, names=("ekf",), association="jcbb", setup=None, *, faults=BAD, look=lambda t: None):
     """A drive over a line without a clock, recorded in a folder; all that was taken."""
     taken = []
-    session = Session(names, association, setup or Setup(), told=taken.append)
+    session = Session(names, association, setup or Setup(), processed=taken.append)
     with Recording(folder) as recording:
         link, _, clock = linked(faults, 1, recording=recording)
         drive_on_line(link, clock, session, WallFollower(), lambda: clock.now() >= seconds, look)

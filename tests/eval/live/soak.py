@@ -44,7 +44,7 @@ def soak(name, seconds, every=60.0, say=lambda *words: None):
             link, wire, clock = linked(BAD, 1, recording=recording)
             wire._keep = False
             display = Looking("soak", session, lambda: link.exchange.faults, lambda line: None, feed=feed)
-            session._told = display.told
+            session._processed = display.take
             begin = time.monotonic()
 
             def look(t):

@@ -98,7 +98,7 @@ def test_a_line_a_second_and_chunks_even_if_seconds_are_short(monkeypatch):
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     session, feed, said = Session(("ekf",), "jcbb", Setup()), Feed(1), []
     display = Looking("drive", session, lambda: {"lost": 3}, said.append, feed=feed)
-    session._told = display.told
+    session._processed = display.take
     for k, packet in enumerate(packets(75.0)):
         session.take(packet)
         now[0] += 0.001 if k < 260 else 0.5

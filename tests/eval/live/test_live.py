@@ -214,8 +214,8 @@ def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, c
 
 
 @pytest.mark.parametrize(("words", "why"), [
-    (["--association", "known"], "--association known: nobody labels walls"),
-    (["--association", "jcbb-hindsight"], "--association jcbb-hindsight: knows landmarks as points"),
+    (["--association", "known"], "--association known: walls have no labels"),
+    (["--association", "jcbb-hindsight"], "--association jcbb-hindsight: needs point landmarks"),
     (["--association", "nn,jcbb"], "--association nn,jcbb: one name is needed"),
     (["--estimator", "batch"], "--estimator batch: does not work step by step"),
     (["--speed", "0"], "--speed 0: a number from 0.01 to 1000 is needed"),

@@ -95,8 +95,8 @@ def test_sigmas_are_kept_to_a_thousandth(trial, page):
 
 
 def test_what_stands_beside_on_the_same_recording_is_in_the_same_player(trial):
-    variant = Trial(trial.log, "slam", trial.runs[:1], variant=trial.log.name)
-    other = Trial(open_log("corridor:1"), "slam", (), variant=trial.log.name)
+    variant = Trial(trial.log, "slam", trial.runs[:1], variant_of=trial.log.name)
+    other = Trial(open_log("corridor:1"), "slam", (), variant_of=trial.log.name)
     assert played([trial, variant, other]) == [(trial, variant)]
     assert player_of("corridor:0:people+no-odometry") == "players/corridor_0_people_no-odometry.html"
 

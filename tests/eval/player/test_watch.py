@@ -14,12 +14,12 @@ from data.sensors import RelativePoint
 from data.worlds.arena import Arena, simulate
 from eval.player.scene import COARSE, own_steps
 from eval.player.watch import NOT_ASKED, Watch, quantum_of
-from eval.replay.recorder import NullObserver
+from eval.replay.recorder import Observer
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
 
 
-class Memory(NullObserver):
+class Memory(Observer):
     """Remembers everything, at full precision."""
 
     def __init__(self):
@@ -104,8 +104,8 @@ def test_each_method_says_what_it_decides_on_the_same_expectation(watched, corri
     memory, run = watched
     w, start = run.watched, corridor.recorded.start
     for (frame, name), said in memory.said.items():
-        assert w.said[start[frame] : start[frame + 1], METHODS.index(name)].tolist() == said.tolist()
-    assert (w.said[: start[1]] == NOT_ASKED).all()  # there was no map
+        assert w.method_decisions[start[frame] : start[frame + 1], METHODS.index(name)].tolist() == said.tolist()
+    assert (w.method_decisions[: start[1]] == NOT_ASKED).all()  # there was no map
 
 
 @pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
@@ -120,7 +120,7 @@ def test_watching_changes_no_number(corridor, estimator, association):
     assert np.array_equal(plain.map.covariance, seen.map.covariance)
     assert plain.watched is None
     assert len(seen.watched.change_frame)
-    assert seen.watched.certain == (estimator == "ekf")
+    assert seen.watched.covariances == (estimator == "ekf")
 
 
 def test_a_landmark_that_leaves_the_map_leaves_the_picture(corridor):
@@ -139,7 +139,7 @@ def test_a_known_map_has_candidates_and_no_history():
     run = compare(log.inputs(labels=True), "localization", ["ekf"], "known", watch=Watch)[0]
     assert not len(run.watched.change_frame)
     assert len(run.watched.pair_row)
-    assert NEW not in run.watched.said
+    assert NEW not in run.watched.method_decisions
 
 
 def test_the_quantum_follows_the_extent_of_the_path():
@@ -176,6 +176,6 @@ def test_kept_are_the_nearest_twelve_in_the_gate_and_who_was_paired_however_far(
     assert w.seen_number.tolist() == number[seen].tolist()
     assert w.seen_xy == pytest.approx(np.column_stack([x[seen], np.zeros(13)]), abs=1e-12)
     assert w.seen_sigma == pytest.approx(np.zeros((13, 2)), abs=1e-12)
-    nearest = w.said[:, METHODS.index("nn")]
+    nearest = w.method_decisions[:, METHODS.index("nn")]
     assert nearest[0] == 1
     assert (nearest[1:] < 0).all()  # more than 9 sigma from all

@@ -42,7 +42,7 @@ def test_counts_are_those_of_the_events(people):
     assert row["retracted"].startswith(str(sum(e.old == NEW for e in events)) + " (")
     assert row["landmarks merged"] == "0"
     anew = {e.observation for e in runs[0].events if e.why == REASSOCIATED}
-    assert row["paired anew at the end"] == str(len(anew))
+    assert row["re-associated at the end"] == str(len(anew))
     assert anew
 
 

@@ -116,7 +116,7 @@ def test_the_nearest_by_distance_need_not_be_the_likeliest():
 def test_matching_shows_all_methods_side_by_side_with_their_counts_and_marks_the_one_that_updates():
     fig = painted(paint_matching, problem())
     assert titles(fig) == [
-        "ground truth: 2 paired, 1 new, 0 left out",
+        "ground truth: 2 paired, 1 new, 0 discarded",
         "NN: TP 1  TN 1  FP 1  FN 0",
         "SINGLES: TP 1  TN 1  FP 1  FN 0",
         "ML: TP 1  TN 1  FP 1  FN 0",
@@ -161,7 +161,7 @@ def test_without_truth_decisions_are_counted_instead_of_judged():
     m = problem()
     decisions = {name: d for name, d in m.decisions.items() if name != "truth"}
     fig = painted(paint_matching, dataclasses.replace(m, decisions=decisions, truth={}, right=None))
-    assert titles(fig)[0] == "NN: 2 paired, 1 new, 0 left out"
+    assert titles(fig)[0] == "NN: 2 paired, 1 new, 0 discarded"
     assert len(fig.axes) == 4
 
 

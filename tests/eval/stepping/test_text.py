@@ -69,7 +69,7 @@ def test_without_truth_what_needs_it_is_left_out_and_the_text_says_so():
         "observation   0   1   2\n"
         "hypothesis    4 NEW   -\n"
         "NEW               9\n"
-        "(true ids are not known: ground truth, correct and counts are left out)"
+        "(true ids are unknown: no ground truth, correct and counts)"
     )
 
 
@@ -146,7 +146,7 @@ def test_one_unknown_true_id_leaves_the_counts_of_every_step_out():
     log = dataclasses.replace(log, truth=dataclasses.replace(log.truth, landmark_of=ids))
     run = step_by_step("ekf", log.recorded, "localization", "nn")
     assert "correct   " not in run_text(log, run)
-    assert closing(log, run).startswith("whole run: true ids are not known")
+    assert closing(log, run).startswith("whole run: true ids are unknown")
     assert FrameSoFar(log, "localization", slice(0, 3), run.decisions, run.created, None).judged() is None
     blind = dataclasses.replace(log, truth=Truth())
     assert "NIS per degree" in statistics(blind, run)

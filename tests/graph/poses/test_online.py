@@ -79,7 +79,7 @@ def test_a_false_loop_closure_moves_a_graph_with_a_cauchy_loss_a_hundred_times_l
 
 def test_what_makes_no_sense_is_refused():
     graph = PoseGraph(Prior(np.zeros(3), np.zeros((3, 3))))
-    with pytest.raises(ValueError, match="update the graph before"):
+    with pytest.raises(ValueError, match="additions are pending"):
         graph.poses()
     graph.update()
     assert (graph.newest()[1] == 0.0).all()

@@ -13,7 +13,7 @@ from data.inputs import Increments, LandmarkMap, Prior
 from data.se2 import between, compose, pose_error, world_from_body
 from data.worlds.linear import LinearWorld, simulate
 from graph.batch import Start, smooth
-from graph.qr.score_test import Score, systematic
+from graph.qr.score_test import systematic
 from tests.graph.worlds import SENSORS, circle
 
 EXACT = np.zeros((3, 3))
@@ -122,7 +122,7 @@ def test_at_the_optimum_the_score_is_the_slope_of_the_batch_smoothers_cost(senso
         o = replace(o, z=o.z - size * readings[:, :, j])
         u = Increments(u.mean - size * motion[:, :, j], u.covariance)
         without = replace(inputs, observations=o, increments=u)
-        return 0.5 * smooth(without, decisions, created, Start(path, landmarks)).chi_square
+        return 0.5 * smooth(without, decisions, created, Start(path, landmarks)).cost
 
     found = systematic(inputs, number, path, landmarks, motion, readings)
     h = 1e-3
@@ -164,23 +164,6 @@ def test_a_slam_robot_tells_the_scales_of_odometry_and_of_points_only_from_each_
     motion[1:, 2, 2] = 1.0
     found = systematic(inputs, number, path, xy, motion, readings)
     np.testing.assert_allclose(found.sigmas[0], -found.sigmas[1], rtol=1e-6)
-    beside = found.beside(np.array([0]))
-    assert (beside.information[:2] == 0.0).all()
-    assert beside.information[2, 2] > 0.0
-    both = found.beside(np.array([0, 1]))
-    np.testing.assert_allclose(both.information[2, 2], beside.information[2, 2], rtol=1e-6)
-
-
-def test_beside_others_the_estimate_is_that_of_all_together():
-    """Partitioned inverse: variance and estimate alone, the others profiled out, are those of the joint solution."""
-    rng = np.random.default_rng(3)
-    A = rng.normal(size=(9, 4)) * [1.0, 1e3, 1e-3, 1.0]
-    s = Score(A.T @ rng.normal(size=9), A.T @ A)
-    jointly, covariance = np.linalg.solve(s.information, s.score), np.linalg.inv(s.information)
-    alone = s.beside(np.array([0, 1, 3]))
-    assert alone.score[2] / alone.information[2, 2] == pytest.approx(jointly[2])
-    assert 1.0 / alone.information[2, 2] == pytest.approx(covariance[2, 2])
-    assert (alone.sigmas[[0, 1, 3]] == 0.0).all()
 
 
 WORLD = LinearWorld(frames=20, laps=0.4, sigma_turn=1e-4)
@@ -242,7 +225,7 @@ def test_an_error_put_in_is_found_with_its_size(task, which):
 
 
 def test_a_prior_of_no_use_does_no_harm():
-    """Ten metres, ten radians: in SLAM the map floats with the start, and what is told does not change."""
+    """Ten metres, ten radians: in SLAM the map floats with the start, and what is identifiable does not change."""
     inputs, *rest = problem(SENSORS["range-bearing"], "slam")
     vague = replace(inputs, prior=Prior(inputs.prior.mean, 1e2 * np.eye(3)))
     np.testing.assert_allclose(systematic(vague, *rest).information, systematic(inputs, *rest).information, rtol=1e-5)

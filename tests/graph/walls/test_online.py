@@ -65,7 +65,7 @@ def test_as_it_comes_it_is_near_the_batch_solution_and_ends_with_it(sensor, task
     end = s.finish()
     assert np.abs(se2.pose_error(end.final.pose, result.trajectory.pose)).max() < 1e-5
     assert differ(end.final.covariance, result.trajectory.covariance) < 1e-4
-    assert end.total_nis[0] == pytest.approx(result.chi_square, abs=1e-6)
+    assert end.total_nis[0] == pytest.approx(result.cost, abs=1e-6)
     assert end.total_nis[1] == result.dof
     if task == "slam":
         assert differ(named_like(end.map, result.map).covariance, result.map.covariance) < 1e-4

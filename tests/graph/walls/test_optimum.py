@@ -39,7 +39,7 @@ def test_the_optimum_and_its_covariance_are_those_of_dense_least_squares(name, t
     n = len(inputs)
     assert np.abs(se2.pose_error(result.trajectory.pose, pose)).max() < 1e-6
     assert differ(result.trajectory.covariance, [C[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(n)]) < 1e-4
-    assert result.chi_square == pytest.approx(cost, abs=1e-6)
+    assert result.cost == pytest.approx(cost, abs=1e-6)
     assert result.dof == 2 * len(decisions) - (0 if task == "localization" else 2 * len(lines))
     if task == "slam":
         np.testing.assert_allclose(result.map.xy, lines, atol=1e-6)
@@ -70,7 +70,7 @@ def test_the_other_name_of_a_known_wall_changes_nothing():
     renamed = replace(inputs, map=LandmarkMap(inputs.map.id, other))
     a, b = solved(inputs, truth)[0], solved(renamed, truth)[0]
     np.testing.assert_allclose(a.trajectory.pose, b.trajectory.pose, atol=1e-9)
-    assert a.chi_square == pytest.approx(b.chi_square, abs=1e-9)
+    assert a.cost == pytest.approx(b.cost, abs=1e-9)
 
 
 def test_a_run_far_from_the_origin_is_the_same_run():
@@ -112,7 +112,7 @@ def test_wrong_readings_are_told_from_right_ones(task, systematic):
     without, _ = solved(clean, truth)
     plain = smooth(inputs, decisions, created, Start(truth, walls))
     robust = smooth(inputs, decisions, created, Start(truth, walls), loss="huber")
-    assert plain.chi_square > 10.0 * plain.dof
+    assert plain.cost > 10.0 * plain.dof
     gap = [np.abs(r.trajectory.pose - without.trajectory.pose).max() for r in (result, robust, plain)]
     assert gap[0] < 0.05
     assert gap[1] < 0.1 < gap[2]

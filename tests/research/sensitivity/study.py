@@ -26,7 +26,7 @@ from eval.referee.errors import position_distance, rms
 from eval.referee.plausibility import judged
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
-from eval.replay.recorder import NullObserver
+from eval.replay.recorder import Observer
 from eval.replay.run import step_by_step
 from eval.replay.settings import HINDSIGHT
 from tests.research.sensitivity.cases import (
@@ -142,7 +142,7 @@ class Outcome(NamedTuple):
     status: str
 
 
-class Deadline(NullObserver):
+class Deadline(Observer):
     """Ends a replay at the first frame that begins too late, by the time of the processor: others may be busy here."""
 
     def __init__(self, seconds: float) -> None:

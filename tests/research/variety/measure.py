@@ -24,7 +24,7 @@ from eval.referee.errors import position_distance, rms
 from eval.referee.plausibility import judged
 from eval.referee.score import confusion_of
 from eval.replay.frontend import FrontEnd
-from eval.replay.recorder import NullObserver
+from eval.replay.recorder import Observer
 from eval.replay.run import step_by_step
 from eval.replay.settings import HINDSIGHT
 from tests.research.variety.worlds import draw, log_of
@@ -67,7 +67,7 @@ class OutOfTimeError(Exception):
     """A run was not done in time."""
 
 
-class Deadline(NullObserver):
+class Deadline(Observer):
     """An observer who ends a replay at the first frame that begins too late."""
 
     def __init__(self, seconds: float) -> None:

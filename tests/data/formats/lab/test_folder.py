@@ -106,7 +106,7 @@ def test_a_file_that_does_not_open_is_named_only_if_one_is_missing(tmp_path: Pat
     (folder / "extra.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(500))
     assert len(all_frames(open_lab(folder))) == FRAMES
     (folder / "extra.mat").rename(folder / "log.mat")
-    refuse(folder, r"log.mat: MATLAB 7.3 \(HDF5\), which is not read; save it with -v7")
+    refuse(folder, r"log.mat: MATLAB 7.3 \(HDF5\) is not read; save it with save")
 
 
 @pytest.mark.parametrize("form", LOGS)

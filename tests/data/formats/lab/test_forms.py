@@ -144,7 +144,7 @@ def test_objects_are_read_only_when_trusted(tmp_path: Path, kind: str) -> None:
         one[()] = list(as_dicts(columns))
         log = {"dicts": as_dicts(columns), "list": one, "structs": as_structs(columns)}[kind]
         np.save(folder / "log.npy", log)
-    refuse(folder, "pickle.*can run any code.*--trust-pickle")
+    refuse(folder, "pickle.*can run code.*--trust-pickle")
     frames = all_frames(open_lab(folder, trust_pickle=True))
     np.testing.assert_array_equal([f.rgb for f in frames], columns["rgb"])
     np.testing.assert_array_equal([(f.v, f.omega) for f in frames], columns["commands"])

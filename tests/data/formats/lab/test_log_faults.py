@@ -27,7 +27,7 @@ def put(field: str, frame: int, value: Any) -> Callable[[dict[str, Any]], None]:
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (put("timestamp", 2, 10.1), r"log\(3\).timestamp: 10.1 s is not after 10.1 s, the frame before"),
+        (put("timestamp", 2, 10.1), r"log\(3\).timestamp: 10.1 s follows 10.1 s; it must increase"),
         (put("timestamp", 1, np.nan), r"log\(2\).timestamp: nan is not a number"),
         (put("timestamp", 1, [1.0, 2.0]), r"log\(2\).timestamp: size 1x2; one number is needed in each frame"),
         (put("commands", 3, [0.1, np.nan]), r"log\(4\).commands: nan is not a number"),
@@ -88,7 +88,7 @@ def test_a_log_that_is_no_struct_array_is_refused(tmp_path: Path) -> None:
     ("change", "said"),
     [
         (lambda c: c.update(rgb=c["rgb"][:3]), "rows: timestamp 4, commands 4, rgb 3, xyz 4; as many rows as frames"),
-        (lambda c: c.update(rgb=np.asfortranarray(c["rgb"])), "rgb: in Fortran order, frames are not in one piece"),
+        (lambda c: c.update(rgb=np.asfortranarray(c["rgb"])), "rgb: frames are not contiguous in Fortran order"),
         (lambda c: c.update(timestamp=np.array(3.0)), "timestamp: a single value; one row per frame is needed"),
         (lambda c: c.pop("commands"), "the log has no commands"),
         (lambda c: c.update({k: v[:0] for k, v in c.items()}), "the log has no frames"),

@@ -253,9 +253,9 @@ def test_flipped_bytes_end_in_a_data_error_or_in_values_never_in_another_error(
     [
         (b"", "not a MATLAB file"),
         (b"just text, but long enough to hold a header" * 9, "not a MATLAB file"),
-        (b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(500), r"save it with -v7"),
+        (b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(500), r"save it with"),
         (b"MATLAB 7.3 MAT-file".ljust(512) + b"\x89HDF\r\n\x1a\n" + bytes(500), r"save\('x.mat', ..., '-v7'\)"),
-        (b"\x89HDF\r\n\x1a\n" + bytes(500), r"save it with -v7"),
+        (b"\x89HDF\r\n\x1a\n" + bytes(500), r"save it with"),
     ],
 )
 def test_files_that_are_not_read_say_what_would_be(tmp_path: Path, content: bytes, said: str) -> None:
@@ -270,14 +270,14 @@ def test_files_that_are_not_read_say_what_would_be(tmp_path: Path, content: byte
 def test_version_4_is_named(tmp_path: Path) -> None:
     path = tmp_path / "four.mat"
     scipy.io.savemat(path, {"x": np.arange(9.0)}, format="4")
-    with pytest.raises(DataError, match="version 4, which has no structs; save it with -v7"):
+    with pytest.raises(DataError, match="version 4, which has no structs; save it with"):
         variables(path)
 
 
 def test_elements_of_something_else_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "x.mat"
     scipy.io.savemat(path, {"log": np.arange(9.0)})
-    with pytest.raises(DataError, match="log is not a struct array but of kind numbers"):
+    with pytest.raises(DataError, match="log is of kind numbers; a struct array is needed"):
         list(elements(variables(path)[0]))
 
 

@@ -166,6 +166,6 @@ def test_a_unit_no_reading_can_mend_is_suspected_with_its_factor(tmp_path: Path,
     said = unit_suspicion(setup, factor * points, BOTH)
     assert said is not None
     assert "nor with another reading" in said
-    assert float(said.split("seen ")[1].split(" times as wide")[0]) == pytest.approx(factor, rel=0.05)
+    assert float(said.split("appear ")[1].split(" times as wide")[0]) == pytest.approx(factor, rel=0.05)
     away = float(said.split("wide and ")[1].split(" ")[0])
     assert away == pytest.approx(factor, rel=0.05)

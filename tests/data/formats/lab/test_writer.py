@@ -87,7 +87,7 @@ def test_a_point_known_in_part_is_written_as_none(tmp_path: Path) -> None:
 def test_writing_refuses_a_folder_in_use_an_unknown_form_and_a_correlated_prior(tmp_path: Path) -> None:
     (tmp_path / "used").mkdir()
     (tmp_path / "used" / "thesis.tex").write_text("long work")
-    with pytest.raises(DataError, match="used: exists and is not an empty folder; choose another name"):
+    with pytest.raises(DataError, match="used: exists and is not an empty folder; name another one"):
         write_lab(tmp_path / "used", Made())
     assert (tmp_path / "used" / "thesis.tex").read_text() == "long work"
     with pytest.raises(UsageError, match="'hdf5'; known: mat, npy, npz"):
@@ -100,7 +100,7 @@ def test_writing_refuses_a_folder_in_use_an_unknown_form_and_a_correlated_prior(
 
 @pytest.mark.parametrize("form", ["mat", "npy", "npz"])
 def test_a_recording_with_more_or_fewer_frames_than_it_says_leaves_nothing_behind(tmp_path: Path, form: str) -> None:
-    with pytest.raises(DataError, match="says 5 frames and has 4"):
+    with pytest.raises(DataError, match="has 4 frames; the stated 5"):
         write_lab(tmp_path / "lab", Made(says=5), form=form)
     with pytest.raises(DataError, match=r"frame 3 of the recording: .*; 3 frames of"):
         write_lab(tmp_path / "lab", Made(says=3), form=form)

@@ -48,4 +48,4 @@ def test_frames_whose_first_reading_is_of_a_landmark_are_left_out(files: Texts, 
     assert np.any(shown[~led] == 6)  # it may come later in a frame
     np.testing.assert_array_equal(log.recorded.observations.frame, frame[~led])
     np.testing.assert_array_equal(log.recorded.observations.z, plain.recorded.observations.z[~led])
-    assert any(note.startswith(f"{led.sum()} readings left out") for note in log.notes)
+    assert any(note.startswith(f"{led.sum()} observations dropped") for note in log.notes)

@@ -154,7 +154,7 @@ class TestReadingsLeftOut:
         log = load(files)
         seen = sum(r[1] == 2 for r in world.measurement_rows())
         assert len(log.recorded.observations.z) == len(world.measurement_rows()) - seen
-        assert noted(log, f"{seen} readings of other robots", "dropped")
+        assert noted(log, f"{seen} observations of other robots", "dropped")
 
     def test_kept_robots_are_clutter(self, files: Texts, load: Callable[..., Log]) -> None:
         log = load(files, keep_robots=True)
@@ -171,7 +171,7 @@ class TestReadingsLeftOut:
         files[MEASURED], _ = replace_row(files[MEASURED], 4, f"{world.T0 + 1.6:.3f} 999 2.0 0.1")
         log = load(files)
         assert len(log.recorded.observations.z) == len(before.recorded.observations.z) - 1
-        assert noted(log, "1 reading of a barcode that no subject has (999)", "skipped")
+        assert noted(log, "1 observation of a barcode that no subject has (999)", "skipped")
 
     def test_a_landmark_without_a_place_is_dropped_and_named(self, files: Texts, load: Callable[..., Log]) -> None:
         seen = world.measurement_rows()[0][1]
@@ -192,8 +192,8 @@ class TestReadingsLeftOut:
         lines.append(f"{world.T0 + 11.5:.3f} {code} 2.0 0.1")
         log = load({**files, MEASURED: "\n".join(lines) + "\n"})
         np.testing.assert_array_equal(log.recorded.observations.z, whole.recorded.observations.z)
-        assert noted(log, "1 reading before the first odometry")
-        assert noted(log, "1 reading after the last odometry")
+        assert noted(log, "1 observation before the first odometry")
+        assert noted(log, "1 observation after the last odometry")
 
 
 class TestTheWindow:
@@ -268,7 +268,7 @@ class TestTheGrid:
         frame = np.rint((rows - 1.0) / 0.5)
         age = 1.0 + 0.5 * frame - rows
         np.testing.assert_array_equal(log.recorded.observations.frame, frame[age < 0.0501])
-        assert noted(log, f"{int((age > 0.0501).sum())} readings older than 0.05 s")
+        assert noted(log, f"{int((age > 0.0501).sum())} observations more than 0.05 s before")
 
     @pytest.mark.parametrize("grid", [0.0, -1.0, 1.5, math.inf])
     def test_a_senseless_grid_is_refused(self, files: Texts, load: Callable[..., Log], grid: float) -> None:

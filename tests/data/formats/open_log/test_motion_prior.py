@@ -133,10 +133,10 @@ def test_a_bad_prior_is_named_with_key_and_value(small_log_files, save, tmp_path
 def test_a_prior_stands_beside_neither_increments_nor_odometry(small_log_files, save, tmp_path):
     files = small_log_files("frames", "relative_point")
     stated = files["log.toml"].replace("[prior]", FORWARD + "[prior]")
-    with pytest.raises(DataError, match=r"frames\.csv: line 1, column dx: \[motion\] prior in log\.toml states"):
+    with pytest.raises(DataError, match=r"frames\.csv:1: column dx: \[motion\] prior in log\.toml states"):
         load_folder(save(tmp_path / "both", files | {"log.toml": stated}))
     driven = small_log_files("odometry", "relative_point")
     begin, end = driven["log.toml"].index("[motion]"), driven["log.toml"].index("[prior]")
     driven["log.toml"] = driven["log.toml"][:begin] + FORWARD + driven["log.toml"][end:]
-    with pytest.raises(DataError, match=r"odometry\.csv: \[motion\] prior in log\.toml is for logs without"):
+    with pytest.raises(DataError, match=r"odometry\.csv: log\.toml states a \[motion\] prior instead"):
         load_folder(save(tmp_path / "driven", driven))

@@ -183,7 +183,7 @@ def test_relations_of_a_folder_are_its_own_or_those_asked_for(folder, tmp_path):
     (tmp_path / "mine.csv").write_text("row1,row2,x,y,theta\n0,4,1,0,0\n")
     assert open_log(str(path), Reading(relations=tmp_path / "mine.csv")).truth.relations.row2.tolist() == [4]
     (path / "relations.csv").write_text("row1,row2,x,y,theta\n0,5,1,0,0\n")
-    with pytest.raises(DataError, match=r"relations.csv: line 2, column row2: 5 is not a row of the log"):
+    with pytest.raises(DataError, match=r"relations.csv:2: column row2: 5 is not a row of the log"):
         open_log(str(path))
 
 

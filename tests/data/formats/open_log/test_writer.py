@@ -104,7 +104,7 @@ def test_a_log_that_could_not_be_read_again_is_not_written(log, tmp_path):
     broken = dataclasses.replace(
         log, recorded=dataclasses.replace(log.recorded, observations=Observations(o.frame, z, o.R))
     )
-    with pytest.raises(DataError, match=r"observations.csv: line 2, column z1: nan"):
+    with pytest.raises(DataError, match=r"observations.csv:2: column z1: nan"):
         write_folder(broken, tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

@@ -75,7 +75,7 @@ def test_the_offset_of_the_laser_is_its_place_on_the_robot(load):
 def test_other_lines_are_counted_and_comments_and_parameters_are_not(load):
     notes = load(SMALL).notes
     assert "Lines left out: 1 NEFF, 1 SYNC." in notes
-    assert "1 of 4 stamps do not increase; line order counts." in notes
+    assert "1 of 4 stamps do not increase; line order is used." in notes
 
 
 def test_of_two_scans_without_odometry_between_the_first_stays_and_early_ones_go(load):

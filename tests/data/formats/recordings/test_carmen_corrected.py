@@ -52,7 +52,7 @@ def test_the_raw_increments_come_back_and_no_frame_is_invented(tmp_path):
     assert log.recorded.time.tolist() == [10.0 + k for k in range(30)]
     assert log.recorded.scans.frame.tolist() == list(range(0, 30, 4))
     assert log.notes[0].startswith("Raw odometry recovered: 8 corrections undone")
-    assert "8 ODOM lines that state a corrected pose once more" in log.notes[0]
+    assert "8 ODOM lines that repeat a corrected pose" in log.notes[0]
     # without the option the poses are those of the file, corrections and all, and a note says what can be done
     plain = load_carmen(tmp_path / "made.log")
     assert len(plain.recorded) == 38

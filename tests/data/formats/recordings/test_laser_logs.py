@@ -44,8 +44,8 @@ def test_carmen_logs_are_found_and_those_with_relations_stand_for_the_others(sma
     names, said = found(folder)
     assert names == ["small"]
     assert [line.partition(":")[0].rpartition("/")[2] for line in said] == ["other.clf", "run.log"]
-    assert "no relations beside it, as other logs there have" in said[0]
-    assert "not a dataset that is known here" in said[1]
+    assert "no relations beside it, unlike other logs there" in said[0]
+    assert "not a known dataset" in said[1]
     (folder / "small.relations.csv").unlink()
     assert found(folder)[0] == ["other", "small"]
 
@@ -70,7 +70,7 @@ def test_a_bad_file_ends_the_converter_with_one_line(tmp_path, capsys):
     assert convert(["carmen", str(tmp_path / "bad.log"), str(tmp_path / "out")]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
-    assert f"{tmp_path / 'bad.log'}: line 1: FLASER with 3 fields" in error
+    assert f"{tmp_path / 'bad.log'}:1: FLASER with 3 fields" in error
 
 
 def test_the_summary_tells_of_scans_and_relations(small):
@@ -79,7 +79,7 @@ def test_the_summary_tells_of_scans_and_relations(small):
         "3 beams from -90 to 90 deg, up to 80 m, sigma 0.01 m; p_scanner = R(0 deg) p_body + (-0.25, 0) m"
     )
     assert lines["scans"] == (
-        "in 2 of 4 (50.0 %) frames; 3 of 6 (50.0 %) readings are no return, the others 1 to 3 m, median 2.5 m"
+        "in 2 of 4 (50.0 %) frames; 3 of 6 (50.0 %) ranges are no return, the others 1 to 3 m, median 2.5 m"
     )
     assert lines["relations"] == "2 relations between 4 frames, 1 exact, with stamps; up to 0.5 m apart"
 

@@ -142,7 +142,7 @@ def test_a_wrong_line_is_named(load: Callable[[str], Log], line: int, text: str,
     with pytest.raises(DataError) as caught:
         load("\n".join(lines) + "\n")
     message = str(caught.value)
-    assert f"park.txt: line {line}" in message
+    assert f"park.txt:{line}" in message
     assert "\n" not in message
     for word in words:
         assert word in message

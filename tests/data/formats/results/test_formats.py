@@ -75,7 +75,7 @@ def test_every_format_is_recognized_by_its_content(write, tmp_path):
     assert path.time == pytest.approx(TIME, abs=3e-7)
     assert path.pose == pytest.approx(POSE, abs=1e-12)
     said = projection(path)
-    assert said == ("" if write is ours else "projected to the plane: z 0.5 to 0.5 m left out")
+    assert said == ("" if write is ours else "projected to the plane: z 0.5 to 0.5 m ignored")
 
 
 def test_a_camera_that_is_taken_for_a_robot_is_suspected(tmp_path):
@@ -101,25 +101,25 @@ def test_of_poses_with_one_stamp_the_last_counts(tmp_path):
 
 T = "0 0 0 0 0 0 0 1"
 FAULTS = {
-    "cut": (f"{T}\n1 0 0 0 0 0\n", ": line 2: 6 fields; 8 are needed (the file ends here: was it cut off?)"),
-    "word": (f"{T}\n1 zero 0 0 0 0 0 1\n", ": line 2, column x: 'zero' is not a number"),
-    "nan": (f"{T}\n1 nan 0 0 0 0 0 1\n", ": line 2, column x: nan; a finite number in SI units is needed"),
-    "back": (f"# TUM\n1{T[1:]}\n{T}\n", ": line 3: stamp 0.0 is before 1.0"),
-    "back, of ours": ("t,x,y,theta\n1,0,0,0\n0,0,0,0\n", ": line 3: stamp 0.0 is before 1.0"),
+    "cut": (f"{T}\n1 0 0 0 0 0\n", ":2: 6 fields; 8 are needed (the file ends here: was it cut off?)"),
+    "word": (f"{T}\n1 zero 0 0 0 0 0 1\n", ":2: column x: 'zero' is not a number"),
+    "nan": (f"{T}\n1 nan 0 0 0 0 0 1\n", ":2: column x: nan; a finite number in SI units is needed"),
+    "back": (f"# TUM\n1{T[1:]}\n{T}\n", ":3: stamp 0.0 is before 1.0"),
+    "back, of ours": ("t,x,y,theta\n1,0,0,0\n0,0,0,0\n", ":3: stamp 0.0 is before 1.0"),
     "back, EuRoC": (
-        "1403636579763555584,0,0,0,1,0,0,0\n1403636578763555584,0,0,0,1,0,0,0\n", ": line 2: stamp 1403636578.76",
+        "1403636579763555584,0,0,0,1,0,0,0\n1403636578763555584,0,0,0,1,0,0,0\n", ":2: stamp 1403636578.76",
     ),
-    "quaternion": (f"{T}\n1 0 0 0 0 0 0 0\n", ": line 2: quaternion [0.0, 0.0, 0.0, 0.0] has length 0"),
+    "quaternion": (f"{T}\n1 0 0 0 0 0 0 0\n", ":2: quaternion [0.0, 0.0, 0.0, 0.0] has length 0"),
     "empty": ("# nothing\n", ": no line of data"),
-    "strange": ("1 2 3\n", ": line 1: 3 fields, '1,2,3': not a trajectory that is known here; a CSV with"),
-    "no stamps": ("x,y,theta\n1,2,3\n", ": line 1: no column t: these are poses of a log's frames"),
-    "covariance": ("t,x,y,theta,c_xx\n0,1,2,3,4\n", ": line 1, column c_xy: no such column, but c_xx"),
-    "negative": ("t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n0,0,0,0,1,0,0,1,0,-1\n", ": line 2: covariance of x, y"),
+    "strange": ("1 2 3\n", ":1: 3 fields, '1,2,3': no known trajectory format; a CSV with"),
+    "no stamps": ("x,y,theta\n1,2,3\n", ":1: no column t: these are poses of a log's frames"),
+    "covariance": ("t,x,y,theta,c_xx\n0,1,2,3,4\n", ":1: column c_xy: no such column, but c_xx"),
+    "negative": ("t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n0,0,0,0,1,0,0,1,0,-1\n", ":2: covariance of x, y"),
     "format": ("#%FORMAT ROUND/1\n", ": no line of data"),
     "square": (f"#%FORMAT SQUARE/0.3\n#%REPRESENTATION gaussian_se3\n{T}\n", "the header lacks TANGENT_CONVENTION"),
     "tangent": (
         f"#%FORMAT SQUARE/0.3\n#%REPRESENTATION gaussian_se3\n#%TANGENT_CONVENTION middle\n{T}\n",
-        ": line 3: TANGENT_CONVENTION 'middle'; one of right_perturbation, left_perturbation is needed",
+        ":3: TANGENT_CONVENTION 'middle'; one of right_perturbation, left_perturbation is needed",
     ),
 }  # fmt: skip
 
@@ -142,11 +142,11 @@ def test_what_a_file_does_not_say_must_be_said_and_nothing_else(tmp_path):
         read_path(str(tmp_path / name))
     name, _ = tum(tmp_path)
     for manner, wanted in (
-        (Manner(times=tmp_path / "times.txt"), "for KITTI poses"),
+        (Manner(times=tmp_path / "times.txt"), "KITTI poses are needed"),
         (Manner(frame="local"), "has no covariance"),
     ):
         with pytest.raises(UsageError, match=wanted):
             read_path(str(tmp_path / name), manner)
     name, _ = ours(tmp_path)
-    with pytest.raises(UsageError, match=r"--cov .*: for a TUM file"):
+    with pytest.raises(UsageError, match=r"--cov .*: a TUM file"):
         read_path(str(tmp_path / name), Manner(cov=tmp_path / "a.txt"))

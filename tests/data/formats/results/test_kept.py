@@ -6,17 +6,17 @@ import numpy as np
 import pytest
 
 from data.errors import DataError
-from data.formats.results.tables import beside
+from data.formats.results.tables import companions
 from data.result import DISCARD, NEW
 
 
 def landmarks(folder, text):
     (folder / "landmarks.csv").write_text(text)
-    return beside(folder).landmarks
+    return companions(folder).landmarks
 
 
 def test_nothing_beside_a_result_is_nothing(tmp_path):
-    found = beside(tmp_path)
+    found = companions(tmp_path)
     assert (found.landmarks, found.decisions, found.file) == (None, None, None)
 
 
@@ -47,12 +47,12 @@ def test_landmarks_without_numbers_are_a_map_and_no_result(tmp_path):
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("3,1,2,1,0,1,0,0\n4,1,2,1,2,1,0,0\n", ": line 3: covariance of x, y, heading has the eigenvalue -1; "),
-        ("3,1,2,1,0,1,0,0\n3,1,2,1,0,1,0,0\n", ": line 3, column landmark: 3 is there twice"),
-        ("-1,1,2,1,0,1,0,0\n", ": line 2, column landmark: -1; a whole number from 0 up is needed"),
-        ("3.5,1,2,1,0,1,0,0\n", ": line 2, column landmark: 3.5; a whole number from 0 up is needed"),
-        ("3,1,2,1,0,1,-2,0\n", ": line 2, column first_frame: -2; a whole number from -1 up is needed"),
-        ("3,1,2,1,0,1,0,0.5\n", ": line 2, column times_seen: 0.5; a whole number from -1 up is needed"),
+        ("3,1,2,1,0,1,0,0\n4,1,2,1,2,1,0,0\n", ":3: covariance of x, y, heading has the eigenvalue -1; "),
+        ("3,1,2,1,0,1,0,0\n3,1,2,1,0,1,0,0\n", ":3: column landmark: 3 is repeated"),
+        ("-1,1,2,1,0,1,0,0\n", ":2: column landmark: -1; a whole number from 0 up is needed"),
+        ("3.5,1,2,1,0,1,0,0\n", ":2: column landmark: 3.5; a whole number from 0 up is needed"),
+        ("3,1,2,1,0,1,-2,0\n", ":2: column first_frame: -2; a whole number from -1 up is needed"),
+        ("3,1,2,1,0,1,0,0.5\n", ":2: column times_seen: 0.5; a whole number from -1 up is needed"),
     ],
     ids=["covariance", "twice", "negative", "half", "first frame", "times seen"],
 )
@@ -65,11 +65,11 @@ def test_a_landmark_that_makes_no_sense_is_named_with_its_line(tmp_path, rows, s
 def test_a_final_decision_is_the_first_one_where_there_is_no_other(tmp_path):
     file = tmp_path / "decisions.csv"
     file.write_text("decision,observation,frame\n4,0,2\n-1,1,2\n-2,0,3\n")
-    found = beside(tmp_path)
+    found = companions(tmp_path)
     assert found.decisions.tolist() == [[2, 0, 4, 4], [2, 1, NEW, NEW], [3, 0, DISCARD, DISCARD]]
     assert (found.file, found.landmarks) == (file, None)
     file.write_text("frame,observation,decision,final_decision\n2,0,4,-2\n2,1,-1,5\n")
-    assert beside(tmp_path).decisions.tolist() == [[2, 0, 4, DISCARD], [2, 1, NEW, 5]]
+    assert companions(tmp_path).decisions.tolist() == [[2, 0, 4, DISCARD], [2, 1, NEW, 5]]
     file.write_text("frame,observation,decision\n2,0,-3\n")
-    with pytest.raises(DataError, match=r"line 2, column decision: -3; a whole number from -2 up is needed"):
-        beside(tmp_path)
+    with pytest.raises(DataError, match=r":2: column decision: -3; a whole number from -2 up is needed"):
+        companions(tmp_path)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from tests.eval.figures.opportunities import within
+from tests.eval.figures.looks import within
 
 from data.result import DISCARD, NEW, Innovations
 from eval.figures import claims_figure, loop_state_figure

@@ -16,7 +16,8 @@ from eval.inspect import main as inspect
 from eval.referee.diagnostics import notices, questions_of_run, unused
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.diagnostics import questions, questions_section
+from eval.report.contents import warnings_section
+from eval.report.words import questions
 from eval.run_all import main
 
 
@@ -49,7 +50,7 @@ def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
     assert len(run.map) > 2 * cones
     assert question.code is Code.LANDMARKS
     assert question.named["landmarks"] == len(run.map)
-    (section,) = questions_section([question])
+    (section,) = warnings_section([question])
     assert section.blocks[1].endswith("do better?")
 
 
@@ -70,7 +71,7 @@ def test_a_run_that_used_nothing_says_so_in_the_headline():
     found = questions(notices([trial]))
     assert [(n.code, n.estimator) for n in found if n.task] == [(Code.UNUSED, "ekf, batch")]
     assert Code.PRIOR in [n.code for n in found]
-    (section,) = questions_section(found)
+    (section,) = warnings_section(found)
     assert "**prior**" in section.blocks[1]
     assert "**unused**" in section.blocks[1]
 
@@ -103,4 +104,4 @@ def test_questions_stand_in_inspect_on_the_terminal_in_the_log_and_in_the_report
     assert "✗ **neither** (ekf lost from frame 0)" in row
     section = report.partition("## lost, localization")[2]
     assert "ekf (nn): 0 of" in section[: section.index("<details>")]
-    assert "## Questions" in report
+    assert "## Warnings" in report

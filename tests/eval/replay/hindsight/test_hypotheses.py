@@ -13,6 +13,7 @@ from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
 from data.result import DISCARD
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
+from eval.replay.hindsight import hypotheses
 from eval.replay.hindsight.constants import FREEDOM
 from eval.replay.hindsight.hypotheses import DEPENDENCE, DROP, FIRST, STRAY, Hypotheses, Hypothesis
 
@@ -209,10 +210,11 @@ def test_a_miss_counts_by_what_is_known_of_its_distance():
     assert b.members[1].weight - b.members[0].weight == pytest.approx(2 * DEPENDENCE * np.log(0.1))
 
 
-def test_the_number_of_hypotheses_is_bounded():
+def test_the_number_of_hypotheses_is_bounded(monkeypatch):
+    monkeypatch.setattr(hypotheses, "LIMIT", 20)
     xy = np.random.default_rng(0).uniform(-10, 10, (60, 2))
     known = LandmarkMap(np.arange(60), xy)
-    b = Hypotheses(Prior(np.zeros(3), np.diag([25.0, 25.0, 1.0])), SENSOR, known, limit=20)
+    b = Hypotheses(Prior(np.zeros(3), np.diag([25.0, 25.0, 1.0])), SENSOR, known)
     for k in range(5):
         b.predict(STILL)
         b.observe(one(3.0, 0.1 * k), k)

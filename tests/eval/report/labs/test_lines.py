@@ -80,7 +80,7 @@ def test_tables_name_what_is_special_about_each_condition_and_count_its_run(tmp_
 
 
 def test_paragraphs_compare_singles_with_jcbb_and_tell_of_the_others_without_odometry(tmp_path):
-    _, second, _, _, fifth, _ = (s.blocks[2] for s in sections(tmp_path))
+    _, second, _, _, fifth, _ = (s.blocks[2].blocks[0] for s in sections(tmp_path))
     assert "**SINGLES** uses 5 of 10 observations of `corridor:0` (0 wrongly)" in second
     assert "3 observations of points in the map go unused." in second
     assert "JCBB uses 3 right pairings more, and SINGLES' RMSE is 2.5 times as large." in second

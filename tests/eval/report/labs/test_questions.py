@@ -14,6 +14,7 @@ from eval.referee.score import Trial, score
 from eval.report.labs.corridor import find_lab, look, reach, run_of, true_against_stated
 from eval.report.labs.questions import Answers, Lack, answers
 from eval.report.labs.sections import lab_sections
+from eval.report.page.blocks import every_block
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
 
@@ -34,7 +35,9 @@ def trial(log, *runs, **more) -> Trial:
 
 
 def words(*trials) -> dict[str, str]:
-    return {s.heading: s.blocks[0] for s in lab_sections(trials, score(trials))}
+    """The line of each answer and what is folded below it."""
+    sections = lab_sections(trials, score(trials))
+    return {s.heading: " ".join(b for b in every_block(s.blocks) if isinstance(b, str)) for s in sections}
 
 
 def facts(*trials) -> Answers:

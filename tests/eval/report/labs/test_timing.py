@@ -43,8 +43,7 @@ def test_of_each_setup_the_fastest_run_counts_and_setups_take_turns(monkeypatch)
     # by turn and setup: s that pass between two looks at the clock, four of them in a frame, two where nothing is seen
     paces = [3.0, 1.0, 2.0, 5.0]
     each = 4 * (FRAMES - 1) + 2
-    opportunities = np.repeat(paces, each)
-    stamps = iter(np.cumsum(opportunities).tolist())
+    stamps = iter(np.cumsum(np.repeat(paces, each)).tolist())
     monkeypatch.setattr(pictures, "time", SimpleNamespace(perf_counter=lambda: next(stamps)))
     found = update_times(log(), "ekf", "nn", [Setup(), Setup(maintain=True)], repeats=2)
     for times, pace in zip(found, (2.0, 1.0), strict=True):

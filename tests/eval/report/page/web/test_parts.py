@@ -59,11 +59,11 @@ def pages(tmp_path_factory):
     return (folder / "report.html").read_text(encoding="utf-8"), (folder / "report.md").read_text(encoding="utf-8"), png
 
 
-def test_overview_sections_below_it_contents_and_command_stand_in_that_order(pages):
+def test_contents_overview_sections_below_it_and_command_stand_in_that_order(pages):
     for page, parts in (
         (
             pages[0],
-            ("Two sentences.", 'id="overview"', 'id="attribution"', 'id="contents"', "Made by", 'id="a-1-slam"'),
+            ("Two sentences.", 'id="contents"', 'id="overview"', 'id="attribution"', 'id="a-1-slam"', "Made by"),
         ),
         (pages[1], ("Two sentences.", "| log | trust", "## Attribution", "Made by", "## a:1, slam")),
     ):
@@ -92,7 +92,7 @@ def test_rows_in_no_comparison_stand_beneath_the_others(pages):
 def test_fine_print_stands_once_and_captions_point_to_it(pages):
     html, text, _ = pages
     assert html.count("What all errors mean.") == text.count("What all errors mean.") == 1
-    assert html.count('<a href="#how-to-read-this">') == 4  # two captions, contents, top
+    assert html.count('<a href="#how-to-read-this">') == 3  # two captions, contents
     assert text.count("(#how-to-read-this)") == 2
 
 
@@ -129,3 +129,15 @@ def test_a_text_is_folded_after_three_lines_and_nothing_of_it_is_lost():
     front, more = folded("* First point.\n  * of it\n* " + words, "More")
     assert front.startswith("First point.")
     assert more.blocks[0].startswith("* One sentence")
+
+
+def test_a_section_of_details_is_a_page_of_its_own_with_the_way_back(tmp_path):
+    table = Table(FRAME, "All columns.", "a-comparison", fine=FINE)
+    details = (Section("a: details", (table,), page="a"), Section("Trust", ("Words.",), 3, page="a"))
+    write_report(tmp_path, Report("Title", "command", ("Two sentences.",), (Section("a", ("Short.",)), *details)))
+    report, page = ((tmp_path / name).read_text(encoding="utf-8") for name in ("report.html", "details/a.html"))
+    assert '<a href="details/a.html">a</a>' in report
+    assert "All columns." not in report
+    for part in ('<a href="../report.html">', "<h1>a: details</h1>", 'href="../tables/a-comparison.csv"',
+                 '<h2 id="trust">', "What all errors mean."):  # fmt: skip
+        assert part in page
