@@ -176,7 +176,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
 
     check_columns(options.output.columns)
     require_latex(options.drawing)
-    look, about_look = figure_style_of(options.drawing)
+    look, about_look = figure_style_of(options.drawing, options.output)
     if about_look:
         console.say(about_look)
     compile_if_needed(console.quiet)

@@ -14,7 +14,7 @@ USUAL_TYPE = 8.0
 
 @dataclass(frozen=True)
 class FigureStyle:
-    """What is wished for: width [in] (None: as usual), fonts by preference, type size [pt], LaTeX, pgf."""
+    """What is wished for: width [in] (None: as usual), fonts by preference, type size [pt], LaTeX, pgf, PDF files."""
 
     width: float | None = None
     fonts: tuple[str, ...] = ()
@@ -22,6 +22,12 @@ class FigureStyle:
     size: float = USUAL_TYPE
     usetex: bool = False
     pgf: str | None = None
+    pdf: bool = False
+
+    @property
+    def formats(self) -> tuple[str, ...]:
+        """Of the files; PNG comes first."""
+        return ("png", "pdf") if self.pdf else ("png",)
 
     def settings(self) -> dict[Any, Any]:
         """What differs from the usual settings of matplotlib."""

@@ -209,8 +209,10 @@ def settle(fig: Figure) -> None:
     fig.set_layout_engine("none")
 
 
-def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] = ("pdf", "png")) -> list[Path]:
-    """Write a figure as `folder/stem.<format>`, without dates or versions: same data, same bytes. Empties the figure.
+def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = None) -> list[Path]:
+    """Write a figure as `folder/stem.<format>` (default: of the current style), and empty it.
+
+    There is no date or version in it: same data, same bytes.
 
     Raises ValueError for a format whose metadata is not known to be clean.
     """
@@ -218,6 +220,7 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] = ("pdf", 
         "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
         "png": {"Software": None},
     }
+    formats = current().formats if formats is None else formats
     unknown = sorted(set(formats) - set(clean))
     if unknown:
         raise ValueError(f"figure format {unknown[0]!r}; known: {', '.join(clean)}")

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import shutil
 
-from matplotlib import font_manager
-
 from data.errors import UsageError
 from eval.figures.figure_style import FigureStyle
-from eval.plan.flags.table import Drawing, inches
+from eval.plan.flags.table import Drawing, Output, inches
 
 TIMES = ("times", "times new roman", "times roman")
 LIKE_TIMES = ("Times New Roman", "Times", "Nimbus Roman", "TeX Gyre Termes", "Liberation Serif", "STIXGeneral")
@@ -28,12 +26,16 @@ def require_latex(drawing: Drawing) -> None:
         raise UsageError(f"--pgf needs LaTeX, and there is none of {', '.join(SYSTEMS)} on this machine")
 
 
-def figure_style_of(drawing: Drawing) -> tuple[FigureStyle, str]:
-    """How figures look, and a sentence about a font that is not here (empty: all is as asked)."""
+def figure_style_of(drawing: Drawing, output: Output) -> tuple[FigureStyle, str]:
+    """How figures look, and a sentence about a font that is not here (empty: all is as asked).
+
+    PDF files are written for a paper: where one of its flags, a write-up or `--formats` asks for them.
+    """
     fonts, mathematics, said = _fonts(drawing.font)
     width = None if drawing.figure_width is None else inches(drawing.figure_width)
     pgf = _system() if drawing.pgf else None
-    return FigureStyle(width, fonts, mathematics, drawing.font_size, drawing.usetex, pgf), said
+    pdf = output.write_up or "pdf" in output.formats or drawing != Drawing()
+    return FigureStyle(width, fonts, mathematics, drawing.font_size, drawing.usetex, pgf, pdf), said
 
 
 def _system() -> str | None:
@@ -43,6 +45,8 @@ def _system() -> str | None:
 def _fonts(name: str | None) -> tuple[tuple[str, ...], str | None, str]:
     if name is None:
         return (), None, ""
+    from matplotlib import font_manager  # slow to load, and needed for a font alone
+
     known = {f.name.lower(): f.name for f in font_manager.fontManager.ttflist}
     times = name.lower() in TIMES
     wanted = known.get(name.lower())

@@ -77,7 +77,7 @@ def systematic_errors(
     chosen: list[int] = []
     gains: list[float] = []
     for _ in range(most):
-        left = scored.score.beside(np.array(chosen, np.int64)) if chosen else scored.score
+        left = scored.score.given(np.array(chosen, np.int64)) if chosen else scored.score
         z = left.sigmas * weight
         best = int(np.argmax(np.abs(z))) if len(z) else -1
         if best < 0 or not abs(z[best]) > threshold:

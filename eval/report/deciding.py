@@ -222,7 +222,7 @@ def _picture(folder: Path, trial: Trial, *, quick: bool) -> Picture | None:
     if run is None or one is None:
         return None
     name, log = f"{folder_name(trial.log.name)}-{trial.task}-revision", trial.log.name
-    save(revision_figure(trial.log, run, one), folder / "figures", name, ("png",) if quick else ("pdf", "png"))
+    save(revision_figure(trial.log, run, one), folder / "figures", name)
     caption = paragraph(
         "deciding#revision",
         log=log,

@@ -90,7 +90,7 @@ def overview(
     trials: Sequence[tuple[Trial, LogFacts]], folder: Path, *, drawn: bool = True, whole: bool = False
 ) -> Overview:
     """The table, of the `whole` with every column; `drawn`: small pictures are also written into `figures/`."""
-    left_out = () if any(f.given for _, f in trials) else (GIVEN,)
+    left_out: tuple[int, ...] = () if any(f.given for _, f in trials) else (GIVEN,)
     left_out += () if whole else IN_DETAIL
     rows = []
     for trial, f in trials:

@@ -58,8 +58,8 @@ def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> tupl
     return tuple(name for name, kind in KINDS.items() if (kind.in_quick or not quick) and kind.applies(trial, variants))
 
 
-def draw(folder: Path, trial: Trial, kind: str, variants: Variants = (), *, quick: bool = False) -> Picture:
-    """Draw one picture of `kinds`, as files below the result folder: PDF and PNG, in a quick report PNG alone."""
+def draw(folder: Path, trial: Trial, kind: str, variants: Variants = ()) -> Picture:
+    """Draw one picture of `kinds`, as files below the result folder."""
     name = stem(trial, kind)
     if kind in (GRID_PICTURE, LOOP_PICTURE):
         figure, caption, alt = laser_picture(trial, kind)
@@ -67,7 +67,7 @@ def draw(folder: Path, trial: Trial, kind: str, variants: Variants = (), *, quic
         figure, facts = KINDS[kind].drawn(trial, variants)
         macro = f"pictures#{kind.replace('-', '_')}"
         caption, alt = (paragraph(m, log=trial.log.name, task=trial.task, **facts) for m in (macro, f"{macro}_alt"))
-    save(figure, folder / "figures", name, ("png",) if quick else ("pdf", "png"))
+    save(figure, folder / "figures", name)
     return Picture(name, caption, alt)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +49,7 @@ def publish(
         others = variants(trial, trials)
         drawn = not (output.no_plots or _shown_elsewhere(trial, trials))
         for place, kind in enumerate(kinds(trial, others, quick=output.quick) if drawn else ()):
-            jobs.append(Job((i, place), partial(draw, quick=output.quick), (folder, trial, kind, others), DRAWING))
+            jobs.append(Job((i, place), draw, (folder, trial, kind, others), DRAWING))
     for i, trial in enumerate(trials):
         length = WRITING * len(trial.log.recorded)
         jobs.append(Job((i, RUN_FILES), publish_runs, (folder, output, trial), math.inf if output.animate else length))

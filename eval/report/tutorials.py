@@ -118,7 +118,7 @@ def tutorial_sections(folder: Path, wanted: Drawn, trials: Sequence[Trial], scor
         blocks.append(written_table(table_of(rows), folder, name, caption, wanted))
         if not wanted.no_plots:
             figure = knowledge_figure(f"{log}: knowledge taken away", [_drawn(r) for r in rows])
-            save(figure, folder / "figures", name, ("png",) if wanted.quick else ("pdf", "png"))
+            save(figure, folder / "figures", name)
             alt = f"Position RMSE and share of wrong decisions on {log}, from map and labels given to nothing"
             blocks.append(Picture(name, say("tutorials#picture", log=log), alt))
     return [Section("From labels and map to nothing", tuple(blocks), facts=facts)] if blocks else []

@@ -252,7 +252,7 @@ def _plan(folder: Path, wanted: Drawn, trial: Trial, factor: int | None) -> Pict
     log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
     assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
     figure = plan_figure(log, drawn, log.evidence.setup.corners, factor=factor)
-    save(figure, folder / "figures", name, ("png",) if wanted.quick else ("pdf", "png"))
+    save(figure, folder / "figures", name)
     known = bool(log.truth.known_poses)
     caption = say("visual#plan", log=log.name, task=trial.task, known=known) + left_out(trial, drawn)
     paths = ", ".join(r.estimator for r in drawn)

@@ -82,9 +82,7 @@ def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: Int
         drift = found.mean[np.searchsorted(of, np.arange(len(own))), at] / sigma[at]
         steps = own * drift
         steps[1:] += earlier[1:] * drift[:-1]
-    return Estimated(
-        motion[:, :, constant], observed[:, :, constant], now[constant], by_drift, of, own, earlier, steps
-    )
+    return Estimated(motion[:, :, constant], observed[:, :, constant], now[constant], by_drift, of, own, earlier, steps)
 
 
 def without_errors(left: Array, now: Array) -> Array:
@@ -104,6 +102,8 @@ def without_errors(left: Array, now: Array) -> Array:
     return with_prior[:at, :at] - across @ np.linalg.solve(with_prior[at:, at:], across.T)
 
 
+ALIKE = 1e-9
+"""Share of its information that others leave of an error which they explain wholly: rounding."""
 UNIDENTIFIABLE = 1e-16
 """Least share of a column's square that path and map must leave; less is rounding (some 1e-26 was found)."""
 
@@ -125,6 +125,21 @@ class Score(NamedTuple):
         """Estimate of each error alone in units of its standard deviation (p,): N(0, 1) under the null hypothesis."""
         root = np.sqrt(np.diag(self.information))
         return np.divide(self.score, root, out=np.zeros_like(root), where=root > 0.0)
+
+    def given(self, others: IntArray) -> Score:
+        """The same with the errors `others` (q,) estimated, too, so that only what they do not explain is left."""
+        root = np.sqrt(np.diag(self.information))
+        scale = np.where(root > 0.0, root, 1.0)
+        score, correlation = self.score / scale, self.information / np.outer(scale, scale)
+        # pseudo-inverse: a SLAM robot's scales of odometry and of ranges, of which it can tell one, may both be others
+        inverse = np.linalg.pinv(correlation[np.ix_(others, others)], rcond=ALIKE, hermitian=True)
+        across = correlation[:, others] @ inverse
+        left = correlation - across @ correlation[others]
+        told = np.diag(left) > ALIKE
+        told[others] = False
+        score = scale * (score - across @ score[others])
+        left = 0.5 * (left + left.T) * np.outer(scale, scale)
+        return Score(np.where(told, score, 0.0), np.where(np.outer(told, told), left, 0.0))
 
 
 def systematic(

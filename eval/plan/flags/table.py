@@ -36,6 +36,7 @@ from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
 from eval.studies.shipped import VALIDATIONS, scenarios
 
 FORMATS = ("csv", "md", "tex")
+KNOWN_FORMATS = (*FORMATS, "pdf")
 FACTORS = ("1", "2", "5", "10", "20", "50", "auto")
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
@@ -265,7 +266,9 @@ class Output:
         "DIR",
         "result folder, replaced as a whole when done (default: results/report)",
     )
-    formats: tuple[str, ...] = free_row(FORMATS, names(FORMATS), "LIST", "table formats of csv,md,tex (default: all)")
+    formats: tuple[str, ...] = free_row(
+        FORMATS, names(KNOWN_FORMATS), "LIST", "of tables: csv,md,tex (default: all three); pdf: figures also as PDF"
+    )
     columns: tuple[str, ...] = free_row(
         (),
         names(),

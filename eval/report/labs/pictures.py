@@ -261,13 +261,13 @@ def stem(kind: str) -> str:
     return f"lab-{kind}"
 
 
-def draw(folder: Path, kind: str, lab: Lab, setup: Setup, formats: tuple[str, ...], tables: tuple[str, ...]) -> Picture:
+def draw(folder: Path, kind: str, lab: Lab, setup: Setup, tables: tuple[str, ...]) -> Picture:
     """Draw one picture of `KINDS` below the result folder."""
     if kind == UPDATE_TIME:
         figure, caption, alt = _update_time(folder, lab, setup, tables)
     else:
         figure, caption, alt = KINDS[kind](lab, setup)
-    save(figure, folder / "figures", stem(kind), formats)
+    save(figure, folder / "figures", stem(kind))
     return Picture(stem(kind), caption, alt)
 
 

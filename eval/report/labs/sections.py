@@ -91,9 +91,8 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
     """Six sections, their pictures drawn in parallel."""
     output = options.output
     wanted = [] if output.no_plots else [k for q in QUESTIONS for k in q.pictures if NEEDED[k](lab)]
-    formats = ("png",) if output.quick else ("pdf", "png")
     setup = options.setup.settled(next(iter(lab.trials.values())).log.labels_are_sensed)
-    jobs = [Job(kind, draw, (folder, kind, lab, setup, formats, output.formats)) for kind in wanted]
+    jobs = [Job(kind, draw, (folder, kind, lab, setup, output.formats)) for kind in wanted]
     drawn = work(jobs, options.execution, lost=lambda kind, why: lost.say("picture", why, name=f"lab: {kind}"))
     made: dict[str, Picture] = dict(drawn)
     sections = []

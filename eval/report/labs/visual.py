@@ -189,7 +189,7 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
         what = f"3σ ellipses {'in their size' if factor == 1 else 'enlarged as the legend says'}"
         blocks.append(_plan(folder, output, trial, ("dead-reckoning", "ekf"), "lab-plan", what, factor))
         if run is not None and log.truth.known_poses:
-            save(error_figure(log, [replace(run, final=None)]), folder / "figures", "lab-error", _formats(output))
+            save(error_figure(log, [replace(run, final=None)]), folder / "figures", "lab-error")
             caption = f"`{log.name}`: the filter's error with its ±3σ."
             blocks.append(Picture("lab-error", caption, f"Errors of the filter on {log.name}"))
     table = pd.DataFrame([astuple(r) for r in q.runs], columns=list(HEADS), dtype=object)
@@ -199,10 +199,6 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
     blocks.append(written_table(table, folder, "lab-question-3", caption, output))
     blocks += [UPDATE.formula, UPDATE.about]
     return Section("Question 3: Where was the robot, and how sure is the filter of it?", tuple(blocks), facts=q)
-
-
-def _formats(output: Output) -> tuple[str, ...]:
-    return ("png",) if output.quick else ("pdf", "png")
 
 
 def _plan(
@@ -216,7 +212,7 @@ def _plan(
         figure = map_figure(log, runs, surveyed=lambda ax: [*draw_pictures(ax, corners), *_grown(ax, runs[0])])
     else:
         figure = plan_figure(log, runs, corners, factor=factor)
-    save(figure, folder / "figures", stem, _formats(output))
+    save(figure, folder / "figures", stem)
     return Picture(stem, f"`{log.name}`: {what}. World frame, no alignment.", f"Plan of {log.name}: {what}")
 
 

@@ -137,5 +137,7 @@ def written_table(
     """
     paper = Paper(wanted.table_width, wanted.columns)
     text = "" if fine is None else fine.text
-    write_table(frame, folder / "tables", stem, caption, wanted.formats, paper, for_paper, text)
+    write_table(
+        frame, folder / "tables", stem, caption, [f for f in wanted.formats if f in FORMATS], paper, for_paper, text
+    )
     return Table(frame, caption, stem if "csv" in wanted.formats else None, fine, apart)

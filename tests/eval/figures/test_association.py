@@ -8,7 +8,6 @@ from itertools import combinations
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgba
-from tests.eval.figures.looks import SEEN_BY, lab, within
 
 from data.result import MapEstimate, Trajectory
 from eval.figures import confusion_figure, growth_figure, state_figure
@@ -17,6 +16,7 @@ from eval.figures.error import longest_sigma
 from eval.figures.growth import closing_frame, state_is_informative
 from eval.referee.score import Trial
 from eval.report.pictures import draw, kinds
+from tests.eval.figures.looks import SEEN_BY, lab, within
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
 

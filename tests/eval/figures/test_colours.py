@@ -8,12 +8,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
-from tests.eval.figures.looks import SEEN_BY, lab
 
 from eval.figures import state_figure
 from eval.figures.style import STYLES, colour_of_method, style_of
 from eval.referee.score import Trial
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
+from tests.eval.figures.looks import SEEN_BY, lab
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 UNPLANNED = "nobody-planned-for-this"

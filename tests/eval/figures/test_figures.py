@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from matplotlib.path import Path as Outline
-from tests.eval.figures.looks import within
 
 from data.notice import stopped
 from data.result import Failure, MapEstimate
@@ -16,6 +15,7 @@ from data.se2 import dead_reckoned
 from eval.figures import anees_figure, difference_figure, error_figure, map_figure, nees_figure
 from eval.figures.error import MOST_BINS, longest_sigma, sigmas, thinned
 from eval.figures.plane import View, ellipses, enlargement
+from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
 
 ZERO = np.zeros(3)

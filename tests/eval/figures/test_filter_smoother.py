@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.eval.figures.looks import within
 
 from data.result import Trajectory
 from eval.figures import filter_smoother_figure
+from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 
 P = np.diag(SIGMA**2)

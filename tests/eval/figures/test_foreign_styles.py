@@ -6,10 +6,10 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from tests.eval.figures.looks import SEEN_BY, lab
 
 from eval.figures.style import OTHERS, STYLES, colour_of_method, style_of
 from eval.replay.external.spec import introduce, place
+from tests.eval.figures.looks import SEEN_BY, lab
 
 NAMES = [f"filter-{i}" for i in range(12)]
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from matplotlib.collections import LineCollection
 from matplotlib.colors import to_hex
-from tests.eval.figures.looks import SEEN_BY, lab, within
 
 from association.scans.constraints import Loops
 from association.scans.occupancy import Grid
@@ -17,6 +16,7 @@ from eval.figures import loop_picture, map_picture
 from eval.figures.laser import LOOP_STATES, loop_states
 from eval.figures.style import save, style_of
 from eval.referee.laser import KEPT
+from tests.eval.figures.looks import SEEN_BY, lab, within
 
 KEYS = np.array([[0.0, 0, 0], [4, 0, 0.5], [4, 3, 2], [0, 3, 3], [0, 0.5, -1]])
 WEIGHT = np.array([1.0, 0.0, 0.9, 0.5])

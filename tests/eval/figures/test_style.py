@@ -12,10 +12,10 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from tests.eval.figures.looks import SEEN_BY, lab, pictures
 
 from eval.figures import style
 from eval.figures.style import STYLES, TRUTH_COLOUR, save, series, style_of
+from tests.eval.figures.looks import SEEN_BY, lab, pictures
 from tests.eval.handmade import run_with_error
 
 NAMES = [

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
-from tests.eval.figures.looks import within
 
 from eval.figures import Seen, anees_figure, coverage_figure, outlier_figure, power_figure, run_end_figure
 from eval.figures.style import STYLES, save
+from tests.eval.figures.looks import within
 
 EIGHT = ["ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "isam2", "fixed-lag", "gnc"]
 RATES = [0.0, 0.01, 0.05, 0.1, 0.2]

@@ -73,7 +73,8 @@ import os, sys, subprocess
 from eval.plan import first_use
 from eval import run_all
 first_use.is_compiled = lambda: False
-first_use.compile_in_background = lambda: first_use._children.append(subprocess.Popen(["sleep", "60"], stdout=subprocess.DEVNULL))
+child = lambda: subprocess.Popen(["sleep", "60"], stdout=subprocess.DEVNULL)
+first_use.compile_in_background = lambda: first_use._children.append(child())
 status = run_all.main(sys.argv[1:])
 print("kernels", first_use.kernels(), "child", first_use._children[0].pid)
 sys.exit(status)

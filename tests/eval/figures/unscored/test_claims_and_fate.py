@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import chi2
-from tests.eval.figures.looks import within
 
 from data.result import DISCARD, NEW, Innovations
 from eval.figures import claims_figure, loop_state_figure
@@ -15,6 +14,7 @@ from eval.figures.claims import stretches_of
 from eval.figures.log import loop_states
 from eval.referee.score import Trial
 from eval.report.pictures import draw, kinds
+from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 
 OFF = np.array([0.1, -0.1, 0.02])
