@@ -1,1 +1,1 @@
-"""Turn a recording or a simulation into an open log folder: `python -m data.convert`."""
+"""Convert a recording or a simulation to an open log folder: `python -m data.convert`."""

@@ -1,4 +1,4 @@
-"""Command line: turn a recording or a simulation into an open log folder. `python -m data.convert --help` shows how."""
+"""Command line: convert a recording or a simulation to an open log folder."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ SOURCES = (mrclam, victoria_park, carmen, rosbag, table, g2o, worlds, visual, la
 CONVERTERS: dict[str, Callable[[argparse.Namespace], Log | str]] = {
     kind: source.convert for source in SOURCES for kind in source.KINDS
 }
-"""By kind: the log to write, or a sentence about what has been written in another format."""
+"""By kind: the log to write, or a sentence about a file written in another format."""
 
 
 def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentParser:
@@ -55,13 +55,13 @@ def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentPar
 
 
 def summary(log: Log) -> list[str]:
-    """What a log holds, in sentences."""
+    """The contents of a log, in sentences."""
     inputs, truth = log.recorded, log.truth
     span = "no stamps" if inputs.time_is_index else f"{inputs.time[-1] - inputs.time[0]:.1f} s"
     label = log.granted
     ids = [] if label is None else label[label >= 0].tolist()
     lines = [
-        f"{counted(len(inputs), 'frame')} ({span}), {counted(len(inputs.observations.z), 'reading')}"
+        f"{counted(len(inputs), 'frame')} ({span}), {counted(len(inputs.observations.z), 'observation')}"
         + (f" of {counted(len(set(ids)), 'landmark')}" if label is not None else ""),
         "no known map" if inputs.map is None else f"a map of {counted(len(inputs.map.id), 'landmark')}",
         "no ground truth" if truth.pose is None else f"ground truth in {counted(truth.known_poses, 'frame')}",
@@ -71,14 +71,13 @@ def summary(log: Log) -> list[str]:
     if truth.relations is not None:
         lines.append(counted(len(truth.relations), "reference relation"))
     if inputs.floored:
-        lines.append(
-            f"{counted(inputs.floored, 'singular increment')} got the covariance floor {inputs.covariance_floor:g}"
-        )
+        floored = counted(inputs.floored, "singular increment")
+        lines.append(f"{floored} got the covariance floor {inputs.covariance_floor:g}")
     return lines
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """Convert and say what was done; 0, or 2 with one line on stderr."""
+    """Convert and report; 0, or 2 with one line on stderr."""
     return ended(lambda: _convert(argv, prog), "interrupted; nothing was written")
 
 

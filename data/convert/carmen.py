@@ -1,4 +1,4 @@
-"""A CARMEN log of a laser robot as an open log; raw odometry out of a corrected one."""
+"""A CARMEN log of a laser robot as an open log, optionally with raw odometry recovered from a corrected one."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ examples:
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
-    """The parser of `carmen`; `parameters` is for kinds whose flags take long to load."""
+    """The parser of `carmen`; `parameters` is unused."""
     sub = add(
         "carmen",
         help="a CARMEN log with laser scans (.log, .clf, also .gz)",
@@ -29,7 +29,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     )
     sub.add_argument("source", metavar="SOURCE", type=Path, help="log file: ODOM, FLASER or ROBOTLASER1 lines")
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
-    text = "poses are a particle filter's, stated at its scans, with raw odometry between: recover the raw odometry"
+    text = "poses are a particle filter's: recover the raw odometry"
     sub.add_argument("--undo-correction", action="store_true", help=text)
     text = "reference relations by frame (default: NAME.relations.csv beside the log)"
     sub.add_argument("--relations", metavar="FILE", type=Path, help=text)

@@ -22,14 +22,14 @@ examples:
 TEXT = f"""\
 Both ways: a file {SUFFIX} as SOURCE becomes the log OUT; any log as SOURCE becomes the file OUT{SUFFIX}.
 
-A graph's VERTEX_SE2 are the frames in their order, EDGE_SE2 between neighbours the odometry, EDGE_SE2_XY readings of a
-point, EDGE_BEARING_SE2_XY readings whose range is unknown, VERTEX_XY's ids the labels. EDGE_SE2 between other poses
-(loop closures) become reference relations, by which results are scored; no estimator sees them. The first pose is held.
+A graph's VERTEX_SE2 are the frames in their order, EDGE_SE2 between neighbours the odometry, EDGE_SE2_XY observations
+of a point, EDGE_BEARING_SE2_XY observations with unknown range, VERTEX_XY's ids the labels. EDGE_SE2 between other poses
+(loop closures) become reference relations for scoring; no estimator sees them. The first pose is fixed.
 """
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
-    """The parser of `g2o`; `parameters` is for kinds whose flags take long to load."""
+    """The parser of `g2o`; `parameters` is unused."""
     sub = add("g2o", help="a g2o graph as a log, or a log or run as a graph", description=TEXT, epilog=EXAMPLES)
     sub.add_argument("source", metavar="SOURCE", help=f"a {SUFFIX} file, or a log by path or name")
     sub.add_argument("out", metavar="OUT", type=Path, help=f"log folder to write, or {SUFFIX} file")
@@ -46,15 +46,15 @@ def convert(args: argparse.Namespace) -> Log | str:
         from data.formats.g2o import log_of, read_graph
 
         if args.run is not None:
-            raise UsageError("--run: of a log that becomes a graph; SOURCE is a graph already")
+            raise UsageError("--run: SOURCE is a graph already; a log is needed")
         return log_of(args.out.absolute().name, read_graph(Path(args.source)), true=args.true)
     from data.formats.g2o import graph_text, labelled, of_result
     from data.logs import open_log
 
     if args.out.suffix != SUFFIX:
-        raise UsageError(f"{args.out}: a log becomes a file {SUFFIX}, a graph (SOURCE{SUFFIX}) becomes a log")
+        raise UsageError(f"{args.out}: a log is written as a file {SUFFIX}; only a graph (SOURCE{SUFFIX}) as a log")
     if args.true:
-        raise UsageError("--true: of a graph that becomes a log")
+        raise UsageError("--true: SOURCE is a log; a graph is needed")
     log = open_log(args.source)
     estimate = labelled(log) if args.run is None else of_result(log, args.run)
     text = graph_text(log.recorded, estimate)
@@ -64,5 +64,5 @@ def convert(args: argparse.Namespace) -> Log | str:
         raise DataError.at(args.out, f"cannot be written: {error.strerror}") from error
     paired = int((estimate.of >= 0).sum())
     left = len(estimate.of) - paired
-    sentence = f"{args.out}: {len(log.recorded)} poses, {len(estimate.landmark)} landmarks, {paired} readings"
-    return sentence + (f"; {left} readings of no landmark are not in it" if left else "")
+    sentence = f"{args.out}: {len(log.recorded)} poses, {len(estimate.landmark)} landmarks, {paired} observations"
+    return sentence + (f"; {left} observations of no landmark omitted" if left else "")

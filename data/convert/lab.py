@@ -1,4 +1,4 @@
-"""A folder in the visual lab's format as an open log: pictures found, their corners as observations."""
+"""A folder in the visual lab's format as an open log: detected pictures, their corners as observations."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ examples:
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
-    """The parser of `lab`; `parameters` is for kinds whose flags take long to load."""
+    """The parser of `lab`; `parameters` is unused."""
     sub = add(
         "lab",
         help="a folder in the visual lab's format, as an open log",

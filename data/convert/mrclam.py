@@ -1,8 +1,9 @@
-"""One robot of a UTIAS MRCLAM dataset as an open log: its flags, with every number of calibration and noise."""
+"""One robot of a UTIAS MRCLAM dataset as an open log, with flags for calibration and noise."""
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -33,24 +34,24 @@ seconds after the robot's first ground-truth row (after its first odometry row w
 CALIBRATION = {
     "scale_v": ("FACTOR", "factor on the forward velocity"),
     "scale_omega": ("FACTOR", "factor on the angular velocity"),
-    "turn_limit": ("RAD/S", "the robot turns no faster than this, whatever was commanded; inf for no limit"),
-    "turn_drag": ("M/RAD", "a turning robot loses this times its turn rate of its speed"),
+    "turn_limit": ("RAD/S", "largest turn rate of the robot; inf for no limit"),
+    "turn_drag": ("M/RAD", "speed lost per turn rate"),
     "midpoint_hold": ("", "a command acts from half-way between the stamp before it and its own"),
-    "odometry_delay": ("S", "odometry stamps are moved later by this"),
-    "latency": ("S", "camera stamps are moved earlier by this"),
+    "odometry_delay": ("S", "delay added to odometry stamps"),
+    "latency": ("S", "delay subtracted from camera stamps"),
     "range_is_depth": ("", "the measured range is the distance along the camera's axis"),
-    "range_scale": ("FACTOR", "measured range = factor * true range + range bias; it is undone"),
+    "range_scale": ("FACTOR", "measured range = factor * true range + range bias; it is corrected"),
     "range_bias": ("M", "see --range-scale"),
     "bearing_bias": ("RAD", "subtracted from measured bearings"),
     "sigma_range": ("M", "standard deviation of a range, at range 0 if it grows"),
     "sigma_range_growth": ("M/M", "growth of that standard deviation with the range"),
     "sigma_bearing": ("RAD", "standard deviation of a bearing"),
 }
-"""Fields of `data.formats.mrclam.calibration.Calibration` that have a flag: metavar (none for a switch) and help."""
+"""Fields of `data.formats.mrclam.calibration.Calibration` with a flag: metavar (none for a switch) and help."""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
-    """The parser of `mrclam`; `parameters` is for kinds whose flags take long to load."""
+    """The parser of `mrclam`; `parameters` is unused."""
     sub = add("mrclam", help="one robot of a UTIAS MRCLAM dataset", description=TEXT, epilog=EXAMPLES)
     sub.add_argument("source", metavar="SOURCE", type=Path, help="folder with the .dat files, or the published zip")
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
@@ -77,7 +78,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
             group.add_argument(flag, type=number, metavar=unit, help=text)
         else:
             group.add_argument(flag, action=argparse.BooleanOptionalAction, default=None, help=text)
-    text = "standard deviations of every reading, instead of the three flags above"
+    text = "standard deviations of every observation, instead of the three flags above"
     group.add_argument("--sigma", type=number, nargs=2, metavar=("M", "RAD"), help=text)
     text = "exact arc, or the tutorials' chord at the middle heading"
     group.add_argument("--motion-model", choices=("unicycle", "half_angle"), help=text)
@@ -101,13 +102,10 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def _stretch(text: str) -> tuple[float, float]:
     begin, colon, end = text.partition(":")
-    try:
-        stretch = number(begin), number(end)
-    except ValueError:
-        stretch = math.inf, -math.inf
-    if not colon or not stretch[0] < stretch[1]:
-        raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO in seconds, FROM before TO")
-    return stretch
+    with contextlib.suppress(ValueError):
+        if colon and number(begin) < number(end):
+            return number(begin), number(end)
+    raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO in seconds, FROM before TO")
 
 
 def convert(args: argparse.Namespace) -> Log:
@@ -122,21 +120,14 @@ def convert(args: argparse.Namespace) -> Log:
     calibration = replace(Calibration() if args.uncalibrated else FROZEN, **changes)
     if args.sigma is not None:
         calibration = calibration.with_sigma(*args.sigma)
-    treatment = Treatment(
-        args.start,
-        args.stop,
-        args.landmarks,
-        args.exclude_truth,
-        args.keep_robots,
-        None if args.grid is None else Grid(args.grid),
-        replace(calibration, motion=_motion(args, calibration.motion)),
-        tuple(args.prior_sigma),
-    )
-    return load_mrclam(args.source, args.robot, treatment)
+    grid = None if args.grid is None else Grid(args.grid)
+    calibration = replace(calibration, motion=_motion(args, calibration.motion))
+    window = (args.start, args.stop, args.landmarks, args.exclude_truth, args.keep_robots)
+    return load_mrclam(args.source, args.robot, Treatment(*window, grid, calibration, tuple(args.prior_sigma)))
 
 
 def _motion(args: argparse.Namespace, default: VelocityModel) -> VelocityModel:
-    """The motion model with what the flags change; a new convention of noise needs its own numbers."""
+    """The motion model with the flags' changes; a new noise convention needs its own numbers."""
     from data.motion.velocity import WITH_ALPHAS, VelocityModel, VelocityNoise
 
     kind = args.motion_noise or default.noise.kind
@@ -144,21 +135,18 @@ def _motion(args: argparse.Namespace, default: VelocityModel) -> VelocityModel:
         kind = "displacement"
     wanted, other = ("motion_alphas", "motion_sigma") if kind in WITH_ALPHAS else ("motion_sigma", "motion_alphas")
     numbers = getattr(args, wanted)
+    flag = f"--{wanted.replace('_', '-')}"
     if getattr(args, other) is not None:
-        raise UsageError(
-            f"--{other.replace('_', '-')} does not go with {kind} noise, which takes --{wanted.replace('_', '-')}"
-        )
+        raise UsageError(f"--{other.replace('_', '-')} does not go with {kind} noise, which takes {flag}")
     noise = default.noise
     if numbers is not None:
         if not all(0.0 <= n < math.inf for n in numbers):
-            raise UsageError(
-                f"--{wanted.replace('_', '-')} {' '.join(f'{n:g}' for n in numbers)}: numbers from 0 up are needed"
-            )
+            raise UsageError(f"{flag} {' '.join(f'{n:g}' for n in numbers)}: numbers from 0 up are needed")
         if kind in WITH_ALPHAS and len(numbers) not in WITH_ALPHAS[kind]:
             wanted_count = " or ".join(str(n) for n in WITH_ALPHAS[kind])
             raise UsageError(f"--motion-alphas: {kind} noise takes {wanted_count} numbers, not {len(numbers)}")
         key = "alphas" if kind in WITH_ALPHAS else "sigma"
         noise = VelocityNoise(kind, **{key: tuple(numbers)})
     elif kind != noise.kind:
-        raise UsageError(f"--motion-noise {kind} needs --{wanted.replace('_', '-')}")
+        raise UsageError(f"--motion-noise {kind} needs {flag}")
     return VelocityModel(noise, args.motion_model or default.model)

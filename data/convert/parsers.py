@@ -1,4 +1,4 @@
-"""How the kinds of `python -m data.convert` get their parsers."""
+"""Parsers of the kinds of `python -m data.convert`."""
 
 from __future__ import annotations
 
@@ -7,17 +7,16 @@ from typing import Any, NoReturn, Protocol
 
 
 class Add(Protocol):
-    """Adds the parser of a kind: `add_parser` of argparse's subparsers."""
+    """Adds a kind's parser: `add_parser` of argparse's subparsers."""
 
     def __call__(self, name: str, *, help: str, description: str, epilog: str) -> argparse.ArgumentParser:
         """The parser, to which flags are added."""
 
 
 class Parser(argparse.ArgumentParser):
-    """Says what is wrong in one line; flags are written out."""
+    """Reports errors in one line; flags must be written out, and texts keep their layout."""
 
     def __init__(self, **options: Any) -> None:
-        """Text is shown as it was written."""
         super().__init__(allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
 
     def error(self, message: str) -> NoReturn:

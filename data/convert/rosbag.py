@@ -1,4 +1,4 @@
-"""A ROS bag of a laser robot as an open log: LaserScan and Odometry messages, ROS 1 (.bag) and 2 (folder, .mcap, .db3).
+"""A ROS bag of a laser robot as an open log: LaserScan and Odometry, ROS 1 (.bag) and 2 (folder, .mcap, .db3).
 
 Needs `rosbags` (pip install 'slamref[ros]').
 """
@@ -22,7 +22,7 @@ examples:
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
-    """The parser of `rosbag`; `parameters` is for kinds whose flags take long to load."""
+    """The parser of `rosbag`; `parameters` is unused."""
     sub = add(
         "rosbag",
         help="a ROS 1 or 2 bag with laser scans and odometry",

@@ -33,20 +33,20 @@ What a column may hold (keys of --columns; its name in the file, or its number f
   odometry       t, and v, omega (velocities) | x, y, theta (poses) | dx, dy, dtheta (steps) | left, right (ticks);
                  for theta also a quaternion qx, qy, qz, qw
   observations   t (or frame: row of the odometry, from 0), and range, bearing | x, y in the sensor's frame;
-                 true_id: whose reading it is, known only to the referee; label: what the sensor claims; -1: clutter
+                 true_id: true landmark, for the referee only; label: the sensor's landmark; -1: false alarm
   map            x, y, and id
   truth          t, x, y, theta; blank where unknown
-A key alone counts for every file; with a file's part in front (odometry.t, truth.x) for that part. A column that has
-the key's own name need not be stated.
+A key alone applies to every file, with a part before it (odometry.t, truth.x) to that part. A column named as its
+key need not be stated.
 """
 SENSED = "labels-sensed"
 KEYS_ALONE = ("odometry", SENSED)
-"""What a mapping file may state besides the flags below."""
+"""Keys of a mapping file besides the flags below."""
 FLAGS = {
-    "observations": ("FILE", "file with the readings (default: SOURCE)"),
+    "observations": ("FILE", "file with the observations (default: SOURCE)"),
     "map": ("FILE", "known landmarks"),
     "truth": ("FILE", "true poses"),
-    "columns": ("KEY=NAME,...", "which column holds what"),
+    "columns": ("KEY=NAME,...", "names of the columns"),
     "unit": (
         "KEY=UNIT,...",
         "units: time (s, ms, us, ns, min, h, iso: dates), length (m, mm, cm, km, ft, in; v then in that per s), "
@@ -55,8 +55,8 @@ FLAGS = {
     "odometry-kind": ("KIND", "velocities, poses, steps or ticks (default: by the columns)"),
     "odometry-sigma": (
         "S,...",
-        "noise: for velocities sigma of v and omega per sqrt(s); else of the way per sqrt(m) and sqrt(rad) and of the "
-        "heading per sqrt(m) and sqrt(rad); numbers may carry units: 5cm, 2deg",
+        "noise: for velocities sigma of v and omega per sqrt(s); else of travel per sqrt(m) and sqrt(rad) and of the "
+        "heading per sqrt(m) and sqrt(rad); numbers may have units: 5cm, 2deg",
     ),
     "odometry-noise": (
         "MODEL",
@@ -75,18 +75,18 @@ FLAGS = {
     ),
     "truth-transform": ("X,Y,THETA", "the same for the truth"),
     "sensor-pose": ("X,Y,THETA", "pose of the sensor in the body frame (default: 0,0,0)"),
-    "max-range": ("M", "reach of the sensor (default: the farthest reading)"),
+    "max-range": ("M", "reach of the sensor (default: the farthest observation)"),
     "view": ("LOW,HIGH", "least and largest bearing of the sensor, as in -60deg,60deg (default: all around)"),
-    "frames": ("WHICH", "instants with a pose: observations (default; and every 1 s), or odometry: every row, too"),
+    "frames": ("WHICH", "instants with a pose: observations (default; and every 1 s), or odometry: also every row"),
 }
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
-    """The parser of `table`; `parameters` is for kinds whose flags take long to load."""
+    """The parser of `table`; `parameters` is unused."""
     sub = add("table", help="CSV files of another program", description=TEXT, epilog=EXAMPLES)
     sub.argument_default = argparse.SUPPRESS
     mapping = "these flags as keys, odometry = FILE, [columns] and [unit] as tables; paths relative to it; flags win"
-    text = f"file with the odometry, and the readings if not stated; or .toml: {mapping}"
+    text = f"file with the odometry, and by default the observations; or .toml: {mapping}"
     sub.add_argument("source", metavar="SOURCE", type=Path, help=text)
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     for name, (metavar, text) in FLAGS.items():

@@ -1,4 +1,4 @@
-"""The Victoria Park log that the gtsam wheel bundles, as an open log."""
+"""The Victoria Park log bundled with gtsam, as an open log."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ KINDS = ("victoria-park",)
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
-    """The parser of `victoria-park`; `parameters` is for kinds whose flags take long to load."""
+    """The parser of `victoria-park`; `parameters` is unused."""
     sub = add(
         "victoria-park",
         help="the Victoria Park log that gtsam bundles",

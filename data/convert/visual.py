@@ -36,7 +36,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 
 def convert(args: argparse.Namespace) -> str:
-    """Render and write; returns what was written, in a sentence."""
+    """Render and write; returns a sentence about the result."""
     from data.formats.lab.folder import write_lab
     from data.visual.rendering.render import Rendered
     from data.worlds.gallery import Gallery

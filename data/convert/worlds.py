@@ -1,4 +1,4 @@
-"""Simulated worlds as open logs: a flag for every parameter."""
+"""Simulated worlds as open logs, with a flag for every parameter."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from data.log import Log
 
 KINDS = tuple(world for world, w in SIMULATORS.items() if w.help)
-"""Those whose logs are converted; the visual world is rendered, see `data.convert.visual`."""
+"""Worlds with logs; the visual world is rendered, see `data.convert.visual`."""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:
@@ -26,7 +26,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 
 def convert(args: argparse.Namespace) -> Log:
-    """The log that the flags describe; its source holds every parameter."""
+    """The log of the flags; its source has every parameter."""
     from data.worlds.erring import described
 
     kind = parameters_of(args.kind)

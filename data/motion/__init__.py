@@ -1,1 +1,1 @@
-"""How a robot moves: increments from velocities, and the systematic errors that odometry makes."""
+"""Motion of a robot: increments from velocities, priors, and systematic errors of odometry."""

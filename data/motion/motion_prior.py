@@ -1,8 +1,8 @@
-"""What is stated about the motion of a robot whose wheels are not read: increments known before the run.
+"""Motion priors: increments stated before the run, for a robot without odometry.
 
-A prior gives every frame an increment with a wide covariance; it needs no data of the run, so filter and smoother get
-the same numbers, as from odometry. The wider it is, the less the first linearization of a frame is worth: estimators
-that linearize once at the prediction fail where those that iterate work.
+A prior gives every frame an increment with a wide covariance, independent of the run's data, so filter and smoother get
+the same numbers. The wider it is, the worse the first linearization of a frame: estimators that linearize once at the
+prediction fail where iterating ones work.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from data.se2 import Array
 
 
 class _Stated:
-    """Numbers of a prior, checked when they are stated."""
+    """Checked numbers of a prior."""
 
     def __post_init__(self) -> None:
         for f in fields(self):  # type: ignore[arg-type]
@@ -32,11 +32,10 @@ class _Stated:
 
 @dataclass(frozen=True)
 class ForwardPrior(_Stated):
-    """The robot goes forward by about a step from frame to frame, or turns, however long that takes it.
+    """The robot goes forward by about a step per frame, or turns.
 
-    Step, sideways motion and turn are independent; a turn is as likely to the left as to the right. For a robot that
-    either goes a metre or turns in place, a step of 0.5 +- 0.4 m holds both and holds off a metre backwards
-    (3.75 sigma).
+    Step, sideways motion and turn are independent; turns to both sides are equally likely. A step of 0.5 +- 0.4 m
+    covers moves of 1 m and turns in place, and excludes a metre backwards (3.75 sigma).
 
     Attributes:
         step_mean, step_sigma: m, along the heading of the frame before.
@@ -66,12 +65,11 @@ class ForwardPrior(_Stated):
 
 @dataclass(frozen=True)
 class ConstantVelocityPrior(_Stated):
-    """The robot keeps a velocity that is stated, up to an error that is drawn anew for every interval of frames.
+    """The robot keeps a stated velocity, with an independent error in every interval.
 
-    The mean is the arc that `velocity` and `turn_rate` make in the time between two frames, and all sigmas grow in
-    proportion to it; in a log without stamps, where a second stands for a frame, they hold per frame. The velocity is
-    stated and not estimated: estimated from the frames before, it would be a state that ties three poses together and
-    an increment that differs from estimator to estimator.
+    The mean is the arc of `velocity` and `turn_rate` between two frames; all sigmas grow in proportion to the time (in
+    frames, without stamps). The velocity is stated, not estimated: as an estimate it would be a state that ties three
+    poses together, and increments would differ between estimators.
 
     Attributes:
         velocity, velocity_sigma: m/s, along the heading.
@@ -107,11 +105,11 @@ class ConstantVelocityPrior(_Stated):
 
 MotionPrior = ForwardPrior | ConstantVelocityPrior
 PRIORS: Mapping[str, type[MotionPrior]] = {"forward": ForwardPrior, "constant_velocity": ConstantVelocityPrior}
-"""By the name that a log states."""
+"""Priors by their names in logs."""
 
 
 def note_of(prior: MotionPrior) -> str:
-    """What a reader of the log should know."""
+    """The note of a log with this prior."""
     name = next(n for n, kind in PRIORS.items() if isinstance(prior, kind))
     return f"No odometry: every increment is the motion prior `{name}`, {prior.description()}."
 

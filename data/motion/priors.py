@@ -1,8 +1,7 @@
-"""What is known of systematic errors before a log is read: standard deviations, wide and tight, and how they are named.
+"""Priors of systematic errors: standard deviations, wide and tight, and their names.
 
-Wide ones are for errors that somebody suspects, a person or the log: as large as robots have been seen to
-err. Tight ones are for all errors at once where nothing is suspected: what a robot keeps that was calibrated with a
-tape measure and a turn on the spot, so that little is lost where there is no error. Imports nothing heavy.
+Wide ones are for suspected errors, as large as robots have. Tight ones are for all errors at once without suspicion:
+the remaining errors after calibration with a tape measure and a turn in place. Imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
 
 
 class Prior(NamedTuple):
-    """Standard deviations of an error, wide and tight, in its unit, and what they stand for."""
+    """Wide and tight standard deviation of an error, in its unit, and their reasons."""
 
     wide: float
     tight: float
@@ -34,18 +33,15 @@ PRIORS = {
     "range": Prior(0.1, 0.02, "a sensor whose unit or temperature is wrong; a data sheet's 2 %"),
     "bearing": Prior(0.1, 0.02, "mounted by eye, to 6°; mounted on an edge, to 1°"),
 }
-"""By name, in the order of `data.inputs.ERRORS`. The drift's is its size at any time; it is forgotten over 50 m."""
+"""By name, in the order of `data.inputs.ERRORS`. The drift has this size at any time, and a length of 50 m."""
 AUTO = "auto"
-"""Instead of names: those that the log names, else all."""
+"""Instead of names: those that the log suggests, else all."""
 
 
 def read_errors(label: str, value: object) -> tuple[str, ...]:
-    """`NAME[=SIGMA]`, separated by commas or as a list, in the order of the errors; `auto` stands alone.
+    """`NAME[=SIGMA]`, separated by commas or as a list, in the order of the errors; `auto` alone.
 
-    `true` is `auto`, `false` is none.
-
-    Raises:
-        UsageError: an unknown name, one given twice, a sigma that is no positive number.
+    `true` is `auto`, `false` is none. UsageError for an unknown or repeated name, or an invalid sigma.
     """
     if isinstance(value, bool):
         return (AUTO,) if value else ()
@@ -63,7 +59,7 @@ def read_errors(label: str, value: object) -> tuple[str, ...]:
         if name in found:
             raise UsageError(f"{label} {','.join(given)}: {name} is named twice")
         if equals and not 0.0 < _number(sigma) < math.inf:
-            raise UsageError(f"{label} {part}: the sigma before the log is read is a positive number")
+            raise UsageError(f"{label} {part}: a positive prior sigma is needed")
         found[name] = f"{name}={sigma}" if equals else name
     if not found:
         raise UsageError(f"{label}: a name is needed, of {', '.join(PRIORS)}, or auto")
@@ -78,12 +74,12 @@ def _number(text: str) -> float:
 
 
 def written(names: Sequence[str], *, tight: bool = False) -> tuple[str, ...]:
-    """Errors (in their order) with the priors that they get, as `read_errors` reads them."""
+    """Errors (in their order) with their priors, as `read_errors` reads them."""
     return tuple(f"{name}={p.tight if tight else p.wide:g}" for name, p in PRIORS.items() if name in names)
 
 
 def systematic(stated: Sequence[str]) -> Systematic:
-    """The errors that `read_errors` read, with wide priors where no sigma is stated."""
+    """The errors from `read_errors`, with wide priors where no sigma is stated."""
     import numpy as np
 
     from data.inputs import Systematic

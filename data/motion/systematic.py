@@ -1,20 +1,21 @@
-"""Systematic errors of odometry and sensor: what each does to an increment, its inverse, and the frame without them.
+"""Systematic errors of odometry and sensor: their effect on an increment, its inverse, and a frame without sensor
+errors.
 
-Uneven wheels and a steering that is off centre turn a robot a little with every metre, and not as far as it thinks with
-every turn (Borenstein and Feng, "Measurement and correction of systematic odometry errors in mobile robots", IEEE
-Transactions on Robotics and Automation 12, 1996). The robot that measured (m, t) has moved by (1 + scale) R(e/2) m and
-turned by t + e, where e = d (curvature + drift) + left max(t, 0) + right min(t, 0) and d is |m|, negative backwards.
-The drift is an Ornstein-Uhlenbeck process over the distance travelled, constant between knots.
+Uneven wheels and an off-centre steering turn a robot with every metre, and by another angle than measured (Borenstein
+and Feng, "Measurement and correction of systematic odometry errors in mobile robots", IEEE Transactions on Robotics and
+Automation 12, 1996). A robot that measured (m, t) has moved by (1 + scale) R(e/2) m and turned by t + e, where e = d
+(curvature + drift) + left max(t, 0) + right min(t, 0) and d is |m|, negative backwards. The drift is an
+Ornstein-Uhlenbeck process over the distance travelled, constant between knots.
 
-A sensor whose ranges are (1 + range) times the true ones and whose bearings are true + bearing sees everything right
-from a frame that is turned by -bearing in a world that is larger by (1 + range): a pose X of the robot is there
-X' = S X E Rot(-bearing), a point l is S l, where E is the sensor's mount on the robot and S scales the world by
-(1 + range) about a fixed origin. In that frame, the sensor's, the measurement model has no error, and the increments
-have all of them. So filters and smoothers take the errors in one place, as a function of the increments:
+A sensor with ranges (1 + range) times the true ones and bearings true + bearing has no error in a frame turned by
+-bearing in a world scaled by (1 + range): there a pose X of the robot is X' = S X E Rot(-bearing), a point l is S l,
+where E is the sensor's mount on the robot and S scales the world about a fixed origin. In that frame, the sensor's, the
+measurement model has no error, and the increments have all of them. So filters and smoothers take the errors in one
+place:
 
     increment(b) = (1 + range) Rot(bearing) E^-1 (corrected odometry) E Rot(-bearing).
 
-All functions give Jacobians.
+All functions return Jacobians.
 """
 
 from __future__ import annotations
@@ -32,10 +33,10 @@ from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT, Sensor, wrap_angle_jit
 
 SCALE, CURVATURE, LEFT, RIGHT, DRIFT, RANGE, BEARING = range(len(ERRORS))
-"""Places of the errors among all of them."""
+"""Indices of the errors."""
 BETWEEN_KNOTS = 0.2
-"""Of the drift's length: how far apart its knots are. The step at a knot is then 0.57 of the drift's sigma; half and
-twice as many knots change no estimate by more than a tenth of its sigma in the tests' worlds."""
+"""Distance of knots over the drift's length. The step at a knot is 0.57 of the drift's sigma; half and twice as many
+knots change estimates by at most a tenth of their sigma."""
 
 
 class Corrected(NamedTuple):
@@ -47,7 +48,7 @@ class Corrected(NamedTuple):
 
 
 def places(systematic: Systematic) -> IntArray:
-    """Where each of the errors (p,) stands among all."""
+    """Index of each error (p,) among all."""
     return np.array([list(ERRORS).index(n) for n in systematic.names], np.int64)
 
 
@@ -55,8 +56,8 @@ def places(systematic: Systematic) -> IntArray:
 def correct(motion: Array, errors: Array, mount: Array, mean: Array, A: Array, G: Array) -> None:
     """The corrected increment `mean` (3,) of odometry's `motion` (3,) under all errors (7,).
 
-    Also A (3, 7), its Jacobian to the errors, and G (3, 3), to the odometry's additive noise. `mount` (3,): pose of the
-    sensor on the robot, zero to stay in the robot's own frame.
+    Also its Jacobians A (3, 7) to the errors and G (3, 3) to the odometry's additive noise. `mount` (3,): pose of the
+    sensor on the robot, zero for the robot's own frame.
     """
     x, y, t = motion[0], motion[1], motion[2]
     d = math.hypot(x, y)
@@ -68,7 +69,7 @@ def correct(motion: Array, errors: Array, mount: Array, mean: Array, A: Array, G
     rx, ry = ch * x - sh * y, sh * x + ch * y
     ux, uy = (1.0 + errors[SCALE]) * rx, (1.0 + errors[SCALE]) * ry
     turn = t + e
-    # R(turn) times the mount's position, and what the mount moves by for it
+    # R(turn) times the mount's position
     ct, st = math.cos(turn), math.sin(turn)
     qx, qy = ct * mount[0] - st * mount[1], st * mount[0] + ct * mount[1]
     # the whole turn into the sensor's frame: bearing - mount's heading
@@ -77,7 +78,7 @@ def correct(motion: Array, errors: Array, mount: Array, mean: Array, A: Array, G
     c, s = size * math.cos(angle), size * math.sin(angle)
     vx, vy = ux + qx - mount[0], uy + qy - mount[1]
     mean[0], mean[1], mean[2] = c * vx - s * vy, s * vx + c * vy, turn
-    # by e: half of the extra turn comes before the step, all of it moves the mount
+    # by e: half of the extra turn precedes the step, all of it moves the mount
     ex, ey = -0.5 * uy - qy, 0.5 * ux + qx
     dx, dy = c * ex - s * ey, s * ex + c * ey
     A[0, SCALE], A[1, SCALE], A[2, SCALE] = c * rx - s * ry, s * rx + c * ry, 0.0
@@ -107,7 +108,7 @@ def _correct_all(
 
 
 def corrected(increment: Increment, errors: Array, place: IntArray, mount: Array) -> Corrected:
-    """One increment under errors (p,) that stand at `place` (p,) among all; `mount` as of `correct`."""
+    """One increment under errors (p,) with indices `place` (p,); `mount` as of `correct`."""
     one = corrected_all(increment.mean[None], increment.covariance[None], errors[None], place, mount)
     return Corrected(*(each[0] for each in one))
 
@@ -123,8 +124,10 @@ def corrected_all(mean: Array, covariance: Array, errors: Array, place: IntArray
 
 @numba.njit(cache=True)
 def knot(since: float, motion: Array, step: float) -> tuple[float, float]:
-    """Before an increment `motion` (3,), `since` metres after the last knot: metres that a new knot here ends, 0 for
-    no knot; and the metres since the last knot after the increment. A knot comes where `step` metres are reached.
+    """Metres ended by a new knot before an increment `motion` (3,), 0 for none, and metres since the last knot after
+    it.
+
+    `since`: metres since the last knot; a knot comes after `step` metres.
     """
     ended = 0.0
     if since >= step:
@@ -145,7 +148,7 @@ def _knots(mean: Array, step: float, of: IntArray, ended: Array) -> int:
 
 
 def knots(systematic: Systematic, mean: Array) -> tuple[IntArray, Array]:
-    """Which knot's drift each increment (N, 3) has, (N,), and the metres (K - 1,) that each knot but the last held."""
+    """Knot of each increment's drift (N,), and metres (K - 1,) of each knot but the last."""
     of, ended = np.zeros(len(mean), np.int64), np.zeros(len(mean))
     count = _knots(np.array(mean, float, order="C"), BETWEEN_KNOTS * systematic.length, of, ended)
     return of, ended[:count].copy()
@@ -153,22 +156,20 @@ def knots(systematic: Systematic, mean: Array) -> tuple[IntArray, Array]:
 
 @numba.njit(cache=True)
 def forgotten(ended: float, length: float) -> tuple[float, float]:
-    """Of the drift over `ended` metres: the share that stays, and the share of its variance that comes anew."""
-    stays = math.exp(-ended / length)
-    return stays, 1.0 - stays * stays
+    """Correlation of the drift over `ended` metres, and the share of its variance that is new."""
+    kept = math.exp(-ended / length)
+    return kept, 1.0 - kept * kept
 
 
 @numba.njit(cache=True)
 def stated(way: Array, errors: Array, mount: Array, leftwards: bool, m: Array, by_way: Array, by_errors: Array) -> None:
-    """What an odometry with all errors (7,) would state, without noise, of the way (3,) of the sensor at `mount` (3,).
+    """Noise-free odometry m (3,) under all errors (7,) for the motion `way` (3,) of the sensor at `mount` (3,).
 
-    `leftwards`: the odometry does state a turn to the left, so that its error is the one for these. Whether the way is
-    one may change with every step of a search, which would get stuck at the kink where straight is.
-
-    Fills in m (3,) and its Jacobians (3, 3) to the way and (3, 7) to the errors, all additive.
+    Also its Jacobians (3, 3) to the motion and (3, 7) to the errors, all additive. `leftwards`: which turn error
+    applies; fixed by the caller, since a search would get stuck at the kink where it changes.
     """
     scale, slope = 1.0 + errors[SCALE], errors[CURVATURE] + errors[DRIFT]
-    # the robot's way, u, out of the sensor's
+    # the robot's motion u from the sensor's
     size, angle = 1.0 + errors[RANGE], errors[BEARING] - mount[2]
     c, s = math.cos(angle) / size, math.sin(angle) / size
     ax, ay = c * way[0] + s * way[1], c * way[1] - s * way[0]
@@ -176,7 +177,7 @@ def stated(way: Array, errors: Array, mount: Array, leftwards: bool, m: Array, b
     ct, st = math.cos(turn), math.sin(turn)
     qx, qy = ct * mount[0] - st * mount[1], st * mount[0] + ct * mount[1]
     ux, uy = ax + mount[0] - qx, ay + mount[1] - qy
-    # as the odometry sees it
+    # as the odometry measures it
     D = math.copysign(math.hypot(ux, uy), ux)
     Dx, Dy = (ux / D, uy / D) if D != 0.0 else (1.0, 0.0)
     d = D / scale
@@ -187,7 +188,7 @@ def stated(way: Array, errors: Array, mount: Array, leftwards: bool, m: Array, b
     ch, sh = math.cos(half) / scale, math.sin(half) / scale
     x, y = ch * ux + sh * uy, ch * uy - sh * ux
     m[0], m[1], m[2] = x, y, t
-    # by u and the turn; what turns the odometry less turns the step back by half of it
+    # by u and the turn
     tx, ty, tt = -slope * Dx / (scale * more), -slope * Dy / (scale * more), 1.0 / more
     xx, xy, xt = ch - 0.5 * y * tx, sh - 0.5 * y * ty, 0.5 * y * (1.0 - tt)
     yx, yy, yt = -sh + 0.5 * x * tx, ch + 0.5 * x * ty, -0.5 * x * (1.0 - tt)
@@ -215,7 +216,7 @@ def _stated_all(
 
 
 def stated_all(way: Array, errors: Array, leftwards: BoolArray) -> tuple[Array, Array, Array]:
-    """The same of the robot's own ways (n, 3) under errors (n, 7): (n, 3), Jacobians (n, 3, 3) and (n, 3, 7)."""
+    """The same for the robot's own motions (n, 3) under errors (n, 7): (n, 3), Jacobians (n, 3, 3) and (n, 3, 7)."""
     n = len(way)
     found = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3, 7))
     _stated_all(np.array(way, float, order="C"), np.array(errors, float, order="C"), np.zeros(3), leftwards, *found)
@@ -224,12 +225,12 @@ def stated_all(way: Array, errors: Array, leftwards: BoolArray) -> tuple[Array, 
 
 @dataclass(frozen=True, eq=False)
 class SensorFrame:
-    """The sensor's frame, where there are errors of a sensor, or else the robot's own, where nothing is to be done.
+    """The sensor's frame where sensor errors are estimated, else the robot's own.
 
     Attributes:
         mount: (3,) pose of the sensor on the robot (zero: the robot's own frame).
-        origin: (2,) m; what the world is scaled about.
-        range_at, bearing_at: where these errors stand among those estimated, -1: they are not estimated.
+        origin: (2,) m, centre of the world's scaling.
+        range_at, bearing_at: indices of these errors among those estimated, -1: not estimated.
     """
 
     mount: Array
@@ -249,10 +250,7 @@ class SensorFrame:
         return r, errors[..., self.bearing_at] if self.bearing_at >= 0 else zero
 
     def poses_out(self, pose: Array, errors: Array) -> tuple[Array, Array]:
-        """Poses (n, 3) of the robot from those there, under errors (n, p), and Jacobians (n, 3, 3 + p) to both.
-
-        World frame, additive, in both.
-        """
+        """Robot poses (n, 3) from those in this frame, under errors (n, p), and Jacobians (n, 3, 3 + p) to both."""
         n, p = errors.shape
         J = np.zeros((n, 3, 3 + p))
         J[:, 0, 0] = J[:, 1, 1] = J[:, 2, 2] = 1.0
@@ -261,7 +259,7 @@ class SensorFrame:
         r, bearing = self._errors(errors)
         heading = pose[:, 2] + bearing - self.mount[2]
         c, s = np.cos(heading), np.sin(heading)
-        # where the mount is from the robot's centre, and how that turns
+        # the mount's offset from the robot's centre, and its derivative
         off = np.stack([c * self.mount[0] - s * self.mount[1], s * self.mount[0] + c * self.mount[1]], 1)
         turned = np.stack([-off[:, 1], off[:, 0]], 1)
         away = (pose[:, :2] - self.origin) / (1.0 + r)[:, None]
@@ -276,7 +274,7 @@ class SensorFrame:
         return out, J
 
     def poses_in(self, pose: Array, errors: Array) -> Array:
-        """Poses (n, 3) there of the robot's (n, 3), under errors (n, p)."""
+        """Poses (n, 3) in this frame of the robot's (n, 3), under errors (n, p)."""
         if self.same:
             return pose.copy()
         r, bearing = self._errors(errors)
@@ -286,8 +284,8 @@ class SensorFrame:
         return seen
 
     def points_out(self, xy: Array, errors: Array) -> tuple[Array, float, Array]:
-        """Points (n, 2) from those there, under errors (p,); their Jacobian to those there, a scalar; to the errors
-        (n, 2, p).
+        """World points (n, 2) from those in this frame, under errors (p,); Jacobians to the points, a scalar, and to
+        the errors.
         """
         r = float(self._errors(errors)[0])
         out = self.origin + (xy - self.origin) / (1.0 + r)
@@ -297,7 +295,7 @@ class SensorFrame:
         return out, 1.0 / (1.0 + r), J
 
     def points_in(self, xy: Array, errors: Array) -> tuple[Array, Array]:
-        """Points (n, 2) there of points (n, 2) of the world, under errors (p,); Jacobian (n, 2, p) to the errors."""
+        """Points (n, 2) in this frame of world points, under errors (p,); Jacobian (n, 2, p) to the errors."""
         r = float(self._errors(errors)[0])
         J = np.zeros((len(xy), 2, len(errors)))
         if self.range_at >= 0:
@@ -305,7 +303,7 @@ class SensorFrame:
         return self.origin + (xy - self.origin) * (1.0 + r), J
 
     def prior_in(self, prior: Prior, sigma: Array) -> tuple[Array, Array]:
-        """Mean (3 + p,) and covariance (3 + p, 3 + p) there of the first pose and the errors, a priori zero."""
+        """Mean (3 + p,) and covariance (3 + p, 3 + p) in this frame of the first pose and the errors, a priori zero."""
         p = len(sigma)
         mean, P = np.zeros(3 + p), np.zeros((3 + p, 3 + p))
         mean[:3] = self.poses_in(prior.mean[None], np.zeros((1, p)))[0]
@@ -318,12 +316,12 @@ class SensorFrame:
         return mean, 0.5 * (P + P.T)
 
     def sensor(self, sensor: Sensor) -> Sensor:
-        """The sensor as it is there: at the origin of its own frame."""
+        """The sensor in this frame: at its origin."""
         return sensor if self.same else replace(sensor, rotation=0.0, translation=(0.0, 0.0))
 
 
 def sensor_frame(systematic: Systematic | None, sensor: Sensor, prior: Prior) -> SensorFrame:
-    """The frame to work in, scaled about where the sensor is first."""
+    """The frame to work in, scaled about the sensor's first position."""
     names = () if systematic is None else systematic.names
     at = [names.index(n) if n in names else -1 for n in ("range", "bearing")]
     rotation, tx, ty = sensor.extrinsic
@@ -339,11 +337,10 @@ def all_errors(systematics: Systematics) -> Array:
 
 
 def corrected_inputs(inputs: Inputs, systematics: Systematics | None) -> Inputs:
-    """The inputs as they would be without errors of these sizes, and nothing left to estimate of them.
+    """The inputs corrected by these errors, with nothing left to estimate of them; unchanged for None.
 
-    Increments are the robot's own; readings are turned and shortened; noise goes along with both. What a smoother that
-    estimated the errors made of the log is, but for squares of the noise, the optimum of these inputs as well. None:
-    none were found, and the inputs stay as they are.
+    Increments are the robot's own; observations and noise are transformed. A smoother that estimated the errors has, up
+    to squares of the noise, the same optimum.
     """
     if systematics is None:
         return inputs
@@ -352,8 +349,9 @@ def corrected_inputs(inputs: Inputs, systematics: Systematics | None) -> Inputs:
     of_odometry[:, [RANGE, BEARING]] = 0.0
     increments = inputs.increments
     found = corrected_all(increments.mean, increments.covariance, of_odometry, np.arange(len(ERRORS)), np.zeros(3))
-    # the noise is one of what was stated
+    # the noise is that of the stated increment
     carried = np.linalg.inv(stated_all(found.mean, of_odometry, increments.mean[:, 2] > 0.0)[1])
+    covariance = carried @ increments.covariance @ carried.transpose(0, 2, 1)
     o = inputs.observations
     size, bearing = 1.0 + errors[o.frame, RANGE], errors[o.frame, BEARING]
     z, J = o.z.copy(), np.zeros((len(o.z), 2, 2))
@@ -364,11 +362,6 @@ def corrected_inputs(inputs: Inputs, systematics: Systematics | None) -> Inputs:
         c, s = np.cos(bearing) / size, np.sin(bearing) / size
         J[:, 0, 0], J[:, 0, 1], J[:, 1, 0], J[:, 1, 1] = c, s, -s, c
         z = np.einsum("mij,mj->mi", J, z)
-    return replace(
-        inputs,
-        increments=replace(
-            increments, mean=found.mean, covariance=carried @ increments.covariance @ carried.transpose(0, 2, 1)
-        ),
-        observations=replace(o, z=z, R=J @ o.R @ J.transpose(0, 2, 1)),
-        systematic=None,
-    )
+    observations = replace(o, z=z, R=J @ o.R @ J.transpose(0, 2, 1))
+    increments = replace(increments, mean=found.mean, covariance=covariance)
+    return replace(inputs, increments=increments, observations=observations, systematic=None)

@@ -1,8 +1,8 @@
 """Velocity (unicycle) motion: increments from (v, omega) samples, four noise conventions, preintegration.
 
-Inside there is one form of control noise: a variance per second, of displacement D = v dt [m] and rotation
-A = omega dt [rad], that holds for the whole length of a sample; cutting a sample in two does not change the total.
-Information forms need a covariance's inverse, so its eigenvalues get a floor.
+Control noise is a variance per second of displacement D = v dt [m] and rotation A = omega dt [rad], constant over a
+sample, so splitting a sample does not change the total. Eigenvalues of covariances get a floor, since information forms
+need the inverse.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ HALF_ANGLE = 1
 MODELS = {"unicycle": ARC, "half_angle": HALF_ANGLE}
 NOISES = ("velocity", "displacement", "density", "textbook")
 WITH_ALPHAS = {"displacement": (4,), "textbook": (4, 6)}
-"""Conventions that take alphas instead of sigmas, and how many of them."""
+"""Conventions with alphas instead of sigmas, and their number."""
 MAX_HOLD = 1.0
-"""s. A sample holds at most this long (zero-order hold); what follows is a gap."""
+"""s, longest hold of a sample (zero-order hold); then follows a gap."""
 
 
 @numba.njit(cache=True)
@@ -47,8 +47,8 @@ def sinc_slope(a: float) -> float:
 def step(model: int, displacement: float, rotation: float, mean: Array, G: Array) -> None:
     """Body-frame increment `mean` (3,) of D m along an arc of A rad, and its Jacobian G (3, 2) to (D, A).
 
-    `ARC`: exact integration, x = D sin(A)/A, y = D (1 - cos A)/A. `HALF_ANGLE`: the chord taken at the middle heading
-    with length D (the classic tutorials' model).
+    `ARC`: exact integration, x = D sin(A)/A, y = D (1 - cos A)/A. `HALF_ANGLE`: a chord of length D at the middle
+    heading (the classic tutorials' model).
     """
     A = rotation
     if model == ARC:
@@ -65,7 +65,7 @@ def step(model: int, displacement: float, rotation: float, mean: Array, G: Array
 
 @numba.njit(cache=True)
 def carried(heading: float, motion: Array) -> tuple[float, float, Array, Array]:
-    """A pose of this heading one increment `motion` (3,) later: how far it went in x and y, and Jacobians (3, 3).
+    """A pose of this heading after an increment `motion` (3,): displacement in x and y, and Jacobians (3, 3).
 
     F to the pose and B to the increment: its covariance becomes F P F' + B M B'.
     """
@@ -102,9 +102,10 @@ def _preintegrate(
     mean: Array,
     cov: Array,
 ) -> None:
-    """Loop of `preintegrate`; rate (K, 3): variances per second of D, A and the final rotation; hold (K,), beyond (K,):
-    s that sample k lasts and that pass after it without odometry; lead: s before the first; fastest (2,): largest |v|,
-    |omega|.
+    """Loop of `preintegrate`.
+
+    rate (K, 3): variances per second of D, A and the final rotation; hold (K,), beyond (K,): s that sample k lasts, and
+    of the gap after it; lead: s before the first; fastest (2,): largest |v|, |omega|.
     """
     n = len(time)
     k = max(np.searchsorted(time, at[0], side="right") - 1, 0)
@@ -123,14 +124,12 @@ def _preintegrate(
                 end = min(end, held_until)
                 dt = end - t
                 step(model, v[k] * dt, omega[k] * dt, step_mean, G)
-                if (
-                    lateral
-                ):  # the tutorials' mapping: half a radian's sideways motion for each radian, whatever the distance
+                if lateral:  # the tutorials' mapping: 0.5 m sideways per radian, whatever the distance
                     G[0, 1], G[1, 1] = -0.5 * G[1, 0], 0.5 * G[0, 0]
                 M[0, 0], M[1, 1] = rate[k, 0] * dt, rate[k, 1] * dt
                 Q[:, :] = G @ M @ G.T
-                Q[2, 2] += rate[k, 2] * dt  # turns the robot where it has arrived: no sideways motion
-            else:  # a gap: the robot may have moved, nobody knows where to
+                Q[2, 2] += rate[k, 2] * dt  # a turn in place
+            else:  # a gap: unknown motion
                 gap = beyond[k]
                 if t < time[0]:
                     end, gap = min(at[f], time[0]), lead
@@ -148,13 +147,12 @@ def _preintegrate(
 class VelocityNoise:
     """Control noise in one of four conventions.
 
-    `velocity`: sigma of v [m/s] and omega [rad/s], independent at each sample, mapped through its length.
-    `displacement`: per sample (a1 |v| + a2 |omega|)^2 and (a3 |v| + a4 |omega|)^2, without the sample's length, and
-    with the classic tutorials' mapping to the pose (along the chord; half sideways and once in heading).
-    `density`: sigma per sqrt(s) of displacement [m] and rotation [rad].
-    `textbook`: variances a1 v^2 + a2 omega^2 of v and a3 v^2 + a4 omega^2 of omega, independent at each sample and
-    mapped through its length; with six alphas also a5 v^2 + a6 omega^2 of the rate of a final rotation, which turns the
-    robot where it has arrived (Thrun, Burgard and Fox, Probabilistic Robotics, section 5.3, Tables 5.3 and 7.2).
+    `velocity`: sigma of v [m/s] and omega [rad/s], independent for each sample, times its length. `displacement`: per
+    sample (a1 |v| + a2 |omega|)^2 and (a3 |v| + a4 |omega|)^2, whatever its length, with the classic tutorials' mapping
+    to the pose (along the chord; half sideways and once in heading). `density`: sigma per sqrt(s) of displacement [m]
+    and rotation [rad]. `textbook`: variances a1 v^2 + a2 omega^2 of v and a3 v^2 + a4 omega^2 of omega, independent for
+    each sample and times its length; with six alphas also a5 v^2 + a6 omega^2 of the rate of a final rotation in place
+    (Thrun, Burgard and Fox, Probabilistic Robotics, section 5.3, Tables 5.3 and 7.2).
     """
 
     kind: str
@@ -175,20 +173,18 @@ class VelocityNoise:
             weights = np.zeros((3, 2))
             weights.ravel()[: len(self.alphas)] = self.alphas
             if self.kind == "textbook":
-                # as a velocity's: a sample's total is its variance times length^2
+                # a sample's total is its variance times length^2
                 return np.stack([v**2, omega**2], axis=-1) @ weights.T * length[:, None]
             sigma = np.stack([np.abs(v), np.abs(omega)], axis=-1) @ weights.T
             return sigma**2 / np.maximum(length, 1e-9)[:, None]
         sigma = np.broadcast_to(np.array([*self.sigma, 0.0]), (len(v), 3))
-        if self.kind == "velocity":
-            # a sample's total is (sigma * length)^2, spread evenly over its length
-            return sigma**2 * length[:, None]
-        return sigma**2
+        # of velocities a sample's total is (sigma * length)^2, spread evenly over its length
+        return sigma**2 * length[:, None] if self.kind == "velocity" else sigma**2
 
 
 @dataclass(frozen=True)
 class VelocityModel:
-    """How (v, omega) become increments: model `unicycle` (exact arc) or `half_angle`, and the noise."""
+    """How (v, omega) become increments: model `unicycle` (exact arc) or `half_angle`, and noise."""
 
     noise: VelocityNoise
     model: str = "unicycle"
@@ -198,7 +194,7 @@ class VelocityModel:
             raise ValueError(f"motion model {self.model!r}; known: {', '.join(MODELS)}")
 
     def scaled(self, factor: float) -> VelocityModel:
-        """The same model with every noise sigma multiplied by `factor`."""
+        """The model with every noise sigma multiplied by `factor`."""
         n = self.noise
         of_alphas = factor**2 if n.kind == "textbook" else factor  # there they are variances
         sigma, alphas = (n.sigma[0] * factor, n.sigma[1] * factor), tuple(a * of_alphas for a in n.alphas)
@@ -206,13 +202,13 @@ class VelocityModel:
 
 
 def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: Array) -> tuple[Increments, int]:
-    """Increments between the instants `at` (N,) from samples at `time` (K,), ascending; also the number of gaps met.
+    """Increments between the instants `at` (N,) from samples at `time` (K,), ascending; also the number of gaps.
 
-    Zero-order hold: a sample holds until the next one, at most `MAX_HOLD` (the last one likewise). In a gap the mean
-    stands still and each coordinate's standard deviation grows as far as the fastest sample of the log would have gone.
-    Composing the increments gives the same mean and covariance as predicting sample by sample (to rounding).
+    A sample holds until the next one, at most `MAX_HOLD`. In a gap the mean stands still, and standard deviations grow
+    as far as the fastest sample of the log would have gone. Composing the increments equals predicting sample by sample
+    (to rounding).
     """
-    # copies: for arrays that cannot be written to the kernel would be compiled once more
+    # copies: read-only arrays would compile the kernel once more
     time, v, omega, at = (np.array(a, float, order="C") for a in (time, v, omega, at))
     mean, cov = np.zeros((len(at), 3)), np.zeros((len(at), 3, 3))
     if len(at) == 0 or len(time) == 0:
@@ -220,7 +216,7 @@ def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: 
     last = time[-1] - time[-2] if len(time) > 1 else MAX_HOLD
     length = np.append(np.diff(time), max(last, at[-1] - time[-1]))
     hold = np.minimum(length, MAX_HOLD)
-    # equal stamps give samples of no length: they are replaced by the next one, as a command overwritten at once
+    # samples with equal stamps have no length: the last one replaces the others
     rate = model.noise.variance_per_second(v, omega, np.maximum(hold, 1e-9))
     beyond = length - hold
     lead = max(float(time[0] - at[0]), 0.0)
@@ -232,20 +228,20 @@ def preintegrate(model: VelocityModel, time: Array, v: Array, omega: Array, at: 
 
 
 def floor_covariances(covariance: Array, floor: float) -> tuple[Array, int]:
-    """Add floor * I to every increment covariance (N, 3, 3), row 0 aside, whose smallest eigenvalue is below `floor`.
+    """Add floor * I to every increment covariance (N, 3, 3), except row 0, with an eigenvalue below `floor`; also their
+    number.
 
     Singular increments (a robot at rest, one odometry sample) are harmless in a filter and fatal in an information
-    form; doing it here once keeps filter and smoother on the same numbers. A floored covariance comes back as it is,
-    so a log written and read again stays the same bit for bit. Returns the covariances and the count.
+    form; flooring here keeps filter and smoother on the same numbers. A floored covariance is returned bit for bit.
     """
     result = np.array(covariance, float)
     if floor <= 0.0 or len(result) < 2:
         return result, 0
     smallest, _, largest = np.linalg.eigvalsh(result).T
-    # the slack is what adding the floor and taking the eigenvalues may lose to rounding
+    # slack for rounding of the floor and the eigenvalues
     low = smallest < floor * (1.0 - 1e-6) - 1e-15 * largest
     low[0] = False
-    # a matrix can be indefinite by rounding: that is made up for, or the floor would not be reached
+    # a matrix indefinite by rounding needs more than the floor
     lift = floor + np.maximum(-smallest[low], 0.0)
     result[low] += lift[:, None, None] * np.eye(3)
     return result, int(low.sum())

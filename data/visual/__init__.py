@@ -1,1 +1,1 @@
-"""Logs with images: pictures are found, and their corners become observations."""
+"""Logs with images: pictures are detected, and their corners become observations."""

@@ -1,7 +1,7 @@
-"""Checks of a found picture's quadrilateral: its shape in the image, and its corners in the stereo points.
+"""Checks of a detected picture's quadrilateral: its shape in the image, and its corners in the stereo points.
 
-Each check gives the reason why a detection is refused, or None. Pixels are (u right, v down), centres at whole numbers;
-points are in the camera's frame (x right, y down, z forward), m.
+Each check returns the reason for rejection, or None. Pixels are (u right, v down), centres at whole numbers; points are
+in the camera's frame (x right, y down, z ahead), m.
 """
 
 from __future__ import annotations
@@ -25,32 +25,32 @@ NOT_PLANAR = "not planar"
 WRONG_SIZE = "wrong size"
 
 MIN_SIDE = 16.0
-"""px; a picture this small carries no usable corner."""
+"""px, shortest side of a picture with usable corners."""
 MAX_TAPER = 3.0
-"""Longest over shortest of two opposite sides: perspective of a picture much nearer than its own size."""
+"""Ratio of opposite sides, of a picture much nearer than its size."""
 MAX_SQUEEZE = 4.0
-"""Foreshortening of one side against the other: obliquity of about 75 degrees."""
+"""Ratio of foreshortened to other side: obliquity of about 75 degrees."""
 MIN_ANGLE = 20.0
 """degrees, of a corner in the image."""
 MAX_SIZE_ERROR = 0.15
-"""Of sides and diagonals against the survey, relative."""
+"""Relative error of sides and diagonals against the survey."""
 MAX_OFF_PLANE = 0.06
-"""Of depths from the fitted plane, relative: three standard deviations of stereo at a few metres."""
+"""Relative error of depths against the fitted plane: three standard deviations of stereo at a few metres."""
 MIN_VALID = 0.2
 """Share of the picture's pixels with depth."""
 MIN_ON_PLANE = 0.6
-"""Share of those that lie on the plane."""
+"""Share of those on the plane."""
 WINDOW = (2, 4, 7, 12)
-"""px, half widths of the window of depths at a corner, widened while too few of its points are valid."""
+"""px, half widths of the window of depths at a corner, widened until enough points are valid."""
 MAX_SAMPLES = 2000
-"""Points of the plane's fit; more change nothing."""
+"""Most points of the plane's fit."""
 
 
 def shape_fault(pixels: Array, size: tuple[int, int], aspect: float) -> str | None:
-    """What is wrong with corners (4, 2) in an image of `size` (height, width); `aspect` is the picture's height/width.
+    """The fault of corners (4, 2) in an image of `size` (height, width); `aspect` is the picture's height/width.
 
-    They turn alike at all corners if and only if no line within the picture is sent to infinity: the sign of each turn
-    is that of det H w_i w_j w_k.
+    All corners turn alike if and only if no line within the picture is mapped to infinity: the sign of each turn is
+    that of det H w_i w_j w_k.
     """
     side = np.roll(pixels, -1, axis=0) - pixels
     turn = side[:, 0] * np.roll(side[:, 1], -1) - side[:, 1] * np.roll(side[:, 0], -1)
@@ -70,7 +70,7 @@ def shape_fault(pixels: Array, size: tuple[int, int], aspect: float) -> str | No
         or sine.min() < np.sin(np.radians(MIN_ANGLE))
     ):
         return IMPLAUSIBLE_SHAPE
-    # a pixel's area reaches half a pixel beyond its centre
+    # a pixel extends half a pixel beyond its centre
     if np.any(pixels < -0.5) or np.any(pixels > np.array([size[1], size[0]]) - 0.5):
         return OUTSIDE
     return None
@@ -86,12 +86,12 @@ class Pinhole:
     by: float
 
     def rays(self, pixels: Array) -> Array:
-        """Points (n, 3) at depth 1 behind pixels (n, 2)."""
+        """Points (n, 3) at depth 1 of pixels (n, 2)."""
         return np.stack([self.ax * pixels[:, 0] + self.bx, self.ay * pixels[:, 1] + self.by, np.ones(len(pixels))], 1)
 
 
 def pinhole(xyz: Points, step: int = 8) -> Pinhole | None:
-    """The camera that made stereo points (H, W, 3), by least squares over every `step`-th pixel; None: too few."""
+    """The camera of stereo points (H, W, 3), by least squares over every `step`-th pixel; None: too few."""
     sample = xyz[::step, ::step].astype(np.float64)
     v, u = np.mgrid[0 : xyz.shape[0] : step, 0 : xyz.shape[1] : step]
     valid = np.isfinite(sample).all(axis=2) & (sample[..., 2] > 0)
@@ -116,8 +116,8 @@ def inside(pixels: Array, shape: tuple[int, int]) -> NDArray[np.intp]:
 def fit_plane(pixels: Array, depth: Array) -> Array:
     """Plane through points at pixels (n, 2) with depth (n,) m, as 1/z = a u + b v + c: (3,).
 
-    1/z of a plane is linear in the pixel, and the noise of stereo is even in 1/z. Robust: least absolute deviations
-    (reweighted) and then Tukey's biweight, so that a third of wrong depths does not move it.
+    1/z of a plane is linear in the pixel, with nearly constant stereo noise. Reweighted least absolute deviations, then
+    Tukey's biweight tolerate a third of wrong depths.
     """
     centre = pixels.mean(axis=0)
     A = np.column_stack([pixels - centre, np.ones(len(pixels))])
@@ -136,10 +136,8 @@ def fit_plane(pixels: Array, depth: Array) -> Array:
 
 
 def corner_windows(pixels: Array, xyz: Points) -> tuple[Array, Array] | None:
-    """Depth at each corner: the median of a small window a little inside the picture, where no background enters.
-
-    Returns:
-        centre (4, 2) px of each window and its median depth (4,) m; None where a window has too few valid points.
+    """Centre (4, 2) px and median depth (4,) m of a small window near each corner, inside the picture; None: too few
+    points.
     """
     middle = pixels.mean(axis=0)
     towards = middle - pixels
@@ -161,11 +159,11 @@ def corner_windows(pixels: Array, xyz: Points) -> tuple[Array, Array] | None:
 
 
 def corner_points(pixels: Array, xyz: Points, camera: Pinhole | None) -> Array | str:
-    """Corners (4, 3) m of the picture with corners (4, 2) px, or why there are none.
+    """Corners (4, 3) m of the picture with corners (4, 2) px, or the reason for rejection.
 
-    The corner's ray meets the plane fitted to all valid points of the picture. The median of the few points at a corner
-    (`corner_windows`) is several times noisier, and on an oblique picture it is the place of the window, not of the
-    corner; it serves as a check: at each corner there must be depth, and it must lie on the plane.
+    The corner's ray is intersected with the plane fitted to all valid points. The median depth at a corner
+    (`corner_windows`) is several times noisier and, on an oblique picture, biased; it serves as a check that each
+    corner has depth, on the plane.
     """
     windows = corner_windows(pixels, xyz)
     if camera is None or windows is None:
@@ -185,8 +183,7 @@ def corner_points(pixels: Array, xyz: Points, camera: Pinhole | None) -> Array |
     inverse = pixels @ plane[:2] + plane[2]
     if near.mean() < MIN_ON_PLANE or off.max() > MAX_OFF_PLANE or inverse.min() <= 0:
         return NOT_PLANAR
-    points: Array = camera.rays(pixels) / inverse[:, None]
-    return points
+    return np.asarray(camera.rays(pixels) / inverse[:, None])
 
 
 def size_fault(points: Array, width: float, aspect: float) -> str | None:
@@ -200,7 +197,7 @@ def size_fault(points: Array, width: float, aspect: float) -> str | None:
 
 
 def overlap(first: Array, second: Array) -> float:
-    """Area that two convex quadrilaterals (4, 2) share, as a part of the smaller one."""
+    """Shared area of two convex quadrilaterals (4, 2), over the smaller one."""
     area, _ = cv2.intersectConvexConvex(first.astype(np.float32), second.astype(np.float32))
     smaller = min(cv2.contourArea(first.astype(np.float32)), cv2.contourArea(second.astype(np.float32)))
     return float(area / max(smaller, 1e-9))

@@ -1,4 +1,4 @@
-"""Finding surveyed pictures in a frame: SIFT, homography, corners, and the checks that make a detection trustworthy."""
+"""Detection of surveyed pictures in a frame: SIFT, homography, corners, and checks of the detection."""
 
 from __future__ import annotations
 
@@ -38,29 +38,27 @@ UNCERTAIN = "uncertain corners"
 SAME_PLACE = "same place as a better one"
 
 REFERENCE_SIDE = 480
-"""px; longer side that references are scaled down to: about the size at which a frame can show them."""
+"""px, longer side of scaled references: about their size in a frame."""
 REFERENCE_FEATURES = (500, 300)
 """Strongest features of the frontal view and of the squeezed one."""
 SCENE_FEATURES = 1500
 MIN_REFERENCE_FEATURES = 40
-"""Of the frontal view; below this a reference image is a blank wall."""
+"""Fewest features of the frontal view."""
 MIN_MATCHES = 8
-"""Fewer are chance: the picture is not there, or cannot be recognized."""
+"""Fewer matches are chance."""
 GUIDED_PASSES = 2
 MIN_INLIERS = 16
-"""After guided matching: four times what fixes a homography."""
+"""After guided matching: four times the minimum of a homography."""
 MIN_INLIER_SHARE = 0.25
-"""Of a picture's unguided matches, those that agree with the final homography."""
+"""Share of a picture's unguided matches that agree with the final homography."""
 THRESHOLD = 3.0
 """px, upper bound of the matches' noise for MAGSAC++."""
 MAX_CORNER_SIGMA = 2.0
-"""px, of the worst corner: where features do not reach, the homography does not know the corner."""
+"""px, largest standard deviation of the worst corner."""
 MAX_OVERLAP = 0.1
-"""Of two pictures in the image, as a share of the smaller."""
-
-
+"""Largest overlap of two pictures in the image, as a share of the smaller."""
 AT_ONCE = 2
-"""Frames looked at together: OpenCV's own threads leave half of two cores idle, and the bits are the same."""
+"""Frames processed together: OpenCV's own threads leave half of two cores idle; results are bit-identical."""
 
 
 class Pictured(Protocol):
@@ -80,24 +78,19 @@ T = TypeVar("T", bound=Pictured)
 
 @dataclass(frozen=True, eq=False)
 class Detected:
-    """What was found in a frame.
-
-    Attributes:
-        detections: pictures in the order of their numbers.
-        refused: (picture, reason) of each other picture.
-    """
+    """Detections in a frame, by picture, and (picture, reason) of each other picture."""
 
     detections: list[Detection]
     refused: list[tuple[int, str]]
 
     @property
     def rejected(self) -> Counter[str]:
-        """How often each reason applied."""
+        """Counts of each reason."""
         return Counter(reason for _, reason in self.refused)
 
 
 def tally(frames: Iterable[Detected], pictures: int) -> list[Counter[str]]:
-    """Per picture, how often it was `found`, and how often each reason kept it from that; sums to the frames."""
+    """Per picture, how often it was `found`, and how often each reason rejected it; sums to the frames."""
     counts: list[Counter[str]] = [Counter() for _ in range(pictures)]
     for frame in frames:
         for detection in frame.detections:
@@ -108,14 +101,14 @@ def tally(frames: Iterable[Detected], pictures: int) -> list[Counter[str]]:
 
 
 class Detector:
-    """Finds the pictures of a set of reference images.
+    """Detects the pictures of a set of reference images.
 
     Args:
-        references: RGB images (h, w, 3) uint8, each the whole picture and nothing else.
+        references: RGB images (h, w, 3) uint8, each exactly one picture.
         widths: (L,) m, as surveyed; None if unknown, then sizes are not checked.
 
     Raises:
-        DataError: no reference image, one with too few features, or widths that do not belong to the references.
+        DataError: no reference image, one with too few features, or a wrong number of widths.
     """
 
     def __init__(self, references: list[Image], widths: Array | None = None) -> None:
@@ -133,36 +126,30 @@ class Detector:
             small = _shrink(reference)
             frontal = extract(small, REFERENCE_FEATURES[0], fine_share=FINE_SHARE)
             if len(frontal) < MIN_REFERENCE_FEATURES:
-                raise DataError(
-                    f"reference image {number} of {len(references)}: {len(frontal)} features, at least "
-                    f"{MIN_REFERENCE_FEATURES} are needed; a picture with more texture is recognized"
-                )
-            features = join(frontal, squeezed_view(small, REFERENCE_FEATURES[1]))
+                what = f"reference image {number} of {len(references)}: {len(frontal)} features, at least "
+                raise DataError(f"{what}{MIN_REFERENCE_FEATURES} are needed; use a picture with more texture")
             h, w = small.shape[:2]
             # outer edge of the outer pixels
             self.corners.append(np.array([[0, 0], [w, 0], [w, h], [0, h]], float) - 0.5)
             self.aspects.append(reference.shape[0] / reference.shape[1])
-            self.features.append(features)
+            self.features.append(join(frontal, squeezed_view(small, REFERENCE_FEATURES[1])))
 
     def detect(self, rgb: Image, xyz: Points | None = None) -> Detected:
-        """Pictures wholly visible in a frame.
+        """Pictures wholly visible in a frame; DataError for images of wrong type or size.
 
         Args:
             rgb: (H, W, 3) uint8.
             xyz: (H, W, 3) m, stereo points, NaN (or z <= 0) where there is none; None: corners get NaN points.
-
-        Raises:
-            DataError: `rgb` is not such an image, or `xyz` does not fit it.
         """
         _require_rgb(rgb, "frame")
         if xyz is not None and xyz.shape != rgb.shape:
             raise DataError(f"stereo points {xyz.shape} do not fit the image {rgb.shape}")
-        # one thread of linear algebra: the same bits everywhere, and no threads that spin beside OpenCV's
+        # one thread of linear algebra, for reproducible bits, and no threads that compete with OpenCV's
         with self._pools.limit(limits=1, user_api="blas"):
             return self._detect(rgb, xyz)
 
     def detect_each(self, frames: Iterable[T], at_once: int = AT_ONCE) -> Iterator[tuple[T, Detected]]:
-        """Each frame (with its `rgb` and `xyz`) and what was found in it, in order, `at_once` of them at a time."""
+        """Each frame and its detections, in order, `at_once` frames at a time."""
         waiting = deque[tuple[T, Future[Detected]]]()
         with self._pools.limit(limits=1, user_api="blas"), ThreadPoolExecutor(at_once) as pool:
             for frame in frames:
@@ -197,7 +184,7 @@ class Detector:
     def _find(
         self, picture: int, scene: Features, pairs: tuple[Indices, Indices], size: tuple[int, int]
     ) -> Detection | str:
-        """The picture in the image, from its matches, or why it is not taken."""
+        """The picture in the image from its matches, or the reason for rejection."""
         if len(pairs[0]) < MIN_MATCHES:
             return NOT_SEEN
         reference = self.features[picture]
@@ -232,7 +219,7 @@ class Detector:
         return Detection(picture, pixels, np.full((CORNERS, 3), np.nan), inliers, rms, worst)
 
     def _locate(self, detection: Detection, xyz: Points, camera: Pinhole | None) -> Detection | str:
-        """The same detection with its corners in the camera's frame, or why stereo contradicts it."""
+        """The detection with its corners in the camera's frame, or the reason why stereo contradicts it."""
         points = corner_points(detection.pixels, xyz, camera)
         if isinstance(points, str):
             return points

@@ -1,7 +1,7 @@
-"""Features of pictures and frames, their matches, and the homography that the matches agree on.
+"""Features of pictures and frames, their matches, and the homography of the matches.
 
-Descriptors are RootSIFT (Arandjelovic and Zisserman, CVPR 2012) rounded to whole numbers: their dot products are whole
-numbers below 2^24, exact in float32, so that matching gives the same bits whatever the number of threads.
+Descriptors are RootSIFT (Arandjelovic and Zisserman, CVPR 2012) rounded to whole numbers. Their dot products are below
+2^24, exact in float32, so matching is bit-identical for any number of threads.
 """
 
 from __future__ import annotations
@@ -20,20 +20,19 @@ Descriptors = NDArray[np.float32]
 Indices = NDArray[np.intp]
 
 UNIT = 512
-"""Length of a descriptor, so that 2 (UNIT^2 - a·b) is the squared distance of two."""
+"""Length of a descriptor: 2 (UNIT^2 - a·b) is the squared distance of two."""
 CONTRAST = 0.02
-"""SIFT's threshold, half of OpenCV's default: frames are dim or blurred, and the strongest are chosen anyway."""
+"""SIFT's threshold, half of OpenCV's default, for dim or blurred frames."""
 FINE_SHARE = 0.5
-"""Of a reference's features, those of the finest octave (scale below about 1.6 px): seen from afar they are gone."""
+"""Largest share of the finest octave (scale below about 1.6 px), which vanishes at a distance."""
 SQUEEZE = 2.0
-"""Of the width in a reference's second view: SIFT alone fails beyond about 45 degrees (ASIFT, Morel and Yu 2009), and a
-robot on the floor sees pictures from the side."""
+"""Squeeze of the width in a reference's second view: SIFT fails beyond about 45 degrees (ASIFT, Morel and Yu 2009)."""
 RATIO = 0.85
 """Lowe's ratio test against the second nearest of all pictures (IJCV 2004, section 7.1 takes 0.8)."""
 SAME_SPOT = 5.0
-"""px in the reference; features this close are views of one spot."""
+"""px in the reference; nearer features are of one spot."""
 GUIDED_RADIUS = 4.0
-"""px; how far from its predicted place a feature may be matched once the homography is known."""
+"""px, largest distance of a guided match from its predicted place."""
 GUIDED_DISTANCE = 0.75
 """Largest distance of unit descriptors in a guided match; unrelated ones are around 1."""
 SCALE_NOISE = 0.1
@@ -55,19 +54,13 @@ class Features:
         return len(self.place)
 
     def take(self, index: Indices) -> Features:
-        """The chosen features."""
+        """The features at some indices."""
         return Features(self.place[index], self.scale[index], self.descriptor[index])
 
 
 def extract(rgb: Image, limit: int, *, fine_share: float = 1.0) -> Features:
-    """The `limit` strongest features of an image (H, W, 3).
-
-    Args:
-        rgb: the image.
-        limit: number of features.
-        fine_share: the finest octave gets at most this share.
-    """
-    # precise upscaling: without it the doubled image is shifted by a quarter of a pixel
+    """The `limit` strongest features of an image (H, W, 3), the finest octave limited to `fine_share`."""
+    # without precise upscaling the doubled image is shifted by a quarter of a pixel
     sift = cv2.SIFT.create(nfeatures=0, contrastThreshold=CONTRAST, enable_precise_upscale=True)
     points, descriptor = sift.detectAndCompute(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), np.empty(0, np.uint8))
     if not points:
@@ -84,15 +77,12 @@ def extract(rgb: Image, limit: int, *, fine_share: float = 1.0) -> Features:
 
 def join(first: Features, second: Features) -> Features:
     """All features of both."""
-    return Features(
-        np.concatenate([first.place, second.place]),
-        np.concatenate([first.scale, second.scale]),
-        np.concatenate([first.descriptor, second.descriptor]),
-    )
+    place, scale = np.concatenate([first.place, second.place]), np.concatenate([first.scale, second.scale])
+    return Features(place, scale, np.concatenate([first.descriptor, second.descriptor]))
 
 
 def squeezed_view(rgb: Image, limit: int) -> Features:
-    """Features of a picture seen obliquely: its width squeezed by `SQUEEZE`; places are those of the picture itself."""
+    """Features of an oblique view: the width is squeezed by `SQUEEZE`; places are those of the picture itself."""
     h, w = rgb.shape[:2]
     width = max(1, round(w / SQUEEZE))
     narrow = np.asarray(cv2.resize(rgb, (width, h), interpolation=cv2.INTER_AREA), np.uint8)
@@ -106,15 +96,14 @@ def squeezed_view(rgb: Image, limit: int) -> Features:
 def root_sift(descriptor: Any) -> Descriptors:
     """RootSIFT of SIFT descriptors (n, 128), rounded to whole numbers at length `UNIT`."""
     total = descriptor.sum(axis=1, keepdims=True, dtype=np.float64)
-    out: Descriptors = np.rint(UNIT * np.sqrt(descriptor / np.maximum(total, 1.0))).astype(np.float32)
-    return out
+    return np.asarray(np.rint(UNIT * np.sqrt(descriptor / np.maximum(total, 1.0))), np.float32)
 
 
 def match(scene: Features, references: list[Features]) -> list[tuple[Indices, Indices]]:
-    """Pairs (feature of the picture, feature of the scene) per picture, each feature in one pair at most.
+    """Pairs (feature of the picture, feature of the scene) per picture, each feature in at most one pair.
 
-    A scene's feature goes to its nearest among all pictures if it passes the ratio test against the second nearest of
-    all pictures and is in turn the nearest of that picture's feature (mutual).
+    A scene's feature is paired with its nearest among all pictures if it passes the ratio test against the second
+    nearest, and is in turn the nearest of that feature (mutual).
     """
     n = len(scene)
     if n == 0:
@@ -135,7 +124,7 @@ def match(scene: Features, references: list[Features]) -> list[tuple[Indices, In
         candidate = np.flatnonzero(passed & (winner == p))
         chosen = index[p][candidate]
         similar = scene.descriptor[candidate] @ reference.descriptor.T
-        # the same spot found again, at another scale or in another view, is no competitor
+        # the same spot at another scale or in another view is no competitor
         gap = np.abs(reference.place[chosen][:, None] - reference.place)
         similar[(gap[..., 0] < SAME_SPOT) & (gap[..., 1] < SAME_SPOT)] = -1.0
         good = _distinct(nearest[candidate], similar.max(axis=1))
@@ -147,12 +136,11 @@ def match(scene: Features, references: list[Features]) -> list[tuple[Indices, In
 
 def _distinct(nearest: Array, second: NDArray[Any]) -> BoolArray:
     """The ratio test, on dot products."""
-    out: BoolArray = UNIT**2 - nearest < RATIO**2 * (UNIT**2 - second.astype(np.float64))
-    return out
+    return np.asarray(UNIT**2 - nearest < RATIO**2 * (UNIT**2 - second.astype(np.float64)))
 
 
 def guided_match(H: Array, reference: Features, scene: Features) -> tuple[Indices, Indices]:
-    """Pairs (picture, scene) of features close to where `H` puts them, of similar scale and look; mutual nearest."""
+    """Pairs (picture, scene) of features near their place by `H`, of similar scale and descriptor; mutual nearest."""
     place, stretch = project(H, reference.place), magnification(H, reference.place)
     low, high = place.min(axis=0) - GUIDED_RADIUS, place.max(axis=0) + GUIDED_RADIUS
     near = np.flatnonzero(np.all((scene.place >= low) & (scene.place <= high), axis=1))
@@ -179,26 +167,17 @@ def guided_match(H: Array, reference: Features, scene: Features) -> tuple[Indice
 def project(H: Array, points: Array) -> Array:
     """Points (n, 2) through a homography (3, 3)."""
     mapped = points @ H[:, :2].T + H[:, 2]
-    out: Array = mapped[:, :2] / mapped[:, 2:]
-    return out
+    return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
 def magnification(H: Array, points: Array) -> Array:
-    """By how much lengths grow at points (n, 2), the square root of the Jacobian's determinant: |det H| / w^3."""
-    w = points @ H[2, :2] + H[2, 2]
-    out: Array = np.sqrt(np.abs(np.linalg.det(H) / w**3))
-    return out
+    """Growth of lengths at points (n, 2), the square root of the Jacobian's determinant |det H| / w^3."""
+    return np.asarray(np.sqrt(np.abs(np.linalg.det(H) / (points @ H[2, :2] + H[2, 2]) ** 3)))
 
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A homography fitted to pairs.
-
-    Attributes:
-        H: (3, 3) from picture to scene, H[2, 2] = 1.
-        inlier: (n,) which pairs agree with it.
-        covariance: (8, 8) of its first eight entries.
-    """
+    """A homography of pairs: H (3, 3) from picture to scene with H[2, 2] = 1, inliers (n,), covariance (8, 8)."""
 
     H: Array
     inlier: BoolArray
@@ -206,22 +185,16 @@ class Fit:
 
 
 def first_homography(source: Array, target: Array, threshold: float) -> Array | None:
-    """MAGSAC++ (Barath et al., CVPR 2020) over pairs (n, 2), n >= 4; None where it finds none.
-
-    Its random numbers start from the same state at every call.
-    """
+    """MAGSAC++ (Barath et al., CVPR 2020) over pairs (n, 2), n >= 4, reproducible; None where it finds none."""
     H, _ = cv2.findHomography(source, target, cv2.USAC_MAGSAC, threshold, maxIters=2000, confidence=0.999)
     return None if H is None or abs(H[2, 2]) < 1e-12 else np.asarray(H / H[2, 2], float)
 
 
 def refine(H: Array, source: Features, target: Features, rounds: int = 10) -> Fit:
-    """Weighted least squares over paired features: Gauss-Newton, each with the noise that its scale implies.
+    """Weighted least squares over paired features (Gauss-Newton), with noise by their scales.
 
-    Pairs beyond `GATE` standard deviations leave (and may come back); the covariance is scaled by what the residuals
-    show (never below the assumed noise).
-
-    Raises:
-        np.linalg.LinAlgError: the pairs do not fix a homography.
+    Pairs beyond `GATE` standard deviations are dropped (and may return); the covariance is scaled by the residuals,
+    never below the assumed noise. np.linalg.LinAlgError where the pairs do not fix a homography.
     """
     h = H.ravel()[:8] / H[2, 2]
     x, y = source.place.T
@@ -254,7 +227,7 @@ def refine(H: Array, source: Features, target: Features, rounds: int = 10) -> Fi
 
 
 def corner_sigma(fit: Fit, corners: Array, pixels: Array) -> Array:
-    """Standard deviation (n,) px of projected points along their worst direction; corners, pixels (n, 2)."""
+    """Largest standard deviation (n,) px of projected points in any direction; corners, pixels (n, 2)."""
     out = np.empty(len(corners))
     for i, ((x, y), (u, v)) in enumerate(zip(corners, pixels, strict=True)):
         w = x * fit.H[2, 0] + y * fit.H[2, 1] + 1.0

@@ -1,7 +1,6 @@
-"""From images to a log: pictures found frame by frame, their corners as observations, commands as odometry.
+"""From images to a log: pictures detected frame by frame, their corners as observations, commands as odometry.
 
-Detections are kept beside the recording, keyed by its content and by the code that renders, reads and detects, so that
-the images are looked at once.
+Detections are cached beside the recording, keyed by its content and by the code that renders, reads and detects.
 """
 
 from __future__ import annotations
@@ -36,21 +35,21 @@ SIGMA = (0.02, 0.05)
 COMMAND_SIGMA = (0.01, math.radians(4.0))
 """m/s and rad/s, of a command."""
 ENOUGH = 20
-"""Sides of pictures needed to measure noise from."""
+"""Fewest sides of pictures to measure noise from."""
 NOISES = ("lab", "depth")
 TILES = 12
-"""Frames kept to look at."""
+"""Frames kept for the report."""
 MOST_SMALL, SMALL_WIDTH = 500, 240
-"""Frames kept to play, and their width [px]."""
+"""Most frames kept for the player, and their width [px]."""
 PACKAGES = ("data",)
-"""Code that decides what is found: the world, its images or their format, the detector, and all that these stand on."""
+"""Code that detections depend on."""
 LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
 SAME_PLACE = 0.25
-"""Of a picture's width in the image: a detection whose corners lie nearer than this to its true ones shows it."""
+"""Largest distance of a true detection's corners, over the picture's width in the image."""
 
 
 def find_pictures(recording: VisualRecording, progress: Callable[[int, int], None] | None = None) -> Found:
-    """Look at every frame of a recording. Raises DataError for a reference image without features."""
+    """Detect pictures in every frame of a recording. DataError for a reference image without features."""
     detector = Detector(recording.references, recording.setup.width)
     time, commands, rows = [], [], []
     refused = [Counter[str]() for _ in recording.references]
@@ -102,11 +101,11 @@ def _encoded(rgb: Any, quality: int) -> bytes:
 
 
 def measure_noise(pixels: Array, points: Array) -> tuple[float, float, float]:
-    """Focal length [px], sigma of a corner in the image [px], and k [1/m] of its depth, sigma_z = k z^2; NaN: unknown.
+    """Focal length [px], sigma of a corner in the image [px], and k [1/m] of sigma_z = k z^2; NaN: unknown.
 
-    The upper and the lower corner of a side stand above one another, so a level camera sees both at the same u and z:
-    how they differ, about the median of all, is the noise of what is used, without knowing any truth. Noise that all
-    corners of a picture share is not in it. From pixels and points (D, 4, .) of at least `ENOUGH` sides.
+    Upper and lower corner of a side have the same u and z in a level camera, so their differences, about the median,
+    give the noise without ground truth. Noise common to all corners of a picture is not included. From pixels and
+    points (D, 4, .) of at least `ENOUGH` sides.
     """
     p, q = points.reshape(-1, 3), pixels.reshape(-1, 2)
     known = np.isfinite(p).all(axis=1)
@@ -128,11 +127,10 @@ def _spread(values: Array) -> float:
 
 
 def noise_of(found: Found, noise: str) -> Array:
-    """Covariances (D, 4, 2, 2) of the corners (to the right, ahead): `lab` constants, or what the depth noise implies.
+    """Covariances (D, 4, 2, 2) of the corners (right, ahead): `lab` constants, or from the measured depth noise.
 
-    `depth`: x = z (u - c) / f with sigma_u and sigma_z = k z^2 as measured on this recording (`measure_noise`), so that
-    an error in depth moves a corner along its ray: R = J diag(sigma_u^2, sigma_z^2) J', J = [z / f, x / z; 0, 1].
-    UsageError where too little was seen to measure them.
+    `depth`: x = z (u - c) / f with sigma_u and sigma_z = k z^2 of `measure_noise`, so a depth error moves a corner
+    along its ray: R = J diag(sigma_u^2, sigma_z^2) J', J = [z / f, x / z; 0, 1]. UsageError with too few detections.
     """
     x, z = found.points[..., 0], found.points[..., 2]
     R = np.zeros((*x.shape, 2, 2))
@@ -140,7 +138,7 @@ def noise_of(found: Found, noise: str) -> Array:
         R[..., 0, 0], R[..., 1, 1] = SIGMA[0] ** 2, SIGMA[1] ** 2
         return R
     if not math.isfinite(found.depth_noise):
-        raise UsageError(f"--corner-noise depth: {len(found.frame)} detections are too few to measure the noise from")
+        raise UsageError(f"--corner-noise depth: {len(found.frame)} detections are too few to measure the noise")
     variance = (found.depth_noise * z**2) ** 2
     R[..., 0, 0] = (found.pixel_noise * z / found.focal) ** 2 + (x / z) ** 2 * variance
     R[..., 0, 1] = R[..., 1, 0] = x / z * variance
@@ -159,9 +157,9 @@ def log_of(
     source: dict[str, object] | None = None,
     notes: tuple[str, ...] = (),
 ) -> Log:
-    """The log: a map of corners (id 4 * picture + corner), one observation for every corner found, labels by picture.
+    """The log: a map of corners (id 4 * picture + corner), an observation for every corner found, labels by picture.
 
-    A command holds from its frame until the next one. `pose` (N, 3) and `in_view` are the truth where it is known.
+    A command holds until the next frame. `pose` (N, 3) and `in_view` are the truth where known.
     """
     model = VelocityModel(VelocityNoise("velocity", COMMAND_SIGMA))
     increments, _ = preintegrate(model, found.time, found.v, found.omega, found.time)
@@ -200,7 +198,7 @@ def log_of(
 
 
 def with_noise(log: Log, noise: str, name: str) -> Log:
-    """The same log under another name, the covariances of its corners by another model (see `noise_of`)."""
+    """The log under another name, with corner covariances by another model (see `noise_of`)."""
     if log.evidence is None:
         raise ValueError(f"log {log.name!r} was not made from images")
     found, o = log.evidence.found, log.recorded.observations
@@ -211,7 +209,7 @@ def with_noise(log: Log, noise: str, name: str) -> Log:
 
 
 def true_pictures(found: Found, in_view: InView) -> Any:
-    """Which picture each detection (D,) really shows: the one whose true corners are where it says; -1: none."""
+    """True picture of each detection (D,): the one whose true corners are near its own; -1: none."""
     result = np.full(len(found.frame), -1, np.int64)
     for d in range(len(result)):
         there = np.flatnonzero(in_view.frame == found.frame[d])
@@ -225,7 +223,7 @@ def true_pictures(found: Found, in_view: InView) -> Any:
 
 
 def cached(folder: Path, key: str, find: Callable[[], Found]) -> tuple[Found, str | None]:
-    """Detections from `folder`, or found now and kept there; and a note where they could not be kept."""
+    """Detections from `folder`, or made now and kept there; and a note where they could not be kept."""
     digest = hashlib.sha256((key + program_digest(PACKAGES, LIBRARIES)).encode())
     path = folder / f".detections-{digest.hexdigest()[:16]}.npz"
     kept = _load(path)

@@ -1,4 +1,4 @@
-"""Logs with images: `visual:SEED` is rendered, a folder in the lab's format is read; pictures are found in both."""
+"""Logs with images: `visual:SEED` is rendered, a folder in the lab's format is read; pictures are detected in both."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Camera:
 
     Attributes:
         translation: unit of T in the lab's configuration, `cm`, `mm` or `m`.
-        reading: `to-camera`, p_c = R p_b + T as the lab applies it, or `to-body`, the other way round.
+        reading: `to-camera`, p_c = R p_b + T as the lab applies it, or `to-body`, the inverse.
         noise: of the corners, `lab` or `depth`, see `data.visual.observations.noise_of`.
         trust_pickle: read object arrays, which can run code.
     """
@@ -39,7 +39,7 @@ class Camera:
 
 
 def parse_name(name: str) -> tuple[Gallery, int, int | None]:
-    """Parameters, seed and number of frames of `visual:SEED[:KEY=VALUE+...]`; `frames=N` looks at the first N only."""
+    """Parameters, seed and number of frames of `visual:SEED[:KEY=VALUE+...]`; `frames=N` reads the first N only."""
     _, gallery, seed, counts = registry.parse(name)
     return gallery, seed, counts.get("frames")
 
@@ -86,19 +86,14 @@ def open_rendered(name: str, camera: Camera, say: Say, cache: Path | None) -> Lo
 
 
 def in_view_of(recording: Rendered) -> InView:
-    """Every picture that could have been found."""
-    frame, picture, pixels = [], [], []
-    for k in range(len(recording)):
-        true = recording.true_pixels(k)
-        for i in recording.visible(k):
-            frame.append(k)
-            picture.append(i)
-            pixels.append(true[i])
-    return InView(np.array(frame, np.int64), np.array(picture, np.int64), np.array(pixels, float).reshape(-1, 4, 2))
+    """Every detection opportunity of a rendered recording."""
+    rows = [(k, s.picture, s.pixels) for k in range(len(recording)) for s in recording.in_view(k)]
+    frame, picture = (np.array([row[i] for row in rows], np.int64) for i in (0, 1))
+    return InView(frame, picture, np.array([pixels for _, _, pixels in rows], float).reshape(-1, 4, 2))
 
 
 def open_lab_log(folder: Path, camera: Camera, say: Say) -> Log:
-    """The log of a folder in the lab's format; what was found in its images is kept in the folder."""
+    """The log of a folder in the lab's format; detections are cached in the folder."""
     recording = _open_lab(folder, camera)
 
     def look() -> Found:
@@ -118,6 +113,5 @@ def open_lab_log(folder: Path, camera: Camera, say: Say) -> Log:
         why = ", ".join(f"{reason} ({count})" for reason, count in found.rejected.items())
         notes.append(f"No picture was found in any image ({why}): this is dead reckoning. Are the map's lengths in cm?")
         say(f"{folder.name}: {notes[-1]}")
-    return log_of(
-        recording.setup, found, folder.name, noise=camera.noise, source={"folder": folder.name}, notes=tuple(notes)
-    )
+    source: dict[str, object] = {"folder": folder.name}
+    return log_of(recording.setup, found, folder.name, noise=camera.noise, source=source, notes=tuple(notes))

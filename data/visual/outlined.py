@@ -1,4 +1,4 @@
-"""Camera images with what was found in them: outlines, corners and names of pictures, as encoded images."""
+"""Camera images with detections: outlines, corners and names of pictures, as encoded images."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from data.pictures import Found, VisualRecording
 from data.se2 import Array
 
 YELLOW, BLACK = (66, 228, 240), (0, 0, 0)
-"""BGR. Okabe and Ito's yellow with a black edge stands out from light and dark images, in colour and in grey."""
+"""BGR. Yellow with a black edge stands out from light and dark images."""
 LEAST_WIDTH = 640
-"""px; smaller images are enlarged, so that names can be read."""
+"""px; smaller images are enlarged."""
 SUBPIXEL = 4
-"""Bits behind the point of OpenCV's drawing coordinates."""
+"""Fractional bits of OpenCV's drawing coordinates."""
 
 
 def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]]) -> bytes:
-    """PNG of an image (H, W, 3) with each picture found: its name and corners (4, 2) px, the upper left one first."""
+    """PNG of an image (H, W, 3) with each picture's name and corners (4, 2) px, the upper left one first."""
     times = max(1, -(-LEAST_WIDTH // rgb.shape[1]))
     size = (rgb.shape[1] * times, rgb.shape[0] * times)
     image: NDArray[np.uint8] = np.ascontiguousarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), np.uint8)
@@ -32,10 +32,9 @@ def outlined(rgb: NDArray[np.uint8], found: Sequence[tuple[str, Array]]) -> byte
         places = np.round(at).astype(np.int32)
         for colour, width in ((BLACK, 3 * thick), (YELLOW, thick)):
             cv2.polylines(image, [places[:, None]], True, colour, width, cv2.LINE_AA, SUBPIXEL)
+            radius = (2 * thick + width // 2) << SUBPIXEL
             for u, v in places.tolist():
-                cv2.circle(
-                    image, (u, v), (2 * thick + width // 2) << SUBPIXEL, colour, cv2.FILLED, cv2.LINE_AA, SUBPIXEL
-                )
+                cv2.circle(image, (u, v), radius, colour, cv2.FILLED, cv2.LINE_AA, SUBPIXEL)
         _name(image, name, corners[0] * times, thick)
     ok, data = cv2.imencode(".png", image)
     assert ok
@@ -58,11 +57,11 @@ def _name(image: NDArray[np.uint8], name: str, corner: Array, thick: int) -> Non
 
 
 def found_in(found: Found, frame: int) -> list[tuple[str, Array]]:
-    """Number and corners (4, 2) of each picture found in a frame."""
+    """Number and corners (4, 2) of each detection in a frame."""
     return [(str(found.picture[d]), found.pixels[d]) for d in np.flatnonzero(found.frame == frame)]
 
 
 def frame_pictures(recording: VisualRecording, found: Found) -> Iterator[bytes]:
-    """PNG of every frame of a recording, in order, with what was found in it."""
+    """PNG of every frame of a recording, in order, with its detections."""
     for k, frame in enumerate(recording.frames()):
         yield outlined(frame.rgb, found_in(found, k))

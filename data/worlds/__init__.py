@@ -1,1 +1,1 @@
-"""Simulated worlds: each is parameters and a function of them and a seed."""
+"""Simulated worlds: each is parameters and a function of parameters and seed."""

@@ -1,7 +1,7 @@
-"""The tutorial world: a unicycle robot drives loops among point landmarks; every noise is known and drawn from a seed.
+"""The tutorial world: a unicycle robot drives loops among point landmarks; every noise is known.
 
-Truth is noise-free and the same path for every seed; map, odometry noise, sensor noise and the error of the prior mean
-come from independent streams of the seed, so changing one parameter does not reshuffle the others.
+The true path is noise-free and the same for every seed. Map, odometry noise, sensor noise and the prior's error come
+from independent streams of the seed, so changing one parameter leaves the others' draws alone.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from data.worlds.parameters import check_parameters, drawn_prior, driven, stream
 
 @dataclass(frozen=True)
 class Arena(Erring):
-    """Parameters of the world; the defaults are mild enough for linearization to be harmless.
+    """Parameters of the world; with the defaults linearization errors are small.
 
     Attributes:
         landmarks: number of point landmarks, uniform in a square.
@@ -42,7 +42,7 @@ class Arena(Erring):
         min_range, max_range: m; nothing nearer or farther is reported. field_of_view: rad, full opening angle.
         prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
         detection: probability that a landmark in view is reported.
-        clutter: mean number of false readings per frame (Poisson), uniform over the field of view.
+        clutter: mean number of false alarms per frame (Poisson), uniform over the field of view.
     """
 
     landmarks: int = 25
@@ -89,10 +89,9 @@ class Arena(Erring):
         return kind(max_range=self.max_range, min_angle=-half, max_angle=half)
 
     def sigma(self) -> tuple[float, float]:
-        """Standard deviations of a reading's two coordinates."""
-        if self.sensor == "range_bearing":
-            return self.sigma_range, self.sigma_bearing
-        return self.sigma_point, self.sigma_point
+        """Standard deviations of an observation's two coordinates."""
+        polar = self.sensor == "range_bearing"
+        return (self.sigma_range, self.sigma_bearing) if polar else (self.sigma_point, self.sigma_point)
 
 
 def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
@@ -107,21 +106,10 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     frame, z, true_id = _observe(arena, sensor, truth, landmarks, sensor_rng)
     R = np.tile(np.diag(np.square(arena.sigma())), (len(z), 1, 1))
     known = LandmarkMap(np.arange(arena.landmarks), landmarks)
-    inputs = Inputs(
-        drawn_prior(truth[0], arena.prior_sigma, arena.prior_sigma_heading, prior_rng),
-        frame_time,
-        increments,
-        Observations(frame, z, R),
-        sensor,
-        known,
-        floored=floored,
-    )
-    return Log(
-        name or f"arena:{seed}",
-        inputs,
-        Truth(truth, known, true_id, errors=errors),
-        source={"kind": "arena", "seed": seed},
-    )
+    prior = drawn_prior(truth[0], arena.prior_sigma, arena.prior_sigma_heading, prior_rng)
+    inputs = Inputs(prior, frame_time, increments, Observations(frame, z, R), sensor, known, floored=floored)
+    truth_side = Truth(truth, known, true_id, errors=errors)
+    return Log(name or f"arena:{seed}", inputs, truth_side, source={"kind": "arena", "seed": seed})
 
 
 def _drive(arena: Arena, frame_time: Array, rng: np.random.Generator) -> tuple[Array, Increments, int]:
@@ -137,7 +125,7 @@ def _drive(arena: Arena, frame_time: Array, rng: np.random.Generator) -> tuple[A
 def _observe(
     arena: Arena, sensor: Sensor, truth: Array, landmarks: Array, rng: np.random.Generator
 ) -> tuple[IntArray, Array, IntArray]:
-    """Frames (M,), readings (M, 2) and true ids (M,), by frame and landmark, clutter last in its frame."""
+    """Frames (M,), observations (M, 2) and true ids (M,), by frame and landmark, false alarms last in a frame."""
     frames, readings, ids = [], [], []
     sigma = np.array(arena.sigma())
     for k, pose in enumerate(truth):

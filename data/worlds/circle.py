@@ -1,13 +1,13 @@
-"""The circle world of the SLAM consistency literature: a robot drives round and round among landmarks it sees nearby.
+"""The circle world of the SLAM consistency literature: a robot drives circles among landmarks near it.
 
-Truth is noise-free and moves in straight steps (Euler): p += R(theta) [speed period, 0], theta += turn_rate period. The
-robot reads speed and turn rate with independent noise at every step and sees landmarks as points in its own frame.
-With the defaults this is the 2D SLAM benchmark of Brossard, Barrau, Bonnabel, "A code for unscented Kalman filtering on
-manifolds", ICRA 2020; other parameters give those of Brossard, Barrau, Bonnabel, IEEE Sensors Journal 19(4), 2019, and
-of Huang, Mourikis, Roumeliotis, IJRR 29(5), 2010.
+The true path is noise-free, in straight steps (Euler): p += R(theta) [speed period, 0], theta += turn_rate period.
+Speed and turn rate are measured with independent noise per step, landmarks as points in the robot's frame. The defaults
+are the 2D SLAM benchmark of Brossard, Barrau, Bonnabel, "A code for unscented Kalman filtering on manifolds", ICRA
+2020; other parameters give those of Brossard, Barrau, Bonnabel, IEEE Sensors Journal 19(4), 2019, and of Huang,
+Mourikis, Roumeliotis, IJRR 29(5), 2010.
 
-Odometry noise, sensor noise and the error of the prior mean come from independent streams of the seed, and noise is
-drawn for unseen landmarks, too: noise, view or number of frames reshuffle nothing.
+Odometry noise, sensor noise and the prior's error come from independent streams of the seed, and noise is drawn for
+unseen landmarks, too, so noise, view or number of frames leave other draws alone.
 """
 
 from __future__ import annotations
@@ -31,35 +31,32 @@ _CHOICES = {"heading_noise": ("after", "before"), "speed_noise": ("start", "end"
 
 @dataclass(frozen=True)
 class Circle:
-    """Parameters of the world; every one is a plain number or a word.
+    """Parameters of the world. UsageError for an invalid value, or one without effect.
 
-    `heading_noise`, `speed_noise` and `substeps`, in which published filters differ, change what the inputs state as
-    covariance of the increments, never what was measured.
+    Published filters differ in `heading_noise`, `speed_noise` and `substeps`, which change the stated covariance of the
+    increments, not the measurements.
 
     Attributes:
-        frames: number of frames; nothing is seen at the first.
+        frames: number of frames; nothing is observed in the first.
         period: s between frames.
         speed: m/s, true speed.
         turn_rate: rad/s, true turn rate; the path's radius is speed / turn_rate.
         sigma_speed: m/s, noise of the measured speed of a step.
         sigma_turn: rad/s, noise of the measured turn rate of a step.
-        sigma_point: m, noise of each coordinate of a seen point.
+        sigma_point: m, noise of each coordinate of an observed point.
         landmarks: number of landmarks.
         layout: `ring`, landmarks at equal angles on one circle, or `scatter`, at random angles and, inside or outside
             the path, at random distances between min_range and max_range from it.
-        ring: m, radius of the landmarks' circle less that of the path.
+        ring: m, radius of the landmarks' circle minus that of the path.
         map_seed: seed of the scattered map, which every run shares.
         centre_x, centre_y: m, centre of the landmarks.
-        min_range, max_range: m; landmarks are seen between these distances, both excluded.
+        min_range, max_range: m; landmarks are observed between these distances, both excluded.
         prior_sigma: m and rad; the prior mean is drawn with it, 0 is an exact start.
-        heading_noise: `after`, a step's heading noise leaves its translation alone (exact for this motion), or
+        heading_noise: `after`, a step's heading noise does not affect its translation (exact for this motion), or
             `before`, it turns the translation, too.
         speed_noise: the noise of the speed acts along the heading at the `start` or at the `end` of a step.
-        substeps: a step's covariance is integrated in so many parts, with white noise of the same total.
-        covariance_floor: smallest eigenvalue of an increment's covariance; 0 for none (a filter can do without).
-
-    Raises:
-        UsageError: a value of the wrong type or out of range, or one given a value where it has no effect.
+        substeps: number of parts in which a step's covariance is integrated, with white noise of the same total.
+        covariance_floor: smallest eigenvalue of an increment's covariance; 0 for none (filters only).
     """
 
     frames: int = 2500
@@ -84,19 +81,12 @@ class Circle:
     covariance_floor: float = 1e-10
 
     def __post_init__(self) -> None:
-        check_parameters(
-            "circle",
-            self,
-            positive=(
-                *("frames", "period", "speed", "turn_rate", "sigma_point", "landmarks", "max_range", "substeps"),
-            ),
-            not_negative=("sigma_speed", "sigma_turn", "map_seed", "min_range", "prior_sigma", "covariance_floor"),
-            choices=_CHOICES,
-        )
+        positive = ("frames", "period", "speed", "turn_rate", "sigma_point", "landmarks", "max_range", "substeps")
+        not_negative = ("sigma_speed", "sigma_turn", "map_seed", "min_range", "prior_sigma", "covariance_floor")
+        check_parameters("circle", self, positive=positive, not_negative=not_negative, choices=_CHOICES)
         if not self.min_range < self.max_range:
-            raise UsageError(
-                f"circle: min_range = {self.min_range}, max_range = {self.max_range}; min_range < max_range is needed"
-            )
+            ranges = f"min_range = {self.min_range}, max_range = {self.max_range}"
+            raise UsageError(f"circle: {ranges}; min_range < max_range is needed")
         if self.layout == "ring" and self.map_seed != Circle.map_seed:
             raise UsageError(f"circle: map_seed = {self.map_seed} has no effect with layout ring")
         if self.layout == "scatter" and self.ring != Circle.ring:
@@ -111,7 +101,7 @@ class Circle:
 
 
 def simulate(circle: Circle, seed: int, name: str | None = None) -> Log:
-    """One log of the circle world; labels are the true ids, ascending in each frame. Same arguments: same bytes."""
+    """One log of the circle world, reproducible to the byte; labels are the true ids, ascending in each frame."""
     odometry_rng, sensor_rng, prior_rng = streams(seed, 3)
     truth = _path(circle)
     known = _landmarks(circle)
@@ -143,7 +133,7 @@ def _path(circle: Circle) -> Array:
 
 
 def _landmarks(circle: Circle) -> LandmarkMap:
-    """The map; a scattered one depends on `map_seed` and not on the run's seed."""
+    """The map; a scattered one depends on `map_seed`, not on the run's seed."""
     if circle.layout == "ring":
         angle = 2.0 * math.pi * np.arange(circle.landmarks) / circle.landmarks
         radius = np.full(circle.landmarks, circle.radius + circle.ring)
@@ -171,9 +161,9 @@ def _odometry(circle: Circle, rng: np.random.Generator) -> tuple[Increments, int
 def _stated(circle: Circle, measured: Array, variance: Array) -> Array:
     """Covariances (K, 3, 3) of the increments of measured (v, omega) (K, 2), in the body frame at a step's start.
 
-    P <- F P F' + G Q G' over the substeps, Q = variance (2,) times their number: white noise, cut up, keeps its total.
-    G = [h [cos a, sin a, 0], h [0, 0, 1]], h the length of a substep and a its heading; where heading noise comes
-    `before` the translation, it turns that by v h [-sin, cos].
+    P <- F P F' + G Q G' over the substeps, with Q = variance (2,) times their number. G = [h [cos a, sin a, 0], h [0,
+    0, 1]], h the length of a substep and a its heading; heading noise `before` the translation turns it by v h [-sin,
+    cos].
     """
     h = circle.period / circle.substeps
     v, omega = measured.T
@@ -193,7 +183,7 @@ def _stated(circle: Circle, measured: Array, variance: Array) -> Array:
 
 
 def _observe(circle: Circle, truth: Array, xy: Array, rng: np.random.Generator) -> tuple[IntArray, IntArray, Array]:
-    """Frame (M,), landmark id (M,) and reading (M, 2) of what is seen, by frame and id."""
+    """Frame (M,), landmark id (M,) and observation (M, 2), by frame and id."""
     c, s = np.cos(truth[:, None, 2]), np.sin(truth[:, None, 2])
     dx, dy = np.moveaxis(xy - truth[:, None, :2], 2, 0)
     distance = np.hypot(dx, dy)

@@ -1,12 +1,11 @@
-"""The corridor lab: a robot drives once round a square of four corridors; people may walk about, odometry may be off.
+"""The corridor lab: a robot drives round a square of four corridors; people may walk about, odometry may be off.
 
-World (88 points), motion and constants of the university lab on data association built around Neira and Tardos, "Data
+World (88 points), motion and constants of a university lab on data association based on Neira and Tardos, "Data
 association in stochastic mapping using the joint compatibility test", IEEE Trans. Robotics & Automation 17(6), 2001.
-Unlike the lab's program, R comes from the measured range and bearing, so that no truth leaks into the inputs.
+Unlike in the lab's program, R depends on the measured range and bearing, so no truth enters the inputs.
 
-Odometry noise, sensor noise, the walks of people and the noise of seeing them come from independent streams of the
-seed, and noise is drawn for unseen points, too: people, range or angles leave every reading they do not concern as it
-was.
+Odometry noise, sensor noise, the walks of people and the noise of observing them come from independent streams of the
+seed, and noise is drawn for unseen points, too: people, range or angles leave other observations unchanged.
 """
 
 from __future__ import annotations
@@ -25,11 +24,11 @@ from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
 from data.worlds.erring import Erring, as_read, check_erring, described, reported
-from data.worlds.parameters import streams
+from data.worlds.parameters import in_degrees, streams
 from data.worlds.registry import name_of, written
 
 SIDE = 10
-"""m, and moves of 1 m, from corner to corner."""
+"""m, and number of moves, from corner to corner."""
 ROWS = ((-0.60, range(0, 11, 2)), (-0.35, range(0, 11, 2)), (0.35, range(1, 10, 2)), (0.60, range(1, 10, 2)))
 """A corridor's rows of points in its own frame: y [m], and x [m] of each point."""
 QUARTERS = ((1, 0), (0, 1), (-1, 0), (0, -1))
@@ -51,14 +50,14 @@ def path(frames: int) -> tuple[Array, IntArray]:
     turned = (np.arange(frames) % (SIDE + 1) == 0).astype(np.int64)
     turned[0] = 0
     quarter = np.cumsum(turned)
-    # the motion into a frame is along the heading of the frame before, which a move leaves as it is
+    # the motion into a frame is along the heading of the frame before, which a move does not change
     step = (1 - turned)[:, None] * np.array(QUARTERS)[quarter % 4]
     step[0] = 0
     return np.column_stack([np.cumsum(step, axis=0), wrap_angle(0.5 * math.pi * (quarter % 4))]), turned
 
 
 def walks(frames: int, crowd: int, sv: float, sa: float, rng: np.random.Generator) -> Array:
-    """Where each person is in each frame (N, K, 2); they have made one step by frame 0, and walk through walls.
+    """Positions (N, K, 2) of people in each frame, after one step in frame 0; they walk through walls.
 
     sv, sa: m per frame, standard deviations of a coordinate's first velocity and of its change.
     """
@@ -70,37 +69,32 @@ def walks(frames: int, crowd: int, sv: float, sa: float, rng: np.random.Generato
 
 
 SLACK = 1e-9
-"""m and rad. Points abreast of the robot stand at the very edge of the view; they are seen, whatever rounding says.
-(In the lab's program rounding did decide: its runs see them on three sides of the square, and not on the fourth.)"""
+"""m and rad. Points beside the robot are at the edge of the view, and are seen whatever the rounding."""
 NEAREST = 1e-3
-"""m. No range is measured below it: at zero range R is singular."""
-
-
-def _degrees(value: float, **more: object) -> float:
-    """A field in radians whose value is written in degrees, in a log's name and as a flag."""
-    default: float = field(default=math.radians(value), metadata={"unit": "deg", **more})
-    return default
+"""m, smallest measured range: at zero range R is singular."""
 
 
 @dataclass(frozen=True)
 class Corridor(Erring):
     """Parameters of the lab, with its own numbers as defaults. Angles: radians here, degrees in names and flags.
 
+    UsageError for a number out of range, or one without effect.
+
     Attributes:
-        people: people walk about and are seen like points.
-        odometry: the wheels are read; without, every increment is zero, with the sigmas called blind, or a prior's.
+        people: people walk about and are observed like points.
+        odometry: wheels are measured; without, every increment is zero, with the sigmas called blind, or a prior's.
         forward: without odometry, state that the robot goes forward by a step or turns.
         constant_velocity: without odometry, state that the robot keeps a velocity (a turn in place is 8 sigma off).
         frames: number of frames; 44 end the first lap, and the motions repeat after that.
-        range: m; points as far as this or farther are not seen.
-        min_angle, max_angle: deg, bearings between which points are seen, both ends included.
+        range: m; points at this distance or farther are not observed.
+        min_angle, max_angle: deg, bearings between which points are observed, both ends included.
         srho: standard deviation of a range, as a share of that range.
         sphi: deg, standard deviation of a bearing.
         sx_move, sy_move: m, standard deviations of the odometry of a move of 1 m.
         stheta_move: deg, the same of its heading.
         sx_turn, sy_turn: m, standard deviations of the odometry of a turn of 90 deg in place.
         stheta_turn: deg, the same of its heading.
-        sx_blind, sy_blind: m, standard deviations claimed for every motion when there is no odometry.
+        sx_blind, sy_blind: m, standard deviations stated for every motion without odometry.
         stheta_blind: deg, the same of its heading.
         step_mean, step_sigma: m, mean and standard deviation of a step that `forward` states; 0 m (a turn in place) and
             1 m are within 1.25 sigma, 1 m backwards is at 3.75.
@@ -110,9 +104,6 @@ class Corridor(Erring):
         crowd: number of people, where there are people.
         sv_people: m per frame, standard deviation of each coordinate of a person's first velocity.
         sa_people: m per frame, standard deviation of that coordinate's change from frame to frame.
-
-    Raises:
-        UsageError: a number out of range, or one given a value of its own where it has no effect.
     """
 
     people: bool = field(default=False, metadata={"hint": "their number is crowd=N"})
@@ -121,25 +112,25 @@ class Corridor(Erring):
     constant_velocity: bool = False
     frames: int = 44
     range: float = 5.0
-    min_angle: float = _degrees(-90.0)
-    max_angle: float = _degrees(90.0)
+    min_angle: float = in_degrees(-90.0)
+    max_angle: float = in_degrees(90.0)
     srho: float = 0.01
-    sphi: float = _degrees(0.125, alias="stita")  # its name in the lab's program
+    sphi: float = in_degrees(0.125, alias="stita")  # its name in the lab's program
     sx_move: float = 0.01
     sy_move: float = 0.01
-    stheta_move: float = _degrees(2.0)
+    stheta_move: float = in_degrees(2.0)
     sx_turn: float = 0.03
     sy_turn: float = 0.03
-    stheta_turn: float = _degrees(2.5)
+    stheta_turn: float = in_degrees(2.5)
     sx_blind: float = 0.25
     sy_blind: float = 0.10
-    stheta_blind: float = _degrees(5.0)
+    stheta_blind: float = in_degrees(5.0)
     step_mean: float = 0.5
     step_sigma: float = 0.4
     velocity: float = 1.0
     velocity_sigma: float = 0.5
     lateral_sigma: float = 0.1
-    turn_sigma: float = _degrees(60.0)
+    turn_sigma: float = in_degrees(60.0)
     crowd: int = 10
     sv_people: float = 0.05
     sa_people: float = 0.01
@@ -160,12 +151,11 @@ class Corridor(Erring):
                 raise UsageError(f"corridor: {f.name} = {written(f, value)} has no effect {idle}")
         if not -math.pi <= self.min_angle < self.max_angle <= math.pi:
             low, high = (written(f, getattr(self, f.name)) for f in fields(self) if f.name.endswith("_angle"))
-            raise UsageError(
-                f"corridor: min_angle = {low}, max_angle = {high}; -180 <= min_angle < max_angle <= 180 is needed"
-            )
+            right = "-180 <= min_angle < max_angle <= 180 is needed"
+            raise UsageError(f"corridor: min_angle = {low}, max_angle = {high}; {right}")
 
     def _idle(self, key: str) -> str:
-        """Why a constant has no effect; empty if it has one."""
+        """Why a parameter has no effect; empty if it has one."""
         primed = self.forward or self.constant_velocity
         if key in ("crowd", "sv_people", "sa_people"):
             return "" if self.people else "without people"
@@ -185,7 +175,7 @@ class Corridor(Erring):
         return "with no-odometry" if key.endswith(("_move", "_turn")) and not self.odometry else ""
 
     def prior(self) -> MotionPrior | None:
-        """What is stated about the motion where the wheels are not read, if anything is."""
+        """The motion prior stated instead of odometry, if any."""
         if self.forward:
             return ForwardPrior(self.step_mean, self.step_sigma, self.lateral_sigma, self.turn_sigma)
         if self.constant_velocity:
@@ -198,9 +188,9 @@ class Corridor(Erring):
 
 
 def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
-    """One log of the corridor. Same parameters and seed: same bytes. The true path and the 88 points never change.
+    """One log of the corridor, reproducible to the byte. True path and points never change.
 
-    Observations of a frame come by landmark id (1 to 88), then people (true id -1); frames are numbered, not timed; the
+    Observations of a frame are ordered by landmark id (1 to 88), then people (true id -1). Frames have no stamps; the
     prior is exact.
     """
     odometry_rng, sensor_rng, walk_rng, people_rng = streams(seed, 4)
@@ -228,17 +218,14 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
         time_is_index=True,
         floored=floored,
     )
-    return Log(
-        name or name_of("corridor", corridor, seed),
-        inputs,
-        Truth(truth, known, np.concatenate(true_id), errors=errors),
-        source={"kind": "corridor", "seed": seed, "corridor": described(corridor)},
-        notes=() if prior is None else (note_of(prior),),
-    )
+    truth_side = Truth(truth, known, np.concatenate(true_id), errors=errors)
+    source = {"kind": "corridor", "seed": seed, "corridor": described(corridor)}
+    notes = () if prior is None else (note_of(prior),)
+    return Log(name or name_of("corridor", corridor, seed), inputs, truth_side, source=source, notes=notes)
 
 
 def _odometry(corridor: Corridor, turned: IntArray, rng: np.random.Generator) -> tuple[Increments, int]:
-    """Increments as read, and how many got the covariance floor."""
+    """Measured increments, and how many got the covariance floor."""
     c = corridor
     if c.odometry:
         move, turn = (c.sx_move, c.sy_move, c.stheta_move), (c.sx_turn, c.sy_turn, c.stheta_turn)
@@ -266,6 +253,6 @@ def _observe(
     b = polar[:, 1] + noise[seen, 1]
     direction = np.stack([np.cos(b), np.sin(b)], axis=-1)
     across = np.stack([-direction[:, 1], direction[:, 0]], axis=-1)
-    # R = J J', J with the sigmas in it: d z / d range = direction, d z / d bearing = r across
+    # R = J J', with the sigmas in J: d z / d range = direction, d z / d bearing = r across
     J = np.stack([corridor.srho * r[:, None] * direction, corridor.sphi * r[:, None] * across], axis=-1)
     return seen, r[:, None] * direction, J @ np.swapaxes(J, 1, 2)

@@ -1,8 +1,8 @@
-"""Systematic errors of a simulated robot: odometry and readings as a robot with them would have reported them.
+"""Systematic errors of a simulated robot: its odometry and observations with errors.
 
-What the errors do is said in `data.motion.systematic`; here it is undone: the odometry is what, once corrected,
-is the motion with the noise as stated. The true path and what is seen of which landmark stay as they are. All
-parameters are errors, zero where there is none: `scale=-0.1` for a robot that goes only 0.9 of what its wheels say.
+`data.motion.systematic` defines the errors; here they are applied: the odometry, once corrected, is the motion with the
+stated noise. The true path and the observed landmarks stay. All parameters are errors, zero for none: `scale=-0.1` for
+a robot that goes only 0.9 of the measured distance.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from data.se2 import Array, wrap_angle
 from data.sensors import RangeBearing, Sensor
 
 LARGEST = 0.5
-"""Share by which a world may err: whoever writes 0.9 or 1.1 means a factor."""
+"""Largest relative error: 0.9 or 1.1 would be a factor."""
 STREAM = 0xD41F7
-"""Sets the drift's random numbers apart from all others of the same seed."""
+"""Separates the drift's random stream from others of the same seed."""
 OF_SENSOR = {"range": "range_error", "bearing": "bearing_error"}
-"""Parameters that are not named as the error is: a world has a range of its own."""
+"""Parameter names that differ from the error's."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class Erring:
     """Systematic errors, as parameters of a world.
 
     Attributes:
-        scale: error of the odometry's distances: the robot goes (1 + scale) times what it reads (0.9 times: -0.1).
-        curvature: rad/m, what the robot turns to the left with every metre and does not read.
-        left: error of turns to the left: the robot turns (1 + left) times what it reads.
+        scale: error of the odometry's distances: the robot goes (1 + scale) times the measured one (0.9 times: -0.1).
+        curvature: rad/m, unmeasured turn to the left with every metre.
+        left: error of turns to the left: the robot turns (1 + left) times the measured angle.
         right: error of turns to the right, likewise.
-        drift: rad/m, standard deviation of a curvature that comes and goes, forgotten over 50 m (to 1/e).
+        drift: rad/m, standard deviation of a varying curvature, with a correlation of 1/e over 50 m.
         range_error: error of measured ranges, which are (1 + range_error) times the true ones.
         bearing_error: rad, error of measured bearings, which are the true ones + bearing_error.
     """
@@ -55,7 +55,7 @@ NAMES = tuple(f.name for f in fields(Erring))
 
 
 def check_erring(world: str, values: Erring) -> None:
-    """Refuse errors with which there is no robot: UsageError naming world, key and value."""
+    """UsageError for invalid errors, naming world, key and value."""
     for name in NAMES:
         value = getattr(values, name)
         where = f"{world}: {name} = {value!r}"
@@ -64,20 +64,19 @@ def check_erring(world: str, values: Erring) -> None:
         if name == "drift" and value < 0.0:
             raise UsageError(f"{where}; must not be negative")
         if name in ("scale", "left", "right", "range_error") and not abs(value) <= LARGEST:
-            raise UsageError(
-                f"{where}; an error from -{LARGEST} to {LARGEST} is needed, 0 is none (a factor of 0.9 is -0.1)"
-            )
+            right = f"an error from -{LARGEST} to {LARGEST} is needed, 0 is none (a factor of 0.9 is -0.1)"
+            raise UsageError(f"{where}; {right}")
 
 
 def described(values: Any) -> dict[str, Any]:
-    """The parameters of a world by name, for the source of its log; errors that there are not are not in it."""
+    """The parameters of a world by name, without zero errors, for its log's source."""
     return {k: v for k, v in asdict(values).items() if k not in NAMES or v != 0.0}
 
 
 def reported(values: Erring, increments: Increments, seed: int) -> tuple[Increments, Systematics | None]:
-    """What odometry reads of noisy motions, and the errors by frame (None: there are none, and nothing is changed).
+    """Odometry of noisy motions, and the errors by frame (None and unchanged without errors).
 
-    Covariances stay: in the robot's frame the correction hands the noise of the odometry on as it is.
+    Covariances stay: in the robot's frame the correction does not change the odometry's noise.
     """
     mean = increments.mean
     size = {name: getattr(values, OF_SENSOR.get(name, name)) for name in ERRORS}
@@ -90,26 +89,25 @@ def reported(values: Erring, increments: Increments, seed: int) -> tuple[Increme
         each[:, DRIFT] = values.drift * _wandering(np.hypot(mean[:, 0], mean[:, 1]), rng)
     names = tuple(name for name, v in size.items() if v)
     there = [list(ERRORS).index(name) for name in names]
-    told = Systematics(names, each[:, there], np.zeros((len(mean), len(names))))
-    return Increments(_undone(mean, each), increments.covariance), told
+    true = Systematics(names, each[:, there], np.zeros((len(mean), len(names))))
+    return Increments(_undone(mean, each), increments.covariance), true
 
 
 def _wandering(distance: Array, rng: np.random.Generator) -> Array:
-    """An Ornstein-Uhlenbeck process (N,) of unit variance, at the end of each of the distances (N,) [m]."""
+    """An Ornstein-Uhlenbeck process (N,) of unit variance, sampled after each of the distances (N,) [m]."""
     drawn = rng.standard_normal(len(distance))
-    stays = np.exp(-distance / Systematic.length)
+    kept = np.exp(-distance / Systematic.length)
     value = np.empty(len(distance))
     value[0] = drawn[0]
     for k in range(1, len(value)):
-        value[k] = stays[k] * value[k - 1] + math.sqrt(1.0 - stays[k] ** 2) * drawn[k]
+        value[k] = kept[k] * value[k - 1] + math.sqrt(1.0 - kept[k] ** 2) * drawn[k]
     return value
 
 
 def _undone(motion: Array, errors: Array) -> Array:
-    """Increments (N, 3) that are `motion` (N, 3) once corrected by errors (N, 7).
+    """Increments (N, 3) whose correction by errors (N, 7) is `motion` (N, 3).
 
-    Which way the robot went is read off the result; where noise turned the sense of a motion to the side, by less than
-    the errors turn it, neither sense fits and forwards is taken.
+    The driving direction is found from the result; if noise fits neither, forwards is taken.
     """
     forwards, backwards = (_undone_in(motion, errors, sense) for sense in (1.0, -1.0))
     back = (forwards[:, 0] < 0.0) & (backwards[:, 0] < 0.0)
@@ -117,7 +115,7 @@ def _undone(motion: Array, errors: Array) -> Array:
 
 
 def _undone_in(motion: Array, errors: Array, sense: float) -> Array:
-    """The same for a robot of which the sense is known, 1 forwards and -1 backwards."""
+    """The same for a known direction, 1 forwards and -1 backwards."""
     x, y, turn = motion.T
     d = sense * np.hypot(x, y) / (1.0 + errors[:, SCALE])
     read = turn - d * (errors[:, CURVATURE] + errors[:, DRIFT])
@@ -129,7 +127,7 @@ def _undone_in(motion: Array, errors: Array, sense: float) -> Array:
 
 
 def as_read(values: Erring, sensor: Sensor, exact: Array) -> Array:
-    """What the sensor would read, without noise, where it should read `exact` (m, 2)."""
+    """The sensor's noise-free measurement with errors, instead of `exact` (m, 2)."""
     if not (values.range_error or values.bearing_error):
         return exact
     polar = sensor.polar(exact)

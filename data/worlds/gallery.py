@@ -1,9 +1,9 @@
 """The gallery: a robot drives loops among pictures on walls; parameters, world, drive, logs without images.
 
-World: z up, origin on the floor in the middle of the room, the long walls along x. The camera is level, so in plan it
-sees (x, z) of `data.pictures`. The commands hold from one frame to the next (exact arcs); every straight and every turn
-takes a whole number of frames, so that the loop closes. Layout, command noise, prior and sensor noise come from
-independent streams of the seed. The noise is that of a university lab: 2 cm and 5 cm, 1 cm/s and 4 deg/s.
+World: z up, origin on the floor in the middle of the room, long walls along x. The camera is level, so in plan it sees
+(x, z) of `data.pictures`. Commands hold for one frame (exact arcs); straights and turns take whole numbers of frames,
+so the loop closes. Layout, command noise, prior and sensor noise come from independent streams of the seed. The noise
+is that of a university lab: 2 cm and 5 cm, 1 cm/s and 4 deg/s.
 """
 
 from __future__ import annotations
@@ -32,14 +32,15 @@ MAY_BE_ZERO = (
 
 @dataclass(frozen=True)
 class Gallery:
-    """Parameters of world, robot, camera and rendering; every one is a plain number.
+    """Parameters of world, robot, camera and rendering. UsageError for an invalid value, or pictures or path that do
+    not fit.
 
     Attributes:
         duration: s; rate: Hz of the frames, and of the commands.
         pictures: their number, shared out over the four walls by length.
         room_length, room_width, room_height: m.
-        picture_width, picture_height: m; spacing: m, between the middles of neighbours on a wall; each hangs
-            up to a tenth of the gap off.
+        picture_width, picture_height: m; spacing: m, between the middles of neighbours on a wall; each is shifted by up
+            to a tenth of the gap.
         hang: m, height of the pictures' middles, give or take 5 cm.
         wall_distance: m, from the loop to the long walls, which fixes the radius of its turns; end_distance: m, to the
             short ones.
@@ -48,18 +49,15 @@ class Gallery:
         prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
         camera_x, camera_y: m, camera in the body; camera_height: m; camera_yaw: rad, its view from straight ahead.
         image_width, image_height: px; field_of_view: rad, horizontal.
-        max_distance: m, max_obliquity: rad; farther or flatter pictures do not count as in view.
+        max_distance: m, max_obliquity: rad; farther or more oblique pictures do not count as in view.
         sigma_x, sigma_z: m, noise of a corner's coordinates in logs without images.
         reference_width: px, of a picture's own image.
         brightness: grey levels, contrast: 1, standard deviations of a frame's offset and gain.
         exposure: s, length of the motion blur. image_noise: grey levels, of each colour of a pixel.
-        baseline: m, of the stereo pair; disparity_noise: px (sigma_z = z^2 sigma_d / (f b)); disparity_step: px, to
-            which disparities are rounded; smear: px, over which their noise is correlated.
+        baseline: m, of the stereo pair; disparity_noise: px (sigma_z = z^2 sigma_d / (f b)); disparity_step: px,
+            rounding of disparities; smear: px, over which their noise is correlated.
         patches: holes per frame, at random places. edge_hole: px to either side of a picture's outline without depth.
         least_texture: grey levels per px, mean gradient below which stereo finds nothing. 0 turns any of these off.
-
-    Raises:
-        UsageError: a value of the wrong type or out of range, or pictures or path that do not fit into the room.
     """
 
     duration: float = 60.0
@@ -109,16 +107,13 @@ class Gallery:
         positive = [name for name in self.__dataclass_fields__ if name not in (*MAY_BE_ZERO, *signed)]
         check_parameters("gallery", self, positive=positive, not_negative=MAY_BE_ZERO)
         if not (self.turn_radius > 0 and self.straight > 0):
-            raise UsageError(
-                f"gallery: wall_distance = {self.wall_distance}, end_distance = {self.end_distance} leave no loop"
-            )
+            distances = f"wall_distance = {self.wall_distance}, end_distance = {self.end_distance}"
+            raise UsageError(f"gallery: {distances} leave no loop")
         for length, n in zip(self.wall_lengths, self.shares, strict=True):
             if n * self.spacing > length:
                 raise UsageError(f"gallery: {n} pictures, spacing = {self.spacing}, do not fit on a wall of {length} m")
-        if 1.2 * self.picture_width > self.spacing:
-            raise UsageError(
-                f"gallery: spacing = {self.spacing}; at least 1.2 picture widths are needed, {1.2 * self.picture_width}"
-            )
+        if (least := 1.2 * self.picture_width) > self.spacing:
+            raise UsageError(f"gallery: spacing = {self.spacing}; at least 1.2 picture widths are needed, {least}")
         low, high = self.hang - 0.5 * self.picture_height - 0.05, self.hang + 0.5 * self.picture_height + 0.05
         if not (low > 0.0 and high < self.room_height and self.camera_height < self.room_height):
             raise UsageError("gallery: pictures and camera must be above the floor and below room_height")
@@ -139,7 +134,7 @@ class Gallery:
 
     @property
     def wall_lengths(self) -> tuple[float, ...]:
-        """Of the walls, in the order of `NORMALS` [m]."""
+        """Lengths of the walls, in the order of `NORMALS` [m]."""
         return (self.room_length, self.room_width, self.room_length, self.room_width)
 
     @property
@@ -150,7 +145,7 @@ class Gallery:
 
     @property
     def focal(self) -> float:
-        """Focal length [px]; the optical axis meets the image in its middle."""
+        """Focal length [px]; the optical axis meets the image's centre."""
         return 0.5 * self.image_width / math.tan(0.5 * self.field_of_view)
 
     @property
@@ -170,7 +165,7 @@ class Gallery:
         return -(c * self.camera_x - s * self.camera_y), -(s * self.camera_x + c * self.camera_y)
 
     def sensor(self) -> RelativePoint:
-        """Model of a corner's observation (x, z) in the camera's plan, where straight ahead is at 90 degrees."""
+        """Observation model of a corner (x, z) in the camera's plan, where straight ahead is at 90 degrees."""
         half, ahead = 0.5 * self.field_of_view, 0.5 * math.pi
         farthest = math.hypot(self.max_distance, self.picture_width)
         return RelativePoint(farthest, ahead - half, ahead + half, self.rotation, self.translation)
@@ -178,10 +173,10 @@ class Gallery:
 
 @dataclass(frozen=True, eq=False)
 class Projection:
-    """A picture as a camera sees it: number, distance of its middle [m], obliquity [rad], pixels (4, 2), points (4, 3).
+    """A picture in the camera: number, distance of its middle [m], obliquity [rad], pixels (4, 2), points (4, 3).
 
-    The obliquity is the angle between the picture's normal and the line of sight to its middle; above 90 degrees the
-    picture is seen from behind. `pixels` are NaN for corners that are not in front of the camera.
+    The obliquity is the angle between the picture's normal and the line of sight to its middle; beyond 90 degrees it is
+    seen from behind. `pixels` are NaN for corners behind the camera.
     """
 
     picture: int
@@ -192,18 +187,18 @@ class Projection:
 
 
 def in_camera(g: Gallery, pose: Array, points: Array) -> Array:
-    """Points (..., 3) m of the world in the camera's frame (x right, y down, z forward), the robot at pose (3,)."""
+    """World points (..., 3) m in the camera's frame (x right, y down, z ahead), for a robot pose (3,)."""
     sensor = g.sensor()
     plan = sensor.predict(pose, points[..., :2].reshape(-1, 2)).reshape(*points.shape[:-1], 2)
     return np.stack([plan[..., 0], g.camera_height - points[..., 2], plan[..., 1]], axis=-1)
 
 
 def to_pixels(g: Gallery, points: Array) -> Array:
-    """Pixels (..., 2) of points (..., 3) m in the camera's frame; NaN for those not in front of the camera."""
+    """Pixels (..., 2) of points (..., 3) m in the camera's frame; NaN behind the camera."""
     z = np.where(points[..., 2] > 0, points[..., 2], np.nan)
-    middle = 0.5 * np.array([g.image_width - 1, g.image_height - 1])
-    pixels: Array = g.focal * points[..., :2] / z[..., None] + middle
-    return pixels
+    return np.asarray(
+        g.focal * points[..., :2] / z[..., None] + 0.5 * np.array([g.image_width - 1, g.image_height - 1])
+    )
 
 
 def projections(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
@@ -233,7 +228,7 @@ def in_view(g: Gallery, corners: Array, pose: Array) -> list[Projection]:
 
 COVARIANCE_FLOOR = 1e-10
 NORMALS = np.array([[0.0, 1.0], [-1.0, 0.0], [0.0, -1.0], [1.0, 0.0]])
-"""Of the walls, into the room, in the order in which the robot passes them."""
+"""Normals of the walls, into the room, in the order in which the robot passes them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,7 +240,7 @@ class Scene(Locked):
         time: (N,) s.
         pose: (N, 3) true poses.
         command, recorded: (N, 2) true and recorded v [m/s] and omega [rad/s]; each holds until the next frame.
-        setup: what the estimators know; its prior mean is drawn from N(truth, P0).
+        setup: known to the estimators; its prior mean is drawn from N(truth, P0).
     """
 
     corners: Array
@@ -257,7 +252,7 @@ class Scene(Locked):
 
 
 def gallery(g: Gallery, seed: int) -> Scene:
-    """World and drive of a seed. Same arguments: same bytes."""
+    """World and drive of a seed, reproducible to the byte."""
     layout, command, prior, _ = streams(seed, 4)
     corners = _hang(g, layout)
     time = np.arange(g.frames) / g.rate
@@ -274,9 +269,9 @@ def gallery(g: Gallery, seed: int) -> Scene:
 
 
 def simulate(g: Gallery, seed: int, name: str | None = None) -> Log:
-    """A log without images: each picture in view gives four corners with the stated noise. Same arguments: same bytes.
+    """A log without images: each picture in view gives four corners with the stated noise; reproducible to the byte.
 
-    Landmark ids are 4 * picture + corner; upper and lower corners share their place. Those of a frame come by id.
+    Landmark ids are 4 * picture + corner, ascending in a frame; upper and lower corners coincide in plan.
     """
     scene, rng = gallery(g, seed), streams(seed, 4)[3]
     noise = np.array([g.sigma_x, g.sigma_z]) * rng.standard_normal((g.frames, g.pictures, CORNERS, 2))
@@ -327,5 +322,4 @@ def _commands(g: Gallery) -> Array:
     turn = max(round(math.pi / g.turn_rate * g.rate), 1)
     rate = math.pi / turn * g.rate
     lap = np.repeat([[g.straight / straight * g.rate, 0.0], [rate * g.turn_radius, rate]], [straight, turn], axis=0)
-    commands: Array = lap[np.arange(g.frames) % len(lap)]
-    return commands
+    return np.asarray(lap[np.arange(g.frames) % len(lap)])

@@ -1,13 +1,12 @@
-"""A world that is linear and Gaussian for all practical purposes: every right estimator must be consistent in it.
+"""A practically linear Gaussian world: every correct estimator must be consistent in it.
 
-A robot drives a figure of eight among a grid of landmarks, which it sees as points in its own frame. Position errors
-are ordinary ones (5 cm per step) but small beside the distances (some 80 m), and heading is all but known (3e-5 rad at
-the start and per step), so what linearization neglects, products of two errors, is some 3e-4 of a standard deviation
-(up to 3e-3 in the heading of a SLAM filter). Landmarks that far away make even such headings observable within some
-ten frames; otherwise a run's mean NEES would be little more than a single sample.
+A robot drives a figure of eight in a grid of landmarks, observed as points in its own frame. Position errors (5 cm per
+step) are small against distances (some 80 m), and heading is almost known (3e-5 rad at the start and per step), so
+linearization neglects some 3e-4 of a standard deviation (up to 3e-3 in the heading of a SLAM filter). Such distant
+landmarks make heading observable within ten frames; otherwise a run's mean NEES would be little more than one sample.
 
-Noise is drawn exactly from the covariances that the inputs state. Truth is the same path for every seed; odometry
-noise, sensor noise and the error of the prior mean come from independent streams of the seed.
+Noise is drawn exactly from the stated covariances. The true path is the same for every seed; odometry noise, sensor
+noise and the prior's error come from independent streams of the seed.
 """
 
 from __future__ import annotations
@@ -29,23 +28,20 @@ from data.worlds.parameters import check_parameters, drawn_prior, streams
 
 @dataclass(frozen=True)
 class LinearWorld:
-    """Parameters of the world; larger sigmas of the heading make it an ordinary, nonlinear one.
+    """Parameters of the world; larger heading sigmas make it nonlinear. UsageError for an invalid value.
 
     Attributes:
         frames: number of frames.
         period: s between frames.
-        laps: how often the figure of eight is driven.
+        laps: number of laps of the figure of eight.
         half_length, half_width: m, half the extent of the figure of eight along x and y.
         rows, columns: of the grid of landmarks, which has its centre where the path crosses itself.
         spacing: m, between neighbours of the grid.
-        max_range: m; landmarks nearer than this are seen, in any direction.
+        max_range: m; nearer landmarks are observed, in any direction.
         sigma_odometry: m, noise of each coordinate of a step.
-        sigma_turn: rad, noise of a step's turn; below 1e-5 the covariance floor of 1e-10 rules.
-        sigma_point: m, noise of each coordinate of a seen point.
+        sigma_turn: rad, noise of a step's turn; below 1e-5 the covariance floor of 1e-10 applies.
+        sigma_point: m, noise of each coordinate of an observed point.
         prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
-
-    Raises:
-        UsageError: a value of the wrong type or out of range.
     """
 
     frames: int = 100
@@ -64,19 +60,13 @@ class LinearWorld:
     prior_sigma_heading: float = 3e-5
 
     def __post_init__(self) -> None:
-        check_parameters(
-            "linear",
-            self,
-            positive=(
-                *("frames", "period", "laps", "half_length", "half_width", "rows", "columns", "spacing", "max_range"),
-                "sigma_point",
-            ),
-            not_negative=("sigma_odometry", "sigma_turn", "prior_sigma", "prior_sigma_heading"),
-        )
+        layout = ("frames", "period", "laps", "half_length", "half_width", "rows", "columns", "spacing")
+        not_negative = ("sigma_odometry", "sigma_turn", "prior_sigma", "prior_sigma_heading")
+        check_parameters("linear", self, positive=(*layout, "max_range", "sigma_point"), not_negative=not_negative)
 
 
 def simulate(world: LinearWorld, seed: int, name: str | None = None) -> Log:
-    """One log of the linear world; labels are the true ids, ascending in each frame. Same arguments: same bytes."""
+    """One log of the linear world, reproducible to the byte; labels are the true ids, ascending in each frame."""
     odometry_rng, sensor_rng, prior_rng = streams(seed, 3)
     truth, known = _path(world), _grid(world)
     increments, floored = _odometry(world, truth, odometry_rng)
@@ -115,7 +105,7 @@ def _grid(world: LinearWorld) -> LandmarkMap:
 
 
 def _odometry(world: LinearWorld, truth: Array, rng: np.random.Generator) -> tuple[Increments, int]:
-    """True increments with noise of their stated covariance, floor included, and how many got the floor."""
+    """True increments with noise of their stated covariance, and how many got the covariance floor."""
     variance = np.square([world.sigma_odometry, world.sigma_odometry, world.sigma_turn])
     covariance = np.tile(np.diag(variance), (world.frames, 1, 1))
     covariance[0] = 0.0

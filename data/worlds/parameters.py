@@ -1,10 +1,10 @@
-"""What simulated worlds share: checked parameters, a drive by noisy velocities, a prior about the first pose."""
+"""Shared parts of simulated worlds: checked parameters, a drive by noisy velocities, a prior of the first pose."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import fields
+from dataclasses import field, fields
 from typing import Any
 
 import numpy as np
@@ -27,13 +27,10 @@ def check_parameters(
     not_negative: Collection[str] = (),
     choices: Mapping[str, Collection[str]] | None = None,
 ) -> None:
-    """Check every field of a dataclass: numbers against the two lists of names, words against their `choices`.
+    """Check every field of a dataclass: numbers by the two lists of names, words by their `choices`.
 
-    The type of a field's default is the field's type (any number will do for a float); a default of None stands for a
-    number that may be left out.
-
-    Raises:
-        UsageError: naming world, key and value.
+    A field has its default's type (floats accept any number); None stands for an optional number. UsageError names
+    world, key and value.
     """
     for f in fields(values):
         value = getattr(values, f.name)
@@ -60,6 +57,12 @@ def check_parameters(
             raise UsageError(f"{where}; must not be negative")
 
 
+def in_degrees(value: float, **more: object) -> float:
+    """A field in radians whose value is written in degrees, in a log's name and as a flag."""
+    default: float = field(default=math.radians(value), metadata={"unit": "deg", **more})
+    return default
+
+
 def streams(seed: int, count: int) -> list[np.random.Generator]:
     """Independent generators of a seed."""
     return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(count)]
@@ -74,10 +77,10 @@ def driven(
     density: tuple[float, float],
     rng: np.random.Generator,
 ) -> tuple[Array, Increments, int]:
-    """True poses (N, 3) at the frames `at` (N,), the noisy increments between them, and how many got the floor.
+    """True poses (N, 3) at the frames `at` (N,), noisy increments between them, and how many got the floor.
 
-    v [m/s] and omega [rad/s], a sample every `period` [s], hold to the next one. Their noise has the densities
-    `density` [m and rad per sqrt(s)].
+    v [m/s] and omega [rad/s] are sampled every `period` [s] and held, with noise densities `density` [m and rad per
+    sqrt(s)].
     """
     time = period * np.arange(len(v), dtype=np.float64)
     exact, _ = preintegrate(VelocityModel(VelocityNoise("density")), time, v, omega, at)
@@ -94,7 +97,7 @@ def driven(
 
 
 def drawn_prior(pose: Array, sigma: float, sigma_heading: float, rng: np.random.Generator) -> Prior:
-    """A prior of standard deviations `sigma` [m] and `sigma_heading` [rad], its mean drawn about the true pose (3,)."""
+    """A prior with standard deviations [m, rad], its mean drawn about the true pose (3,)."""
     sigmas = np.array([sigma, sigma, sigma_heading])
     mean = pose + sigmas * rng.standard_normal(3)
     mean[2] = se2.wrap_angle(mean[2])

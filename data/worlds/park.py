@@ -1,11 +1,10 @@
-"""The park: a large log at will. A robot drives for kilometres on a grid of ways among trees that it sees with a laser.
+"""The park: large logs. A robot drives for kilometres on a grid of paths among trees that it observes with a laser.
 
-At every crossing it takes the way it has driven least often, so that it comes back to where it was again and again,
-after loops of all lengths. Odometry is one sample of speed and turn rate a frame, as a log of wheel encoders often is:
-each increment is known to a floor across the way, and known badly along it. Trees stand anywhere in a strip about the
-ways, a few of them where the robot drives.
+At every crossing it takes the path driven least often, so it returns often, after loops of all lengths. Odometry is one
+sample of speed and turn rate per frame, as in many wheel encoder logs: an increment is known to a floor across the
+motion, and badly along it. Trees are anywhere in strips about the paths, a few of them in the way.
 
-Route, map, odometry noise, sensor noise and the error of the prior mean come from independent streams of the seed.
+Route, map, odometry noise, sensor noise and the prior's error come from independent streams of the seed.
 """
 
 from __future__ import annotations
@@ -27,32 +26,30 @@ from data.worlds.erring import Erring, as_read, check_erring, reported
 from data.worlds.parameters import check_parameters, drawn_prior, driven, streams
 
 RADIUS, TURN = 5, 8
-"""Steps: radius of a quarter turn at a crossing, and how many (a little shorter) steps it takes."""
+"""Steps: radius of a quarter turn at a crossing, and number of (slightly shorter) steps of the turn."""
 HEADINGS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 """East, north, west, south."""
 
 
 @dataclass(frozen=True)
 class Park(Erring):
-    """Parameters of the world; the size of the park and its number of trees follow from the length of the drive.
+    """Parameters of the world; park size and number of trees follow from the length of the drive. UsageError if
+    invalid.
 
     Attributes:
         frames: number of frames.
         period: s between frames, one odometry sample each.
-        step: m, way driven in a frame.
+        step: m, distance driven in a frame.
         block: steps between two crossings; at least 20.
-        revisits: how often a way is driven on the average.
-        spacing: m of way for each tree.
-        strip: m, half the width of the strip about the ways where trees stand.
+        revisits: mean number of times a path is driven.
+        spacing: m of path for each tree.
+        strip: m, half the width of the strips of trees about the paths.
         sigma_v: m per sqrt(s), sigma_omega: rad per sqrt(s), odometry noise densities.
         sigma_range: m, sigma_bearing: rad, noise of the sensor.
         min_range, max_range: m; nothing nearer or farther is reported.
         field_of_view: deg, full opening angle.
         detection: probability that a tree in view is reported.
         prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
-
-    Raises:
-        UsageError: a value of the wrong type or out of range.
     """
 
     frames: int = 2000
@@ -87,17 +84,17 @@ class Park(Erring):
 
     @property
     def side(self) -> float:
-        """Between two crossings, m."""
+        """Distance between two crossings [m]."""
         return self.block * self.step
 
     @property
     def crossings(self) -> int:
-        """In each direction; at least 2."""
+        """Number of crossings in each direction; at least 2."""
         ways = self.frames / (self.block * self.revisits)
         return max(2, round(0.5 + math.sqrt(0.25 + ways / 2.0)))  # n crossings a side: 2 n (n - 1) ways
 
     def sensor(self) -> RangeBearing:
-        """With its field of view."""
+        """The sensor with its field of view."""
         half = min(0.5 * math.radians(self.field_of_view), math.pi)
         return RangeBearing(max_range=self.max_range, min_angle=-half, max_angle=half)
 
@@ -115,25 +112,14 @@ def simulate(park: Park, seed: int, name: str | None = None) -> Log:
     frame, z, true_id = _observe(park, sensor, truth, trees, sensor_rng)
     R = np.tile(np.diag([park.sigma_range**2, park.sigma_bearing**2]), (len(z), 1, 1))
     known = LandmarkMap(np.arange(len(trees)), trees)
-    inputs = Inputs(
-        drawn_prior(truth[0], park.prior_sigma, park.prior_sigma_heading, prior_rng),
-        time,
-        increments,
-        Observations(frame, z, R),
-        sensor,
-        known,
-        floored=floored,
-    )
-    return Log(
-        name or f"park:{seed}",
-        inputs,
-        Truth(truth, known, true_id, errors=errors),
-        source={"kind": "park", "seed": seed},
-    )
+    prior = drawn_prior(truth[0], park.prior_sigma, park.prior_sigma_heading, prior_rng)
+    inputs = Inputs(prior, time, increments, Observations(frame, z, R), sensor, known, floored=floored)
+    truth_side = Truth(truth, known, true_id, errors=errors)
+    return Log(name or f"park:{seed}", inputs, truth_side, source={"kind": "park", "seed": seed})
 
 
 def _route(park: Park, rng: np.random.Generator) -> tuple[Array, Array]:
-    """True way [m] and turn [rad] (N,) of each frame's step: ways of a grid, quarter turns at its crossings.
+    """True distance [m] and turn [rad] (N,) of each frame: paths of a grid, quarter turns at its crossings.
 
     The start is the end of a turn at crossing (0, 0), heading east.
     """
@@ -159,7 +145,7 @@ def _route(park: Park, rng: np.random.Generator) -> tuple[Array, Array]:
 
 
 def _way(x: int, y: int, heading: int) -> tuple[int, int, int]:
-    """The way that leaves crossing (x, y) by a heading: its western or southern end, and along which axis it lies."""
+    """The path that leaves crossing (x, y) by a heading: its western or southern end, and its axis."""
     dx, dy = HEADINGS[heading]
     return x + min(dx, 0), y + min(dy, 0), heading % 2
 
@@ -170,7 +156,7 @@ def _inside(park: Park, x: int, y: int, heading: int) -> bool:
 
 
 def _trees(park: Park, rng: np.random.Generator) -> Array:
-    """Positions (L, 2), uniform in the strips about all ways, in random order."""
+    """Positions (L, 2), uniform in the strips about all paths, in random order."""
     n = park.crossings
     ends = [(x, y, h) for h in range(2) for x in range(n) for y in range(n) if _inside(park, x, y, h)]
     count = max(1, round(len(ends) * park.side / park.spacing))
@@ -183,7 +169,7 @@ def _trees(park: Park, rng: np.random.Generator) -> Array:
 def _observe(
     park: Park, sensor: RangeBearing, truth: Array, trees: Array, rng: np.random.Generator
 ) -> tuple[IntArray, Array, IntArray]:
-    """Frames (M,), readings (M, 2) and true ids (M,), by frame and tree."""
+    """Frames (M,), observations (M, 2) and true ids (M,), by frame and tree."""
     near = scipy.spatial.cKDTree(trees).query_ball_point(truth[:, :2], park.max_range, return_sorted=True)
     count = [len(each) for each in near]  # type: ignore[arg-type]
     frame, tree = np.repeat(np.arange(len(truth)), count), np.concatenate(list(near)).astype(np.int64)

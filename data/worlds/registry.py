@@ -1,11 +1,10 @@
-"""The simulated worlds, each listed once: its module, its parameters, its flags, what a person is told, logs by name.
+"""The simulated worlds, each listed once: module, parameters, flags, help, and logs by name.
 
-A world is imported when it is asked for, so that `--help` and a mistyped flag do not wait for it.
+A world is imported when it is needed, so `--help` does not wait for it.
 
-Names of simulated logs: `world:SEED[:KEY=VALUE+KEY+no-KEY+...]`; keys are the fields of the world's parameters, and so
-are the flags. A switch is said by its name alone or with `no-` before it, `-` and `_` are the same, a field kept in
-radians whose metadata say `unit: deg` is written in degrees, and one whose metadata have an `alias` is understood by
-that, too.
+Names of simulated logs: `world:SEED[:KEY=VALUE+KEY+no-KEY+...]`; keys and flags are the fields of the world's
+parameters. A switch is its name, or `no-` and its name; `-` and `_` are equivalent. A field in radians with metadata
+`unit: deg` is written in degrees; metadata `alias` is a second name.
 """
 
 from __future__ import annotations
@@ -32,12 +31,10 @@ SWITCH = {"on": True, "true": True, "1": True, "off": False, "false": False, "0"
 def parse_name(
     name: str, parameters: type[P], example: str, *, counts: Iterable[str] = ()
 ) -> tuple[P, int, dict[str, int]]:
-    """Parameters, seed, and what was given of `counts`: keys that are no parameters, whole numbers from 1 up.
+    """Parameters, seed, and given `counts`: keys that are no parameters, whole numbers from 1 up.
 
-    `example` stands in the message about a seed that is none. A field whose default is None takes a number.
-
-    Raises:
-        UsageError: anything not understood, with what would be; or what `parameters` itself refuses.
+    `example` is for a message about the seed. A field whose default is None takes a number. UsageError names known
+    keys.
     """
     rest = name.split(":", 2)[1:]
     if not rest or not re.fullmatch(r"[0-9]{1,18}", rest[0]):
@@ -59,7 +56,7 @@ def parse_name(
 
 
 def _halves(name: str, part: str, known: Mapping[str, Field[Any]], counts: tuple[str, ...]) -> tuple[str, str]:
-    """Key and text from `key=text`, `key` or `no-key`; the latter two are for switches."""
+    """Key and text from `key=text`, or of a switch from `key` or `no-key`."""
     key, equals, text = part.partition("=")
     key = key.strip().replace("-", "_")
     if not equals:
@@ -75,7 +72,7 @@ def _halves(name: str, part: str, known: Mapping[str, Field[Any]], counts: tuple
 
 
 def _value(place: str, f: Field[Any], text: str) -> object:
-    """The text in the field's type; `place` begins the message about one that does not fit."""
+    """The text in the field's type; `place` begins an error message."""
     if _is_switch(f):
         if text not in SWITCH:
             hint = f.metadata.get("hint")
@@ -109,14 +106,14 @@ def _switch(f: Field[Any], *, on: bool) -> str:
 
 
 def name_of(world: str, parameters: Any, seed: int) -> str:
-    """The name that `parse` reads as the same: world, seed, and what differs from the defaults, in their order."""
+    """The name that `parse` inverts: world, seed, and parameters that differ from their defaults."""
     changed = [(f, value) for f in fields(parameters) if (value := getattr(parameters, f.name)) != f.default]
     parts = [_switch(f, on=v) if _is_switch(f) else f"{f.name}={written(f, v)}" for f, v in changed]
     return f"{world}:{seed}" + (":" + "+".join(parts) if parts else "")
 
 
 def written(f: Field[Any], value: Any) -> str:
-    """A parameter as it stands in a log's name."""
+    """A parameter as in a log's name."""
     if isinstance(value, float) and f.metadata.get("unit") == "deg":
         short = f"{math.degrees(value):.12g}"
         return short if math.radians(float(short)) == value else repr(math.degrees(value))
@@ -125,14 +122,14 @@ def written(f: Field[Any], value: Any) -> str:
 
 @dataclass(frozen=True)
 class World:
-    """A world and how it is spoken of.
+    """A world and its texts.
 
     Attributes:
-        module: where it stands, with its function `simulate(parameters, seed, name)`.
+        module: with its function `simulate(parameters, seed, name)`.
         parameters: in that module, the dataclass of its parameters.
-        example: names of logs of it.
+        example: names of its logs.
         counts: further keys of its names, whole numbers from 1 up that are no parameters.
-        help, description, examples: of its kind of `python -m data.convert`; empty where that writes something else.
+        help, description, examples: of its kind of `python -m data.convert`; empty if that writes something else.
     """
 
     module: str
@@ -154,7 +151,7 @@ SIMULATORS: Mapping[str, World] = {
         """\
 examples:
   python -m data.convert arena logs/arena-0 --seed 0 --frames 500 --sensor relative_point
-  python -m data.convert arena logs/off --curvature 0.02 --scale -0.1    odometry that errs systematically
+  python -m data.convert arena logs/off --curvature 0.02 --scale -0.1    odometry with systematic errors
 """,
     ),
     "circle": World(
@@ -162,8 +159,8 @@ examples:
         "Circle",
         "circle:0",
         "the circle world of the literature on consistent SLAM, simulated",
-        "A simulated robot round and round among landmarks; the defaults are a published benchmark, the same seed gives"
-        " the same log.",
+        "A simulated robot on circles among landmarks; the defaults are a published benchmark. The same seed gives the"
+        " same log.",
         """\
 examples:
   python -m data.convert circle logs/circle-0 --seed 0
@@ -189,8 +186,7 @@ examples:
         "Floorplan",
         "floorplan:0 or floorplan:0:people+glass+thin=5",
         "rooms and corridors seen by a laser scanner, simulated",
-        "A simulated robot with a laser scanner through rooms and corridors, again and again; the same seed gives the"
-        " same log.",
+        "A simulated robot with a laser scanner in rooms and corridors; the same seed gives the same log.",
         """\
 examples:
   python -m data.convert floorplan logs/floorplan-0 --seed 0 --frames 3000
@@ -201,17 +197,17 @@ examples:
         "data.worlds.linear",
         "LinearWorld",
         "linear:0",
-        "a simulated world in which every right estimator is consistent",
-        "A simulated robot among a grid of landmarks, its heading all but known; the same seed gives the same log.",
+        "a simulated world in which every correct estimator is consistent",
+        "A simulated robot in a grid of landmarks, its heading almost known; the same seed gives the same log.",
         "example:\n  python -m data.convert linear logs/linear-0 --seed 0 --frames 200",
     ),
     "park": World(
         "data.worlds.park",
         "Park",
         "park:0 or park:0:frames=8240",
-        "a large log: kilometres of ways among trees, simulated",
-        "A simulated robot on a grid of ways among trees, in loops of kilometres; the park grows with the drive, and"
-        " the same seed gives the same log.",
+        "a large log: kilometres of paths among trees, simulated",
+        "A simulated robot on a grid of paths among trees; the park grows with the drive, and the same seed gives the"
+        " same log.",
         "example:\n  python -m data.convert park logs/park-0 --seed 0 --frames 8240 --spacing 4.5",
     ),
     "walls": World(
@@ -228,7 +224,7 @@ examples:
 
 
 class Named(NamedTuple):
-    """What a log's name says: the world, its parameters, the seed, and the world's `counts` that were given."""
+    """The parts of a log's name: world, parameters, seed, and given `counts`."""
 
     world: str
     parameters: Any
@@ -244,28 +240,27 @@ def parameters_of(world: str) -> type[Any]:
 
 
 def simulate(world: str, parameters: Any, seed: int, name: str | None = None) -> Log:
-    """One log of a world. Same arguments: same bytes."""
+    """One log of a world, reproducible to the byte."""
     log: Log = importlib.import_module(SIMULATORS[world].module).simulate(parameters, seed, name)
     return log
 
 
 def is_simulated(name: str) -> bool:
-    """Whether a log's name is that of a simulated one, well-formed or not."""
+    """Whether a log's name is of a simulated world, well-formed or not."""
     world, colon, _ = name.partition(":")
     return bool(colon) and world in SIMULATORS
 
 
 def parse(name: str) -> Named:
-    """What the name of a simulated log says. Raises UsageError for what is not understood."""
+    """The parts of a simulated log's name; UsageError if not understood."""
     world = name.partition(":")[0]
     w = SIMULATORS[world]
     return Named(world, *parse_name(name, parameters_of(world), w.example, counts=w.counts))
 
 
 def named_log(name: str) -> Log:
-    """The log that a name says, under that name; the visual world's is without images.
-
-    Raises UsageError for a name that is not understood, and for counts: they say how much of a recording is read.
+    """The log of a name; the visual world's is without images. UsageError for an unknown name, or counts, which need
+    images.
     """
     world, parameters, seed, counts = parse(name)
     for key in counts:
@@ -274,7 +269,7 @@ def named_log(name: str) -> Log:
 
 
 def number(text: str) -> float:
-    """A flag's number; nan is none."""
+    """A flag's number, not NaN."""
     value = float(text)
     if math.isnan(value):
         raise ValueError
@@ -297,13 +292,13 @@ def seed(text: str) -> int:
 
 
 def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
-    """OUT, `--seed`, and a flag for every parameter, with what its docstring says; angles kept in degrees stay so."""
+    """OUT, `--seed`, and a flag for every parameter with its docstring's text; fields in degrees stay in degrees."""
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     sub.add_argument("--seed", type=seed, default=0, metavar="N", help="seed of every random number (default: 0)")
     parameters = parameters_of(simulator)
     names = [f.name for f in fields(parameters)]
     described: dict[str, str] = {}
-    for kind in reversed([k for k in parameters.__mro__ if is_dataclass(k)]):  # worlds that err share what they err by
+    for kind in reversed([k for k in parameters.__mro__ if is_dataclass(k)]):  # worlds share parameters of errors
         described |= _attributes(kind.__doc__ or "", names)
     for f in fields(parameters):
         flag, text = f"--{f.name.replace('_', '-')}", described.get(f.name, "")
@@ -311,7 +306,7 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
             text = f"{text} (default: {'on' if f.default else 'off'})".replace("%", "%%")
             sub.add_argument(flag, action=argparse.BooleanOptionalAction, default=f.default, help=text)
             continue
-        # a parameter that may be left out is a number, and says what it is then
+        # an optional parameter is a number, with its default in words
         number_of: type[Any] = float if f.default is None else type(f.default)
         default: Any = f.metadata.get("default", f.default)
         unit = number_of.__name__.upper()
@@ -326,7 +321,7 @@ def add_flags(sub: argparse.ArgumentParser, simulator: str) -> None:
 
 
 def _attributes(docstring: str, names: Sequence[str]) -> dict[str, str]:
-    """What a docstring says about each name: the text from `name:` (or `name, other:`) to the next one."""
+    """A docstring's text about each name, from `name:` (or `name, other:`) to the next one."""
     docstring = docstring.partition("Raises:")[0]
     name = f"(?:{'|'.join(names)})"
     found = list(re.finditer(rf"\b({name}(?:, {name})*): ", docstring))

@@ -1,8 +1,8 @@
-"""CSV files of another program: their text, which column holds what (`--columns t=stamp,truth.x=px`), and units.
+"""CSV files of other programs: their text, columns (`--columns t=stamp,truth.x=px`), and units.
 
-Comma, semicolon, tab or spaces; with a line of names or without; lines that start with `#` or `%` are comments, but the
-last one above the first row is the line of names where it has as many fields as the row. Fields may be quoted; they are
-kept as text until a column is read in SI units (`--unit angle=deg,time=ns,v=km/h`).
+Comma, semicolon, tab or spaces, with or without a header. Lines that start with `#` or `%` are comments; the last one
+above the first row is the header if its number of fields fits. Fields may be quoted; they stay text until a column is
+read in SI units (`--unit angle=deg,time=ns,v=km/h`).
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import DataError, UsageError
-from data.formats.csv_table import Table
+from data.formats.csv_table import Table, cut_off
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 
 SEPARATORS = (";", "\t", ",", " ")
-"""In this order, so that a decimal comma is not taken for a separator beside a semicolon or a tab."""
+"""In this order, since a decimal comma is no separator beside a semicolon or a tab."""
 COMMENT = ("#", "%")
 NAMES_SHOWN = 200
-"""Characters of a line of names that a message shows."""
+"""Most characters of a header in a message."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +33,11 @@ class TextTable:
     """Rows of text.
 
     Attributes:
-        path: how errors name the file.
-        names: of the columns; "1", "2", ... where the file has no line of names.
-        rows: fields without quotes and spaces around them, all rows of equal length.
-        line: (K,) line of the file each row stands in, from 1.
-        named: whether the names stand in the file.
+        path: the file's name in errors.
+        names: of the columns; "1", "2", ... without a header.
+        rows: stripped fields without quotes, rows of equal length.
+        line: (K,) line of each row in the file, from 1.
+        named: whether the file has a header.
         decimal_comma: numbers are written 1,5.
     """
 
@@ -52,7 +52,7 @@ class TextTable:
         return len(self.rows)
 
     def find(self, name: str) -> int | None:
-        """Number of the column of that name, or of that number counted from 1; None: there is none."""
+        """Index of the column of that name, or number counted from 1; None without one."""
         if name in self.names:
             return self.names.index(name)
         if name.isdecimal() and 1 <= int(name) <= len(self.names):
@@ -60,25 +60,19 @@ class TextTable:
         return None
 
     def described(self) -> str:
-        """The columns as a message shows them."""
+        """The columns in a message."""
         if not self.named:
             return f"columns 1 to {len(self.names)}, without names"
         text = ", ".join(self.names)
         return "columns " + (text if len(text) <= NAMES_SHOWN else text[:NAMES_SHOWN] + " ...")
 
-    def blank(self, column: int) -> BoolArray:
-        """Whether each field of a column (K,) is empty; bool."""
-        return np.array([not row[column] for row in self.rows], bool)
-
     def text(self, column: int, keep: BoolArray) -> list[str]:
-        """The fields of a column in the rows to keep (K,), bool."""
+        """The fields of a column in the rows to keep (K,)."""
         return [row[column] for row, wanted in zip(self.rows, keep.tolist(), strict=True) if wanted]
 
     def numbers(self, column: int, keep: BoolArray, *, stamps: bool) -> Array:
-        """A column as numbers, NaN where blank or nan; `stamps`: dates as in 2024-05-01T12:00:00.5 in s since 1970.
-
-        Raises:
-            DataError: a field is none, or infinite.
+        """A column as numbers, NaN where blank; `stamps`: dates as 2024-05-01T12:00:00.5 in s since 1970. DataError if
+        invalid.
         """
         parse = _seconds if stamps else _decimal if self.decimal_comma else _number
         fields = self.text(column, keep)
@@ -88,16 +82,13 @@ class TextTable:
             pass
         k = next(i for i, f in enumerate(fields) if f and not _parses(parse, f))
         what = "a date as in 2024-05-01T12:00:00.5" if stamps else "a number"
-        raise DataError.at(
-            self.path, f"{fields[k]!r} is not {what}", line=int(self.line[keep][k]), column=self.names[column]
-        )
+        line, name = int(self.line[keep][k]), self.names[column]
+        raise DataError.at(self.path, f"{fields[k]!r} is not {what}", line=line, column=name)
 
 
 def _number(field: str) -> float:
-    if "_" in field:  # Python reads 1_0 as ten
-        raise ValueError
     value = float(field)
-    if math.isinf(value):
+    if "_" in field or math.isinf(value):  # Python reads 1_0 as ten
         raise ValueError
     return value
 
@@ -107,7 +98,7 @@ def _decimal(field: str) -> float:
 
 
 def _seconds(field: str) -> float:
-    """Seconds since 1970 of a date in ISO 8601; without a zone it is UTC."""
+    """Seconds since 1970 of a date in ISO 8601; UTC without a zone."""
     date = datetime.fromisoformat(field)
     return (date if date.tzinfo is not None else date.replace(tzinfo=UTC)).timestamp()
 
@@ -121,7 +112,7 @@ def _parses(parse: Callable[[str], float], field: str) -> bool:
 
 
 def _is_row(fields: Sequence[str]) -> bool:
-    """Whether a line holds values: a number or a date in at least half of its fields that are not blank."""
+    """Whether at least half of a line's non-blank fields are numbers or dates."""
     filled = [f for f in fields if f]
     values = sum(_parses(_decimal, f) or _parses(_seconds, f) for f in filled)
     return bool(filled) and 2 * values >= len(filled)
@@ -135,9 +126,9 @@ def _split(lines: Sequence[str], separator: str) -> list[tuple[str, ...]]:
 
 
 def _separator(lines: Sequence[str]) -> str:
-    """The first that cuts the first lines into the same number of fields, more than one; else a comma (one column)."""
+    """The first that cuts the first lines into equal numbers of fields, more than one; else a comma."""
     for separator in SEPARATORS:
-        # the line of names may hold any character, so the rows below it decide
+        # a header may hold any character, so the rows below it decide
         counts = {len(row) for row in _split(lines[1:] or lines, separator)}
         if len(counts) == 1 and counts.pop() > 1:
             return separator
@@ -146,17 +137,13 @@ def _separator(lines: Sequence[str]) -> str:
 
 
 def read_text(path: Path) -> TextTable:
-    """The file's rows.
-
-    Raises:
-        DataError: it cannot be read, is no text, holds no rows, or a row has another number of fields than the first.
-    """
+    """The file's rows; DataError for an unreadable or binary file, one without rows, or unequal rows."""
     try:
         content = path.read_bytes()
     except OSError as error:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from None
     except ValueError:
-        raise DataError.at(path, "no file can be called so") from None
+        raise DataError.at(path, "not a file name") from None
     try:
         text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig")
     except UnicodeDecodeError:
@@ -169,7 +156,7 @@ def read_text(path: Path) -> TextTable:
     numbered = [(i, line.strip("\n\r")) for i, line in enumerate(text.splitlines(), 1) if line.strip(" \r\n;,")]
     plain = [(i, line) for i, line in numbered if not line.lstrip().startswith(COMMENT)]
     if not plain:
-        raise DataError.at(path, "no rows")
+        raise DataError.at(path, "no rows; at least one is needed")
     separator = _separator([line for _, line in plain[:50]])
     rows = _split([line for _, line in plain], separator)
     number = np.array([i for i, _ in plain], np.int64)
@@ -182,24 +169,19 @@ def read_text(path: Path) -> TextTable:
         if candidate and len(candidate[0]) == len(rows[0]):
             names = candidate[0]
     if not rows:
-        raise DataError.at(path, "a line of names and no rows")
+        raise DataError.at(path, "a header and no rows; at least one is needed")
     width = len(rows[0]) if names is None else len(names)
     for row, line in zip(rows, number.tolist(), strict=True):
         if len(row) != width:
-            last = " (the file ends here: was it cut off?)" if line == number[-1] and len(row) < width else ""
+            last = cut_off(len(row), width, last=line == number[-1])
             raise DataError.at(path, f"{len(row)} fields where {width} are needed{last}", line=line)
-    if names is not None:
-        twice = [n for i, n in enumerate(names) if n and n in names[:i]]
-        if twice:
-            raise DataError.at(path, f"two columns are named {twice[0]!r}", line=None)
-    comma = separator in ";\t " and any("," in f for row in rows for f in row) and not _has_points(rows)
+    twice = [n for i, n in enumerate(names or ()) if n and n in (names or ())[:i]]
+    if twice:
+        raise DataError.at(path, f"two columns are named {twice[0]!r}")
+    points = any("." in f and _parses(_number, f) for row in rows[:1000] for f in row)
+    comma = separator in ";\t " and any("," in f for row in rows for f in row) and not points
     shown = names if names is not None else tuple(str(k + 1) for k in range(width))
     return TextTable(path, shown, tuple(rows), number, names is not None, comma)
-
-
-def _has_points(rows: Sequence[Sequence[str]]) -> bool:
-    """Whether some number is written with a decimal point."""
-    return any("." in f and _parses(_number, f) for row in rows[:1000] for f in row)
 
 
 LENGTH = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "km": 1e3, "ft": 0.3048, "in": 0.0254}
@@ -207,7 +189,7 @@ ANGLE = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi}
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0}
 DIMENSIONS = {"length": LENGTH, "angle": ANGLE, "time": TIME}
 ISO = "iso"
-"""Unit of time of a column of dates."""
+"""Unit of time for a column of dates."""
 
 QUANTITIES = {
     "t": "time",
@@ -217,17 +199,17 @@ QUANTITIES = {
     "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
 }
-"""What a column may hold, and its dimension; rates are per second unless a unit says otherwise."""
+"""Quantities of columns, and their dimensions; rates are per second by default."""
 
 
 @dataclass(frozen=True)
 class Units:
-    """What was said, by key: a dimension, a quantity, or `role.quantity`; the narrower one counts."""
+    """Stated units by key: a dimension, a quantity, or `role.quantity`; the narrower key wins."""
 
-    said: Mapping[str, str]
+    given: Mapping[str, str]
 
     def __post_init__(self) -> None:
-        for key, unit in self.said.items():
+        for key, unit in self.given.items():
             quantity = key.rpartition(".")[2]
             if key not in DIMENSIONS and not QUANTITIES.get(quantity):
                 known = ", ".join([*DIMENSIONS, *(q for q, d in QUANTITIES.items() if d)])
@@ -235,12 +217,12 @@ class Units:
             factor(key if key in DIMENSIONS else QUANTITIES[quantity], unit, f"--unit {key}={unit}")
 
     def unit(self, role: str, quantity: str) -> str | None:
-        """The unit said for a quantity of its own, `role.quantity` before `quantity`."""
-        return self.said.get(f"{role}.{quantity}", self.said.get(quantity))
+        """The unit stated for a quantity, `role.quantity` before `quantity`."""
+        return self.given.get(f"{role}.{quantity}", self.given.get(quantity))
 
     def is_date(self, role: str) -> bool:
         """Whether a file's stamps are dates."""
-        return (self.unit(role, "t") or self.said.get("time")) == ISO
+        return (self.unit(role, "t") or self.given.get("time")) == ISO
 
     def factor(self, role: str, quantity: str) -> float:
         """SI units per unit of a quantity in a file."""
@@ -250,12 +232,12 @@ class Units:
         if unit is not None:
             return factor(dimension, unit, f"--unit {quantity}={unit}")
         kind = dimension.partition("/")[0]
-        said = self.said.get(kind)
+        said = self.given.get(kind)
         return 1.0 if said is None else factor(kind, said, f"--unit {kind}={said}")
 
 
 def factor(dimension: str, text: str, where: str) -> float:
-    """SI units per unit `text`, a minus sign in front (clockwise angles) included; UsageError for an unknown one."""
+    """SI units per unit `text`, with a minus sign for clockwise angles; UsageError for an unknown one."""
     sign, unit = (-1.0, text[1:]) if text.startswith("-") else (1.0, text)
     over, slash, under = unit.partition("/")
     kind, per, _ = (*dimension.split("/"), "", "")[:3]
@@ -270,7 +252,7 @@ def factor(dimension: str, text: str, where: str) -> float:
 
 
 def quantity_with_unit(text: str, dimension: str, where: str) -> float:
-    """A number with its unit behind, as in 2deg or 5mm; SI where none is said. UsageError for anything else."""
+    """A number with an optional unit, as 2deg or 5mm; SI by default. UsageError for anything else."""
     stripped = text.strip()
     end = len(stripped)
     while end and not (stripped[end - 1].isdigit() or stripped[end - 1] == "."):
@@ -291,43 +273,37 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 
 @dataclass(eq=False)
 class Columns:
-    """What was said, by key `quantity` or `role.quantity`; a quantity without is looked for under its own name.
+    """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
 
-    `used`: keys that named a column of some file so far.
+    `used`: keys that named a column so far.
     """
 
-    said: Mapping[str, str]
+    given: Mapping[str, str]
     units: Units
     used: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        for key, name in self.said.items():
+        for key, name in self.given.items():
             role, dot, quantity = key.rpartition(".")
             if quantity not in QUANTITIES or (dot and role not in ROLES):
-                raise UsageError(
-                    f"--columns {key}={name}: unknown quantity {key!r}; known: {', '.join(QUANTITIES)}, each also as "
-                    f"in odometry.t (files: {', '.join(ROLES)})"
-                )
+                known = f"{', '.join(QUANTITIES)}, each also as in odometry.t (files: {', '.join(ROLES)})"
+                raise UsageError(f"--columns {key}={name}: unknown quantity {key!r}; known: {known}")
 
     def stated(self, role: str, quantities: Collection[str]) -> bool:
-        """Whether a column was named for one of these quantities of a file, by role."""
-        return any(f"{role}.{q}" in self.said for q in quantities)
+        """Whether a column of this role is stated for one of the quantities."""
+        return any(f"{role}.{q}" in self.given for q in quantities)
 
     def find(self, file: TextTable, role: str, quantity: str) -> int | None:
-        """Number of the column of a file that holds a quantity; None: there is none.
-
-        Raises:
-            DataError: the column named for it is not there.
-        """
+        """Index of the column of a quantity in a file, or None; DataError if its stated column is missing."""
         own = f"{role}.{quantity}"
-        if own in self.said:
-            column = file.find(self.said[own])
+        if own in self.given:
+            column = file.find(self.given[own])
             if column is None:
-                raise DataError.at(file.path, f"no column {self.said[own]!r} ({own}); it has {file.described()}")
+                raise DataError.at(file.path, f"no column {self.given[own]!r} ({own}); it has {file.described()}")
             self.used.add(own)
             return column
-        if quantity in self.said:
-            column = file.find(self.said[quantity])
+        if quantity in self.given:
+            column = file.find(self.given[quantity])
             if column is not None:
                 self.used.add(quantity)
                 return column
@@ -341,7 +317,7 @@ class Columns:
             if column is None:
                 raise DataError.at(
                     file.path,
-                    f"no column {self.said.get(q, q)!r} for {q}; it has {file.described()}; name it as in "
+                    f"no column {self.given.get(q, q)!r} for {q}; it has {file.described()}; name it as in "
                     f"--columns {role}.{q}=NAME",
                 )
             columns.append(column)
@@ -352,8 +328,8 @@ class Columns:
         return all(self.find(file, role, q) is not None for q in quantities)
 
     def check_used(self, files: Sequence[TextTable]) -> None:
-        """Raise UsageError for a column that was named and stands in no file."""
-        for key, name in self.said.items():
+        """UsageError for a stated column that is in no file."""
+        for key, name in self.given.items():
             if key not in self.used:
                 has = "; ".join(f"{f.path.name} has {f.described()}" for f in files)
                 raise UsageError(f"--columns {key}={name}: not used: {_why(key, name, files)}; {has}")
@@ -368,19 +344,17 @@ class Columns:
         texts: Sequence[str] = (),
         may_be_blank: Collection[str] = (),
     ) -> tuple[Table, dict[str, list[str]], int]:
-        """Quantities of a file in SI units, some optional ones, and `texts` as they stand; how many rows were skipped.
+        """Quantities of a file in SI units, some optional, and `texts` unconverted; and the number of skipped rows.
 
-        Rows in which all of the required quantities but t are blank are skipped: a file may hold several things.
-
-        Raises:
-            DataError: a column is missing, a field is no number, or blank where that is not allowed.
+        Rows whose required quantities except t are all blank are skipped. DataError for a missing column, or an invalid
+        or blank field.
         """
         columns = dict(zip(quantities, self.require(file, role, quantities), strict=True))
         columns |= {q: c for q in optional if (c := self.find(file, role, q)) is not None}
         empty = np.ones(len(file), bool)
         for q in quantities:
             if q != "t":
-                empty &= file.blank(columns[q]) | _nan(file, columns[q])
+                empty &= np.array([row[columns[q]].lower() in ("", "nan") for row in file.rows], bool)
         keep = ~empty if not may_be_blank else np.ones(len(file), bool)
         values: dict[str, Array] = {}
         for q, c in columns.items():
@@ -388,35 +362,29 @@ class Columns:
             values[q] = file.numbers(c, keep, stamps=dates) * self.units.factor(role, q)
         table = Table(file.path, values, line=file.line[keep])
         for q, c in columns.items():
-            if q not in may_be_blank:
-                fine = np.isfinite(values[q])
-                if not fine.all():
-                    raise table.error(int(np.argmin(fine)), file.names[c], "blank; a number is needed")
+            fine = np.isfinite(values[q])
+            if q not in may_be_blank and not fine.all():
+                raise table.error(int(np.argmin(fine)), file.names[c], "blank; a number is needed")
         found = {q: file.text(c, keep) for q in texts if (c := self.find(file, role, q)) is not None}
         return table, found, int(empty.sum()) if not may_be_blank else 0
 
 
-def _nan(file: TextTable, column: int) -> BoolArray:
-    return np.array([row[column].lower() == "nan" for row in file.rows], bool)
-
-
 def _why(key: str, name: str, files: Sequence[TextTable]) -> str:
-    """Why a key named nothing."""
+    """Why a key is unused."""
     role, _, quantity = key.rpartition(".")
     if any(f.find(name) is not None for f in files):
-        return f"nothing here is made of {quantity}" + (f" of the {role}" if role else "")
+        return f"{quantity} is not needed" + (f" in the {role}" if role else "")
     return f"no file has a column {name!r}"
 
 
 def headings(values: Mapping[str, Array]) -> Array:
-    """Headings (K,) [rad] of theta, or of a quaternion's rotation about z."""
+    """Headings (K,) [rad] from theta, or from a quaternion's rotation about z."""
     if "theta" in values:
         return values["theta"]
     x, y, z, w = (values[q] for q in QUATERNION)
-    heading: Array = np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-    return heading
+    return np.asarray(np.arctan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 def shared(paths: Mapping[str, Path]) -> set[str]:
-    """Roles whose file has another role, too."""
+    """Roles whose file has another role."""
     return {r for r, p in paths.items() if list(paths.values()).count(p) > 1}

@@ -1,4 +1,4 @@
-"""What `python -m data.convert table` was asked for: texts of flags or of a mapping file, as values in SI units."""
+"""The request of `python -m data.convert table`: flags or a mapping file, as values in SI units."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from data.errors import DataError, UsageError
 from data.formats.recordings.laser import TravelNoise
 from data.formats.tables.files import ROLES, Columns, Units, quantity_with_unit, read_text
 from data.formats.tables.motion import KINDS, Wheels, kind_of
-from data.motion.velocity import VelocityNoise
+from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.se2 import Array
 from data.toml_table import load_toml
 
@@ -22,19 +22,19 @@ FROM_TRUTH = "truth"
 
 @dataclass(frozen=True, eq=False)
 class Wanted:
-    """What was asked for, in SI units.
+    """The request, in SI units.
 
     Attributes:
         files: path by role (odometry, observations, map, truth).
-        columns: which column holds what, and units.
-        kind: of odometry; None: found by its columns.
+        columns: columns and units.
+        kind: of odometry; None: by its columns.
         wheels: of wheel ticks.
         noise: of the odometry.
-        sigma: (2,) of a reading.
+        sigma: (2,) of an observation.
         prior: mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None.
         map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's.
-        every_row: every odometry row is a frame, not only those with readings.
-        max_range: m, view: rad, least and largest bearing; None: what is seen.
+        every_row: every odometry row is a frame, not only those with observations.
+        max_range: m, view: rad, least and largest bearing; None: as observed.
         sensor_pose: (3,) of the sensor in the body frame.
         sensed: a sensor read the labels.
     """
@@ -61,14 +61,12 @@ TRAVEL = ("length", "length", "angle", "angle")
 TUNED = "`python -m eval.tune LOG OUT` fits it afterwards where the log has labels"
 
 Given = Mapping[str, object]
-"""Texts by flag (without dashes in front), `columns` and `unit` as text or as a table of texts."""
+"""Texts by flag (without leading dashes), `columns` and `unit` as text or as a table of texts."""
 
 
 def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, object]:
-    """The flags with what the mapping file says besides; paths in it are relative to it, flags win.
-
-    Raises:
-        DataError: not TOML, an unknown key, or a value of another kind.
+    """The flags and the keys of a mapping file, whose paths are relative to it; flags win. DataError for an invalid
+    file.
     """
     merged: dict[str, object] = {}
     for key, value in load_toml(path, lambda what: DataError.at(path, what)).items():
@@ -77,9 +75,7 @@ def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, obj
             raise DataError.at(path, f"unknown key {key!r}; known: {', '.join(keys)}")
         if flag in ("columns", "unit"):
             if not isinstance(value, dict):
-                raise DataError.at(
-                    path, f'{key}: a table is needed, as in [{key}] and below it lines such as t = "stamp"'
-                )
+                raise DataError.at(path, f'{key}: a table is needed, as [{key}] with lines such as t = "stamp"')
             merged[flag] = dict(_flat(value))
         elif isinstance(value, list):
             merged[flag] = ",".join(str(v) for v in value)
@@ -96,7 +92,7 @@ def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, obj
 
 
 def _flat(table: Mapping[str, object], above: str = "") -> list[tuple[str, str]]:
-    """Keys with dots of tables in tables."""
+    """Dotted keys of nested tables."""
     flat: list[tuple[str, str]] = []
     for key, value in table.items():
         flat += _flat(value, f"{above}{key}.") if isinstance(value, dict) else [(f"{above}{key}", str(value))]
@@ -104,7 +100,7 @@ def _flat(table: Mapping[str, object], above: str = "") -> list[tuple[str, str]]
 
 
 def pairs(value: object, flag: str) -> dict[str, str]:
-    """`a=b,c=d` (or several such texts, or a table) as a table."""
+    """`a=b,c=d` (or several such texts, or a table) as a dict."""
     if isinstance(value, Mapping):
         return {str(k): str(v) for k, v in value.items()}
     texts = value if isinstance(value, list) else [str(value)]
@@ -112,7 +108,8 @@ def pairs(value: object, flag: str) -> dict[str, str]:
     for part in [p.strip() for text in texts for p in str(text).split(",") if p.strip()]:
         key, equals, name = part.partition("=")
         if not (key.strip() and equals and name.strip()):
-            raise UsageError(f"--{flag} {part}: KEY=NAME is needed, as in t=stamp; names with commas go into --mapping")
+            right = "KEY=NAME is needed, as in t=stamp (names with commas: in a mapping file)"
+            raise UsageError(f"--{flag} {part}: {right}")
         if key.strip() in found:
             raise UsageError(f"--{flag}: {key.strip()} is named twice")
         found[key.strip()] = name.strip()
@@ -120,7 +117,7 @@ def pairs(value: object, flag: str) -> dict[str, str]:
 
 
 def numbers(text: object, dimensions: Sequence[str], flag: str, what: str) -> Array:
-    """Numbers with or without units, one for each dimension; `what` says in a message which."""
+    """Numbers with or without units, one for each dimension; `what` describes them in a message."""
     parts = [p for p in str(text).replace(",", " ").split() if p]
     if len(parts) != len(dimensions):
         raise UsageError(f"--{flag} {text}: {len(dimensions)} numbers are needed: {what}")
@@ -135,11 +132,7 @@ def _sigmas(text: object, dimensions: Sequence[str], flag: str, what: str, *, ze
 
 
 def settle(given: Given) -> Wanted:
-    """Everything in SI units.
-
-    Raises:
-        UsageError: something is missing, unknown, or no number; what stands in the files is checked later.
-    """
+    """The request in SI units; UsageError for missing, unknown or invalid values."""
     files = {role: Path(str(given[role])) for role in ROLES if given.get(role) is not None}
     if "odometry" not in files:
         raise UsageError('a mapping file names the file with the odometry: odometry = "FILE"')
@@ -147,21 +140,18 @@ def settle(given: Given) -> Wanted:
     kind = given.get("odometry-kind")
     if kind is not None and kind not in KINDS:
         raise UsageError(f"--odometry-kind {kind}: known: {', '.join(KINDS)}")
-    odometry = read_text(files["odometry"])
-    kind = kind_of(odometry, columns, None if kind is None else str(kind))
-    sighted = read_text(files["observations"])
-    polar = columns.find(sighted, "observations", "range") is not None
+    kind = kind_of(read_text(files["odometry"]), columns, None if kind is None else str(kind))
+    polar = columns.find(read_text(files["observations"]), "observations", "range") is not None
+    spread = given.get("prior-sigma")
     return Wanted(
         files=files,
         columns=columns,
         kind=kind,
         wheels=_wheels(given) if kind == "ticks" else None,
         noise=_noise(given, kind),
-        sigma=_reading_sigma(given, polar=polar),
+        sigma=_observation_sigma(given, polar=polar),
         prior=_prior(given),
-        prior_sigma=_sigmas(given["prior-sigma"], POSE, "prior-sigma", "x and y [m], heading [rad]")
-        if "prior-sigma" in given
-        else None,
+        prior_sigma=None if spread is None else _sigmas(spread, POSE, "prior-sigma", "x and y [m], heading [rad]"),
         map_pose=_pose(given, "map-transform"),
         truth_pose=_pose(given, "truth-transform"),
         every_row=_one_of(given, "frames", ("observations", "odometry")) == "odometry",
@@ -181,9 +171,7 @@ def _one_of(given: Given, flag: str, known: Sequence[str]) -> str:
 
 def _wheels(given: Given) -> Wheels:
     if "track-width" not in given or "metres-per-tick" not in given:
-        raise UsageError(
-            "wheel ticks need --track-width M (between the wheels) and --metres-per-tick M (or LEFT,RIGHT)"
-        )
+        raise UsageError("wheel ticks: --track-width M and --metres-per-tick M (or LEFT,RIGHT) are needed")
     width = float(numbers(given["track-width"], ("length",), "track-width", "the distance between the wheels")[0])
     text = str(given["metres-per-tick"])
     count = len(text.replace(",", " ").split())
@@ -198,7 +186,7 @@ def _wheels(given: Given) -> Wheels:
 
 
 def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
-    """Odometry noise; which numbers depends on the kind of odometry."""
+    """Odometry noise, by the kind of odometry."""
     velocities = kind == "velocities"
     default = "density" if velocities else "travel"
     known = ("density", "velocity", "displacement", "textbook") if velocities else ("travel",)
@@ -211,28 +199,25 @@ def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
         "displacement": "A1,A2,A3,A4: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
         "textbook": "A1,A2,A3,A4[,A5,A6]: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, "
         "A5 v^2 + A6 omega^2 of a final rotation",
-        "travel": "of the way [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
+        "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
         f"{','.join(f'{n:g}' for n in TravelNoise())} was measured on a robot with wheels in an office",
     }[model]
     if "odometry-sigma" not in given:
-        raise UsageError(f"how noisy is the odometry? --odometry-sigma is needed: {what}; {TUNED}")
+        raise UsageError(f"unknown odometry noise; --odometry-sigma is needed: {what}; {TUNED}")
     text = given["odometry-sigma"]
     if model == "travel":
         return TravelNoise(*_sigmas(text, TRAVEL, "odometry-sigma", what).tolist())
-    if model == "displacement":
-        a1, a2, a3, a4 = _sigmas(text, ("",) * 4, "odometry-sigma", what).tolist()
-        return VelocityNoise(model, alphas=(a1, a2, a3, a4))
-    if model == "textbook":
-        count = 6 if len(str(text).replace(",", " ").split()) == 6 else 4
+    if model in WITH_ALPHAS:
+        count = 6 if model == "textbook" and len(str(text).replace(",", " ").split()) == 6 else 4
         return VelocityNoise(model, alphas=tuple(_sigmas(text, ("",) * count, "odometry-sigma", what).tolist()))
     sigma_v, sigma_omega = _sigmas(text, ("length", "angle"), "odometry-sigma", what).tolist()
     return VelocityNoise(model, sigma=(sigma_v, sigma_omega))
 
 
-def _reading_sigma(given: Given, *, polar: bool) -> Array:
+def _observation_sigma(given: Given, *, polar: bool) -> Array:
     what = "of a range [m] and a bearing [rad], as in 0.1,2deg" if polar else "of x and y [m], as in 0.1,0.1"
     if "observation-sigma" not in given:
-        raise UsageError(f"how noisy is a reading? --observation-sigma is needed: {what}; {TUNED}")
+        raise UsageError(f"unknown observation noise; --observation-sigma is needed: {what}; {TUNED}")
     dimensions = ("length", "angle" if polar else "length")
     return _sigmas(given["observation-sigma"], dimensions, "observation-sigma", what, zero=False)
 

@@ -1,4 +1,4 @@
-"""A log out of the tables of another program: frames, increments, observations, map, truth and prior in SI units."""
+"""A log from the tables of another program: frames, increments, observations, map, truth and prior in SI units."""
 
 from __future__ import annotations
 
@@ -20,13 +20,14 @@ from data.log import Log
 from data.motion.velocity import floor_covariances
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
+from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import UNKNOWN_ID, Truth
 
 
 @dataclass(frozen=True, eq=False)
 class FrameObservations:
-    """Readings in the order of their stamps: z (M, 2), t (M,) s or frame numbers, whether range and bearing."""
+    """Observations in the order of their stamps: z (M, 2), stamps or frames `at` (M,), whether range and bearing."""
 
     table: Table
     texts: Mapping[str, list[str]]
@@ -42,12 +43,12 @@ class FrameObservations:
 
 
 def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameObservations:
-    """The readings of a file: range and bearing, or x and y in the sensor's frame."""
+    """The observations of a file: range and bearing, or x and y in the sensor's frame."""
     columns = wanted.columns
     polar = columns.find(file, "observations", "range") is not None
     polar |= columns.find(file, "observations", "bearing") is not None
     if not polar and not columns.has(file, "observations", ("x", "y")):
-        what = f"no readings: {file.described()}; needed are range and bearing, or x and y in the body frame"
+        what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns range=DIST,bearing=ANGLE")
     by_stamp = odometry.stamped and columns.find(file, "observations", "t") is not None
     key = "t" if by_stamp else "frame"
@@ -56,7 +57,7 @@ def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameOb
     values = ("range", "bearing") if polar else ("x", "y")
     table, texts, skipped = columns.table(file, "observations", (*values, key), texts=("true_id", "label"))
     together = "observations" in shared(wanted.files)
-    notes = [f"{file.path.name}: {skipped} rows without a reading"] if skipped and not together else []
+    notes = [f"{file.path.name}: {skipped} rows without an observation"] if skipped and not together else []
     z = table.stack(values)
     if polar:
         table.require(z[:, 0] >= 0.0, "range", "{} is a negative range")
@@ -68,15 +69,13 @@ def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameOb
     found = FrameObservations(table, texts, z, at, polar, tuple(notes))
     back = int((np.diff(at) < 0.0).sum())
     if back:
-        found = found.part(np.argsort(at, kind="stable").astype(np.int64))
-        found = replace(
-            found, notes=(*notes, f"{file.path.name}: {back} readings were stamped before the one above; sorted")
-        )
+        notes.append(f"{file.path.name}: {back} observations were stamped before the one above; sorted")
+        found = replace(found.part(np.argsort(at, kind="stable").astype(np.int64)), notes=tuple(notes))
     return found
 
 
 def whole(table: Table, fields: list[str], name: str) -> IntArray:
-    """Ids: whole numbers, blank for not known, -1 for clutter."""
+    """Ids: whole numbers, blank for unknown, -1 for false alarms."""
     blank = UNLABELLED if name == "label" else UNKNOWN_ID
     ids = np.full(len(fields), blank, np.int64)
     for i, field in enumerate(fields):
@@ -92,35 +91,30 @@ def whole(table: Table, fields: list[str], name: str) -> IntArray:
 
 
 LONGEST = 1e6
-"""s. A log that lasts longer has stamps in another unit; keyframes would fill the memory."""
+"""s, longest log; stamps in another unit would fill the memory with keyframes."""
 
 
 def open_files(files: Mapping[str, Path]) -> dict[str, TextTable]:
-    """The text of each file, by role; one that has several roles is read once."""
+    """The text of each file, by role; a file with several roles is read once."""
     read = {path: read_text(path) for path in dict.fromkeys(files.values())}
     return {role: read[path] for role, path in files.items()}
 
 
 def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
-    """The log of the tables.
-
-    Raises:
-        DataError, UsageError: see the readers of the parts; stamps that do not overlap; no prior where one is needed.
-    """
+    """The log of the tables; DataError or UsageError for invalid parts, stamps without overlap, or a missing prior."""
     columns = wanted.columns
-    odometry = read_odometry(
-        texts["odometry"], columns, kind_of(texts["odometry"], columns, wanted.kind), wanted.wheels
-    )
+    kind = kind_of(texts["odometry"], columns, wanted.kind)
+    odometry = read_odometry(texts["odometry"], columns, kind, wanted.wheels)
     seen = observations(texts["observations"], wanted, odometry)
     notes = [*odometry.notes, *seen.notes]
     time, frame, seen = _frames(odometry, seen, wanted, notes)
-    increments, counted = odometry.increments(time, wanted.noise)
+    increments, gaps = odometry.increments(time, wanted.noise)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if odometry.velocity is None:
-        floored += counted
-    elif counted:
-        gaps = "gap" if counted == 1 else "gaps"
-        notes.append(f"odometry: {counted} {gaps} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
+        floored += gaps  # of poses it counts floored covariances
+    elif gaps:
+        many = counted(gaps, "gap")
+        notes.append(f"odometry: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
     known = _map(texts["map"], wanted) if "map" in texts else None
     pose = _truth(texts["truth"], wanted, time, notes, stamped=odometry.stamped) if "truth" in texts else None
     columns.check_used(list(dict.fromkeys(texts.values())))
@@ -145,7 +139,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
         Truth(pose, known, labels.get("true_id")),
         label=labels.get("label"),
         labels_are_sensed=wanted.sensed,
-        source={"kind": "table", **files, "columns": dict(columns.said), "unit": dict(columns.units.said)},
+        source={"kind": "table", **files, "columns": dict(columns.given), "unit": dict(columns.units.given)},
         notes=tuple(notes),
     )
 
@@ -153,23 +147,23 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
 def _frames(
     odometry: Odometry, seen: FrameObservations, wanted: Wanted, notes: list[str]
 ) -> tuple[Array, IntArray, FrameObservations]:
-    """Time (N,) of the frames, the frame (M,) of each reading, and the readings that have odometry."""
+    """Time (N,) of the frames, the frame (M,) of each observation, and the observations with odometry."""
     if "t" not in seen.table:
         return odometry.time, seen.at.astype(np.int64), seen
     first, last = float(odometry.time[0]), float(odometry.time[-1])
     inside = (seen.at >= first) & (seen.at <= last)
     if len(inside) and not inside.any():
-        apart = f"readings from {_span(seen.at)} s, odometry from {_span(odometry.time)} s: they have no time in common"
-        raise DataError.at(seen.table.path, f"{apart}; units of each are stated as in --unit odometry.t=ms")
-    if odometry.velocity is not None:  # a robot without samples may have moved: the covariance grows, as on loading
+        apart = f"observations from {_span(seen.at)} s, odometry from {_span(odometry.time)} s do not overlap"
+        raise DataError.at(seen.table.path, f"{apart}; state the units as in --unit odometry.t=ms")
+    if odometry.velocity is not None:  # without samples the covariance grows, as on loading
         first, last = min(first, seen.at.min(initial=first)), max(last, seen.at.max(initial=last))
     elif not inside.all():
-        some = f"{(~inside).sum()} of {len(inside)} readings"
-        notes.append(f"{some} before or after all odometry, {_span(odometry.time)} s, left out")
+        some = f"{(~inside).sum()} of {len(inside)} observations"
+        notes.append(f"{some} before or after all odometry, {_span(odometry.time)} s, dropped")
         seen = seen.part(np.flatnonzero(inside))
     if last - first > LONGEST:
         span = f"the stamps span {last - first:.6g} s, {(last - first) / 86400.0:.3g} days"
-        raise DataError.at(odometry.table.path, f"{span}; if they are not seconds, say so as in --unit time=ns")
+        raise DataError.at(odometry.table.path, f"{span}; state the unit as in --unit time=ns")
     at = np.concatenate([seen.at, odometry.time]) if wanted.every_row else seen.at
     time = frame_times(at, first, last)
     return time, np.searchsorted(time, seen.at).astype(np.int64), seen
@@ -188,7 +182,7 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     twice = np.flatnonzero(ids[order][1:] == ids[order][:-1])
     if len(twice):
         row = int(order[twice[0] + 1])
-        raise table.error(row, "id", f"{ids[row]} a second time; each landmark needs an id of its own")
+        raise table.error(row, "id", f"{ids[row]} is repeated; each landmark needs an id of its own")
     if len(ids) and ids.min() < 0:
         raise table.error(int(np.argmin(ids)), "id", f"{ids.min()} is negative; ids are whole numbers from 0 up")
     return LandmarkMap(ids[order], se2.transform_points(wanted.map_pose, table.stack(("x", "y")))[order])
@@ -215,7 +209,7 @@ def _truth(file: TextTable, wanted: Wanted, time: Array, notes: list[str], *, st
     result = truth_at(values["t"], world, time)
     if there.any() and not np.isfinite(result).any():
         apart = f"truth from {_span(values['t'])} s, frames from {_span(time)} s: no frame has one within {MAX_GAP:g} s"
-        raise DataError.at(file.path, f"{apart}; units are stated as in --unit truth.t=ms")
+        raise DataError.at(file.path, f"{apart}; state the unit as in --unit truth.t=ms")
     return result
 
 
@@ -223,18 +217,16 @@ def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None) -> Pri
     """Belief about the first pose."""
     if wanted.prior is None:
         if pose is not None or known is not None:
-            what = "a map" if pose is None else "truth"
-            raise UsageError(
-                f"where does the robot start in the frame of the {'map' if pose is None else 'truth'}? With {what} "
-                "that must be said: --prior X,Y,THETA (m, rad; 90deg is fine), or --prior truth for the first true pose"
-            )
+            what = f"unknown start in the frame of the {'map' if pose is None else 'truth'}"
+            right = "--prior X,Y,THETA (m, rad; or as in 90deg), or --prior truth for the first true pose, is needed"
+            raise UsageError(f"{what}; {right}")
         return Prior(np.zeros(3), np.zeros((3, 3)))
     if wanted.prior_sigma is None:
-        raise UsageError("how sure is --prior? --prior-sigma SX,SY,STHETA (m, m, rad; 0,0,0: exact) is needed")
+        raise UsageError("--prior: --prior-sigma SX,SY,STHETA (m, m, rad; 0,0,0: exact) is needed")
     mean = wanted.prior
     if isinstance(mean, str):
         if pose is None:
-            raise UsageError("--prior truth: there is no --truth")
+            raise UsageError("--prior truth: --truth FILE is needed")
         if not np.isfinite(pose[0]).all():
             raise UsageError("--prior truth: the first frame has no true pose; state it with --prior X,Y,THETA")
         mean = pose[0]
@@ -242,14 +234,14 @@ def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None) -> Pri
 
 
 def _sensor(wanted: Wanted, seen: FrameObservations, notes: list[str]) -> Sensor:
-    """The sensor, its field of view stated or as far as it was seen."""
+    """The sensor, with the stated or observed field of view."""
     kind = RangeBearing if seen.polar else RelativePoint
     polar = kind().polar(seen.z)
     reach, view = wanted.max_range, wanted.view
     if reach is None:
-        # a little more, so that the farthest reading is inside however the number is rounded
+        # a little more, so that the farthest observation is inside whatever the rounding
         reach = 1.001 * float(polar[:, 0].max()) if len(polar) and polar[:, 0].max() > 0.0 else np.inf
-        notes.append(f"max_range is {reach:.4g} m, the farthest reading; --max-range states the sensor's own")
+        notes.append(f"max_range is {reach:.4g} m, the farthest observation; --max-range states the sensor's own")
     low, high = view or (-np.pi, np.pi)
     back = se2.inverse(wanted.sensor_pose)
     return kind(reach, low, high, float(back[2]), (float(back[0]), float(back[1])))

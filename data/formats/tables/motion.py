@@ -1,4 +1,4 @@
-"""Odometry of a foreign table as increments between frames: velocities, poses, steps or wheel ticks."""
+"""Odometry of another program's table as increments between frames: velocities, poses, steps or wheel ticks."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ KINDS = {
 }
 """Columns of each kind of odometry; steps are the motion since the row before, in the body frame there."""
 TURNS = 4.0 * np.pi
-"""rad. Headings beyond are the sum of many turns, or degrees."""
+"""rad. Larger headings are the sum of many turns, or degrees."""
 STAMPED = ("velocities",)
-"""Kinds that mean nothing without stamps."""
+"""Kinds that need stamps."""
 
 
 @dataclass(frozen=True)
 class Wheels:
-    """Of wheel ticks: track_width [m], metres per tick left and right, whether each row counts from the row before
-    (`each`) or from the start, and at how many ticks a counter starts again (0: never).
+    """Wheels of ticks: track_width [m], metres per tick left and right, whether each row counts from the one before
+    (`each`), and the number of ticks at which a counter restarts (0: never).
     """
 
     track_width: float
@@ -47,12 +47,12 @@ class Odometry:
     """One file's odometry.
 
     Attributes:
-        table: its rows, for messages; t in s where there are stamps.
-        time: (K,) s, strictly increasing; row numbers where there are no stamps.
-        stamped: whether there are.
+        table: its rows, for messages.
+        time: (K,) s, strictly increasing; row numbers without stamps.
+        stamped: whether there are stamps.
         pose: (K, 3) composed or recorded; None for velocities.
         velocity: (K, 2) m/s and rad/s; None for the others.
-        notes: what was left out.
+        notes: about ignored rows.
     """
 
     table: Table
@@ -63,9 +63,9 @@ class Odometry:
     notes: tuple[str, ...] = ()
 
     def increments(self, at: Array, noise: VelocityNoise | TravelNoise) -> tuple[Increments, int]:
-        """Motion between the instants `at` (N,), and how many gaps the odometry has there or covariances were floored.
+        """Motion between the instants `at` (N,), and the number of gaps (velocities) or floored covariances (poses).
 
-        Velocities: preintegrated (exact arcs, zero-order hold). Poses: interpolated at the instants, differences taken.
+        Velocities are preintegrated (exact arcs, zero-order hold); poses are interpolated, then differenced.
         """
         if self.velocity is not None:
             if not isinstance(noise, VelocityNoise):
@@ -77,45 +77,36 @@ class Odometry:
         return increments_of(self.pose if same else se2.interpolate(self.time, self.pose, at), noise)
 
 
-def kind_of(file: TextTable, columns: Columns, said: str | None) -> str:
-    """The kind of odometry a file holds: what was said, else the only one whose columns it has.
-
-    Raises:
-        DataError: none or several.
-    """
-    if said is not None:
-        return said
+def kind_of(file: TextTable, columns: Columns, asked: str | None) -> str:
+    """The requested kind of odometry, else the only one whose columns a file has; DataError for none or several."""
+    if asked is not None:
+        return asked
     found = [k for k, qs in KINDS.items() if columns.has(file, "odometry", _alternative(file, columns, qs))]
     named = [k for k in found if columns.stated("odometry", KINDS[k])]
     if len(named or found) == 1:
         return (named or found)[0]
     listed = "; ".join(f"{k} ({', '.join(qs)})" for k, qs in KINDS.items())
     if not found:
-        what = f"no odometry: {file.described()}; needed is one of {listed}"
+        what = f"no odometry: {file.described()}; one of {listed} is needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns v=SPEED,omega=TURN_RATE")
-    raise DataError.at(file.path, f"holds {' and '.join(named or found)}; say which: --odometry-kind {found[0]}")
+    raise DataError.at(file.path, f"holds {' and '.join(named or found)}; choose one with --odometry-kind {found[0]}")
 
 
 def _alternative(file: TextTable, columns: Columns, quantities: Sequence[str]) -> Sequence[str]:
-    """The same quantities, with a quaternion for theta where a file has that."""
+    """The quantities, with a quaternion instead of a missing theta."""
     if "theta" in quantities and columns.find(file, "odometry", "theta") is None:
         return (*[q for q in quantities if q != "theta"], *QUATERNION)
     return quantities
 
 
 def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...]:
-    """x, y and theta, or a quaternion where a file has that and no theta."""
+    """x, y and theta, or a quaternion instead of a missing theta."""
     quaternion = columns.find(file, role, "theta") is None and columns.has(file, role, QUATERNION)
     return ("x", "y", *QUATERNION) if quaternion else ("x", "y", "theta")
 
 
 def read_odometry(file: TextTable, columns: Columns, kind: str, wheels: Wheels | None) -> Odometry:
-    """The odometry of a file.
-
-    Raises:
-        DataError: columns missing, no numbers, or stamps that go back.
-        UsageError: ticks without the wheels' measures.
-    """
+    """The odometry of a file; DataError for missing or invalid columns, UsageError for ticks without wheels."""
     quantities = pose_columns(file, columns, "odometry") if kind == "poses" else KINDS[kind]
     stamped = columns.find(file, "odometry", "t") is not None
     if not stamped and kind in STAMPED:
@@ -127,14 +118,13 @@ def read_odometry(file: TextTable, columns: Columns, kind: str, wheels: Wheels |
     time = table.columns["t"] if stamped else np.arange(len(table), dtype=float)
     if stamped:
         table.require_ascending("t", strictly=False)
-        # of rows with equal stamps the last counts: a file with a row for each reading repeats its odometry
+        # the last of rows with equal stamps is used: a row per observation repeats the odometry
         last = np.append(time[1:] > time[:-1], True)
         if not last.all():
             if kind == "steps" or (kind == "ticks" and wheels is not None and wheels.each):
                 raise table.error(int(np.argmin(last)) + 1, "t", f"the stamp of the row before; {kind} need their own")
-            notes.append(
-                f"{file.path.name}: {int((~last).sum())} odometry rows share the stamp of the next; that counts"
-            )
+            shared = f"{int((~last).sum())} odometry rows share the stamp of the next one"
+            notes.append(f"{file.path.name}: {shared}, which is used")
             table, time = table.part(last), time[last]
     if skipped:
         notes.append(f"{file.path.name}: {skipped} rows without odometry")
@@ -148,21 +138,18 @@ def read_odometry(file: TextTable, columns: Columns, kind: str, wheels: Wheels |
         steps = table.stack(KINDS["steps"])
         pose = se2.dead_reckoned(np.zeros(3), np.concatenate([np.zeros((1, 3)), steps[1:]]))
         if steps[0].any():
-            notes.append(
-                f"{file.path.name}: the step of the first row leads to it from before the log and was left out"
-            )
+            notes.append(f"{file.path.name}: the step of the first row precedes the log and is ignored")
     else:
         if wheels is None:
-            raise UsageError("wheel ticks need --track-width M (between the wheels) and --metres-per-tick M")
+            raise UsageError("wheel ticks: --track-width M and --metres-per-tick M are needed")
         pose = _rolled(table.stack(KINDS["ticks"]), wheels)
     return Odometry(table, time, stamped, pose, None, tuple(notes))
 
 
 def suspicious(file: TextTable, columns: Columns, heading: Array, time: Array | None, role: str) -> list[str]:
-    """A note about headings (K,) in radians that look like degrees: once wrapped, nobody could tell.
+    """A note about headings (K,) in radians that look like degrees.
 
-    They go beyond two turns, and their steps (but those of whole turns) are those of a robot that turns faster than
-    `FASTEST`, or of more than 1 rad where there are no stamps `time` (K,).
+    They exceed two turns, and their steps (except whole turns) exceed `FASTEST`, or 1 rad without stamps `time` (K,).
     """
     if columns.units.factor(role, "theta") != 1.0 or not (np.abs(heading) > TURNS).any():
         return []
@@ -172,14 +159,12 @@ def suspicious(file: TextTable, columns: Columns, heading: Array, time: Array | 
     fast = step[there] > limit
     if not len(fast) or fast.mean() <= SHARE:
         return []
-    low, high = float(np.nanmin(heading)), float(np.nanmax(heading))
-    return [
-        f"{file.path.name}: headings from {low:.4g} to {high:.4g} rad: are they degrees? Then --unit {role}.theta=deg"
-    ]
+    span = f"headings from {np.nanmin(heading):.4g} to {np.nanmax(heading):.4g} rad"
+    return [f"{file.path.name}: {span}: are they degrees? Then add --unit {role}.theta=deg"]
 
 
 def _rolled(ticks: Array, wheels: Wheels) -> Array:
-    """Poses (K, 3) of a robot with two wheels from its ticks (K, 2), left and right: an arc from row to row."""
+    """Poses (K, 3) of a two-wheeled robot from its ticks (K, 2), left and right: an arc from row to row."""
     turned = ticks.copy() if wheels.each else np.diff(ticks, axis=0, prepend=ticks[:1])
     turned[0] = 0.0
     if wheels.wrap:

@@ -1,1 +1,1 @@
-"""What a stereo camera sees of a gallery: textures, room, images and depth."""
+"""Images and depth of a gallery as a stereo camera records them."""

@@ -1,11 +1,10 @@
-"""Renders the gallery: what camera and stereo would have recorded on the way, true to the pixel, with its noise.
+"""Rendering of the gallery: images and stereo points with their noise, exact to the pixel.
 
-A picture is warped into the image by its exact homography. Its surveyed corners are the outer corners of its own
-image: half a pixel outside the centres of the corner pixels.
+A picture is warped into the image by its exact homography. Its surveyed corners are the outer corners of its own image:
+half a pixel outside the centres of the corner pixels.
 
-Stereo: a disparity d = f b / z is read with an error of sigma_d px, which neighbouring pixels share in part, and is
-rounded; z = f b / d then has a standard deviation of z^2 sigma_d / (f b), x and y err along the ray, and some pixels
-are holes.
+Stereo: a disparity d = f b / z has an error of sigma_d px, partly shared by neighbouring pixels, and is rounded;
+z = f b / d then has a standard deviation of z^2 sigma_d / (f b), x and y follow the ray, and some pixels are holes.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from data.visual.rendering.textures import Image, Room, View, picture
 from data.worlds.gallery import Gallery, Projection, Scene, gallery, in_view, projections
 
 WINDOW = 11
-"""px, side of the square over which texture is judged."""
+"""px, side of the square over which texture is averaged."""
 HOLE_SIZE = (4.0, 30.0)
 """px, half axes of a random hole."""
 
@@ -41,12 +40,12 @@ def stereo_points(
     """Points (H, W, 3) m in the camera's frame, NaN where stereo finds none.
 
     Args:
-        g: its camera and stereo parameters.
+        g: camera and stereo parameters.
         depth: (H, W) m, exact.
         rgb: (H, W, 3), the image whose texture is matched.
         outlines: of the pictures, (4, 2) pixels each.
-        noise: draws the errors of disparities.
-        holes: draws the random holes.
+        noise: for the errors of disparities.
+        holes: for the random holes.
     """
     disparity = np.float32(g.focal * g.baseline) / depth
     if g.disparity_noise > 0:
@@ -68,7 +67,7 @@ def stereo_points(
 
 
 def smeared_noise(shape: tuple[int, ...], smear: float, rng: np.random.Generator) -> NDArray[np.float32]:
-    """Normal noise (H, W) of variance 1 everywhere; white, smoothed by a Gaussian of `smear` px (0: left white)."""
+    """Normal noise (H, W) of variance 1, smoothed by a Gaussian of `smear` px (0: white)."""
     reach = int(np.ceil(3.0 * smear))
     white = rng.standard_normal((shape[0] + 2 * reach, shape[1] + 2 * reach), dtype=np.float32)
     if reach == 0:
@@ -76,7 +75,7 @@ def smeared_noise(shape: tuple[int, ...], smear: float, rng: np.random.Generator
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / smear) ** 2)
     kernel /= np.linalg.norm(kernel)  # a sum of independent values keeps the variance
     smooth = cv2.sepFilter2D(white, cv2.CV_32F, kernel, kernel)
-    # the rim mixes values twice: it was drawn to be cut off
+    # the padded rim mixes values twice, and is cut off
     return np.asarray(smooth[reach:-reach, reach:-reach], np.float32)
 
 
@@ -100,28 +99,24 @@ def _lost(g: Gallery, rgb: Image, outlines: Sequence[Array], rng: np.random.Gene
 
 
 FINER = 2
-"""A picture is drawn so many times finer than the image and averaged (anti-aliasing)."""
+"""Oversampling of pictures (anti-aliasing)."""
 _WALLS, _PICTURES, _FRAMES = 10, 11, 12
-"""Streams of the seed beside those of `data.worlds.gallery`."""
+"""Streams of the seed, besides those of `data.worlds.gallery`."""
 Level = TypeVar("Level", np.uint8, np.int16)
 
 
 class Rendered:
-    """A recording of the gallery, rendered frame by frame when asked for. Same arguments: same bytes.
+    """A recording of the gallery, rendered frame by frame on demand; reproducible to the byte.
 
     Attributes:
         gallery: the parameters; seed: of the run; name: `visual:SEED`.
         scene: the truth.
-        setup: what was surveyed.
+        setup: as surveyed.
         references: image of each picture, (H, W, 3) RGB uint8.
     """
 
     def __init__(self, g: Gallery, seed: int, *, frames: int | None = None) -> None:
-        """Draw the world; `frames` takes only that many from the start.
-
-        Raises:
-            UsageError: more frames than there are, or none.
-        """
+        """Draw the world; `frames` takes only the first ones. UsageError for an impossible number."""
         if frames is not None and not 1 <= frames <= g.frames:
             raise UsageError(f"gallery: frames = {frames}; from 1 to {g.frames} is possible")
         self.gallery, self.seed, self.name = g, seed, f"visual:{seed}"
@@ -139,18 +134,18 @@ class Rendered:
         return self._frames
 
     def frames(self) -> Iterator[VisualFrame]:
-        """Every frame in order; may be asked for again."""
+        """Every frame in order; may be called again."""
         return (self.frame(k) for k in range(len(self)))
 
     def frame(self, k: int) -> VisualFrame:
-        """Frame k, whatever was asked for before."""
+        """Frame k, independent of earlier calls."""
         g = self.gallery
         light, sensor, disparity, holes = _rng(self.seed, _FRAMES, k).spawn(4)
         view = self._room.look(self.scene.pose[k])
         seen = self.projections(k)
         for projection in seen:
             self._hang(view, projection)
-        # the exposure lies about the stamp: half of it under the command before, half under the one that begins
+        # the exposure is centred on the stamp: half of it under the last command, half under the new one
         motion = self.scene.command[max(k - 1, 0) : k + 1].mean(axis=0)
         depth = float(np.median(view.depth[g.image_height // 2]))
         sharp = _blurred(view.rgb, g.exposure * sideways_motion(g, motion[0], motion[1], depth))
@@ -164,25 +159,17 @@ class Rendered:
         return projections(self.gallery, self.scene.corners, self.scene.pose[k])
 
     def in_view(self, k: int) -> list[Projection]:
-        """The pictures wholly in view in frame k within the gallery's limits of distance and obliquity."""
+        """The pictures in view in frame k, within the gallery's limits of distance and obliquity."""
         return in_view(self.gallery, self.scene.corners, self.scene.pose[k])
 
-    def visible(self, k: int) -> list[int]:
-        """Numbers of the pictures `in_view` in frame k."""
-        return [s.picture for s in self.in_view(k)]
-
-    def true_pixels(self, k: int) -> dict[int, Array]:
-        """Corners (4, 2) px in frame k of every picture wholly in front of the camera, be they in the image or not."""
-        return {s.picture: s.pixels for s in self.projections(k) if np.isfinite(s.pixels).all()}
-
     def _hang(self, view: View, projection: Projection) -> None:
-        """Draw a picture into the view, in the columns that show its wall."""
+        """Draw a picture into the view, in the columns of its wall."""
         g = self.gallery
         columns = np.flatnonzero(view.wall == self._room.owner[projection.picture])
         if not len(columns):
             return
         left, right, top, bottom = columns[0], columns[-1] + 1, 0, g.image_height
-        # level of the pyramid: as many pixels as will be drawn, or up to 1.4 times that, if all of it is before us
+        # pyramid level with as many pixels as will be drawn, or up to 1.4 times that
         level = 0
         pyramid = self._pyramids[projection.picture]
         if np.isfinite(projection.pixels).all():
@@ -201,23 +188,22 @@ class Rendered:
         fine = cv2.warpPerspective(image, H, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
         drawn = cv2.resize(fine, (right - left, bottom - top), interpolation=cv2.INTER_AREA).astype(np.float32)
         place = view.rgb[top:bottom, left:right]
-        # the fourth channel is the share of a pixel that the picture covers; colours are already scaled by it
+        # the fourth channel is the picture's coverage of a pixel; colours are already scaled by it
         place[:] = np.rint(drawn[:, :, :3] + place * (1.0 - drawn[:, :, 3:] / np.float32(255.0)))
 
 
 def sideways_motion(g: Gallery, v: float, omega: float, depth: float) -> float:
-    """How fast [px/s] a point straight ahead of the camera at `depth` m moves to the right in the image."""
+    """Image speed [px/s] to the right of a point straight ahead of the camera at `depth` m."""
     velocity = np.array([v - omega * g.camera_y, omega * g.camera_x])
     rightwards = np.array([np.cos(g.rotation), -np.sin(g.rotation)]) @ velocity
     return float(g.focal * (omega - rightwards / depth))
 
 
 def image_homography(g: Gallery, points: Array, width: int, height: int) -> Array:
-    """Homography (3, 3) from an image's pixels to the camera's, `points` (4, 3) m being its outer corners."""
+    """Homography (3, 3) from an image's pixels to the camera's; `points` (4, 3) m are its outer corners."""
     right, down = (points[1] - points[0]) / width, (points[3] - points[0]) / height
     K = np.array([[g.focal, 0, 0.5 * (g.image_width - 1)], [0, g.focal, 0.5 * (g.image_height - 1)], [0, 0, 1]])
-    H: Array = K @ np.column_stack([right, down, points[0] + 0.5 * (right + down)])
-    return H
+    return np.asarray(K @ np.column_stack([right, down, points[0] + 0.5 * (right + down)]))
 
 
 def _rng(seed: int, *stream: int) -> np.random.Generator:
@@ -225,7 +211,7 @@ def _rng(seed: int, *stream: int) -> np.random.Generator:
 
 
 def _pyramid(image: Image) -> list[Image]:
-    """The image with full cover as fourth channel, and its halves, quarters, ..., averaged."""
+    """The image with full coverage as fourth channel, and its halves, quarters, ..., averaged."""
     h, w = image.shape[:2]
     levels = [np.dstack([image, np.full((h, w), 255, np.uint8)])]
     while min(levels[-1].shape[:2]) >= 16:
@@ -235,7 +221,7 @@ def _pyramid(image: Image) -> list[Image]:
 
 
 def _finer(left: int, top: int) -> Array:
-    """From the image's pixels to those of a finer image of the part that begins at (left, top)."""
+    """From the image's pixels to those of an oversampled part that begins at (left, top)."""
     middle = 0.5 * (FINER - 1)
     return np.array([[FINER, 0, middle - FINER * left], [0, FINER, middle - FINER * top], [0, 0, 1.0]])
 
@@ -257,7 +243,7 @@ def _exposed(g: Gallery, image: Image, light: np.random.Generator, sensor: np.ra
     level = np.arange(256) - 127.5
     taken = cv2.LUT(image, _levels(np.exp(gain) * level + 127.5 + offset, np.uint8))
     if g.image_noise > 0:
-        # inverse of the normal distribution by table: many times faster than drawing normal numbers
+        # inverse normal distribution by table: much faster than drawing normal numbers
         table = _levels(g.image_noise * ndtri((np.arange(2**16) + 0.5) / 2**16), np.int16)
         noise = table[sensor.integers(0, 2**16, image.shape, np.uint16)]
         taken = cv2.add(taken, noise, dtype=cv2.CV_8U)

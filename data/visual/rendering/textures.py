@@ -1,8 +1,8 @@
-"""The gallery's surfaces: pictures full of features, each unlike the others, and the bare room as its camera sees it.
+"""The gallery's surfaces: distinct pictures full of features, and the bare room as its camera sees it.
 
-Everything is drawn from a random generator; the same generator gives the same bytes. The camera is level, so the depth
-z at which a pixel's ray meets a wall depends on its column alone, and that of floor and ceiling on its row alone; the
-nearest of them is what is seen, for the room is convex.
+Everything is drawn from a generator, reproducibly. The camera is level, so the depth z at which a pixel's ray meets a
+wall depends on its column alone, and that of floor and ceiling on its row alone; the nearest of them is seen, since the
+room is convex.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ LETTERS = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijkmnopqrstuvwxyz0123456789&?!%"
 
 
 def picture(number: int, width: int, height: int, rng: np.random.Generator) -> Image:
-    """A picture (height, width, 3), RGB; its number chooses the manner, the generator all else."""
-    manner = (_shapes, _mosaic, _poster, _strata, _blocks, _strokes)[number % 6]
+    """A picture (height, width, 3), RGB; its number chooses the style."""
+    style = (_shapes, _mosaic, _poster, _strata, _blocks, _strokes)[number % 6]
     canvas = _ground(width, height, rng)
-    manner(canvas, rng)
+    style(canvas, rng)
     _confetti(canvas, rng)
     grain = rng.normal(0.0, 4.0, (height, width, 1))
     return _image(canvas + grain)
 
 
 def surface(width: int, height: int, colour: tuple[int, int, int], contrast: float, rng: np.random.Generator) -> Image:
-    """A plain surface (height, width, 3) of one colour, mottled by `contrast` grey levels (standard deviation)."""
+    """A surface (height, width, 3) of one colour with noise of `contrast` grey levels (standard deviation)."""
     mottle = contrast * _fractal(width, height, 3, rng, 1.1)
     return _image(np.array(colour) + mottle[:, :, None])
 
@@ -58,8 +58,7 @@ def _palette(n: int, rng: np.random.Generator) -> Array:
     """Colours (n, 3), of every brightness."""
     grey = rng.permutation(np.linspace(15.0, 240.0, n))
     tint = rng.normal(0.0, 55.0, (n, 3))
-    colours: Array = np.clip(grey[:, None] + tint - tint.mean(axis=1, keepdims=True), 0, 255)
-    return colours
+    return np.asarray(np.clip(grey[:, None] + tint - tint.mean(axis=1, keepdims=True), 0, 255))
 
 
 def _ground(width: int, height: int, rng: np.random.Generator) -> Array:
@@ -161,14 +160,14 @@ def _confetti(canvas: Array, rng: np.random.Generator) -> None:
 
 
 DENSITY = 100.0
-"""px per metre of the painted surfaces, less where they would become wider than `WIDEST`."""
+"""px per metre of the painted surfaces, unless they would exceed `WIDEST`."""
 WIDEST = 30_000
 FRAME = 0.03
 """m, width of the wooden frame around a picture."""
 
 
 class View(NamedTuple):
-    """What the camera sees of the bare room: rgb (H, W, 3), depth z (H, W) m, and the wall (W,) of each column."""
+    """The camera's view of the bare room: rgb (H, W, 3), depth z (H, W) m, and the wall (W,) of each column."""
 
     rgb: Image
     depth: NDArray[np.float32]
@@ -244,6 +243,5 @@ class Room:
         return View(np.asarray(rgb, np.uint8), depth, wall)
 
     def _plan(self, axis: int, eye: Array, ray: Array, depth: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Coordinate `axis` (H, W) of the points seen, counted from the room's corner [m]."""
-        place: NDArray[np.float32] = depth * ray[:, axis].astype(np.float32) + np.float32(eye[axis] + self.half[axis])
-        return place
+        """Coordinate `axis` (H, W) of the seen points, from the room's corner [m]."""
+        return np.asarray(depth * ray[:, axis].astype(np.float32) + np.float32(eye[axis] + self.half[axis]))

@@ -1,1 +1,1 @@
-"""The floor plan: rooms and corridors, a robot with a laser scanner, and the exact path it drove."""
+"""The floor plan: rooms and corridors, a robot with a laser scanner, and its exact path."""

@@ -1,8 +1,8 @@
-"""A building by seed: corridors that cross, rooms off them with door openings, furniture, and a graph of ways to drive.
+"""A building by seed: crossing corridors, rooms with doors, furniture, and a graph of paths to drive.
 
-Corridors are strips from wall to wall or from corridor to corridor; what lies between them is cut into rooms. Every
-room has a door to a corridor or to a room that has one. Walls are thick: each has two faces, and a door has jambs.
-Ways lead along the middle of corridors, through doors, about in rooms.
+Corridors end at outer walls or other corridors; the blocks between are cut into rooms. Every room has a door to a
+corridor or to a room that has one. Walls have two faces, doors have jambs. Paths run along the middle of corridors,
+through doors, and inside rooms.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from data.inputs import IntArray, Locked
 from data.se2 import Array
 
 INSIDE = 0.7
-"""m from the wall at which one who came through a door turns."""
+"""m from the wall to the first place behind a door."""
 CLEARANCE = 0.5
-"""m from every way to the nearest thing that stands: half a robot, and its wandering."""
+"""m, smallest distance of objects from every path: half a robot and its deviation."""
 Rectangle = tuple[float, float, float, float]
 
 
@@ -43,8 +43,8 @@ class Ways(Locked):
 
     Attributes:
         place: (V, 2) [m].
-        edge: (E, 2) places joined by a straight way.
-        target: (T,) places worth going to: all in rooms, and the ends of corridors.
+        edge: (E, 2) places joined by a straight path.
+        target: (T,) destinations: all in rooms, and the ends of corridors.
     """
 
     place: Array
@@ -52,7 +52,7 @@ class Ways(Locked):
     target: IntArray
 
     def trace(self) -> Array:
-        """Points (P, 2) of every way, at most 0.1 m apart."""
+        """Points (P, 2) of every path, at most 0.1 m apart."""
         a, b = self.place[self.edge[:, 0]], self.place[self.edge[:, 1]]
         n = np.maximum(np.ceil(self.length / 0.1), 1.0).astype(int)
         share = np.concatenate([np.linspace(0.0, 1.0, k + 1) for k in n])[:, None]
@@ -60,21 +60,18 @@ class Ways(Locked):
         return points
 
     def routes(self, cost: Array) -> scipy.sparse.csr_array:
-        """The graph with a cost (E,) of each way, for shortest paths."""
-        i, j = self.edge.T
-        n = len(self.place)
-        return scipy.sparse.csr_array(
-            (np.tile(cost, 2), (np.concatenate([i, j]), np.concatenate([j, i]))), shape=(n, n)
-        )
+        """The graph with the costs (E,) of its paths."""
+        (i, j), n = self.edge.T, len(self.place)
+        both = np.concatenate([i, j]), np.concatenate([j, i])
+        return scipy.sparse.csr_array((np.tile(cost, 2), both), shape=(n, n))
 
     @property
     def length(self) -> Array:
-        """(E,) m of each way."""
-        lengths: Array = np.linalg.norm(self.place[self.edge[:, 0]] - self.place[self.edge[:, 1]], axis=1)
-        return lengths
+        """(E,) m of each path."""
+        return np.asarray(np.linalg.norm(self.place[self.edge[:, 0]] - self.place[self.edge[:, 1]], axis=1))
 
     def route(self, start: int, goal: int, cost: Array) -> list[int]:
-        """Places from start to goal, both included, by the cheapest way."""
+        """Places on the cheapest route from start to goal, both included, by costs (E,)."""
         _, before = scipy.sparse.csgraph.dijkstra(self.routes(cost), indices=[start], return_predecessors=True)
         path = [goal]
         while path[-1] != start:
@@ -83,7 +80,7 @@ class Ways(Locked):
 
 
 def clear_of(trace: Array, outline: Array) -> bool:
-    """Whether a convex outline (c, 2), counterclockwise, is farther than `CLEARANCE` from all points (P, 2) of ways."""
+    """Whether a convex outline (c, 2), counterclockwise, is farther than `CLEARANCE` from all points (P, 2)."""
     low, high = outline.min(axis=0) - CLEARANCE, outline.max(axis=0) + CLEARANCE
     near = trace[((trace > low) & (trace < high)).all(axis=1)]
     if not len(near):
@@ -99,7 +96,7 @@ def clear_of(trace: Array, outline: Array) -> bool:
 def ways_of(
     rng: np.random.Generator, corridors: Sequence[Rectangle], rooms: Sequence[Rectangle], doors: Sequence[Door]
 ) -> Ways:
-    """Ways through rooms and corridors, rectangles (x0, y0, x1, y1), by all doors."""
+    """Paths through rooms and corridors, rectangles (x0, y0, x1, y1), by all doors."""
     place, edge, target = list[tuple[float, float]](), list[tuple[int, int]](), list[int]()
 
     def add(x: float, y: float) -> int:
@@ -130,9 +127,8 @@ def ways_of(
         target.append(centre[-1])
         if min(w, h) > 4.0:  # room enough to drive round
             corner = rng.permutation(4)[:2]
-            round_it = [
-                add(float(x0 + (0.25 + 0.5 * (c % 2)) * w), float(y0 + (0.25 + 0.5 * (c // 2)) * h)) for c in corner
-            ]
+            at = [(x0 + (0.25 + 0.5 * (c % 2)) * w, y0 + (0.25 + 0.5 * (c // 2)) * h) for c in corner]
+            round_it = [add(float(x), float(y)) for x, y in at]
             edge += [(centre[-1], round_it[0]), (round_it[0], round_it[1]), (round_it[1], centre[-1])]
             target += round_it
     for d in doors:
@@ -167,11 +163,11 @@ def ways_of(
 HALF_WALL = 0.06
 """m, half of a wall's thickness."""
 NARROW, ROOMY = 3.2, 6.5
-"""m. A room is cut where both parts keep the first, until no side is longer than the second."""
+"""m, smallest width of a cut room, and longest side of one left uncut."""
 BESIDE_DOOR = 0.3
-"""m, at least, from a door to the end of its wall."""
+"""m, smallest distance from a door to the end of its wall."""
 EPS = 1e-6
-"""m, by which coordinates that were computed as the same may differ."""
+"""m, tolerance of equal coordinates."""
 
 
 class Rect(NamedTuple):
@@ -183,16 +179,16 @@ class Rect(NamedTuple):
     y1: float
 
     def inset(self, by: float) -> Rect:
-        """Smaller by that much on every side."""
+        """The rectangle, smaller by that much on every side."""
         return Rect(self.x0 + by, self.y0 + by, self.x1 - by, self.y1 - by)
 
     def holds(self, x: float, y: float) -> bool:
-        """Whether a point lies in it, its edge included."""
+        """Whether a point lies inside, edges included."""
         return self.x0 <= x <= self.x1 and self.y0 <= y <= self.y1
 
 
 class Face(NamedTuple):
-    """A piece of a line of constant x (axis 0) or y (axis 1): the constant, and from where to where."""
+    """A segment of constant x (axis 0) or y (axis 1): the constant, and both ends."""
 
     axis: int
     at: float
@@ -205,9 +201,9 @@ class Building(Locked):
     """A building.
 
     Attributes:
-        walls: (W, 4) segments x0, y0, x1, y1 [m] of all that stands: walls, jambs, furniture.
-        faces: how many of them, from the first, are faces of walls (and may be of glass).
-        ways: what a robot or a person may go along.
+        walls: (W, 4) segments x0, y0, x1, y1 [m]: walls, jambs, furniture.
+        faces: number of leading segments that are faces of walls (and may be of glass).
+        ways: paths of robots and people.
     """
 
     walls: Array
@@ -221,17 +217,18 @@ def build(rng: np.random.Generator) -> Building:
     doors = _doors(rng, corridors, rooms)
     faces = [cut for face in _faces(corridors, rooms) for cut in _cut(face, doors)]
     ways = ways_of(rng, corridors, rooms, doors)
-    solid = [_segment(f) for f in faces] + [s for d in doors for s in _jambs(d)]
+    jambs = [Face(1 - d.axis, end, d.at - HALF_WALL, d.at + HALF_WALL) for d in doors for end in (d.low, d.high)]
+    solid = [_segment(f) for f in [*faces, *jambs]]
     standing = _furniture(rng, corridors, rooms, ways.trace())
     return Building(np.concatenate([np.array(solid), standing]), len(faces), ways)
 
 
 def _layout(rng: np.random.Generator) -> tuple[list[Rect], list[Rect]]:
-    """Corridors, which overlap where they cross, and rooms, which do not; both up to the middle of the walls."""
+    """Corridors, which overlap where they cross, and disjoint rooms; both up to the middle of the walls."""
     size = rng.uniform(25.0, 30.0, 2)
     across, along = ((2, 2), (3, 2), (2, 3))[int(rng.integers(3))]
     xs, ys = _strips(rng, size[0], across), _strips(rng, size[1], along)
-    # a corridor ends at the outermost one that it crosses, or goes on to the outer wall
+    # a corridor ends at the outermost one it crosses, or at the outer wall
     to_wall_x, to_wall_y = rng.random((across, 2)) < 0.5, rng.random((along, 2)) < 0.5
     corridors, blocks = list[Rect](), list[Rect]()
     for (a, b), wall in zip(xs, to_wall_x, strict=True):
@@ -249,7 +246,7 @@ def _layout(rng: np.random.Generator) -> tuple[list[Rect], list[Rect]]:
 
 
 def _strips(rng: np.random.Generator, size: float, count: int) -> list[tuple[float, float]]:
-    """Low and high side of corridors across a building, rooms outside the first and the last."""
+    """Low and high side of parallel corridors, with rooms outside the first and the last."""
     width = rng.uniform(1.8, 2.4, count)
     outer = rng.uniform(4.2, 5.8, 2)
     inner = rng.uniform(0.8, 1.2, count - 1)
@@ -259,7 +256,7 @@ def _strips(rng: np.random.Generator, size: float, count: int) -> list[tuple[flo
 
 
 def _between(low: float, high: float, cuts: list[tuple[float, float]]) -> Iterator[tuple[float, float]]:
-    """What is left of an interval without some others, ascending; nothing where a cut begins or ends with it."""
+    """The rest of an interval without some cuts, ascending."""
     for a, b in cuts:
         if a > low + EPS:
             yield low, a
@@ -269,7 +266,7 @@ def _between(low: float, high: float, cuts: list[tuple[float, float]]) -> Iterat
 
 
 def _rooms(rng: np.random.Generator, block: Rect) -> list[Rect]:
-    """A block cut across its longer side again and again."""
+    """A block cut across its longer side repeatedly."""
     w, h = block.x1 - block.x0, block.y1 - block.y0
     part = float(rng.uniform(0.35, 0.65)) * max(w, h)
     if max(w, h) <= ROOMY or not NARROW <= part <= max(w, h) - NARROW:
@@ -282,7 +279,7 @@ def _rooms(rng: np.random.Generator, block: Rect) -> list[Rect]:
 
 
 def _shared(a: Rect, b: Rect) -> Face | None:
-    """The wall between two rectangles that touch along a side; None where they do not."""
+    """The wall between two rectangles that touch along a side, or None."""
     for axis in (0, 1):
         o = 1 - axis
         low, high = max(a[o], b[o]), min(a[o + 2], b[o + 2])
@@ -293,7 +290,7 @@ def _shared(a: Rect, b: Rect) -> Face | None:
 
 
 def _doors(rng: np.random.Generator, corridors: list[Rect], rooms: list[Rect]) -> list[Door]:
-    """A door for every room, then some more. A door's sides: a room's number, or that of a corridor after the rooms."""
+    """A door for every room, then some more; sides are room numbers, and corridor numbers after the rooms'."""
     doors = list[Door]()
     n = len(rooms)
 
@@ -331,7 +328,7 @@ def _doors(rng: np.random.Generator, corridors: list[Rect], rooms: list[Rect]) -
 
 
 def _faces(corridors: list[Rect], rooms: list[Rect]) -> list[Face]:
-    """Faces of the walls of all rooms, and of the corridors taken together, before doors are cut."""
+    """Faces of the walls of all rooms, and of the union of corridors, before doors are cut."""
     faces = [f for room in rooms for f, _ in _sides(room.inset(HALF_WALL))]
     inner = [c.inset(HALF_WALL) for c in corridors]
     found = dict[Face, None]()
@@ -349,7 +346,7 @@ def _faces(corridors: list[Rect], rooms: list[Rect]) -> list[Face]:
 
 
 def _sides(r: Rect) -> Iterator[tuple[Face, float]]:
-    """The four sides, and to which side of each is out."""
+    """The four sides, and the outward direction of each."""
     yield Face(0, r.x0, r.y0, r.y1), -1.0
     yield Face(0, r.x1, r.y0, r.y1), 1.0
     yield Face(1, r.y0, r.x0, r.x1), -1.0
@@ -359,25 +356,19 @@ def _sides(r: Rect) -> Iterator[tuple[Face, float]]:
 def _cut(face: Face, doors: list[Door]) -> Iterator[Face]:
     """A face without its door openings."""
     near = [d for d in doors if d.axis == face.axis and abs(abs(d.at - face.at) - HALF_WALL) < EPS]
-    # one face after another may make up a wall, and a door lie in both
+    # a wall may consist of several faces, and a door lie in two
     gaps = sorted((d.low, min(d.high, face.high)) for d in near if d.low < face.high and d.high > face.low)
     for low, high in _between(face.low, face.high, gaps):
         yield Face(face.axis, face.at, low, high)
 
 
 def _segment(face: Face) -> tuple[float, float, float, float]:
-    if face.axis == 0:
-        return face.at, face.low, face.at, face.high
-    return face.low, face.at, face.high, face.at
-
-
-def _jambs(door: Door) -> Iterator[tuple[float, float, float, float]]:
-    for end in (door.low, door.high):
-        yield _segment(Face(1 - door.axis, end, door.at - HALF_WALL, door.at + HALF_WALL))
+    _, at, low, high = face
+    return (at, low, at, high) if face.axis == 0 else (low, at, high, at)
 
 
 def _furniture(rng: np.random.Generator, corridors: list[Rect], rooms: list[Rect], ways: Array) -> Array:
-    """Segments (F, 4): boxes in any direction and pillars in rooms, shallow boxes at the walls of corridors."""
+    """Segments (F, 4): boxes in any direction and pillars in rooms, shallow boxes at corridor walls."""
     found = list[Array]()
     for room in rooms:
         for _ in range(int(rng.integers(3, 8))):
@@ -410,11 +401,10 @@ def _outline(middle: Array, half: Array, turned: float, corners: int) -> Array:
         angle = 2.0 * math.pi * np.arange(corners) / corners
         own = half[0] * np.stack([np.cos(angle), np.sin(angle)], 1)
     c, s = math.cos(turned), math.sin(turned)
-    corner: Array = middle + own @ np.array([[c, s], [-s, c]])
-    return corner
+    return np.asarray(middle + own @ np.array([[c, s], [-s, c]]))
 
 
 def _stand(found: list[Array], outline: Array, ways: Array) -> None:
-    """Put something where nobody goes; elsewhere it is left out."""
+    """Add an object, unless it blocks a path."""
     if clear_of(ways, outline):
         found.append(np.concatenate([outline, np.roll(outline, -1, axis=0)], axis=1))

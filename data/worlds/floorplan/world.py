@@ -1,10 +1,10 @@
-"""The floor plan world: scans of rooms and corridors from a robot whose path is known exactly and its odometry is poor.
+"""The floor plan world: scans of rooms and corridors by a robot with an exactly known path and poor odometry.
 
-It drives in straight lines and arcs to where it has been least, now and then elsewhere. Its scanner measures the
-nearest hit along each beam among walls (line segments) and people (discs).
+It drives in lines and arcs, mostly to where it has been least. The scanner measures the nearest hit of each beam among
+walls (segments) and people (discs).
 
-Building, route, odometry noise, range noise, glass, people and the error of the prior mean come from independent
-streams of the seed, so that changing one parameter does not reshuffle the others.
+Building, route, odometry noise, range noise, glass, people and the prior's error come from independent streams of the
+seed, so changing one parameter leaves the others' draws alone.
 """
 
 from __future__ import annotations
@@ -25,23 +25,22 @@ from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RangeBearing
 from data.truth import Truth
 from data.worlds.floorplan.building import Building, Ways, build
-from data.worlds.parameters import check_parameters, drawn_prior, streams
+from data.worlds.parameters import check_parameters, drawn_prior, in_degrees, streams
 
 RADIUS = 0.5
-"""m, of a turn where there is room for it."""
+"""m, radius of a turn where there is space."""
 ABOUT = math.radians(135.0)
-"""A sharper turn is made in place."""
+"""rad; a sharper turn is made in place."""
 WANDER = 0.1
-"""m, by how much a place is missed in x and in y, at most; so no way is driven twice along the same line."""
-
+"""m, largest deviation from a place in x and in y, so that lines do not repeat."""
 AGAIN = 0.3
-"""Probability that the next target is one where it has been before."""
+"""Probability that the next target was visited before."""
 
 
 def drive(ways: Ways, rng: np.random.Generator, time: Array, speed: float, turn_rate: float) -> Array:
-    """Exact poses (N, 3) at stamps (N,) [s] from 0 up, of one who never rests.
+    """Exact poses (N, 3) at stamps (N,) [s] from 0 up, without rests.
 
-    Speed is that of straight lines [m/s]; in turns it is less, so as to stay below the turn rate [rad/s].
+    `speed` [m/s] is that of straight lines; turns are slower where `turn_rate` [rad/s] limits them.
     """
     moves = list[tuple[float, float, float]]()  # s, m/s, rad/s
     points = tour(ways, rng)
@@ -52,7 +51,7 @@ def drive(ways: Ways, rng: np.random.Generator, time: Array, speed: float, turn_
         c = next(points)
         onward = float(np.hypot(*(c - b)))
         turn = float(wrap_angle(math.atan2(c[1] - b[1], c[0] - b[0]) - math.atan2(b[1] - a[1], b[0] - a[0])))
-        # a turn begins at most half a way before its corner, so that the turn before has room for its end
+        # a turn begins at most half a path before its corner, which leaves space for the turn before
         half = math.tan(0.5 * abs(turn)) if abs(turn) < ABOUT else 0.0
         cut = min(RADIUS * half, 0.45 * onward, 0.45 * float(np.hypot(*(b - a))))
         radius = cut / half if half > 0.0 else 0.0
@@ -68,7 +67,7 @@ def drive(ways: Ways, rng: np.random.Generator, time: Array, speed: float, turn_
 
 
 def tour(ways: Ways, rng: np.random.Generator) -> Iterator[Array]:
-    """Points (2,) to drive through, without end: to the nearest of three targets, new ones or old."""
+    """Endless points (2,) to drive through, each time to the nearest of three new or old targets."""
     been = np.zeros(len(ways.place), int)
     here = int(rng.choice(ways.target))
     been[here] = 1
@@ -78,7 +77,7 @@ def tour(ways: Ways, rng: np.random.Generator) -> Iterator[Array]:
         among = ways.target[times == times.min()] if rng.random() > AGAIN or not times.any() else ways.target[times > 0]
         some = rng.choice(among, size=min(3, len(among)), replace=False)
         nearest = np.argmin(np.linalg.norm(ways.place[some] - ways.place[here], axis=1))
-        # the same two places are not always joined by the same way
+        # the route between two places varies
         route = ways.route(here, int(some[nearest]), ways.length * rng.uniform(1.0, 2.0, len(ways.edge)))
         for place in route[1:]:
             been[place] += 1
@@ -89,8 +88,7 @@ def tour(ways: Ways, rng: np.random.Generator) -> Iterator[Array]:
 
 
 def _about(ways: Ways, place: int, rng: np.random.Generator) -> Array:
-    point: Array = ways.place[place] + rng.uniform(-WANDER, WANDER, 2)
-    return point
+    return np.asarray(ways.place[place] + rng.uniform(-WANDER, WANDER, 2))
 
 
 def _poses(start: Array, moves: Array, time: Array) -> Array:
@@ -110,23 +108,23 @@ def _poses(start: Array, moves: Array, time: Array) -> Array:
 
 
 def _arc(heading: Array, v: Array, omega: Array, lasts: Array) -> Array:
-    """How far (n, 2) one comes from a heading with v and omega in a time: the chord of the arc."""
+    """Displacement (n, 2) from a heading with v and omega during a time: the chord of the arc."""
     half = 0.5 * omega * lasts
     chord = v * lasts * np.sinc(half / math.pi)
     return np.stack([chord * np.cos(heading + half), chord * np.sin(heading + half)], 1)
 
 
 NOTHING = -1
-"""Index of what a beam hit that hit nothing."""
+"""Index of a beam without a hit."""
 
 
 @numba.njit(cache=True)
 def _cast(
     poses: Array, angle_min: float, angle_step: float, walls: Array, discs: Array, ranges: Array, hit: IntArray
 ) -> None:
-    """Fill ranges (S, B) [m], inf where nothing is met, and hit (S, B): the segment's row, len(walls) for a disc.
+    """Fill ranges (S, B) [m], inf without a hit, and hit (S, B): the segment's row, len(walls) for a disc.
 
-    Each segment is tried against the beams between the bearings of its ends only, and one more on either side.
+    Each segment is tested against the beams between the bearings of its ends, and one more on either side.
     """
     beams = ranges.shape[1]
     dx, dy = np.empty(beams), np.empty(beams)
@@ -176,15 +174,15 @@ def scan_ranges(
     glass: BoolArray | None = None,
     discs: Array | None = None,
 ) -> Array:
-    """Exact ranges (S, B) [m] from poses (S, 3) of the body in the world, inf where nothing comes back.
+    """Exact ranges (S, B) [m] from body poses (S, 3) in the world, inf for no return.
 
     Args:
-        poses: world frame; the scanner's own are found with its extrinsic.
-        scanner: its angles, extrinsic and max_range, which is not met either.
+        poses: world frame.
+        scanner: its angles, extrinsic and max_range.
         beams: B.
         walls: (W, 4) segments x0, y0, x1, y1 [m], world frame.
-        glass: (W,) true where a wall returns nothing, though it hides what is behind.
-        discs: (S, D, 3) x, y, radius [m] of round things at each of the poses; one about the scanner is not seen.
+        glass: (W,) true where a wall returns nothing, but occludes.
+        discs: (S, D, 3) x, y, radius [m] of discs at each pose; one that contains the scanner is not seen.
     """
     extrinsic = np.array([*scanner.translation, scanner.rotation])
     at = compose(np.asarray(poses, float), inverse(extrinsic))
@@ -201,47 +199,38 @@ def scan_ranges(
 FLOOR = 1e-10
 """m^2, rad^2; smallest eigenvalue of an increment's covariance."""
 SLIP = (0.04, 0.01, 0.04)
-"""m, m, rad; standard deviation of what a slip adds to an increment: a good part of a step of 0.1 m."""
+"""m, m, rad; standard deviation of a slip's contribution to an increment, at steps of 0.1 m."""
 PANE = 1.5
-"""m, the longest piece of a wall that is of glass or not as a whole."""
+"""m, longest piece of a wall that is wholly of glass or not."""
 PERSON, MANNERS = 0.22, 0.6
-"""m, radius of a person, and how near the scanner people come."""
-
-
-def _degrees(value: float) -> float:
-    """A field in radians whose value is written in degrees, in a log's name and as a flag."""
-    default: float = field(default=math.radians(value), metadata={"unit": "deg"})
-    return default
+"""m, radius of a person, and smallest distance of people from the scanner."""
 
 
 @dataclass(frozen=True)
 class Floorplan:
-    """Parameters of the world. Angles: radians here, degrees in names and flags.
+    """Parameters of the world. Angles: radians here, degrees in names and flags. UsageError for an invalid value.
 
     Attributes:
         glass: some pieces of the walls return nothing.
-        people: people walk about and hide what is behind them.
+        people: people walk about and occlude walls.
         frames: number of frames.
         period: s between frames.
-        thin: of so many frames one has a scan, the first included.
+        thin: one of this many frames has a scan, the first included.
         speed: m/s, along straight lines.
         turn_rate: rad/s, at most.
-        sigma_along: m per sqrt(s), odometry noise density along the way.
-        sigma_across: m per sqrt(s), the same across the way.
+        sigma_along: m per sqrt(s), odometry noise density along the motion.
+        sigma_across: m per sqrt(s), the same across the motion.
         sigma_turn: rad per sqrt(s), the same of the heading.
         slip: probability that the wheels slip in a frame.
         beams: in a scan.
         field_of_view: deg, from the first beam to one after the last.
-        max_range: m; nothing as far or farther is measured.
+        max_range: m; longer ranges are no return.
         sigma_range: m, standard deviation of a range.
         rotation: deg, of the scanner: p_scanner = R p_body + T.
         translation_x, translation_y: m, T.
         panes: share of the walls that is of glass, where there is glass.
         crowd: number of people, where there are people.
         prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them (0: it is exact).
-
-    Raises:
-        UsageError: a value of the wrong type or out of range.
     """
 
     glass: bool = field(default=False, metadata={"hint": "its share of the walls is panes=SHARE"})
@@ -256,10 +245,10 @@ class Floorplan:
     sigma_turn: float = 0.02
     slip: float = 0.01
     beams: int = 180
-    field_of_view: float = _degrees(180.0)
+    field_of_view: float = in_degrees(180.0)
     max_range: float = 30.0
     sigma_range: float = 0.015
-    rotation: float = _degrees(0.0)
+    rotation: float = in_degrees(0.0)
     translation_x: float = 0.0
     translation_y: float = 0.0
     panes: float = 0.15
@@ -280,15 +269,12 @@ class Floorplan:
             raise UsageError(f"floorplan: field_of_view = {math.degrees(self.field_of_view):g}; at most 360 deg")
 
     def scanner(self) -> Scanner:
-        """With beams from the right to the left, the same angle on both sides but for one step."""
-        return Scanner(
-            -0.5 * self.field_of_view,
-            self.field_of_view / self.beams,
-            self.max_range,
-            self.sigma_range,
-            self.rotation,
+        """The scanner, with beams from right to left, symmetric except for one step."""
+        angles, place = (
+            (-0.5 * self.field_of_view, self.field_of_view / self.beams),
             (self.translation_x, self.translation_y),
         )
+        return Scanner(*angles, self.max_range, self.sigma_range, self.rotation, place)
 
 
 def plan_of(seed: int) -> Building:
@@ -307,8 +293,9 @@ def simulate(floorplan: Floorplan, seed: int, name: str | None = None) -> Log:
     walls, of_glass = _panes(building, floorplan.panes if floorplan.glass else 0.0, glass_rng)
     crowd = _people(floorplan, building, time, people_rng)[frame] if floorplan.people else None
     scanner = floorplan.scanner()
-    if crowd is not None:
-        _make_way(crowd, truth[frame], scanner)
+    if crowd is not None:  # people too near the scanner are absent: radius zero
+        at = compose(truth[frame], inverse(np.array([*scanner.translation, scanner.rotation])))
+        crowd[np.hypot(crowd[..., 0] - at[:, None, 0], crowd[..., 1] - at[:, None, 1]) < MANNERS, 2] = 0.0
     ranges = scan_ranges(truth[frame], scanner, floorplan.beams, walls, glass=of_glass, discs=crowd)
     ranges = np.maximum(ranges + floorplan.sigma_range * range_rng.standard_normal(ranges.shape), 1e-3)
     ranges[ranges >= floorplan.max_range] = 0.0
@@ -325,9 +312,9 @@ def simulate(floorplan: Floorplan, seed: int, name: str | None = None) -> Log:
 
 
 def _odometry(floorplan: Floorplan, truth: Array, rng: np.random.Generator) -> tuple[Increments, int]:
-    """Noisy increments, and the covariance that their error has: that of steady noise and of rare slips together.
+    """Noisy increments with the covariance of steady noise and rare slips together.
 
-    It is the same for every increment: the robot never rests, and one that grew with the true way would tell it.
+    It is the same for every increment, so that it does not depend on the true motion.
     """
     exact = se2.between(truth[:-1], truth[1:])
     density = np.array([floorplan.sigma_along, floorplan.sigma_across, floorplan.sigma_turn])
@@ -342,7 +329,7 @@ def _odometry(floorplan: Floorplan, truth: Array, rng: np.random.Generator) -> t
 
 
 def _panes(building: Building, share: float, rng: np.random.Generator) -> tuple[Array, BoolArray]:
-    """All walls (W, 4) with their faces cut into panes, and (W,) which are of glass."""
+    """All walls (W, 4) with their faces cut into panes, and which of them (W,) are of glass."""
     faces = building.walls[: building.faces]
     count = np.maximum(np.ceil(np.linalg.norm(faces[:, 2:] - faces[:, :2], axis=1) / PANE), 1.0).astype(int)
     part = np.concatenate([np.arange(n) / n for n in count])[:, None]
@@ -357,15 +344,8 @@ def _panes(building: Building, share: float, rng: np.random.Generator) -> tuple[
 
 
 def _people(floorplan: Floorplan, building: Building, time: Array, rng: np.random.Generator) -> Array:
-    """Discs (N, crowd, 3) of people on walks of their own."""
+    """Discs (N, crowd, 3) of walking people."""
     discs = np.full((len(time), floorplan.crowd, 3), PERSON)
     for i, own in enumerate(rng.spawn(floorplan.crowd)):
         discs[:, i, :2] = drive(building.ways, own, time, float(own.uniform(0.6, 1.3)), math.pi)[:, :2]
     return discs
-
-
-def _make_way(discs: Array, poses: Array, scanner: Scanner) -> None:
-    """Those too near the scanner at an instant are not there: radius zero."""
-    at = se2.compose(poses, se2.inverse(np.array([*scanner.translation, scanner.rotation])))
-    near = np.hypot(discs[..., 0] - at[:, None, 0], discs[..., 1] - at[:, None, 1]) < MANNERS
-    discs[near, 2] = 0.0

@@ -78,7 +78,7 @@ class TestMrclam:
         log = convert()
         said = capsys.readouterr().out
         assert f"{len(log.recorded)} frames" in said
-        assert f"{len(log.recorded.observations.z)} readings" in said
+        assert f"{len(log.recorded.observations.z)} observations" in said
         assert str(tmp_path / "out") in said
         for note in log.notes:
             assert note in said

@@ -55,12 +55,12 @@ NAMES = "scale, curvature, left, right, drift, range, bearing"
         ("left,wheels", f"calibrate wheels: unknown; known: {NAMES}, each NAME or NAME=SIGMA; or auto"),
         ("left,auto", f"calibrate auto: unknown; known: {NAMES}, each NAME or NAME=SIGMA; or auto"),
         ("left,range,left=2", "calibrate left,range,left=2: left is named twice"),
-        ("left=", "calibrate left=: the sigma before the log is read is a positive number"),
-        ("left=0", "calibrate left=0: the sigma before the log is read is a positive number"),
-        ("left=-0.1", "calibrate left=-0.1: the sigma before the log is read is a positive number"),
-        ("left=inf", "calibrate left=inf: the sigma before the log is read is a positive number"),
-        ("left=nan", "calibrate left=nan: the sigma before the log is read is a positive number"),
-        ("left=wide", "calibrate left=wide: the sigma before the log is read is a positive number"),
+        ("left=", "calibrate left=: a positive prior sigma is needed"),
+        ("left=0", "calibrate left=0: a positive prior sigma is needed"),
+        ("left=-0.1", "calibrate left=-0.1: a positive prior sigma is needed"),
+        ("left=inf", "calibrate left=inf: a positive prior sigma is needed"),
+        ("left=nan", "calibrate left=nan: a positive prior sigma is needed"),
+        ("left=wide", "calibrate left=wide: a positive prior sigma is needed"),
     ],
 )
 def test_what_cannot_be_read_is_said_with_what_would_be_right(value, said):

@@ -203,7 +203,9 @@ class TestCommands:
             about = text.split(f" --{f.name.replace('_', '-')}")[1].split("(default: ")
             assert len(about[0].split()) > 5, f.name
         assert "sphi DEG deg, standard deviation of a bearing (default: 0.125)" in text
-        assert "--max-angle DEG deg, bearings between which points are seen, both ends included (default: 90)" in text
+        assert (
+            "--max-angle DEG deg, bearings between which points are observed, both ends included (default: 90)" in text
+        )
         assert "examples: python -m data.convert corridor" in text
 
     @pytest.mark.parametrize(

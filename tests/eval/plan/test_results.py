@@ -154,5 +154,5 @@ def test_a_log_without_truth_says_so_and_has_the_distance_from_batch(tmp_path):
     assert theirs["rms_from_batch_m"] == ours["rms_from_batch_m"]
     assert np.isnan(theirs["rmse_position_m"])
     assert np.isnan(theirs["matched"])
-    assert "only its distance from batch is measured" in (tmp_path / "second/report.md").read_text()
+    assert "only the distance from batch is measured" in (tmp_path / "second/report.md").read_text()
     assert not (tmp_path / "second/runs/victoria-park/truth.tum").exists()

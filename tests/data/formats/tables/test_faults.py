@@ -34,8 +34,8 @@ def table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
 @pytest.mark.parametrize(
     ("text", "words", "said"),
     [
-        (GOOD, ("--observation-sigma", "1,1"), "how noisy is the odometry?"),
-        (GOOD, ("--odometry-sigma", "1,1"), "how noisy is a reading?"),
+        (GOOD, ("--observation-sigma", "1,1"), "unknown odometry noise; --odometry-sigma is needed"),
+        (GOOD, ("--odometry-sigma", "1,1"), "unknown observation noise; --observation-sigma is needed"),
         (GOOD, ("--odometry-sigma", "1", "--observation-sigma", "1,1"), "2 numbers are needed"),
         (GOOD, ("--odometry-sigma", "1,1", "--observation-sigma", "1,5furlong"), "unknown unit 'furlong'"),
         (GOOD, ("--odometry-sigma", "1,-1", "--observation-sigma", "1,1"), "must be 0 or more"),
@@ -46,9 +46,9 @@ def table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
         (GOOD, (*SIGMAS, "--unit", "time=fortnight"), "unknown unit 'fortnight'; one of s, ms,"),
         (GOOD, (*SIGMAS, "--unit", "v=km"), "of m, mm, cm, km, ft, in per s,"),
         (GOOD, (*SIGMAS, "--odometry-kind", "legs"), "known: velocities, poses, steps, ticks"),
-        (GOOD, (*SIGMAS, "--truth", "{more}"), "where does the robot start in the frame of the truth?"),
-        (GOOD, (*SIGMAS, "--truth", "{more}", "--prior", "truth"), "how sure is --prior?"),
-        (GOOD, (*SIGMAS, "--prior", "truth", "--prior-sigma", "0,0,0"), "--prior truth: there is no --truth"),
+        (GOOD, (*SIGMAS, "--truth", "{more}"), "unknown start in the frame of the truth"),
+        (GOOD, (*SIGMAS, "--truth", "{more}", "--prior", "truth"), "--prior: --prior-sigma"),
+        (GOOD, (*SIGMAS, "--prior", "truth", "--prior-sigma", "0,0,0"), "--prior truth: --truth FILE is needed"),
         (GOOD, (*SIGMAS, "--max-range", "0"), "--max-range 0: must be more than 0"),
         (GOOD, (*SIGMAS, "--view", "1,1"), "--view 1,1: the smaller bearing first"),
         (GOOD.replace("1,1,0,2", "1,1,0,x"), SIGMAS, ":3: column range: 'x' is not a number"),
@@ -61,7 +61,7 @@ def table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
         (GOOD.replace("bearing", "azimuth"), SIGMAS, "no column 'bearing' for bearing"),
         (GOOD.replace("omega", "v"), SIGMAS, "two columns are named 'v'"),
         ("", SIGMAS, "no rows"),
-        ("t,v,omega,range,bearing\n", SIGMAS, "a line of names and no rows"),
+        ("t,v,omega,range,bearing\n", SIGMAS, "a header and no rows"),
         (b"PK\x03\x04\x00\x00", SIGMAS, "not a text file"),
         ("t,v,omega,range,bearing\n0,1,0,2,0.1\n1e9,1,0,2,0.2\n", SIGMAS, "--unit time=ns"),
     ],
@@ -166,7 +166,7 @@ def test_readings_before_and_after_all_odometry_are_left_out_and_said(table, tmp
     words = ("--observations", str(seen), "--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
     status, said = table("t,x,y,theta\n0,0,0,0\n1,1,0,0\n2,2,0,0\n3,3,0,0\n", *words)
     assert status == 0
-    assert "2 of 4 readings before or after all odometry, 0 to 3 s, left out" in said
+    assert "2 of 4 observations before or after all odometry, 0 to 3 s, dropped" in said
     assert load_folder(tmp_path / "out").recorded.observations.z[:, 0].tolist() == [3.0, 4.0]
 
 
@@ -175,7 +175,7 @@ def test_readings_at_the_very_first_and_last_stamp_of_the_odometry_are_kept(tabl
     words = ("--odometry-sigma", "0.05,0.05,0.075,0.045", "--observation-sigma", "0.1,0.1")
     status, said = table("t,x,y,theta\n0,0,0,0\n1,1,0,0\n3,3,0,0\n", "--observations", str(seen), *words)
     assert status == 0
-    assert "1 of 3 readings before or after all odometry, 0 to 3 s, left out" in said
+    assert "1 of 3 observations before or after all odometry, 0 to 3 s, dropped" in said
     r = load_folder(tmp_path / "out").recorded
     assert r.observations.z[:, 0].tolist() == [2.0, 3.0]
     assert r.time.tolist() == [0.0, 1.0, 2.0, 3.0]
@@ -225,8 +225,8 @@ def test_every_odometry_row_is_a_frame_where_that_is_asked_for(table, tmp_path):
 @pytest.mark.parametrize(
     ("stamps", "said"),
     [
-        ((2.0, 3.5), "readings from 2 to 3.5 s, odometry from 0 to 1 s: they have no time in common"),
-        ((-3.5, -2.0), "readings from -3.5 to -2 s, odometry from 0 to 1 s: they have no time in common"),
+        ((2.0, 3.5), "observations from 2 to 3.5 s, odometry from 0 to 1 s do not overlap"),
+        ((-3.5, -2.0), "observations from -3.5 to -2 s, odometry from 0 to 1 s do not overlap"),
         ((0.5, 172801.0 * 10), "the stamps span 1.72801e+06 s, 20 days"),
         ((-2e6, 0.5), "the stamps span 2e+06 s, 23.1 days"),
     ],
@@ -255,7 +255,7 @@ def test_a_sensor_whose_range_nobody_states_reaches_a_thousandth_beyond_its_fart
     seen.write_text("t,range,bearing\n" + ("".join(f"{k},{r},{b}\n" for k, (r, b) in enumerate(readings)) or "0,,\n"))
     status, said = table("t,v,omega\n0,1,0\n1,1,0\n2,1,0\n", "--observations", str(seen), *SIGMAS)
     assert status == 0, said
-    assert f"max_range is {reach:.4g} m, the farthest reading" in said
+    assert f"max_range is {reach:.4g} m, the farthest observation" in said
     sensor = load_folder(tmp_path / "out").recorded.sensor
     assert sensor.max_range == pytest.approx(reach, rel=1e-12)
     assert (sensor.min_angle, sensor.max_angle) == (-np.pi, np.pi)

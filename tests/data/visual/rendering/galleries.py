@@ -19,11 +19,21 @@ SMALL = replace(DEFAULT, image_width=320, image_height=240, reference_width=120,
 SMALL_CLEAN = replace(CLEAN, image_width=320, image_height=240, reference_width=120)
 
 
+def visible(recording, k):
+    """Numbers of the pictures in view in frame k."""
+    return [s.picture for s in recording.in_view(k)]
+
+
+def true_pixels(recording, k):
+    """Corners (4, 2) px in frame k of every picture wholly in front of the camera."""
+    return {s.picture: s.pixels for s in recording.projections(k) if np.isfinite(s.pixels).all()}
+
+
 def views(recording: Rendered, each: int = 3) -> list[tuple[int, int]]:
     """Frames and pictures in view: of every picture the first and the last frame that show it and some between."""
     shown: dict[int, list[int]] = {}
     for k in range(len(recording)):
-        for number in recording.visible(k):
+        for number in visible(recording, k):
             shown.setdefault(number, []).append(k)
     assert len(shown) == 8
     return [(f[i], n) for n, f in shown.items() for i in np.linspace(0, len(f) - 1, each).astype(int)]
@@ -33,7 +43,7 @@ def averaged(recording: Rendered, frame: int, number: int) -> tuple[np.ndarray, 
     """A picture and what is about it, each pixel the mean of 64 places: this part of the image, the share of each pixel
     that the picture covers, and the picture's mean colour there (NaN where it covers nothing).
     """
-    reference, pixels = recording.references[number], recording.true_pixels(frame)[number]
+    reference, pixels = recording.references[number], true_pixels(recording, frame)[number]
     h, w = reference.shape[:2]
     own = np.array([[-0.5, -0.5], [w - 0.5, -0.5], [w - 0.5, h - 0.5], [-0.5, h - 0.5]])
     H = cv2.getPerspectiveTransform(pixels.astype(np.float32), own.astype(np.float32))
@@ -55,5 +65,5 @@ def averaged(recording: Rendered, frame: int, number: int) -> tuple[np.ndarray, 
 
 def ends(recording: Rendered) -> list[tuple[int, int]]:
     """Frames and pictures: where each picture is first and last in view."""
-    shown = [(k, number) for k in range(0, len(recording), 6) for number in recording.visible(k)]
+    shown = [(k, number) for k in range(0, len(recording), 6) for number in visible(recording, k)]
     return [(end(k for k, n in shown if n == number), number) for number in {n for _, n in shown} for end in (min, max)]

@@ -12,14 +12,14 @@ import pytest
 from data.errors import UsageError
 from data.visual.rendering.render import Rendered, sideways_motion
 from data.worlds.gallery import Gallery, in_camera, to_pixels
-from tests.data.visual.rendering.galleries import CLEAN, SMALL, SMALL_CLEAN, averaged, ends, views
+from tests.data.visual.rendering.galleries import CLEAN, SMALL, SMALL_CLEAN, averaged, ends, true_pixels, views, visible
 
 
 def rectified(recording: Rendered, frame: int, number: int) -> np.ndarray:
     """A picture cut out of the image by its true corners, as large as its reference, grey."""
     h, w = recording.references[number].shape[:2]
     own = np.array([[-0.5, -0.5], [w - 0.5, -0.5], [w - 0.5, h - 0.5], [-0.5, h - 0.5]])
-    pixels = recording.true_pixels(frame)[number]
+    pixels = true_pixels(recording, frame)[number]
     H = cv2.getPerspectiveTransform(own.astype(np.float32), pixels.astype(np.float32))
     flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
     cut = cv2.warpPerspective(recording.frame(frame).rgb, H, (w, h), flags=flags)
@@ -113,7 +113,7 @@ class TestImagesAreTrueToTheGeometry:
         shifts = []
         for frame, number in views(clean):
             cut, reference = rectified(clean, frame, number), soft(clean.references[number])
-            scale = np.linalg.norm(np.diff(clean.true_pixels(frame)[number][:2], axis=0)) / cut.shape[1]
+            scale = np.linalg.norm(np.diff(true_pixels(clean, frame)[number][:2], axis=0)) / cut.shape[1]
             shifts.append(shift(reference, cut) * scale)
         assert np.abs(np.median(shifts, axis=0)).max() < 0.03
         assert np.abs(shifts).max() < 0.1
@@ -127,7 +127,7 @@ class TestImagesAreTrueToTheGeometry:
             recording = Rendered(replace(narrow, duration=30.0, reference_width=200), 0)
         cut = behind = 0
         for k in range(0, len(recording), 20):
-            frame, whole = recording.frame(k), recording.true_pixels(k)
+            frame, whole = recording.frame(k), true_pixels(recording, k)
             place = to_world(recording.gallery, recording.scene.pose[k], frame.xyz.astype(float))
             for number, corners in enumerate(recording.scene.corners):
                 right, down = corners[1] - corners[0], corners[3] - corners[0]
@@ -135,7 +135,7 @@ class TestImagesAreTrueToTheGeometry:
                 a, b = ((place - corners[0]) @ side / (side @ side) for side in (right, down))
                 off = (place - corners[0]) @ np.cross(right, down) / np.linalg.norm(np.cross(right, down))
                 inside = (np.abs(off) < 1e-3) & (np.abs(a - 0.5) < 0.49) & (np.abs(b - 0.5) < 0.49)
-                if number in recording.visible(k) or inside.sum() < 500:
+                if number in visible(recording, k) or inside.sum() < 500:
                     continue
                 wanted = cv2.remap(
                     soft(recording.references[number]), (w * a - 0.5).astype(np.float32),
@@ -149,7 +149,7 @@ class TestImagesAreTrueToTheGeometry:
         assert (behind > 0) == near
 
     def test_walls_beside_the_pictures_stay_plain(self, clean):
-        k = next(k for k in range(len(clean)) if not clean.visible(k))
+        k = next(k for k in range(len(clean)) if not visible(clean, k))
         grey = cv2.cvtColor(clean.frame(k).rgb, cv2.COLOR_RGB2GRAY)
         outside = np.ones_like(grey)
         for s in clean.projections(k):
@@ -258,8 +258,8 @@ class TestTheRecording:
 
     def test_visible_pictures_have_true_pixels_within_the_image(self, default):
         for k in range(0, 360, 7):
-            pixels = default.true_pixels(k)
-            for number in default.visible(k):
+            pixels = true_pixels(default, k)
+            for number in visible(default, k):
                 assert (pixels[number] >= 0).all()
                 assert (pixels[number] <= [639, 479]).all()
 

@@ -11,7 +11,7 @@ import pytest
 
 from data.visual.rendering.render import Rendered, smeared_noise, stereo_points
 from data.worlds.gallery import Gallery
-from tests.data.visual.rendering.galleries import CLEAN, SMALL_CLEAN, views
+from tests.data.visual.rendering.galleries import CLEAN, SMALL_CLEAN, true_pixels, views
 
 
 def bilinear(values: np.ndarray, pixel: np.ndarray) -> np.ndarray:
@@ -49,7 +49,7 @@ class TestStereoIsTrueToTheGeometry:
         R = np.array([[math.cos(rotation), -math.sin(rotation)], [math.sin(rotation), math.cos(rotation)]])
         for k, number in views(clean):
             xyz, (x, y, t) = clean.frame(k).xyz, clean.scene.pose[k]
-            for corner, pixel in enumerate(clean.true_pixels(k)[number]):
+            for corner, pixel in enumerate(true_pixels(clean, k)[number]):
                 p = bilinear(xyz, pixel)
                 body = R.T @ (p[[0, 2]] - T)
                 world = np.array([x, y]) + [[math.cos(t), -math.sin(t)], [math.sin(t), math.cos(t)]] @ body
@@ -142,7 +142,7 @@ class TestHoles:
         filled = []
         for k, number in views(default):
             z = default.frame(k).xyz[:, :, 2]
-            corners = default.true_pixels(k)[number]
+            corners = true_pixels(default, k)[number]
             for pixel in np.rint(corners).astype(int):
                 assert np.isnan(z[pixel[1], pixel[0]])
             inside = np.zeros(z.shape, np.uint8)

@@ -135,7 +135,7 @@ def test_a_calibration_that_came_to_nothing_says_so_without_a_number():
     after = replace(said(notices=[failed]), real=said().real)
     text = text_of(replace(blamed(TURN, cause=NOISE, objected=5), after=after, done={"sigma_z1": 0.5}))
     assert "What is left cannot be told." in text
-    assert "Batch failed (singular), so nothing is measured of it." in text
+    assert "Batch failed (singular) and is not measured." in text
 
 
 def test_an_objection_without_a_name_is_admitted():
