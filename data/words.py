@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.notice import Notice
@@ -11,6 +13,7 @@ from data.terminal import counted
 
 if TYPE_CHECKING:
     from jinja2 import Environment
+    from jinja2.bccache import Bucket
 
 NOTICES = "notices.j2"
 """A macro for each `Code`, with underscores for dashes; its arguments are the notice, and its values by name."""
@@ -19,7 +22,14 @@ NOTICES = "notices.j2"
 @cache
 def environment(package: str) -> Environment:
     """The templates of a package's folder `templates`, with filters for numbers and counts."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from jinja2 import Environment, FileSystemBytecodeCache, PackageLoader, StrictUndefined
+
+    class Cache(FileSystemBytecodeCache):
+        """Compiled templates beside the modules; none where that folder cannot be written to."""
+
+        def dump_bytecode(self, bucket: Bucket) -> None:
+            with suppress(OSError):
+                super().dump_bytecode(bucket)
 
     # Markdown: the page escapes what it renders
     env = Environment(
@@ -29,6 +39,7 @@ def environment(package: str) -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=False,
         autoescape=False,
+        bytecode_cache=Cache(str(Path(__file__).parent / "__pycache__")),
     )
     env.filters |= {
         "number": number,
