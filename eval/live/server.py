@@ -94,7 +94,7 @@ def _handler(page: bytes, published: Callable[[], Published]) -> type[BaseHTTPRe
                 self._reply(200, found, "application/json")
 
         def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-            """What the library refuses: every method but GET and HEAD, and requests that are none."""
+            """Refused by the library: every method but GET and HEAD, and malformed requests."""
             self.close_connection = True
             self._reply(405 if code == 501 else code, b"refused\n", "text/plain")
 

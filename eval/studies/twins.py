@@ -42,7 +42,7 @@ SHORTEST = 10  # frames; least number for a lag-1 correlation or a slope
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What twins are drawn from, and how they are estimated.
+    """Source of twins, and how they are estimated.
 
     Attributes:
         log: the real one, without the systematic errors that the smoother estimated; twins have none and estimate them
