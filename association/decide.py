@@ -20,12 +20,9 @@ Method = Callable[[Expectation, float | None], IntArray]
 """
 PLAIN: dict[str, Method] = {"nn": nn, "ml": ml, "ml-ratio": ml_ratio, "singles": singles, "gnn": gnn}
 """Methods without a search budget."""
-SEARCHES = {"jcbb": False, "jcbb-first": True}
-"""Methods with a node budget, and whether the first of the largest hypotheses is kept."""
-METHODS = (*PLAIN, *SEARCHES)
-"""Names of all methods that decide from the estimate; `known` decides from labels."""
-OWN_NEWNESS = "ml-ratio"
-"""The method that decides itself which observations are new."""
+SEARCHES = {"jcbb": False, "jcbb-first": True}  # node budget; whether the first hypothesis wins
+METHODS = (*PLAIN, *SEARCHES)  # Names of all methods that decide from the estimate; `known` decides from labels
+OWN_NEWNESS = "ml-ratio"  # The method that decides itself which observations are new
 
 
 class Decided(NamedTuple):

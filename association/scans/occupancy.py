@@ -20,28 +20,19 @@ from data.se2 import Array, compose, inverse
 HIT, MISS = 0.85, -0.41
 """Log odds of a cell in which a beam ends (0.70) and of one that it crosses (0.40): Hornung et al., "OctoMap",
 Autonomous Robots 34, 2013, section 5.2. A wall remains if a third of the scans that observe it hit it."""
-LEAST, MOST = -2.0, 3.5
-"""Bounds of the log odds (0.12 and 0.97; same source), so that a changed place is updated soon."""
-MARGIN = 0.5
-"""m of unknown cells around the observed area."""
-MOST_CELLS = 100_000_000
-"""Largest grid: 500 m a side at 5 cm, 1.2 GB while it is computed."""
+LEAST, MOST = -2.0, 3.5  # Bounds of the log odds (0.12 and 0.97; same source), so that a changed place is updated soon
+MARGIN = 0.5  # m of unknown cells around the observed area
+MOST_CELLS = 100_000_000  # Largest grid: 500 m a side at 5 cm, 1.2 GB while it is computed
 _FREE, _ENDS = 1, 2
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """An occupancy grid, axes along those of the world.
+    """An occupancy grid, axes along those of the world."""
 
-    Attributes:
-        origin: (2,) m, the lower left corner of cell [0, 0] in the world.
-        resolution: m, side of a cell.
-        log_odds: (H, W) of occupancy, row by y and column by x; 0 where unknown.
-    """
-
-    origin: Array
-    resolution: float
-    log_odds: Array
+    origin: Array  # (2,) m, the lower left corner of cell [0, 0] in the world
+    resolution: float  # m, side of a cell
+    log_odds: Array  # (H, W) of occupancy, row by y and column by x; 0 where unknown
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -142,10 +133,8 @@ def occupancy_grid(
     return Grid(np.round(low * resolution, 9), resolution, log_odds)
 
 
-TOLERANCE = 0.3
-"""m, by which a surface must lie before another, besides ..."""
-TOLERANCE_SHARE = 0.05
-"""... this share of its range, to contradict it: the effect of a heading error at a grazing wall."""
+TOLERANCE = 0.3  # m, by which a surface must lie before another, besides ...
+TOLERANCE_SHARE = 0.05  # ... this share of its range, to contradict it: the effect of a heading error at a grazing wall
 
 
 def contradiction(ranges: Array, others: Array, relative: Array, scanner: Scanner, max_range: float) -> float:

@@ -188,21 +188,15 @@ def _residual(errors: Errors, keys: Sequence[int], mean: Array, root: Array, now
 
 
 class Motion:
-    """All increments so far, in the order of frames from 1 on.
-
-    Attributes:
-        knot: of the drift, the newest one.
-        oldest: first frame in the graph; increments up to it are no factors any more.
-        now: (q,) the present constants, in prior sigmas: all factors are linearized there.
-    """
+    """All increments so far, in the order of frames from 1 on."""
 
     def __init__(self, errors: Errors) -> None:
         self._errors = errors
-        self.knot = 0
-        self.now = np.zeros(len(errors.constant))
+        self.knot = 0  # the newest one of the drift
+        self.now = np.zeros(len(errors.constant))  # in prior sigmas: all factors are linearized there
         self._mean, self._covariance = [np.zeros(3)], [np.zeros((3, 3))]
         self._knots = list[int]()
-        self.oldest = 0
+        self.oldest = 0  # first frame in the graph; increments up to it are no factors any more
         self._first_knot = 0
 
     @property

@@ -72,11 +72,9 @@ arena, with it 0.2; with half of it 0.03, and the arena takes 1.5 times as long.
 
 
 class CalibratedEnd(OpenEnd):
-    """As `OpenEnd`, with the estimated errors.
+    """As `OpenEnd`, with the errors b (p,), of which the drift is that of the newest knot.
 
-    Attributes:
-        b: (p,) the errors, the drift that of the newest knot.
-        whole: (3 + p, 3 + p) covariance of newest pose and errors, world frame, in the sensor's frame.
+    `whole` (3 + p, 3 + p) is the covariance of newest pose and errors, world frame, in the sensor's frame.
     """
 
     def __init__(self, prior: Prior, errors: Errors) -> None:
