@@ -68,12 +68,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
 
 
 def _lowest(
-    inputs: Inputs,
-    final: IntArray,
-    initialized: IntArray,
-    start: Start,
-    loss: str,
-    other: Callable[[], Run] | None,
+    inputs: Inputs, final: IntArray, initialized: IntArray, start: Start, loss: str, other: Callable[[], Run] | None
 ) -> Smoothed:
     """The minimum from `start`, or a lower one from the path of another run."""
     result, stop = None, None

@@ -55,12 +55,7 @@ def dead_reckoning(inputs: Inputs, task: str) -> Run:
 
 
 def filter_known(
-    inputs: Inputs,
-    task: str,
-    *,
-    name: str = "ekf",
-    threshold: float = np.inf,
-    options: FilterOptions | None = None,
+    inputs: Inputs, task: str, *, name: str = "ekf", threshold: float = np.inf, options: FilterOptions | None = None
 ) -> Run:
     """A filter with labels, in one compiled loop; a large map is parked where that is faster."""
     begin = time.perf_counter()

@@ -166,7 +166,7 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
         found.append(Parameter("odometry_v", "", scale, 0.2, "true distance per odometry distance"))
         found.append(Parameter("odometry_omega", "", scale, 0.2, "true rotation per odometry rotation"))
     if "latency" in groups and odometry is not None:
-        found.append(Parameter(LATENCY, "s", 1.0, 0.2, "readings were taken this long before their stamp"))
+        found.append(Parameter(LATENCY, "s", 1.0, 0.2, "observations were taken this long before their stamp"))
     return Model(inputs, odometry, tuple(found))
 
 
