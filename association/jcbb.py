@@ -25,7 +25,7 @@ UNPAIRED = -1
 COMPLETE = 0
 EXHAUSTED = 1
 SINGULAR_JOINT = 2
-TIE = 1e-12  # Joint distances within this relative difference are equal, so that rounding cannot choose between them
+TIE = 1e-12  # joint distances within this relative difference are equal, so that rounding cannot choose between them
 
 
 @numba.njit(cache=True)
@@ -319,7 +319,7 @@ def search_first(
     return best_choice, best_d2, best, nodes, COMPLETE
 
 
-BUDGET = 50_000  # Nodes that a search may visit: some tenths of a second in a frame of twenty observations
+BUDGET = 50_000  # nodes that a search may visit: some tenths of a second in a frame of twenty observations
 
 
 class SearchBudgetWarning(UserWarning):

@@ -20,8 +20,8 @@ from association.expectation import gate_threshold
 from association.methods import ALPHA, RATIO
 from data.se2 import Array
 
-DRAWS = 64  # Innovations drawn per frame, which add 1/64 to the variance of a run's NIS
-POINTS = 4096  # Quasi-random points that frames take in turn, so that the sampling errors do not add up
+DRAWS = 64  # innovations drawn per frame, which add 1/64 to the variance of a run's NIS
+POINTS = 4096  # quasi-random points that frames take in turn, so that the sampling errors do not add up
 
 
 class Acceptance(NamedTuple):

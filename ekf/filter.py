@@ -49,7 +49,7 @@ class FilterOptions:
         return -1.0 if self.new_variance is None else self.new_variance
 
 
-DEFAULT = FilterOptions()  # One stacked update per frame, exact augmentation
+DEFAULT = FilterOptions()  # one stacked update per frame, exact augmentation
 
 
 def frame_of(

@@ -20,7 +20,7 @@ from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from data.sensors import LINE, invert, measure, name_as_read, residual, wrap_angle_jit
 
-NEWEST = np.empty(0)  # First estimates of a filter without any: Jacobians at the newest estimates
+NEWEST = np.empty(0)  # first estimates of a filter without any: Jacobians at the newest estimates
 NEW = -1
 DISCARD = -2
 OK = 0

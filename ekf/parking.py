@@ -41,7 +41,7 @@ from data.blocks import coordinates
 from data.inputs import IntArray
 from data.se2 import Array
 
-ROWS = 256  # Rows of a block. Measured with 8000 rows and products of rank 300: 128 and 512 are within 5 %
+ROWS = 256  # rows of a block. Measured with 8000 rows and products of rank 300: 128 and 512 are within 5 %
 
 
 class Triangle:
@@ -114,7 +114,7 @@ class Triangle:
 LONGEST = 3  # largest length of y and recent landmarks, relative to A; 2 and 5 take as long
 
 
-STRIP = 16  # Columns solved one by one; BLAS subtracts the ones before them
+STRIP = 16  # columns solved one by one; BLAS subtracts the ones before them
 
 
 def symmetric(P: Array) -> Array:

@@ -20,7 +20,7 @@ from data.result import Failure
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import wrap_angle_jit as wrapped
 
-GROWTH = 1.5  # Factor by which a full covariance buffer grows
+GROWTH = 1.5  # factor by which a full covariance buffer grows
 
 
 class LoopUpdate(NamedTuple):

@@ -12,15 +12,14 @@ from data.se2 import Array, BoolArray
 from data.sensors import wrap_angle_jit
 from ekf.kernels import NEWEST, NOT_PSD, OK, Innovation, Pairings, gate, healthy, innovate
 
-ADDITIVE = 0  # Retraction mean += K nu
+ADDITIVE = 0  # retraction mean += K nu
 INVARIANT = 3
-"""Retraction by exp(xi), the right-invariant error of SE_(1+n)(2), of pose and landmarks together.
-
-This or more is the offset of the landmarks; states between them and the pose are corrected additively."""
+"""Retraction by exp(xi), the right-invariant error of SE_(1+n)(2), of pose and landmarks. This or more is the offset of
+the landmarks; states between them and the pose are corrected additively."""
 
 BY_ROWS = (64, 800)
 """States; within these limits the update of P goes by whole rows. Fewer do not fill them, more exceed the cache."""
-TILE = 16  # States; rows and columns of a tile stay in the nearest cache while it is mirrored
+TILE = 16  # states; rows and columns of a tile stay in the nearest cache while it is mirrored
 
 
 class UpdateRule(NamedTuple):

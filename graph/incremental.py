@@ -30,7 +30,7 @@ from graph.walls import refuse
 
 THRESHOLD = 0.05  # m, rad. Relinearize variables that moved further than this, ...
 SKIP = 10  # ... at every so many updates
-SETTLE = 3  # Updates after a removal, and default of `refine`
+SETTLE = 3  # updates after a removal, and default of `refine`
 DELICATE = 1e-8  # m^2, rad^2; below this eigenvalue of an increment or the prior QR is used, a fifth slower
 
 

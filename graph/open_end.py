@@ -56,7 +56,7 @@ class OpenEnd:
         self._known_exactly = is_exact(prior)
         self._motion = list[gtsam.BetweenFactorPose2]()
         self._anchor = self.mean, self.P
-        self._Q = np.zeros((3, 3))  # Covariance gathered since the anchor
+        self._Q = np.zeros((3, 3))  # covariance gathered since the anchor
 
     @property
     def keys(self) -> list[int]:

@@ -15,7 +15,7 @@ from data.se2 import Array
 from data.sensors import Sensor
 from graph.factors import between_factors
 
-CONSTANTS = gtsam.symbol("c", 0)  # Key of all constant systematic errors, a vector in units of their prior sigmas
+CONSTANTS = gtsam.symbol("c", 0)  # key of all constant systematic errors, a vector in units of their prior sigmas
 
 
 def drift_key(knot: int) -> int:

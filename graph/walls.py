@@ -122,7 +122,7 @@ def _error(
 
 SHARE = 0.3
 """Share of a distance's sigma at the point of the robot from which it is measured, unless that is the robot's origin.
-The range has the rest, so the sum is right, and no weight is much larger than the others."""
+The range has the rest."""
 ALONG = 1.0  # m. Sigma of the prior that holds a wall's pose along the wall
 CENTRED = 1e-9  # m. A point of the robot nearer to its origin is its origin
 JOINED = 1e-4  # rad; standard deviation of the difference of two merged walls

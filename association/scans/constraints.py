@@ -45,7 +45,7 @@ class Loops:
         return len(self.key1)
 
 
-SCAN = "scan"  # Name of the association method of laser logs: scan matching with loop closures
+SCAN = "scan"  # name of the association method of laser logs: scan matching with loop closures
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,8 +20,8 @@ from data.se2 import Array, wrap_angle
 
 CELL = 0.1  # m, of the finest grid; point-to-line matching converges from there
 SPREAD = 0.1  # m, standard deviation of the score around each reference point
-LEVELS = 6  # Grids, each pooled over twice the cells of the one before: the coarsest covers 3.2 m
-HIGHEST = 100  # Score of a cell at a reference point
+LEVELS = 6  # grids, each pooled over twice the cells of the one before: the coarsest covers 3.2 m
+HIGHEST = 100  # score of a cell at a reference point
 
 
 class Pyramid(NamedTuple):
@@ -217,7 +217,7 @@ def _draw(
                     index[i, j] = k
 
 
-SAME_SIDE = 0.5  # Smallest cosine between normals of one surface (60 degrees), which excludes the other side of a wall
+SAME_SIDE = 0.5  # smallest cosine between normals of one surface (60 degrees), which excludes the other side of a wall
 WIDE, NARROW = 0.3, 0.03  # m, Cauchy scale of the first and of later iterations: converge, then weight good pairs
 ITERATIONS = 30
 SMALL_STEP = 1e-5  # m and rad: a smaller step ends the iterations; a hundredth of the standard deviation of a match

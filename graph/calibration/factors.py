@@ -34,9 +34,8 @@ from graph.qr.calibrated import linearize_increments
 from graph.systematic import Errors, drift_key
 
 PINNED = 1e-4
-"""m. Sigma of a known landmark in the sensor's frame, where it depends on the errors and no prior can hold it exactly.
-It adds 1e-4 to the variance of observations of 0.01 m; its weight is at most 1e4 times theirs, far from the 1e10 at
-which Cholesky fails."""
+"""m. Sigma of a known landmark in the sensor's frame, where no prior can hold it exactly. It adds 1e-4 to the variance
+of observations of 0.01 m; Cholesky fails at a weight of 1e10."""
 UNIT = {n: noise.Unit.Create(n) for n in (1, 2, 3)}
 
 

@@ -186,11 +186,11 @@ def _linearize(pose: Array, key1: IntArray, key2: IntArray, relative: Array, roo
 
 
 CUT = 30.0
-"""sigma. From Cauchy's optimum on, a loop closure further off has no weight. There it has 0.1 %, a pull of 3 % of a
-sigma; but two hundred false ones add up. In grids of corridors with as many false loop closures as true ones the path's
-error changed by up to a third, cut by less than 2 % (GNC: 0). Cut at 10, true ones were lost, too."""
-MOST = 400  # Steps of one search. With a robust loss 50 to 150 are usual
-DEPTH = 6  # Steps of an extrapolation
+"""sigma. From Cauchy's optimum on, a loop closure further off has no weight. There it has a pull of 3 % of a sigma, but
+two hundred false ones add up: in grids of corridors with as many false loop closures as true ones they changed the
+path's error by up to a third, cut by less than 2 %. Cut at 10, true ones were lost, too."""
+MOST = 400  # steps of one search. With a robust loss 50 to 150 are usual
+DEPTH = 6  # steps of an extrapolation
 ROUNDING = 1e-5  # sigma. A step that hardly shrank and is shorter than this, for each direction, ends the search
 
 

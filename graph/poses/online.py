@@ -155,7 +155,7 @@ def name_of_key(key: int) -> str:
 
 
 LAG = 30.0  # s
-SLACK = 0.1  # Share of the lag by which the oldest key pose may exceed it, as in `graph.fixed_lag`
+SLACK = 0.1  # share of the lag by which the oldest key pose may exceed it, as in `graph.fixed_lag`
 
 
 class FixedLagPoseGraph(PoseGraph):

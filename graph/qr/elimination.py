@@ -155,7 +155,7 @@ def _moved(separator: IntArray, start: IntArray, post: IntArray, new: IntArray, 
 
 SLACK = 1.25  # A front with more than this many times the rows that its columns can need is made triangular first
 SINGULAR = 1e-12  # A diagonal of R below this share of its column is rounding, not information
-SMALLEST = 1e-150  # Least diagonal of R whose square has an inverse
+SMALLEST = 1e-150  # least diagonal of R whose square has an inverse
 
 
 class Rows(NamedTuple):

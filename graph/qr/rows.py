@@ -18,9 +18,9 @@ from graph.qr.elimination import NO_DRIFT, Rows, Structure, ordering, structure
 from graph.qr.solution import Solution
 from graph.systematic import CONSTANTS
 
-CHUNK = 20000  # Factors that gtsam linearizes at once: its triplets take 24 bytes a number
-EXACT = 1e-15  # Share of the largest variance of the prior below which another one is zero, and rounding
-INDEX = np.uint64(2**56 - 1)  # The index bits of a gtsam symbol, below its character
+CHUNK = 20000  # factors that gtsam linearizes at once: its triplets take 24 bytes a number
+EXACT = 1e-15  # share of the largest variance of the prior below which another one is zero, and rounding
+INDEX = np.uint64(2**56 - 1)  # the index bits of a gtsam symbol, below its character
 
 
 class _Chunk(NamedTuple):

@@ -138,27 +138,19 @@ def systematic(
     observed: Array,
     found: Systematics | None = None,
 ) -> Score:
-    """Score of p hypothetical errors phi, linearized at a smoothed path.
+    """Score of p hypothetical errors phi, linearized at a smoothed path (N, 3) with landmarks (L, 2), world frame.
 
     Model: stated increment k = true one + motion[k] phi + noise (body frame of k - 1), observation i = noise-free
-    measurement + observed[i] phi + noise, the first pose according to the prior.
+    measurement + observed[i] phi + noise, the first pose according to the prior. `motion` (N, 3, p) and `observed` (M,
+    2, p) are derivatives by a unit of each error. Those by distances, turns or ranges must come from the smoothed
+    solution: measured values share the residuals' noise, which biases a scale (in the arena by 7 sigma). `number` (M,)
+    is the row of `landmarks` of each observation, -1: not used; inputs with a map have exact landmarks.
 
-    Args:
-        inputs: with a map, the landmarks are exact (localization); without, they are estimated (SLAM).
-        number: (M,) row of `landmarks` of each observation; -1: not used.
-        path: (N, 3) smoothed poses, world frame. At the optimum the score is the likelihood's; elsewhere that of the
-            problem as linearized there.
-        landmarks: (L, 2) m, world frame.
-        motion: (N, 3, p) m, m, rad by unit of each error; row 0 is ignored.
-        observed: (M, 2, p) in the sensor's units by unit of each error. Columns of distances, turns or ranges must come
-            from the smoothed solution: measured values share the residuals' noise, which biases a scale (in the arena
-            by 7 sigma).
-        found: the systematic errors of `inputs.systematic` that were estimated. `motion` and `observed` are then of the
-            corrected log, and an estimated error shows as far as its prior held it back.
+    `found` are the errors of `inputs.systematic` that were estimated. `motion` and `observed` are then of the corrected
+    log, and an estimated error shows as far as its prior held it back.
 
-    Raises:
-        UnderConstrained: naming a landmark, by its row, or a pose that the data do not determine.
-        LinAlgError: the covariance of an observation is not positive definite.
+    Raises UnderConstrained for a landmark or pose that the data do not determine, LinAlgError for a singular
+    observation covariance.
     """
     n, p = len(path), motion.shape[2]
     stated = inputs
