@@ -65,7 +65,7 @@ WRONG = [
     (estimators.numbers, "slam", wrong.Swapped, r"landmark \d+ is .* m from where it was seen first, where number \d+"),
     (estimators.removal, "slam", wrong.Returning, "landmark 0 was removed and is in the map again"),
     (estimators.expectation, "slam", wrong.Blurred, "and HPHt differ by .* % of the largest covariance"),
-    (estimators.expectation, "slam", wrong.Shifted, "decisions of nearest neighbour on exact observations are not those"),
+    (estimators.expectation, "slam", wrong.Shifted, "of nearest neighbour on exact observations are not those"),
     (estimators.runs, "slam", wrong.Dead, r"stopped at frame 1: Dead.predict raised OSError: flat battery \(wrong.py"),
 ]
 
