@@ -12,13 +12,10 @@ from data.inputs import FrameObservations, Increment, IntArray
 from data.se2 import Array, BoolArray
 from data.sensors import MIN_RANGE, RANGE_BEARING, RELATIVE_POINT, Sensor
 
-SIGMAS = 3.0
-"""Standard deviations of the expectation by which the field of view is widened, ..."""
-MARGIN = math.radians(5.0)
-"""... and an angle [rad] on top."""
+SIGMAS = 3.0  # standard deviations of the expectation by which the field of view is widened, ...
+MARGIN = math.radians(5.0)  # ... and an angle [rad] on top
 
-FEW = 100
-"""Number of landmarks up to which a search takes longer than to expect them all."""
+FEW = 100  # number of landmarks up to which a search takes longer than to expect them all
 
 
 def polar_sigma(sensor: Sensor, z_hat: Array, HPHt: Array) -> Array:
@@ -108,8 +105,7 @@ class UncertaintyBounds:
     """
 
     def __init__(self) -> None:
-        self._now = np.zeros(3)
-        """Sums of position variances [m^2] and heading variances [rad^2], path length [m]."""
+        self._now = np.zeros(3)  # sums of position variances [m^2] and heading variances [rad^2], path length [m]
         self._then = np.empty((0, 6))
         """By landmark number: the sums when it was last observed or expected, its variance [m^2] and distance [m] then,
         and its sigma [m] in the world."""

@@ -20,12 +20,9 @@ from data.inputs import IntArray
 from data.result import DISCARD, NEW
 from data.se2 import Array, BoolArray
 
-FREEDOM = 4.0
-"""Degrees of freedom of Student's t, whose tails fall with d^-6; values from 3 to 10 work equally well."""
-SAME_PLACE = 0.05
-"""In ranges: from viewpoints nearer than this the view is the same, and so are the occlusions."""
-EXACT_VARIANCE = 1e-12
-"""m^2 and rad^2. Smallest variance used, since an exact quantity has no information matrix."""
+FREEDOM = 4.0  # degrees of freedom of Student's t, whose tails fall with d^-6; values from 3 to 10 work equally well
+SAME_PLACE = 0.05  # in ranges: from viewpoints nearer than this the view is the same, and so are the occlusions
+EXACT_VARIANCE = 1e-12  # m^2 and rad^2. Smallest variance used, since an exact quantity has no information matrix
 
 
 class ConditionalInnovations(NamedTuple):

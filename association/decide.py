@@ -20,12 +20,9 @@ Method = Callable[[Expectation, float | None], IntArray]
 """
 PLAIN: dict[str, Method] = {"nn": nn, "ml": ml, "ml-ratio": ml_ratio, "singles": singles, "gnn": gnn}
 """Methods without a search budget."""
-SEARCHES = {"jcbb": False, "jcbb-first": True}
-"""Methods with a node budget, and whether the first of the largest hypotheses is kept."""
-METHODS = (*PLAIN, *SEARCHES)
-"""Names of all methods that decide from the estimate; `known` decides from labels."""
-OWN_NEWNESS = "ml-ratio"
-"""The method that decides itself which observations are new."""
+SEARCHES = {"jcbb": False, "jcbb-first": True}  # node budget; whether the first hypothesis wins
+METHODS = (*PLAIN, *SEARCHES)  # names of all methods that decide from the estimate; `known` decides from labels
+OWN_NEWNESS = "ml-ratio"  # the method that decides itself which observations are new
 
 
 class Decided(NamedTuple):
@@ -56,19 +53,12 @@ def decide(
 ) -> Decided:
     """Decisions of a frame: pair by `method`, then decide which unpaired observations found a landmark.
 
-    Args:
-        method: one of `METHODS`, or a function like those of `PLAIN`.
-        expectation: candidates and observations.
-        gate: chi-square probability of the method's tests, None for no gate.
-        new_gate: chi-square probability outside which an observation is new; None: only where there is no candidate.
-            `ml-ratio` decides that itself.
-        known_map: nothing is new, and unpaired observations are discarded.
-        budget: nodes a search may visit in this frame.
+    `method` is one of `METHODS`, or a function like those of `PLAIN`; `gate` the chi-square probability of its tests,
+    None for no gate. Outside `new_gate` an observation is new; None: only without candidates (`ml-ratio` decides that
+    itself). In a known map nothing is new, and unpaired observations are discarded. A search may visit `budget` nodes.
 
-    Raises:
-        UsageError: no such method.
-        ValueError: a gate is no probability.
-        SingularInnovationError: an innovation covariance is not positive definite.
+    Raises UsageError for an unknown method, ValueError for a gate that is no probability, and SingularInnovationError
+    if an innovation covariance is not positive definite.
     """
     complete = True
     if method == "ml-ratio" and known_map:

@@ -20,8 +20,7 @@ from data.se2 import Array
 
 Residual = Callable[[Array, Array], Array]
 
-SINGULAR = 1e-13
-"""A covariance whose Cholesky pivot is below this share of its diagonal entry is singular."""
+SINGULAR = 1e-13  # A covariance whose Cholesky pivot is below this share of its diagonal entry is singular
 
 
 class SingularInnovationError(ValueError):
@@ -77,30 +76,18 @@ def _distances(
 
 @dataclass(frozen=True)
 class Expectation:
-    """Candidates and observations of a frame (or of a window of frames).
+    """Candidates and observations of a frame (or of a window of frames)."""
 
-    Attributes:
-        number: (n,) landmark number of each candidate.
-        z_hat: (n, 2) expected measurement.
-        HPHt: (n, 2, 2) covariance of the expectation, measurement noise not included.
-        frame: (n,) frame in which the candidate is expected.
-        z: (m, 2), R: (m, 2, 2) the observations; observed_frame: (m,) their frames.
-        residual: the sensor's `residual(z, z_hat)`, broadcasting.
-        joint: `joint(indices)` gives the joint covariance (2k, 2k) of the expectations of k candidates, in that order.
-        elsewhere: `elsewhere(pose)` is the same linearized at another pose (3,), as in an iterated update: z_hat =
-            h(pose) + H (mean - pose); None: not available.
-    """
-
-    number: IntArray
-    z_hat: Array
-    HPHt: Array
-    frame: IntArray
-    z: Array
-    R: Array
-    observed_frame: IntArray
-    residual: Residual
-    joint: Callable[[IntArray], Array]
-    elsewhere: Callable[[Array], Expectation] | None = None
+    number: IntArray  # (n,) landmark number of each candidate
+    z_hat: Array  # (n, 2) expected measurement
+    HPHt: Array  # (n, 2, 2) covariance of the expectation, measurement noise not included
+    frame: IntArray  # (n,) frame in which the candidate is expected
+    z: Array  # (m, 2)
+    R: Array  # (m, 2, 2)
+    observed_frame: IntArray  # (m,)
+    residual: Residual  # the sensor's `residual(z, z_hat)`, broadcasting
+    joint: Callable[[IntArray], Array]  # joint covariance (2k, 2k) of k candidates, in the order of their indices
+    elsewhere: Callable[[Array], Expectation] | None = None  # linearized at a pose (3,): h(pose) + H (mean - pose)
 
     @classmethod
     def from_arrays(

@@ -16,9 +16,7 @@ from data.inputs import IntArray
 from data.se2 import Array, BoolArray, between, compose, wrap_angle
 from data.sensors import Sensor
 
-MARGIN = 0.5
-"""m, beyond the observed stretch, besides `SIGMAS` of the position: sonar hears the other face past a thin wall's end.
-"""
+MARGIN = 0.5  # m beyond the observed stretch: sonar hears the other face past a thin wall's end
 SIGMAS = 3.0
 
 

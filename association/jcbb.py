@@ -25,8 +25,7 @@ UNPAIRED = -1
 COMPLETE = 0
 EXHAUSTED = 1
 SINGULAR_JOINT = 2
-TIE = 1e-12
-"""Joint distances within this relative difference are equal, so that rounding cannot choose between them."""
+TIE = 1e-12  # joint distances within this relative difference are equal, so that rounding cannot choose between them
 
 
 @numba.njit(cache=True)
@@ -43,13 +42,11 @@ def _factor(a: float, b: float, c: float, scale_a: float, scale_c: float) -> tup
 
 
 class Given(NamedTuple):
-    """The candidates conditioned on the first q pairings, by q. V: (m, k, 2, 2) rows of L^-1 C; shift: (m + 1, k, 2) of
-    the expectation; D: (m + 1, k, 3) remaining covariance (xx, xy, yy).
-    """
+    """The candidates conditioned on the first q pairings, by q."""
 
-    V: Array
-    shift: Array
-    D: Array
+    V: Array  # (m, k, 2, 2) rows of L^-1 C
+    shift: Array  # (m + 1, k, 2) of the expectation
+    D: Array  # (m + 1, k, 3) remaining covariance (xx, xy, yy)
 
 
 @numba.njit(cache=True)
@@ -322,8 +319,7 @@ def search_first(
     return best_choice, best_d2, best, nodes, COMPLETE
 
 
-BUDGET = 50_000
-"""Nodes that a search may visit: some tenths of a second in a frame of twenty observations."""
+BUDGET = 50_000  # nodes that a search may visit: some tenths of a second in a frame of twenty observations
 
 
 class SearchBudgetWarning(UserWarning):
@@ -331,17 +327,13 @@ class SearchBudgetWarning(UserWarning):
 
 
 class Search(NamedTuple):
-    """The result of a search.
+    """The result of a search."""
 
-    decisions: (m,) landmark number, or `NEW` (-1) for unpaired; distance: squared joint Mahalanobis distance of the
-    pairings; pairings and nodes: their numbers; complete: False if the budget ended the search.
-    """
-
-    decisions: IntArray
-    distance: float
-    pairings: int
-    nodes: int
-    complete: bool
+    decisions: IntArray  # (m,) landmark number, or `NEW` (-1) for unpaired
+    distance: float  # squared joint Mahalanobis distance of the pairings
+    pairings: int  # number of pairings
+    nodes: int  # number of nodes visited
+    complete: bool  # False if the budget ended the search
 
 
 def search(expectation: Expectation, gate: float | None, *, first: bool = False, budget: int = BUDGET) -> Search:

@@ -41,10 +41,8 @@ def nn(expectation: Expectation, gate: float | None) -> IntArray:
     return cheapest(e.number, np.where(d2 <= threshold, d2, np.inf))
 
 
-ALPHA = 0.84
-"""Squared distance of "new" as a candidate, from step 4 of the classic tutorials."""
-RATIO = 1.6
-"""Factor by which the second best squared distance must exceed the best, from the same step."""
+ALPHA = 0.84  # squared distance of "new" as a candidate, from step 4 of the classic tutorials
+RATIO = 1.6  # factor by which the second best squared distance must exceed the best, from the same step
 
 
 def ml(expectation: Expectation, gate: float | None) -> IntArray:

@@ -20,22 +20,16 @@ from association.expectation import gate_threshold
 from association.methods import ALPHA, RATIO
 from data.se2 import Array
 
-DRAWS = 64
-"""Innovations drawn per frame, which add 1/64 to the variance of a run's NIS."""
-POINTS = 4096
-"""Quasi-random points that frames take in turn, so that the sampling errors do not add up."""
+DRAWS = 64  # innovations drawn per frame, which add 1/64 to the variance of a run's NIS
+POINTS = 4096  # quasi-random points that frames take in turn, so that the sampling errors do not add up
 
 
 class Acceptance(NamedTuple):
-    """Thresholds that a pairing had to pass, as squared distances (inf: none).
+    """Thresholds that a pairing had to pass, as squared distances (inf: none)."""
 
-    individual: each pairing, 2 dof; joint: probability of the joint gate of all pairings of a frame, or None;
-    conditional: each pairing given the others of its frame, 2 dof.
-    """
-
-    individual: float = math.inf
-    joint: float | None = None
-    conditional: float = math.inf
+    individual: float = math.inf  # each pairing, 2 dof
+    joint: float | None = None  # probability of the joint gate of all pairings of a frame, or None
+    conditional: float = math.inf  # each pairing given the others of its frame, 2 dof
 
     @property
     def everything(self) -> bool:

@@ -18,15 +18,13 @@ def coordinates(points: IntArray) -> IntArray:
 
 def coordinates_from(first: IntArray) -> IntArray:
     """Rows (2n,) of points whose x is in the rows `first` (n,), and y in the next ones."""
-    rows: IntArray = (first[:, None] + np.arange(2)).ravel()
-    return rows
+    return np.asarray((first[:, None] + np.arange(2)).ravel())
 
 
 def of_points(P: Array, points: IntArray) -> Array:
     """Joint covariance (2k, 2k) of points (k,), from that of all points (2n, 2n); a copy."""
     rows = coordinates(points)
-    chosen: Array = P[np.ix_(rows, rows)]
-    return chosen
+    return np.asarray(P[np.ix_(rows, rows)])
 
 
 def blocks_of(P: Array) -> Array:

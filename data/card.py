@@ -85,8 +85,7 @@ def drawing(paths: Sequence[Path], points: Sequence[Points]) -> str:
     width, height = (scale * (high - low) + 2.0 * EDGE).tolist()
 
     def place(xy: Array) -> Array:
-        moved: Array = np.column_stack([EDGE + scale * (xy[:, 0] - low[0]), EDGE + scale * (high[1] - xy[:, 1])])
-        return moved
+        return np.asarray(np.column_stack([EDGE + scale * (xy[:, 0] - low[0]), EDGE + scale * (high[1] - xy[:, 1])]))
 
     def sign(p: Path | Points) -> str:
         return "●" if isinstance(p, Points) else "┄" if p.dashed else "━"

@@ -39,8 +39,7 @@ class VisualSetup:
     @property
     def width(self) -> Array:
         """Widths (L,) of the pictures [m]."""
-        side: Array = np.linalg.norm(self.corners[:, 1] - self.corners[:, 0], axis=1)
-        return side
+        return np.asarray(np.linalg.norm(self.corners[:, 1] - self.corners[:, 0], axis=1))
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,8 +105,7 @@ def _per_second(time: Array, turn: Array) -> Array:
     second = np.floor(time - time[0])
     edges = np.unique(np.concatenate([[0], 1 + np.flatnonzero(second[1:] > second[:-1]), [len(time) - 1]]))
     total = np.concatenate([[0.0], np.cumsum(turn)])
-    rate: Array = np.diff(total[edges]) / np.maximum(np.diff(time[edges]), 1.0)
-    return rate
+    return np.asarray(np.diff(total[edges]) / np.maximum(np.diff(time[edges]), 1.0))
 
 
 def stamps(log: Log) -> list[Notice]:

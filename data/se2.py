@@ -47,15 +47,13 @@ def worlds_from_bodies(theta: Array) -> Array:
 def covariances_in_world(theta: Array, covariance: Array) -> Array:
     """World-frame covariances B C B' (N, 3, 3) from body-frame ones of poses with headings (N,)."""
     B = worlds_from_bodies(theta)
-    world: Array = B @ covariance @ B.transpose(0, 2, 1)
-    return world
+    return np.asarray(B @ covariance @ B.transpose(0, 2, 1))
 
 
 def covariances_in_body(theta: Array, covariance: Array) -> Array:
     """Body-frame covariances B' C B (N, 3, 3) from world-frame ones of poses with headings (N,)."""
     B = worlds_from_bodies(theta)
-    body: Array = B.transpose(0, 2, 1) @ covariance @ B
-    return body
+    return np.asarray(B.transpose(0, 2, 1) @ covariance @ B)
 
 
 def compose(T_ab: Array, T_bc: Array) -> Array:

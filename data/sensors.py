@@ -272,8 +272,7 @@ class Sensor:
         polar = self.polar(z)
         inside = polar[..., 0] <= self.max_range + margin_range
         middle, half = 0.5 * (self.min_angle + self.max_angle), 0.5 * (self.max_angle - self.min_angle)
-        view: BoolArray = inside & (np.abs(se2.wrap_angle(polar[..., 1] - middle)) <= half + margin_angle + 1e-12)
-        return view
+        return np.asarray(inside & (np.abs(se2.wrap_angle(polar[..., 1] - middle)) <= half + margin_angle + 1e-12))
 
 
 class RangeBearing(Sensor):

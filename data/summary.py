@@ -186,8 +186,7 @@ def _labels(log: Log) -> list[Line]:
 
 
 def _known(pose: Array) -> BoolArray:
-    known: BoolArray = np.all(np.isfinite(pose), axis=1)
-    return known
+    return np.asarray(np.isfinite(pose).all(axis=1))
 
 
 def _truth(log: Log) -> list[Line]:

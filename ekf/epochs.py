@@ -24,15 +24,12 @@ from ekf.kernels import NEWEST
 from ekf.parking import Triangle, root, symmetric, whitened
 from ekf.whole_run import FilterRun, Steps, Track, empty_track, filter_run, rules_of, run
 
-LEAST = 300
-"""Landmarks. A smaller map is never parked: at most some tenths of a second would be gained."""
-STEP, PAIRING = 1.0e-9, 2.0e-10
-"""s. Cost of a frame per squared length of the state, and additional cost per pairing."""
+LEAST = 300  # landmarks. A smaller map is never parked: at most some tenths of a second would be gained
+STEP, PAIRING = 1.0e-9, 2.0e-10  # s. Cost of a frame per squared length of the state, and additional cost per pairing
 PRODUCT, MOVED = 8.0e-11, 2.0e-8
-"""s. Cost of an epoch's end per squared length of the map and column of C, and additional cost per entry. Measured on
-one core. With 600 and 2400 landmarks half or twice as much changes the time of a run by less than a tenth."""
-WORTH = 0.7
-"""Parking must be expected to take less than this share of the time."""
+"""s. Cost of an epoch's end per squared length of the map and column of C, and additional cost per entry, on one core.
+Half or twice as much changes the time of a run by less than a tenth."""
+WORTH = 0.7  # parking must be expected to take less than this share of the time
 
 
 class Epoch(NamedTuple):
@@ -176,20 +173,17 @@ def run_in_epochs(
 
 
 class State(NamedTuple):
-    """Buffers of an epoch: robot, active landmarks, y, padding to an even length, then room for new landmarks. d:
-    length without new landmarks; y: length of y; C: (2b, y), D of `ekf.parking`, undefined in rows of active landmarks.
-    """
+    """Buffers of an epoch: robot, active landmarks, y, padding to an even length, then room for new landmarks."""
 
     mean: Array
     P: Array
     first: Array
-    d: int
-    y: int
-    C: Array
+    d: int  # length without new landmarks
+    y: int  # length of y
+    C: Array  # (2b, y), D of `ekf.parking`, undefined in rows of active landmarks
 
 
-Robot = tuple[Array, Array, Array]
-"""Mean (3 + p,), covariance (3 + p, 3 + p) and first estimate (3 + p,) of pose and systematic errors."""
+Robot = tuple[Array, Array, Array]  # mean, covariance, first estimate (3 + p) of pose and errors
 
 
 def begin_epoch(whole: FullMap, robot: Robot, epoch: Epoch, created: int, new: int, first_estimates: bool) -> State:

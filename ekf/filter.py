@@ -23,23 +23,14 @@ class FilterDivergedError(Exception):
 
 @dataclass(frozen=True)
 class FilterOptions:
-    """Variants of the update; reports use the defaults unless they say otherwise.
+    """Variants of the update; reports use the defaults unless they say otherwise."""
 
-    Attributes:
-        each: one update per observation (linearized one after the other) instead of one stacked update per frame.
-        invariant: the correction moves pose and landmarks together (right-invariant EKF).
-        iterations: largest number of linearizations of an update (1: the plain EKF).
-        first_estimates: Jacobians at the first estimates, predicted poses and landmarks as initialized (FEJ-EKF).
-        new_variance: m^2; a new landmark gets this variance and no correlation (None: the exact augmentation).
-        new_variance_per_square: the same as a share of its squared distance from the sensor; step by step only.
-    """
-
-    each: bool = False
-    invariant: bool = False
-    iterations: int = 1
-    first_estimates: bool = False
-    new_variance: float | None = None
-    new_variance_per_square: float | None = None
+    each: bool = False  # one update per observation, linearized after the previous one, instead of one per frame
+    invariant: bool = False  # the correction moves pose and landmarks together (right-invariant EKF)
+    iterations: int = 1  # largest number of linearizations of an update (1: the plain EKF)
+    first_estimates: bool = False  # Jacobians at predicted poses and landmarks as initialized (FEJ-EKF)
+    new_variance: float | None = None  # m^2, of a new landmark, without correlation; None: exact augmentation
+    new_variance_per_square: float | None = None  # share of its squared distance; step by step only
 
     def __post_init__(self) -> None:
         if self.first_estimates and (self.iterations > 1 or self.invariant):
@@ -58,8 +49,7 @@ class FilterOptions:
         return -1.0 if self.new_variance is None else self.new_variance
 
 
-DEFAULT = FilterOptions()
-"""One stacked update per frame, exact augmentation."""
+DEFAULT = FilterOptions()  # one stacked update per frame, exact augmentation
 
 
 def frame_of(
@@ -93,15 +83,9 @@ class Filter:
 
     Systematic errors are states behind the pose. With errors of the sensor, state and expectations are in the sensor's
     frame; in SLAM with walls, about the first pose (`ekf.walls`). Poses and maps go in and out in the world frame.
-
-    Attributes:
-        smooths: False: a filter does not revise its past.
-        sensor: in the frame of the state.
-        size: length of the state with systematic errors, without parked landmarks.
-        base: offset of the landmarks, behind pose and systematic errors.
     """
 
-    smooths = False
+    smooths = False  # a filter does not revise its past
 
     def __init__(
         self, prior: Prior, sensor: Sensor, options: FilterOptions, errors: Systematic | None, landmarks: int = 0
@@ -111,7 +95,7 @@ class Filter:
         self._errors = systematic.as_states(errors, self._frame)
         self.sensor, self.options = self._frame.sensor(sensor), options
         self._kind, self._extrinsic = self.sensor.kind, self.sensor.extrinsic
-        self.base = self.size = 3 + len(self._errors.place)
+        self.base = self.size = 3 + len(self._errors.place)  # offset of the landmarks; length without parked ones
         self._rule = options.rule(len(self._errors.place))
         capacity, start = self.base + 2 * landmarks, slice(0, self.base)
         self._mean, self._P = np.zeros(capacity), np.zeros((capacity, capacity))

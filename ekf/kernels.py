@@ -20,8 +20,7 @@ from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from data.sensors import LINE, invert, measure, name_as_read, residual, wrap_angle_jit
 
-NEWEST = np.empty(0)
-"""First estimates of a filter without any: Jacobians at the newest estimates."""
+NEWEST = np.empty(0)  # first estimates of a filter without any: Jacobians at the newest estimates
 NEW = -1
 DISCARD = -2
 OK = 0
@@ -31,14 +30,12 @@ FAILURES = {NOT_FINITE: "the state is no longer finite", NOT_PSD: "a covariance 
 
 
 class Pairings(NamedTuple):
-    """Observations z (k, 2), R (k, 2, 2) and the landmarks that they are paired with. `at` (k,) is the offset of each
-    landmark in the state; where it is negative, the landmark is known and is row `known` (k, 2).
-    """
+    """Observations and the landmarks that they are paired with."""
 
-    at: IntArray
-    known: Array
-    z: Array
-    R: Array
+    at: IntArray  # (k,) offset of each landmark in the state; negative: known
+    known: Array  # (k, 2) known landmarks
+    z: Array  # (k, 2)
+    R: Array  # (k, 2, 2)
 
 
 class Innovation(NamedTuple):

@@ -17,12 +17,7 @@ from ekf.systematic import expect_known, hold_known
 
 
 class EkfLocalizer(Filter):
-    """Extended Kalman filter over the pose (Probabilistic Robotics, Table 7.2, with one stacked update per frame).
-
-    Attributes:
-        map: the known landmarks.
-        within: squared distance from every observation beyond which `expect` may omit landmarks.
-    """
+    """Extended Kalman filter over the pose (Probabilistic Robotics, Table 7.2, with one stacked update per frame)."""
 
     def __init__(
         self,
@@ -35,7 +30,7 @@ class EkfLocalizer(Filter):
     ) -> None:
         """Start at the prior with an exact map; `systematic`: errors to estimate."""
         super().__init__(prior, sensor, options, systematic)
-        self.map, self.within = known, math.inf
+        self.map, self.within = known, math.inf  # within: squared distance beyond which `expect` may omit landmarks
         self._places = Places(known.xy)
 
     def expect(self, observations: FrameObservations) -> Expectation:

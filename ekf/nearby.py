@@ -27,24 +27,19 @@ from data.se2 import Array, BoolArray
 from data.sensors import LINE, Sensor, measure, residual
 from ekf.parking import Parked
 
-BLOCK = 64
-"""Landmarks in a bounding box, by number: successive landmarks are near each other."""
-MARGIN = 1.0 + 1e-6
-"""Factor on squared distances, so that rounding excludes no landmark."""
+BLOCK = 64  # landmarks in a bounding box, by number: successive landmarks are near each other
+MARGIN = 1.0 + 1e-6  # factor on squared distances, so that rounding excludes no landmark
 
 
 class ParkedBounds(NamedTuple):
-    """Parked landmarks of an epoch: covariance (n, 2, 2) and sigma [m] (n,) of the position relative to x0. boxes: (n /
-    64, 5) smallest and largest x, smallest and largest y [m], largest sigma [m]; NaN where none is parked.
-    """
+    """Parked landmarks of an epoch, their positions relative to x0."""
 
-    own: Array
-    sigma: Array
-    boxes: Array
+    own: Array  # (n, 2, 2) covariance
+    sigma: Array  # (n,) m
+    boxes: Array  # (n / 64, 5) smallest and largest x, then y [m], largest sigma [m]; NaN where none is parked
 
 
-EMPTY = ParkedBounds(np.empty((0, 2, 2)), np.empty(0), np.empty((0, 5)))
-"""No landmark is parked."""
+EMPTY = ParkedBounds(np.empty((0, 2, 2)), np.empty(0), np.empty((0, 5)))  # no landmark is parked
 
 
 def parked_bounds(parked: Parked, C: Array, P_xx: Array) -> ParkedBounds:

@@ -41,19 +41,14 @@ from data.blocks import coordinates
 from data.inputs import IntArray
 from data.se2 import Array
 
-ROWS = 256
-"""Rows of a block. Measured with 8000 rows and products of rank 300: 128 and 512 are within 5 %."""
+ROWS = 256  # rows of a block. Measured with 8000 rows and products of rank 300: 128 and 512 are within 5 %
 
 
 class Triangle:
-    """A symmetric matrix that grows by rows of zeros; each block of rows includes its whole diagonal block.
-
-    Attributes:
-        size: rows in use.
-    """
+    """A symmetric matrix that grows by rows of zeros; each block of rows includes its whole diagonal block."""
 
     def __init__(self) -> None:
-        self.size = 0
+        self.size = 0  # rows in use
         self._block: list[Array] = []
 
     def grow(self, size: int) -> None:
@@ -116,12 +111,10 @@ class Triangle:
         return mean
 
 
-LONGEST = 3
-"""Largest length of y and recent landmarks, relative to A: longer steps against rarer epochs. 2 and 5 take as long."""
+LONGEST = 3  # largest length of y and recent landmarks, relative to A; 2 and 5 take as long
 
 
-STRIP = 16
-"""Columns solved one by one; BLAS subtracts the ones before them."""
+STRIP = 16  # columns solved one by one; BLAS subtracts the ones before them
 
 
 def symmetric(P: Array) -> Array:
@@ -167,22 +160,14 @@ class Parked:
     """The parked landmarks in terms of the carried y; landmark n has rows 2n and 2n + 1.
 
     Rows of D for landmarks that are not parked, or recent, are zero; their mean and P are undefined.
-
-    Attributes:
-        based: (n,) by landmark number, whether it is parked and in these rows.
-        recent: (r,) numbers of landmarks parked since the epoch began, in the order of the buffers.
-        k: length of y.
-        epochs: number of epochs begun.
-        mean: (2n,) m, means at the epoch.
-        P: (2n, 2n) m^2, covariance at the epoch.
-        robot: (3, 3) the root of the pose's covariance at the epoch.
     """
 
     def __init__(self) -> None:
-        self.based = np.empty(0, np.bool_)
-        self.recent = np.empty(0, np.int64)
-        self.k, self.epochs = 0, 0
-        self.mean, self.P, self.robot = np.zeros(0), Triangle(), np.zeros((3, 3))
+        self.based = np.empty(0, np.bool_)  # (n,) by landmark number, whether it is parked and in these rows
+        self.recent = np.empty(0, np.int64)  # (r,) parked since the epoch began, in the order of the buffers
+        self.k, self.epochs = 0, 0  # length of y, number of epochs begun
+        self.mean, self.P = np.zeros(0), Triangle()  # (2n,) m and (2n, 2n) m^2 at the epoch
+        self.robot = np.zeros((3, 3))  # root of the pose's covariance at the epoch
         self._D = np.zeros((0, 0))
 
     @property

@@ -20,8 +20,7 @@ from data.result import Failure
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import wrap_angle_jit as wrapped
 
-GROWTH = 1.5
-"""Factor by which a full covariance buffer grows."""
+GROWTH = 1.5  # factor by which a full covariance buffer grows
 
 
 class LoopUpdate(NamedTuple):
@@ -162,21 +161,16 @@ def _downdate(P: Array, V: Array) -> None:
 
 
 class PoseChainRun(NamedTuple):
-    """The filter over a whole chain.
+    """The filter over a whole chain."""
 
-    online, online_covariance: (K, 3), (K, 3, 3) of each key pose when it was the newest, its loop closures included;
-    pose, covariance: (K, 3), (K, 3, 3) of all of them in the last state; used: (L,) loop closures that passed the gate;
-    d2: (L,) their squared innovations, NaN: not tested; nis, dof: (K,) of the update at each key pose.
-    """
-
-    online: Array
-    online_covariance: Array
-    pose: Array
-    covariance: Array
-    used: BoolArray
-    d2: Array
-    nis: Array
-    dof: IntArray
+    online: Array  # (K, 3) each key pose when it was the newest, its loop closures included
+    online_covariance: Array  # (K, 3, 3)
+    pose: Array  # (K, 3) in the last state
+    covariance: Array  # (K, 3, 3)
+    used: BoolArray  # (L,) loop closures that passed the gate
+    d2: Array  # (L,) squared innovations, NaN: not tested
+    nis: Array  # (K,) of the update at each key pose
+    dof: IntArray  # (K,)
     failure: Failure | None
 
 

@@ -15,8 +15,7 @@ from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.nearby import EMPTY, MARGIN, may_be_observed, parked_bounds
 from ekf.parking import LONGEST, Parked, symmetric
 
-JOINED = 1e-4
-"""m, of a wall also rad; standard deviation of the difference of two merged landmarks."""
+JOINED = 1e-4  # m, of a wall also rad; standard deviation of the difference of two merged landmarks
 
 
 class EkfSlam(Filter):

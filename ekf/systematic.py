@@ -25,21 +25,15 @@ from ekf.walls import WallFrame
 
 
 class Errors(NamedTuple):
-    """The systematic errors of a run for the kernels.
+    """The systematic errors of a run for the kernels."""
 
-    place: (p,) index of each among all errors; mount: (3,) as of `data.motion.systematic.correct`. drift_at: row of the
-    drift in the state, -1: none; drift: (3,) its variance, its length [m], metres between knots. range_at: row of the
-    range error, -1: none; origin: (2,) m, fixed point of the scale of the world. since: (1,) m since the last knot; a
-    prediction advances it.
-    """
-
-    place: IntArray
-    mount: Array
-    drift_at: int
-    drift: Array
-    range_at: int
-    origin: Array
-    since: Array
+    place: IntArray  # (p,) index of each among all errors
+    mount: Array  # (3,) as of `data.motion.systematic.correct`
+    drift_at: int  # row of the drift in the state, -1: none
+    drift: Array  # (3,) its variance, its length [m], metres between knots
+    range_at: int  # row of the range error, -1: none
+    origin: Array  # (2,) m, fixed point of the scale of the world
+    since: Array  # (1,) m since the last knot; a prediction advances it
 
 
 def as_states(systematic: Systematic | None, frame: SensorFrame) -> Errors:

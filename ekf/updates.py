@@ -12,38 +12,31 @@ from data.se2 import Array, BoolArray
 from data.sensors import wrap_angle_jit
 from ekf.kernels import NEWEST, NOT_PSD, OK, Innovation, Pairings, gate, healthy, innovate
 
-ADDITIVE = 0
-"""Retraction mean += K nu."""
+ADDITIVE = 0  # retraction mean += K nu
 INVARIANT = 3
-"""Retraction by exp(xi), the right-invariant error of SE_(1+n)(2), of pose and landmarks together.
-
-This or more is the offset of the landmarks; states between them and the pose are corrected additively."""
+"""Retraction by exp(xi), the right-invariant error of SE_(1+n)(2), of pose and landmarks. This or more is the offset of
+the landmarks; states between them and the pose are corrected additively."""
 
 BY_ROWS = (64, 800)
 """States; within these limits the update of P goes by whole rows. Fewer do not fill them, more exceed the cache."""
-TILE = 16
-"""States; rows and columns of a tile stay in the nearest cache while it is mirrored."""
+TILE = 16  # states; rows and columns of a tile stay in the nearest cache while it is mirrored
 
 
 class UpdateRule(NamedTuple):
-    """Rule of an update. threshold: squared distance of the gate, inf for none; retraction: `ADDITIVE`, `INVARIANT` or
-    more; iterations: largest number of linearizations; first: see `ekf.kernels`, not together with iterations.
-    """
+    """Rule of an update."""
 
-    threshold: float
-    retraction: int
-    iterations: int
-    first: Array
+    threshold: float  # squared distance of the gate, inf for none
+    retraction: int  # `ADDITIVE`, `INVARIANT` or more
+    iterations: int  # largest number of linearizations
+    first: Array  # see `ekf.kernels`; not together with iterations
 
 
 class Outcome(NamedTuple):
-    """Outputs of an update with k observations. keep: (k,) passed the gate; stats: (3,) sums of NIS, log-likelihood and
-    degrees of freedom; white: (k, 2) each innovation divided by its standard deviation, NaN where it was not used.
-    """
+    """Outputs of an update with k observations."""
 
-    keep: BoolArray
-    stats: Array
-    white: Array
+    keep: BoolArray  # (k,) passed the gate
+    stats: Array  # (3,) sums of NIS, log-likelihood and degrees of freedom
+    white: Array  # (k, 2) innovations divided by their standard deviations, NaN where not used
 
 
 @numba.njit(cache=True)

@@ -20,23 +20,19 @@ from ekf.updates import Outcome, UpdateRule, update, update_each
 
 
 class FilterRun(NamedTuple):
-    """Pose (N, 3), covariance (N, 3, 3); nis, dof, log_likelihood, state_size (N,) each.
+    """The results of a filter over N frames and M observations."""
 
-    `white` (M, 2) as in `Innovations`. `decisions` (M,) are the given ones, gated pairings turned into `DISCARD`.
-    `failure` is (frame, reason) or None; later rows are NaN. `errors`: the systematic ones, where the inputs have any.
-    """
-
-    pose: Array
-    covariance: Array
-    nis: Array
+    pose: Array  # (N, 3)
+    covariance: Array  # (N, 3, 3)
+    nis: Array  # (N,), as dof, log_likelihood and state_size
     dof: IntArray
     log_likelihood: Array
     state_size: IntArray
-    white: Array
-    decisions: IntArray
+    white: Array  # (M, 2) as in `Innovations`
+    decisions: IntArray  # (M,) the given ones, gated pairings turned into `DISCARD`
     map: MapState | None
-    failure: tuple[int, str] | None
-    errors: Systematics | None = None
+    failure: tuple[int, str] | None  # frame and reason; later rows are NaN
+    errors: Systematics | None = None  # the systematic ones, where the inputs have any
 
 
 def run_filter(
@@ -126,27 +122,22 @@ def filter_run(
 
 
 class Steps(NamedTuple):
-    """The frames of a log with known decisions for the compiled loop.
+    """The frames of a log with known decisions for the compiled loop."""
 
-    motion (N, 3), M (N, 3, 3): increments. start (N + 1,): each frame's rows of z (M, 2), R (M, 2, 2), decision (M,),
-    which is in SLAM (`known` empty) a landmark number, `NEW` or `DISCARD`; in localization a row of `known` (L, 2) or
-    `DISCARD`.
-    """
-
-    motion: Array
-    M: Array
-    start: IntArray
-    z: Array
-    R: Array
-    decision: IntArray
-    known: Array
+    motion: Array  # (N, 3)
+    M: Array  # (N, 3, 3) covariance of the motion
+    start: IntArray  # (N + 1,) first row of each frame in z, R and decision
+    z: Array  # (M, 2)
+    R: Array  # (M, 2, 2)
+    decision: IntArray  # (M,) landmark number, `NEW` or `DISCARD`; in localization row of `known` or `DISCARD`
+    known: Array  # (L, 2) known landmarks; empty in SLAM
 
 
 class Rules(NamedTuple):
-    """each: one update per observation; variance: of a new landmark, negative: exact; how: the rule of the update."""
+    """Rules of the compiled loop."""
 
-    each: bool
-    variance: float
+    each: bool  # one update per observation
+    variance: float  # of a new landmark, negative: exact
     how: UpdateRule
 
 

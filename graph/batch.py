@@ -19,13 +19,11 @@ from graph.walls import line_factors, refuse
 
 
 class Start(NamedTuple):
-    """Initial estimate: poses (N, 3) and landmarks (L, 2), points or walls, row = landmark number. errors (N, p):
-    systematic errors by frame, where some are estimated; None: from zero.
-    """
+    """Initial estimate."""
 
-    pose: Array
-    landmark: Array
-    errors: Array | None = None
+    pose: Array  # (N, 3)
+    landmark: Array  # (L, 2) points or walls, row = landmark number
+    errors: Array | None = None  # (N, p) systematic errors by frame, where some are estimated; None: zero
 
 
 def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, loss: str = "gaussian") -> Smoothed:

@@ -19,20 +19,15 @@ from graph.walls import lines_of, same_wall
 
 Answer = TypeVar("Answer")
 
-SIZES = {"x": 3, "l": 2}
-"""Dimensions of poses and landmarks."""
-WALL_SIZES = {"l": 3, "p": 2}
-"""Dimensions of walls, and of the points of the robot that they are observed from."""
+SIZES = {"x": 3, "l": 2}  # dimensions of poses and landmarks
+WALL_SIZES = {"l": 3, "p": 2}  # dimensions of walls, and of the points of the robot that they are observed from
 
 FURTHER = 4.0
-"""In thresholds: relinearization threshold of variables with almost linear factors. With a quarter or five times of it
-the newest pose is as near to batch on Victoria Park (0.02 sigma), at the same time."""
-WILDFIRE = 0.2
-"""In thresholds: a smaller change is not propagated further back into the past."""
-JUMP = 10.0
-"""In thresholds: where an update moves the newest pose further (a loop was closed), another one follows, ..."""
-EXTRA = 5
-"""... at most this many times."""
+"""In thresholds: relinearization threshold of variables with almost linear factors; a quarter or five times of it gives
+the same accuracy and time on Victoria Park."""
+WILDFIRE = 0.2  # in thresholds: a smaller change is not propagated further back into the past
+JUMP = 10.0  # in thresholds: where an update moves the newest pose further (loop closure), another one follows, ...
+EXTRA = 5  # ... at most this many times
 
 
 class Engine:
@@ -278,10 +273,8 @@ class Engine:
         return UnderConstrained(f"{name} is not determined by the data so far")
 
 
-MANY = 1 << 17
-"""Factors, removed ones included, in the longest logs of several hours: gtsam visits all their slots in a step."""
-FIRST, MIDDLE, LAST = 0, 1, 2
-"""Groups in the order of elimination."""
+MANY = 1 << 17  # factors in logs of several hours, removed ones included: gtsam visits all their slots in a step
+FIRST, MIDDLE, LAST = 0, 1, 2  # groups in the order of elimination
 
 
 class Window(Engine):

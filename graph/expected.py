@@ -13,14 +13,10 @@ from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.se2 import Array, pose_error
 from data.sensors import Sensor
 
-REFRESH = 50
-"""Frames between two queries of all positions, which then take a twentieth of the time of a query in every frame."""
-STEADY = 1.0
-"""m. All positions are queried at once if the newest pose was corrected by this in sum, or a landmark near it by half
-of that: a loop was closed."""
+REFRESH = 50  # frames between two queries of all positions: a twentieth of the time of a query in every frame
+STEADY = 1.0  # m; all positions are queried after this correction of the newest pose, or half of it of a landmark
 
-UNKNOWN = 1e12
-"""m^2, rad^2. Stands in for the variances of a wall that were never queried."""
+UNKNOWN = 1e12  # m^2, rad^2. Stands in for the variances of a wall that were never queried
 
 
 class PositionCache:

@@ -22,10 +22,9 @@ from data.se2 import Array, BoolArray, covariances_in_body, world_from_body
 from data.sensors import RANGE_BEARING, Sensor
 
 NEAR = 3.0
-"""Sigmas of a range; a shorter observation is taken as a point, see `is_point`. In parks with trees on the path,
-searches got stuck at the singularity with 1 and none with 2; 3 saves a third of the steps."""
-UNMEASURED = 10.0
-"""Multiples of the range, and m: a range sigma above both marks a bearing-only observation, never a near point."""
+"""Sigmas of a range below which an observation is taken as a point, see `is_point`. In parks with trees on the path,
+searches got stuck with 1 and none with 2."""
+UNMEASURED = 10.0  # multiples of the range, and m; a range sigma above both marks a bearing-only observation
 
 
 def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
@@ -66,13 +65,10 @@ Factor = gtsam.NonlinearFactor
 
 EXACT = 1e-6
 """m, rad. Least sigma of the prior in a direction; all three smaller: the pose is held exactly. gtsam has no exact
-noise in an arbitrary direction. The covariances of batch and finish do not depend on this."""
-BEACON = 1e7
-"""m. Distance of the beacons that represent the coordinates of a relative point; see `coordinate_factors`."""
-SINGULAR = 1e-13
-"""m^2, rad^2. Variance of an increment below which its information matrix is not computed."""
-HUBER, CAUCHY = 1.345, 1.0
-"""Sigmas at which the losses bend: 95 % efficient on Gaussian noise, and the usual value."""
+noise in an arbitrary direction."""
+BEACON = 1e7  # m. Distance of the beacons that represent the coordinates of a relative point; see `coordinate_factors`
+SINGULAR = 1e-13  # m^2, rad^2. Variance of an increment below which its information matrix is not computed
+HUBER, CAUCHY = 1.345, 1.0  # sigmas at which the losses bend: 95 % efficient on Gaussian noise, and the usual value
 KERNELS = {"huber": noise.mEstimator.Huber.Create(HUBER), "cauchy": noise.mEstimator.Cauchy.Create(CAUCHY)}
 LOSSES = ("gaussian", *KERNELS)
 _HELD = noise.Constrained.All(2)
@@ -90,23 +86,14 @@ def name_of(key: int) -> str:
 
 @dataclass(frozen=True)
 class ObservationFactors:
-    """One observation as factors.
+    """One observation as factors."""
 
-    Attributes:
-        frame: of the observation.
-        number: landmark number (localization: the map's id).
-        key: the landmark's variable; None where the factor needs none.
-        measured: the factors of the measurement, two residuals in all.
-        pin: holds a known landmark at its position in the map; None in SLAM.
-        xy: position of a known landmark; None in SLAM.
-    """
-
-    frame: int
-    number: int
-    key: int | None
-    measured: list[Factor]
-    pin: Factor | None = None
-    xy: Array | None = None
+    frame: int  # of the observation
+    number: int  # landmark number (localization: the map's id)
+    key: int | None  # the landmark's variable; None where the factor needs none
+    measured: list[Factor]  # the factors of the measurement, two residuals in all
+    pin: Factor | None = None  # holds a known landmark at its position in the map; None in SLAM
+    xy: Array | None = None  # position of a known landmark; None in SLAM
 
     @property
     def factors(self) -> list[Factor]:

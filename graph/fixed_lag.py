@@ -16,11 +16,9 @@ from graph.engine import Window
 from graph.incremental import SKIP, THRESHOLD, Isam2Smoother
 from graph.optimum import in_world
 
-SLACK = 0.1
-"""Share of the lag by which the oldest pose may exceed it, before all older ones are marginalized together."""
+SLACK = 0.1  # share of the lag by which the oldest pose may exceed it, before all older ones are marginalized together
 
-JOINED = 1e-4
-"""m; standard deviation of the difference of two merged landmarks."""
+JOINED = 1e-4  # m; standard deviation of the difference of two merged landmarks
 
 
 class FixedLagSmoother(Isam2Smoother):
@@ -56,11 +54,9 @@ class FixedLagSmoother(Isam2Smoother):
         super().__init__(prior, sensor, known, threshold=threshold, skip=skip, systematic=systematic)
         self.lag, self.slack = lag, slack
         self._time = [0.0]
-        self._timed = 0
-        """First frame whose time is stored."""
+        self._timed = 0  # first frame whose time is stored
         self._engine = self._window = Window(self._engine)
-        self._oldest = 0
-        """First frame in the window."""
+        self._oldest = 0  # first frame in the window
         self._keeps = True
         self._left = array("d")
         """Of each frame that left: pose (3), covariance (3, 3), errors and their sigmas (2, p); about 100 bytes."""

@@ -28,14 +28,10 @@ from graph.optimum import optimize
 from graph.systematic import errors_of
 from graph.walls import refuse
 
-THRESHOLD = 0.05
-"""m, rad. Relinearize variables that moved further than this, ..."""
-SKIP = 10
-"""... at every so many updates."""
-SETTLE = 3
-"""Updates after a removal, and default of `refine`."""
-DELICATE = 1e-8
-"""m^2, rad^2. Below this eigenvalue of an increment or the prior the elimination uses QR, a fifth slower."""
+THRESHOLD = 0.05  # m, rad. Relinearize variables that moved further than this, ...
+SKIP = 10  # ... at every so many updates
+SETTLE = 3  # updates after a removal, and default of `refine`
+DELICATE = 1e-8  # m^2, rad^2; below this eigenvalue of an increment or the prior QR is used, a fifth slower
 
 
 class Isam2Smoother:
@@ -43,12 +39,9 @@ class Isam2Smoother:
 
     Parameters chosen on Victoria Park at 25 frames: the newest pose is within 4 % of a sigma of the batch solution, 0.2
     % in the median, at half the time of relinearizing in every update.
-
-    Attributes:
-        smooths: True: it revises its path.
     """
 
-    smooths = True
+    smooths = True  # it revises its path
 
     def __init__(
         self,

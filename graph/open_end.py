@@ -46,24 +46,17 @@ class MarginalizedPose(NamedTuple):
 
 
 class OpenEnd:
-    """The newest pose, and the increments that are not in the graph yet.
-
-    Attributes:
-        mean: (3,) of the newest pose.
-        P: (3, 3), its covariance, world frame.
-        anchor: frame of the newest pose in the graph, -1 before there is one.
-    """
+    """The newest pose, and the increments that are not in the graph yet."""
 
     def __init__(self, prior: Prior) -> None:
         self.prior = prior
-        self.mean, self.P = prior.mean.copy(), prior.covariance.copy()
-        self.anchor = -1
+        self.mean, self.P = prior.mean.copy(), prior.covariance.copy()  # newest pose, world frame
+        self.anchor = -1  # frame of the newest pose in the graph, -1 before there is one
         self._increments, self._path = list[Increment](), list[Array]()
         self._known_exactly = is_exact(prior)
         self._motion = list[gtsam.BetweenFactorPose2]()
         self._anchor = self.mean, self.P
-        self._Q = np.zeros((3, 3))
-        """Covariance gathered since the anchor."""
+        self._Q = np.zeros((3, 3))  # covariance gathered since the anchor
 
     @property
     def keys(self) -> list[int]:

@@ -25,32 +25,20 @@ from graph.qr.rows import Linearizer
 from graph.qr.solution import Solution, covariances, solve
 from graph.walls import about_origin
 
-STEP = 1e-6
-"""sigma. A shorter step ends the search, as a root sum of squares over all directions."""
-ROUNDING = 2e-5
-"""sigma. So does one that hardly shrank and is smaller than this in every direction: gtsam's logarithm of a pose is
-accurate to about 1e-5 sigma."""
-CONVERGED = 1e-3
-"""sigma. Largest component of the remaining step at an optimum."""
-SHRANK = 0.9
-"""Share above which a step hardly shrank. The steps of a robust loss shrink to half or so each time."""
-MOST = 200
-"""Steps of one search. Five to fifteen are usual; a robust loss converges linearly and may take fifty."""
-SHORTEST = 1e-3
-"""Share of a step below which it is not shortened further: the search is stuck."""
-ARMIJO = 0.1
-"""Share of the predicted decrease of the linearized problem that a step must reach."""
-ERROR_ROUNDING = 1e-9
-"""Relative increase of the cost allowed in a step (the ranges to beacons are rounded to nanometres)."""
+STEP = 1e-6  # sigma. A shorter step ends the search, as a root sum of squares over all directions
+ROUNDING = 2e-5  # sigma; so does one that hardly shrank: gtsam's logarithm of a pose is accurate to about 1e-5 sigma
+CONVERGED = 1e-3  # sigma. Largest component of the remaining step at an optimum
+SHRANK = 0.9  # share above which a step hardly shrank. The steps of a robust loss shrink to half or so each time
+MOST = 200  # steps of one search. Five to fifteen are usual; a robust loss converges linearly and may take fifty
+SHORTEST = 1e-3  # share of a step below which it is not shortened further: the search is stuck
+ARMIJO = 0.1  # share of the predicted decrease of the linearized problem that a step must reach
+ERROR_ROUNDING = 1e-9  # relative increase of the cost allowed in a step (ranges to beacons are rounded to nanometres)
 SLACK = (1.0, 0.3)
 """Shares of the worst sigma of an increment to which its best is loosened if the direct search fails: the curved valley
 of a stiff path is crossed more easily while it is wide."""
-SUSPECT = 2.0
-"""Cost per degree of freedom (its half the expectation) above which a minimum may be a wrong one."""
-ON_THE_ROBOT = 0.01
-"""m. A landmark estimated nearer to a pose that observed it has no well-defined bearing."""
-TINY = 1e-9
-"""m, rad. Replaces a sigma of zero when a step is measured in sigmas."""
+SUSPECT = 2.0  # cost per degree of freedom (its half the expectation) above which a minimum may be a wrong one
+ON_THE_ROBOT = 0.01  # m. A landmark estimated nearer to a pose that observed it has no well-defined bearing
+TINY = 1e-9  # m, rad. Replaces a sigma of zero when a step is measured in sigmas
 
 
 class NotConvergedError(UnderConstrained):
@@ -59,29 +47,17 @@ class NotConvergedError(UnderConstrained):
 
 @dataclass(frozen=True)
 class Smoothed:
-    """The optimum of a smoothing problem.
+    """The optimum of a smoothing problem."""
 
-    Attributes:
-        trajectory: poses and exact world-frame covariances; under a robust loss, of the information as weighted.
-        map: landmarks, or None in localization.
-        cost: twice the sum of all losses; without a robust loss the chi-square.
-        dof: degrees of freedom of the chi-square.
-        iterations: steps in all.
-        last_step: sigmas, largest component of the remaining Newton step: near zero at an optimum.
-        suspect: the cost is so high that there may be a lower minimum elsewhere.
-        robust: the cost is of a robust loss.
-        systematic: the systematic errors, if estimated.
-    """
-
-    trajectory: Trajectory
-    map: MapState | None
-    cost: float
-    dof: int
-    iterations: int
-    last_step: float
-    suspect: bool
-    robust: bool
-    systematic: Systematics | None = None
+    trajectory: Trajectory  # exact covariances; under a robust loss, of the information as weighted
+    map: MapState | None  # landmarks, or None in localization
+    cost: float  # twice the sum of all losses; without a robust loss the chi-square
+    dof: int  # degrees of freedom of the chi-square
+    iterations: int  # steps in all
+    last_step: float  # sigmas, largest component of the remaining Newton step: near zero at an optimum
+    suspect: bool  # the cost is so high that there may be a lower minimum elsewhere
+    robust: bool  # the cost is of a robust loss
+    systematic: Systematics | None = None  # the systematic errors, if estimated
 
     @property
     def total_nis(self) -> tuple[float, int] | None:

@@ -18,24 +18,14 @@ from graph.walls import about
 
 @dataclass(frozen=True)
 class Problem:
-    """A log as factors.
+    """A log as factors; with systematic errors all of it in their frame, `motion` without errors."""
 
-    Attributes:
-        prior: on the robot's pose of frame 0.
-        motion: [k - 1] leads into frame k.
-        observations: the observations in use, ascending by frame.
-        known_map: the landmarks are known, so that none is estimated.
-        calibrated: systematic errors to estimate. Poses, landmarks and observations are then in its frame (with known
-            landmarks at their positions in the map), and `motion` is that without errors.
-        about: (2,) where the landmarks are walls: origin of their distances in the graph.
-    """
-
-    prior: Prior
-    motion: Sequence[gtsam.BetweenFactorPose2]
-    observations: Sequence[ObservationFactors]
-    known_map: bool
-    calibrated: Calibrated | None = None
-    about: Array | None = None
+    prior: Prior  # on the robot's pose of frame 0
+    motion: Sequence[gtsam.BetweenFactorPose2]  # [k - 1] leads into frame k
+    observations: Sequence[ObservationFactors]  # the observations in use, ascending by frame
+    known_map: bool  # the landmarks are known, so that none is estimated
+    calibrated: Calibrated | None = None  # systematic errors to estimate
+    about: Array | None = None  # (2,) where the landmarks are walls: origin of their distances in the graph
 
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """The whole problem as a gtsam graph; systematic errors as zero."""

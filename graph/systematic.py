@@ -15,8 +15,7 @@ from data.se2 import Array
 from data.sensors import Sensor
 from graph.factors import between_factors
 
-CONSTANTS = gtsam.symbol("c", 0)
-"""Key of all constant systematic errors, a vector in units of their prior sigmas."""
+CONSTANTS = gtsam.symbol("c", 0)  # key of all constant systematic errors, a vector in units of their prior sigmas
 
 
 def drift_key(knot: int) -> int:
@@ -26,15 +25,10 @@ def drift_key(knot: int) -> int:
 
 @dataclass(frozen=True, eq=False)
 class Errors:
-    """Systematic errors to estimate, and the place of each (p,) in the graph; q of them are constant.
+    """Systematic errors to estimate, and the place of each (p,) in the graph; q of them are constant."""
 
-    Attributes:
-        systematic: names, sigmas, length of the drift.
-        frame: in which the sensor has no errors; the frame of the graph.
-    """
-
-    systematic: Systematic
-    frame: SensorFrame
+    systematic: Systematic  # names, sigmas, length of the drift
+    frame: SensorFrame  # in which the sensor has no errors; the frame of the graph
 
     @cached_property
     def place(self) -> IntArray:
@@ -99,13 +93,9 @@ def errors_of(systematic: Systematic, sensor: Sensor, prior: Prior) -> Errors:
 
 @dataclass(frozen=True, eq=False)
 class Calibrated(Errors):
-    """Systematic errors along a whole path of N poses.
+    """Systematic errors along a whole path of N poses."""
 
-    Attributes:
-        increments: of the log, as stated by odometry.
-    """
-
-    increments: Increments
+    increments: Increments  # of the log, as stated by odometry
 
     @cached_property
     def _knots(self) -> tuple[IntArray, Array]:

@@ -122,36 +122,25 @@ def _error(
 
 SHARE = 0.3
 """Share of a distance's sigma at the point of the robot from which it is measured, unless that is the robot's origin.
-The range has the rest, so the sum is right, and no weight is much larger than the others."""
-ALONG = 1.0
-"""m. Sigma of the prior that holds a wall's pose along the wall."""
-CENTRED = 1e-9
-"""m. A point of the robot nearer to its origin is its origin."""
-JOINED = 1e-4
-"""rad; standard deviation of the difference of two merged walls."""
+The range has the rest."""
+ALONG = 1.0  # m. Sigma of the prior that holds a wall's pose along the wall
+CENTRED = 1e-9  # m. A point of the robot nearer to its origin is its origin
+JOINED = 1e-4  # rad; standard deviation of the difference of two merged walls
 _HELD = noise.Constrained.All(2)
 _FREE = np.zeros((3, 3))
 
 
 @dataclass(frozen=True, kw_only=True)
 class WallObservation(ObservationFactors):
-    """One observation of a wall as gtsam's own factors.
+    """One observation of a wall as gtsam's own factors."""
 
-    Attributes:
-        sensor: that measured it; z: (2,), R: (2, 2), in its frame.
-        loss: as in `graph.batch.smooth`.
-        name: 0 where the wall's normal is the one measured, 1 where it is the opposite one.
-        point: variable and start value (2,) of the robot's point that the distance is measured from, if it has one.
-        wall: start value of the wall, where this is its first observation.
-    """
-
-    sensor: Sensor
-    z: Array
-    R: Array
-    loss: str
-    name: int
-    point: tuple[int, Array] | None = None
-    wall: gtsam.Pose2 | None = None
+    sensor: Sensor  # that measured it
+    z: Array  # (2,)
+    R: Array  # (2, 2)
+    loss: str  # as in `graph.batch.smooth`
+    name: int  # 0 where the wall's normal is the one measured, 1 where it is the opposite one
+    point: tuple[int, Array] | None = None  # variable and start value (2,) of the robot's point of the distance
+    wall: gtsam.Pose2 | None = None  # start value of the wall, where this is its first observation
 
     @property
     def start_values(self) -> list[tuple[int, Array | gtsam.Pose2]]:

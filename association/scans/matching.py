@@ -18,14 +18,10 @@ from association.scans.points import Points
 from data.inputs import IntArray
 from data.se2 import Array, wrap_angle
 
-CELL = 0.1
-"""m, of the finest grid; point-to-line matching converges from there."""
-SPREAD = 0.1
-"""m, standard deviation of the score around each reference point."""
-LEVELS = 6
-"""Grids, each pooled over twice the cells of the one before: the coarsest covers 3.2 m."""
-HIGHEST = 100
-"""Score of a cell at a reference point."""
+CELL = 0.1  # m, of the finest grid; point-to-line matching converges from there
+SPREAD = 0.1  # m, standard deviation of the score around each reference point
+LEVELS = 6  # grids, each pooled over twice the cells of the one before: the coarsest covers 3.2 m
+HIGHEST = 100  # score of a cell at a reference point
 
 
 class Pyramid(NamedTuple):
@@ -162,20 +158,15 @@ def _search(
     return pose, (best if found else 0)
 
 
-LOOKUP_CELL = 0.05
-"""m; the nearest point is that of the cell's centre, half a cell off at most."""
+LOOKUP_CELL = 0.05  # m; the nearest point is that of the cell's centre, half a cell off at most
 
 
 class Reference(NamedTuple):
-    """Points (P, 2) with normals (P, 2) in one frame, and the grid over them.
-
-    `nearest` (n, n) int32 holds the number of the point nearest to the cell's centre, -1 beyond `reach`; the grid spans
-    -half .. half metres about the frame's origin.
-    """
+    """Points (P, 2) with normals (P, 2) in one frame, and a grid of -half .. half metres about the frame's origin."""
 
     xy: Array
     normal: Array
-    nearest: NDArray[np.int32]
+    nearest: NDArray[np.int32]  # (n, n) number of the point nearest to the cell's centre, -1 beyond `reach`
     half: float
     cell: float
 
@@ -226,13 +217,10 @@ def _draw(
                     index[i, j] = k
 
 
-SAME_SIDE = 0.5
-"""Smallest cosine between normals of one surface (60 degrees), which excludes the other side of a wall."""
-WIDE, NARROW = 0.3, 0.03
-"""m, the Cauchy scale of the first and of the later iterations: first converge, then weight good pairs only."""
+SAME_SIDE = 0.5  # smallest cosine between normals of one surface (60 degrees), which excludes the other side of a wall
+WIDE, NARROW = 0.3, 0.03  # m, Cauchy scale of the first and of later iterations: converge, then weight good pairs
 ITERATIONS = 30
-SMALL_STEP = 1e-5
-"""m and rad: a smaller step ends the iterations; a hundredth of the standard deviation of a match."""
+SMALL_STEP = 1e-5  # m and rad: a smaller step ends the iterations; a hundredth of the standard deviation of a match
 
 
 class MotionPrior(NamedTuple):
@@ -243,19 +231,12 @@ class MotionPrior(NamedTuple):
 
 
 class Match(NamedTuple):
-    """Pose of a scan in the frame of the reference.
+    """Pose of a scan in the frame of the reference."""
 
-    Attributes:
-        pose: (3,) of the body.
-        covariance: (3, 3) of its additive error, unscaled: from the Hessian, points independent with `sigma`.
-        cost: robust cost of the points alone per point, at most 1; smaller is better.
-        share: of the scan's points, those with a partner nearer than twice `NARROW` across its surface.
-    """
-
-    pose: Array
-    covariance: Array
-    cost: float
-    share: float
+    pose: Array  # (3,) of the body
+    covariance: Array  # (3, 3) of its additive error, unscaled: from the Hessian, points independent with `sigma`
+    cost: float  # robust cost of the points alone per point, at most 1; smaller is better
+    share: float  # of the scan's points, those with a partner nearer than twice `NARROW` across its surface
 
 
 def match(

@@ -19,29 +19,20 @@ from data.se2 import Array, compose, inverse
 
 HIT, MISS = 0.85, -0.41
 """Log odds of a cell in which a beam ends (0.70) and of one that it crosses (0.40): Hornung et al., "OctoMap",
-Autonomous Robots 34, 2013, section 5.2. A wall remains if a third of the scans that observe it hit it."""
-LEAST, MOST = -2.0, 3.5
-"""Bounds of the log odds (0.12 and 0.97; same source), so that a changed place is updated soon."""
-MARGIN = 0.5
-"""m of unknown cells around the observed area."""
-MOST_CELLS = 100_000_000
-"""Largest grid: 500 m a side at 5 cm, 1.2 GB while it is computed."""
+Autonomous Robots 34, 2013, section 5.2."""
+LEAST, MOST = -2.0, 3.5  # bounds of the log odds (0.12 and 0.97; same source), so that a changed place is updated soon
+MARGIN = 0.5  # m of unknown cells around the observed area
+MOST_CELLS = 100_000_000  # largest grid: 500 m a side at 5 cm, 1.2 GB while it is computed
 _FREE, _ENDS = 1, 2
 
 
 @dataclass(frozen=True, eq=False)
 class Grid:
-    """An occupancy grid, axes along those of the world.
+    """An occupancy grid, axes along those of the world."""
 
-    Attributes:
-        origin: (2,) m, the lower left corner of cell [0, 0] in the world.
-        resolution: m, side of a cell.
-        log_odds: (H, W) of occupancy, row by y and column by x; 0 where unknown.
-    """
-
-    origin: Array
-    resolution: float
-    log_odds: Array
+    origin: Array  # (2,) m, the lower left corner of cell [0, 0] in the world
+    resolution: float  # m, side of a cell
+    log_odds: Array  # (H, W) of occupancy, row by y and column by x; 0 where unknown
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -105,17 +96,11 @@ def _add_scans(
 def occupancy_grid(
     poses: Array, ranges: Array, scanner: Scanner, *, resolution: float = 0.05, free_without_return: float = 0.0
 ) -> Grid:
-    """The occupancy grid of scans from known poses.
+    """The occupancy grid of scans (K, B) [m] from known poses (K, 3), cells of `resolution` [m].
 
-    Args:
-        poses: (K, 3) of the body in the world; non-finite ones are left out.
-        ranges: (K, B) m; 0, NaN or max_range and beyond: no return.
-        scanner: its angles and extrinsic.
-        resolution: m, side of a cell.
-        free_without_return: m, length of free space along a beam without a return; 0, as the beam may have met glass.
-
-    Raises:
-        ValueError: the grid would have more than `MOST_CELLS` cells, as when poses diverge.
+    Non-finite poses are left out. A range of 0, NaN or max_range and beyond has no return: the beam is free for
+    `free_without_return` [m], by default 0, as it may have met glass. Raises ValueError for a grid of more than
+    `MOST_CELLS` cells, as when poses diverge.
     """
     poses, ranges = np.asarray(poses, float), np.asarray(ranges, float)
     sure = np.isfinite(poses).all(axis=1)
@@ -142,10 +127,8 @@ def occupancy_grid(
     return Grid(np.round(low * resolution, 9), resolution, log_odds)
 
 
-TOLERANCE = 0.3
-"""m, by which a surface must lie before another, besides ..."""
-TOLERANCE_SHARE = 0.05
-"""... this share of its range, to contradict it: the effect of a heading error at a grazing wall."""
+TOLERANCE = 0.3  # m, by which a surface must lie before another, besides ...
+TOLERANCE_SHARE = 0.05  # ... this share of its range, to contradict it: the effect of a heading error at a grazing wall
 
 
 def contradiction(ranges: Array, others: Array, relative: Array, scanner: Scanner, max_range: float) -> float:

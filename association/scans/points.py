@@ -11,16 +11,13 @@ import numpy as np
 from data.inputs import Scanner
 from data.se2 import Array
 
-NEIGHBOUR_RADIUS = 0.2
-"""m, half the length of surface over which a normal is fitted: ten times a scanner's noise."""
-LEAST_NEIGHBOURS, MOST_NEIGHBOURS = 2, 12
-"""Beams on either side that may lie beyond that radius, as on far surfaces, and that are used at most."""
+NEIGHBOUR_RADIUS = 0.2  # m, half the length of surface over which a normal is fitted: ten times a scanner's noise
+LEAST_NEIGHBOURS, MOST_NEIGHBOURS = 2, 12  # beams on either side that may be beyond that radius, and at most
 GAP_SPACINGS = 6.0
-"""Widest gap in a run of neighbours, in beam spacings at the point's range (never less than `NEIGHBOUR_RADIUS`):
-surfaces up to 80 degrees oblique are not split. On the Intel log half as much loses the far walls of corridors, and
-with them the heading: path without loop closures 0.9 m off instead of 0.2 m."""
-FLATNESS = 0.25
-"""Largest ratio of standard deviations across and along a surface; above it the point is a corner or clutter."""
+"""Widest gap in a run of neighbours, in beam spacings at the point's range: surfaces up to 80 degrees oblique are not
+split. With half as much the Intel log loses the far walls of corridors: path without loop closures 0.9 m off, not 0.2.
+"""
+FLATNESS = 0.25  # largest ratio of standard deviations across and along a surface; else a corner or clutter
 
 
 class Points(NamedTuple):

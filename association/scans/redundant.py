@@ -18,10 +18,8 @@ from association.scans.uncertainty import compose_covariances, inverse_covarianc
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 
-CELL = 0.1
-"""m, side of a cell: a few standard deviations of a key pose, so that scans of one wall end in the same cells."""
-MOST_IN_A_ROW = 3
-"""Consecutive key poses that may be removed."""
+CELL = 0.1  # m, a few standard deviations of a key pose, so that scans of one wall end in the same cells
+MOST_IN_A_ROW = 3  # consecutive key poses that may be removed
 
 
 def redundant(ends: Sequence[Array], least: float) -> BoolArray:
@@ -70,8 +68,7 @@ def _cells(ends: Sequence[Array]) -> list[IntArray]:
     return np.split(number.ravel(), np.cumsum([len(a) for a in at])[:-1])
 
 
-Link = tuple[Array, Array]
-"""Relative pose (3,) and its covariance (3, 3)."""
+Link = tuple[Array, Array]  # relative pose (3,) and its covariance (3, 3)
 
 
 def without(chain: Chain, loops: Loops, removed: BoolArray) -> tuple[Chain, Loops]:

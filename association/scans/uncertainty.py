@@ -18,8 +18,7 @@ from data.se2 import Array, BoolArray, between, wrap_angle
 
 AnyArray = TypeVar("AnyArray", Array, IntArray)
 
-LEVER = 2.0
-"""m, weight of a heading error when paths are compared: the typical range of a scan."""
+LEVER = 2.0  # m, weight of a heading error when paths are compared: the typical range of a scan
 
 
 class PoseEdges:
@@ -161,8 +160,7 @@ def nearest_first(distance: Array, apart: int, most: int) -> IntArray:
 
 
 DOF = 3
-TAILS = np.geomspace(2.5, 200.0, 40)
-"""Degrees of freedom of Student's t that are tried: from almost no variance to almost Gaussian."""
+TAILS = np.geomspace(2.5, 200.0, 40)  # degrees of freedom of Student's t that are tried
 
 
 def residuals(poses: Array, key1: IntArray, key2: IntArray, relative: Array, covariance: Array) -> Array:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.command import COMPLETION, complete
-from data.convert import carmen, g2o, lab, mrclam, rosbag, table, victoria_park, visual, worlds
+from data.convert import g2o, mrclam, recordings, table, visual, worlds
 from data.convert.parsers import Parser
 from data.terminal import counted, ended
 from data.worlds.registry import SIMULATORS
@@ -34,7 +34,7 @@ examples:
   python -m data.convert visual my_lab --seed 0
   python -m data.convert lab my_lab logs/lab
 """
-SOURCES = (mrclam, victoria_park, carmen, rosbag, table, g2o, worlds, visual, lab)
+SOURCES = (mrclam, recordings, table, g2o, worlds, visual)
 CONVERTERS: dict[str, Callable[[argparse.Namespace], Log | str]] = {
     kind: source.convert for source in SOURCES for kind in source.KINDS
 }

@@ -23,7 +23,7 @@ TEXT = f"""\
 Both ways: a file {SUFFIX} as SOURCE becomes the log OUT; any log as SOURCE becomes the file OUT{SUFFIX}.
 
 A graph's VERTEX_SE2 are the frames in their order, EDGE_SE2 between neighbours the odometry, EDGE_SE2_XY observations
-of a point, EDGE_BEARING_SE2_XY observations with unknown range, VERTEX_XY's ids the labels. EDGE_SE2 between other poses
+of a point, EDGE_BEARING_SE2_XY observations without a range, VERTEX_XY ids the labels. EDGE_SE2 between other poses
 (loop closures) become reference relations for scoring; no estimator sees them. The first pose is fixed.
 """
 

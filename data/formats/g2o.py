@@ -311,8 +311,7 @@ def _ranges(graph: Graph, rays: Edges) -> Array:
         k = int(np.argmax(missing))
         what = f"{BEARING} of landmark {rays.ends[k, 1]}, which has no VERTEX_XY; it is needed for the distance"
         raise DataError.at(graph.path, what, line=int(rays.line[k]))
-    ranges: Array = np.maximum(np.hypot(*(point - pose[:, :2]).T), 1e-3)
-    return ranges
+    return np.asarray(np.maximum(np.hypot(*(point - pose[:, :2]).T), 1e-3))
 
 
 def _relations(edges: Edges, ids: IntArray, used: IntArray) -> Relations | None:

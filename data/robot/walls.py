@@ -155,8 +155,7 @@ def _line(sensors: Array, ranges: Array, fitted: tuple[float, float], d: Array, 
 
 def _distances(sensors: Array, ranges: Array, rho: float | Array, alpha: float | Array) -> Array:
     points = echo_points(sensors, ranges, alpha)
-    d: Array = points[..., 0] * np.cos(alpha) + points[..., 1] * np.sin(alpha) - rho
-    return d
+    return np.asarray(points[..., 0] * np.cos(alpha) + points[..., 1] * np.sin(alpha) - rho)
 
 
 def _least_squares(sensors: Array, ranges: Array, weights: Array, alpha: float) -> tuple[float, float]:

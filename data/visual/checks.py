@@ -109,8 +109,7 @@ def inside(pixels: Array, shape: tuple[int, int]) -> NDArray[np.intp]:
     stop = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + 1, (shape[1], shape[0]))
     mask = np.zeros((stop[1] - start[1], stop[0] - start[0]), np.uint8)
     cv2.fillConvexPoly(mask, np.rint((pixels - start) * 16).astype(np.int32), 1, shift=4)
-    rows: NDArray[np.intp] = np.argwhere(mask) + start[::-1]
-    return rows
+    return np.asarray(np.argwhere(mask) + start[::-1])
 
 
 def fit_plane(pixels: Array, depth: Array) -> Array:

@@ -64,8 +64,7 @@ def walks(frames: int, crowd: int, sv: float, sa: float, rng: np.random.Generato
     start = rng.uniform(0.0, SIDE, (crowd, 2))
     velocity = sv * rng.standard_normal((crowd, 2))
     change = sa * rng.standard_normal((frames - 1, crowd, 2))
-    places: Array = start + np.cumsum(np.cumsum(np.concatenate([velocity[None], change]), axis=0), axis=0)
-    return places
+    return np.asarray(start + np.cumsum(np.cumsum(np.concatenate([velocity[None], change]), axis=0), axis=0))
 
 
 SLACK = 1e-9

@@ -111,7 +111,7 @@ def write(found: Sequence[Measured], path: Path) -> None:
 def line_of(m: Measured) -> str:
     """A measurement as a line of text."""
     return (
-        f"{m.estimator:10s} {m.frames:7d} frames {m.landmarks:6d} landmarks {m.readings:7d} readings:"
+        f"{m.estimator:10s} {m.frames:7d} frames {m.landmarks:6d} landmarks {m.readings:7d} observations:"
         f" {m.seconds:8.1f} s, {m.with_start:.1f} with its start"
         f" ({m.cpu_seconds:.1f} of processor), {m.peak_mb:7.0f} MB ({m.log_mb:.0f} before), RMSE {m.rmse_m:.2f} m,"
         f" {m.status}"

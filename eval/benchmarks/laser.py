@@ -87,7 +87,7 @@ def measure_plans(seeds: Sequence[int] = range(SEEDS), keys: str = "") -> list[P
 
 
 def plan_lines(found: Sequence[PlanRun]) -> list[str]:
-    """What was measured, in lines of text."""
+    """The measurements, in lines of text."""
     counts = sum((r.counts for r in found), ClosureCounts(0, 0, 0, 0))
     lines = [f"{len(found)} simulated plans, position RMSE [mm]: median (largest)"]
     for what in ("final", "aligned", "online", "filter", "wheels"):

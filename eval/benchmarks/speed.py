@@ -1,6 +1,7 @@
-"""Speed of the EKF localizer against a plain numpy loop and filterpy, of a Monte Carlo study with one and two processes
-and on a Dask cluster, of SLAM over Victoria Park against a bare gtsam loop with the same factors, and of picture
-detection in frames of 640 x 480.
+"""Speed of the EKF localizer, of a Monte Carlo study, of SLAM over Victoria Park, and of picture detection.
+
+Peers are a plain numpy loop and filterpy, one and two processes and a Dask cluster, and a bare gtsam loop with the same
+factors. Pictures are detected in frames of 640 x 480.
 """
 
 from __future__ import annotations

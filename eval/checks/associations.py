@@ -67,7 +67,7 @@ def apart(seed: int) -> tuple[Expectation, IntArray]:
     return e, number[order]
 
 
-@check("exact readings")
+@check("exact observations")
 def exact_readings(f: Method) -> Iterator[str]:
     """Landmarks far apart, seen exactly, are all paired."""
     for seed in range(PROBLEMS):
@@ -80,7 +80,7 @@ def exact_readings(f: Method) -> Iterator[str]:
                     f"observation {i} is exactly landmark {right[i]}, decided is {found[i]} (numbers of candidates: "
                     f"{e.number.tolist()}; a decision is a number, not a row)"
                 )
-    yield f"{2 * PROBLEMS * 6} readings of landmarks far apart go to their landmarks"
+    yield f"{2 * PROBLEMS * 6} observations of landmarks far apart go to their landmarks"
 
 
 @check("angle seams")

@@ -89,7 +89,7 @@ def without_noise(text: str, task: str) -> Iterator[Finding]:
     path, ours = (completed(name, inputs_for(log, task), task)[1] for name in (text, "ekf"))
     assert log.truth.pose is not None
     far = off(path.pose, log.truth.pose, ours.covariance)
-    yield graded("noise-free input", far, "the true path from exact readings")
+    yield graded("noise-free input", far, "the true path from exact observations")
 
 
 @check("angle seams")
@@ -113,11 +113,11 @@ def empty_frames(text: str, task: str) -> Iterator[Finding | str]:
     silent = f"frames {worlds.SILENT.start} to {worlds.SILENT.stop - 1}: "
     path, ours = completed(text, inputs, task, silent)[1], completed("ekf", inputs, task)[1]
     far = off(path.pose, ours.pose, ours.covariance)
-    yield f"frames without readings are bridged, at most {far:.2g} sigma from our EKF"
+    yield f"frames without observations are bridged, at most {far:.2g} sigma from our EKF"
     front = driven(text, inputs, task, 5)
     before = front.estimator.estimate()
     nothing = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
-    for what, observations in (("no reading", nothing), ("DISCARD alone", inputs.frame(5).observations)):
+    for what, observations in (("no observation", nothing), ("DISCARD alone", inputs.frame(5).observations)):
         front.estimator.update(observations, np.full(len(observations.z), DISCARD, np.int64))
         after = front.estimator.estimate()
         moved = off(after.mean[None], before.mean[None], ours.covariance[4:5])
@@ -141,7 +141,7 @@ def covariance(text: str, task: str) -> Iterator[str]:
     """The covariance is in the world frame: that of a path without observations is known."""
     inputs = inputs_for(worlds.silent(worlds.arena_log(), slice(0, worlds.FRAMES)), task)
     inputs = worlds.turned(replace(inputs, prior=Prior(inputs.prior.mean, LONG)), 1.0)
-    path, right = completed(text, inputs, task, "without readings: ")[1], dead_reckoning(inputs, task).online
+    path, right = completed(text, inputs, task, "without observations: ")[1], dead_reckoning(inputs, task).online
     assert right is not None
     P, exact = path.covariance[-1], right.covariance[-1]
     if not np.isfinite(P).all():
@@ -151,9 +151,9 @@ def covariance(text: str, task: str) -> Iterator[str]:
     apart = _relative(P[:2, :2], exact[:2, :2])
     rotated = _relative(P[:2, :2], body.T @ exact[:2, :2] @ body)
     if apart <= BODY:
-        yield f"{100 * apart:.2g} % from the exact one of {worlds.FRAMES} frames without readings"
+        yield f"{100 * apart:.2g} % from the exact one of {worlds.FRAMES} frames without observations"
         return
-    message = f"{100 * apart:.2g} % from the exact one after {worlds.FRAMES} frames without readings"
+    message = f"{100 * apart:.2g} % from the exact one after {worlds.FRAMES} frames without observations"
     if rotated < 0.5 * apart:
         message += f", but {100 * rotated:.2g} % from that in the body frame: turn it by the heading"
     raise FailedError(message)
@@ -233,7 +233,7 @@ def expectation(text: str, task: str) -> Iterator[str]:
         completed(name, unlabelled, task, "with nearest neighbour: ", "nn")[0].decisions for name in (text, "ekf")
     )
     other = int((theirs != ours).sum())
-    found = f"{other} of {len(ours)} decisions of nearest neighbour on exact readings are not those of our EKF"
+    found = f"{other} of {len(ours)} decisions of nearest neighbour on exact observations are not those of our EKF"
     if other > 0.05 * len(ours):
         raise FailedError(f"{found}: look at z_hat, HPHt and number")
     yield found

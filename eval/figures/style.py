@@ -1,7 +1,7 @@
-"""How everything drawn looks: estimators and methods by name, page sizes, and saving the same bytes each time.
+"""Colours, lines and markers of estimators and association methods, page sizes, and saving the same bytes each time.
 
 Filters are warm, smoothers cool; colours are Okabe and Ito's and Tol's, chosen to stay apart for colour-blind readers.
-Nothing here touches pyplot: figures are plain `Figure` objects made inside `matplotlib.rc_context(RC)`.
+pyplot is not used: figures are plain `Figure` objects made inside `matplotlib.rc_context(RC)`.
 """
 
 from __future__ import annotations
@@ -111,7 +111,20 @@ METHOD_COLOURS = {
     "jcbb-hindsight": "#332288",
     "scan": "#117733",
 }
-"""Ways of association, where lines tell these apart and not the estimators; independent tests warm, joint ones blue."""
+"""Association methods, where these differ and not the estimators; independent tests warm, joint ones blue."""
+METHOD_LINES: dict[str, Line] = {
+    "known": SOLID,
+    "scan": SOLID,
+    "jcbb": DASHDOT,
+    "jcbb-hindsight": LONG,
+    "jcbb-first": DASHDOTDOT,
+    "nn": DOTTED,
+    "singles": (0, (2.2, 1.2)),
+    "ml": (0, (6.0, 1.2, 2.2, 1.2)),
+    "ml-ratio": (0, (1.0, 1.2, 1.0, 3.0)),
+    "gnn": (0, (1.0, 3.0)),
+}
+"""Where one estimator was run with several association methods; dashed is its online path beside a final one."""
 OTHERS = (
     ("#8000E0", "*"),
     ("#800000", "h"),
@@ -135,8 +148,13 @@ def style_of(estimator: str) -> Style:
 
 
 def colour_of_method(association: str) -> str:
-    """The colour of a way of association; one of its own for a name that is not ours."""
+    """The colour of an association method; one of its own for a name that is not ours."""
     return METHOD_COLOURS.get(association) or _other(association)[0]
+
+
+def line_of_method(association: str) -> Line:
+    """The line of an association method; one of its own for a name that is not ours."""
+    return METHOD_LINES.get(association) or _other(association)[1]
 
 
 def _other(name: str) -> tuple[str, Line, str]:
@@ -165,22 +183,19 @@ def series(runs: Sequence[Run]) -> list[Series]:
     """Every phase of every run, in order, each told apart from the others by colour, line or label.
 
     A smoother's online path is dashed where its final one is drawn too. The association (or the task) is part of the
-    label only where it differs between the estimates, and then decides the line as well, known association first.
+    label only where it differs between the estimates, and then decides the line as well.
     """
-    cycle: tuple[Line, ...] = (SOLID, DASHDOT, DOTTED, DASHED)
     # a result that was handed in without decisions has no association that could differ, as dead reckoning has none
     estimates = [r for r in runs if r.association != "none"]
-    variants = sorted({(r.task, r.association != "known", r.association) for r in estimates})
+    several, tasks = len({r.association for r in estimates}) > 1, sorted({r.task for r in estimates})
+    cycle = (SOLID, DASHDOT)
     drawn = []
     for run in runs:
         style, extra, line = style_of(run.estimator), "", style_of(run.estimator).line
-        if run.association != "none" and len(variants) > 1:
-            if len({r.association for r in estimates}) > 1:
-                extra += f", {run.association}"
-            if len({r.task for r in estimates}) > 1:
-                extra += f", {run.task}"
-            position = variants.index((run.task, run.association != "known", run.association))
-            line = cycle[position % len(cycle)]
+        if run.association != "none" and (several or len(tasks) > 1):
+            extra += f", {run.association}" if several else ""
+            extra += f", {run.task}" if len(tasks) > 1 else ""
+            line = line_of_method(run.association) if several else cycle[tasks.index(run.task)]
         if isinstance(run, GivenRun) and run.aligned != "none":
             extra += ", aligned"
         for phase in run.phases:

@@ -27,11 +27,7 @@ if TYPE_CHECKING:
 
 PROG = "python -m eval.live"
 TABLE = rows(Options)
-UNFIT = {
-    "known": "walls have no labels",
-    "scan": "sonars make no scans",
-    "jcbb-hindsight": "needs point landmarks",
-}
+UNFIT = {"known": "walls have no labels", "scan": "sonars make no scans", "jcbb-hindsight": "needs point landmarks"}
 FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
 SHARED = (
     replace(TABLE["estimator"], help=f"of {', '.join(STEPPING)}, or your own (default: ekf-fej)"),
@@ -78,21 +74,13 @@ class Wish:
 def parser(prog: str = PROG) -> Command:
     """The command's flags."""
     p = Command(
-        prog,
-        PROG,
-        "Run filters and smoothers online while a small robot drives; record it and show a page.",
-        EXAMPLES,
+        prog, PROG, "Run filters and smoothers online while a small robot drives; record it and show a page.", EXAMPLES
     )
     add = p.add_argument
     add("--link", metavar="DEVICE", type=Path, required=True, help="serial device of the robot")
     add("--out", metavar="LOG", type=Path, required=True, help="folder of the recording; there must be none yet")
     add_flags(p, SHARED)
-    add(
-        "--drive",
-        choices=("walls", "none"),
-        default="walls",
-        help="follow the wall on the right (default), or rest",
-    )
+    add("--drive", choices=("walls", "none"), default="walls", help="follow the wall on the right (default), or rest")
     add("--framed", action="store_true", help="packets with marker and checksum, both ways")
     add("--slip", metavar="M", help="of a wheel, m per square root of the distance in m (default: 0.005)")
     add("--sonar-sigma", metavar="M", help="standard deviation of a distance, m (default: 0.005)")

@@ -65,12 +65,6 @@ def _handler(page: bytes, published: Callable[[], Published]) -> type[BaseHTTPRe
         timeout = PATIENCE
         server_version, sys_version = "slamref", ""
 
-        def do_GET(self) -> None:
-            self._answer()
-
-        def do_HEAD(self) -> None:
-            self._answer()
-
         def _answer(self) -> None:
             assert isinstance(self.server, ThreadingHTTPServer)
             port = self.server.server_address[1]
@@ -80,6 +74,8 @@ def _handler(page: bytes, published: Callable[[], Published]) -> type[BaseHTTPRe
                 self._reply(200, page, "text/html; charset=utf-8")
             else:
                 self._chunks()
+
+        do_GET = do_HEAD = _answer
 
         def _chunks(self) -> None:
             first, _, frame = self.path.removeprefix("/").partition("/")
@@ -94,7 +90,7 @@ def _handler(page: bytes, published: Callable[[], Published]) -> type[BaseHTTPRe
                 self._reply(200, found, "application/json")
 
         def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-            """What the library refuses: every method but GET and HEAD, and requests that are none."""
+            """Refused by the library: every method but GET and HEAD, and malformed requests."""
             self.close_connection = True
             self._reply(405 if code == 501 else code, b"refused\n", "text/plain")
 

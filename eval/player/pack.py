@@ -4,13 +4,13 @@ A recording is a list of chunks. A chunk is a header (JSON) and its bytes (raw d
 
     {"first": number of its first frame, "frames": number of frames, "arrays": [...], ...added by the scene}
 
-Each entry of `arrays` has `name`, `columns`, `rows`, `at` (its first byte, after inflating), `size` (bytes of an
-integer: 1, 2 or 4), `scale`, `log` (values are the exponential of the stored ones), `missing` (ranges of rows [from,
-to) without a value) and `steps` (the page leaves the integers as they are). Bytes of an array: column after column, of
-each integer first all low bytes, then the next ones (similar bytes deflate better). Integers are differences from the
-row before, those of the first row from zero. Arrays with the same bytes share them.
+Entries of `arrays` have `name`, `columns`, `rows`, `at` (first byte, after inflating), `size` (bytes of an integer: 1,
+2 or 4), `scale`, `log` (values are the exponential of the stored ones), `missing` (ranges of rows [from, to) without a
+value) and `steps` (the page leaves the integers as they are). Bytes are stored column after column, of each integer
+first all low bytes, then the next ones (similar bytes deflate better). Integers are differences from the row before,
+those of the first row from zero. Arrays with the same bytes share them.
 
-A recording can grow while a robot drives: a chunk decodes by itself, and the arrays of one name of all chunks in order
+A recording can grow while a robot drives: a chunk decodes by itself. The arrays of one name of all chunks, in order,
 are that array of the whole recording.
 """
 

@@ -23,9 +23,9 @@ LOWER = 1e-6  # relative difference of cost by which a lower minimum is another 
 def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None = None) -> Run:
     """A batch smoother over the final decisions of `front`, started at its path.
 
-    If this finds no minimum, or one so high that it may be wrong, it also starts from the path of `other` (a run with
-    the same landmark numbers), and the lower minimum counts. `gnc` discards the pairings it rejects, and landmarks
-    without any observation left.
+    If this finds no minimum, or a suspiciously high one, it also starts from the path of `other`, a run with the same
+    landmark numbers. The lower minimum counts. `gnc` discards rejected pairings, and landmarks without any observation
+    left.
     """
     begin = time.perf_counter()
 
@@ -68,12 +68,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
 
 
 def _lowest(
-    inputs: Inputs,
-    final: IntArray,
-    initialized: IntArray,
-    start: Start,
-    loss: str,
-    other: Callable[[], Run] | None,
+    inputs: Inputs, final: IntArray, initialized: IntArray, start: Start, loss: str, other: Callable[[], Run] | None
 ) -> Smoothed:
     """The minimum from `start`, or a lower one from the path of another run."""
     result, stop = None, None

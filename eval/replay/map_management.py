@@ -175,8 +175,8 @@ class Parking:
 class AutomaticParking:
     """Parks landmarks that the next frames do not need, while that is faster; decisions and estimates do not change.
 
-    Costs are compared as in `ekf.epochs`, but without the future: landmarks are parked when the excess cost of the
-    steps since the last time exceeds the cost of parking.
+    Costs are those of `ekf.epochs`. Landmarks are parked when the excess cost of the steps since the last time exceeds
+    the cost of parking.
     """
 
     def __init__(self, slam: EkfSlam, within: float) -> None:

@@ -55,12 +55,7 @@ def dead_reckoning(inputs: Inputs, task: str) -> Run:
 
 
 def filter_known(
-    inputs: Inputs,
-    task: str,
-    *,
-    name: str = "ekf",
-    threshold: float = np.inf,
-    options: FilterOptions | None = None,
+    inputs: Inputs, task: str, *, name: str = "ekf", threshold: float = np.inf, options: FilterOptions | None = None
 ) -> Run:
     """A filter with labels, in one compiled loop; a large map is parked where that is faster."""
     begin = time.perf_counter()
@@ -206,13 +201,12 @@ def compare(
 ) -> list[Run]:
     """Estimators with one association method on identical inputs; runs in the order of `estimators`.
 
-    Estimators are names, settled texts of foreign ones (`eval.replay.external`), or classes and functions.
-
-    `batch...` take the decisions of a front end and start from its path: under `known` those of the EKF (if that fails,
-    the iterated one's), otherwise those of iSAM2, or of the EKF if iSAM2 was not asked for. The front end then runs in
-    any case. If the gate for labels excludes smoothers, they get every pairing and start at the gated EKF's path. With
-    `scan` the scans of a laser log are matched and loops closed; with any other method the corners of walls are the
-    landmarks. Labels are withheld from every method but `known`; sensed labels are gated by default (`Setup.settled`).
+    Estimators are names, settled texts of foreign ones (`eval.replay.external`), or classes and functions. `batch...`
+    take the decisions of a front end and start from its path. Under `known` this is the EKF (if it fails, the iterated
+    one), otherwise iSAM2, or the EKF if iSAM2 was not asked for. The front end then runs in any case. If the gate for
+    labels excludes smoothers, they get every pairing and start at the gated EKF's path. With `scan` the scans of a
+    laser log are matched and loops closed; with any other method the corners of walls are the landmarks. Labels are
+    withheld from every method but `known`; sensed labels are gated by default (`Setup.settled`).
 
     `watch` makes an observer of each replay of point landmarks; its result is the run's `watched`. `judge` gets the
     runs with their inputs, before either is converted (`eval.compare`: the referee).

@@ -133,8 +133,8 @@ def deciding_facts(
 LATE = ("uncertain", "put off until the end", REASSOCIATED, UNREAD)
 """Reasons that only say that the log was over."""
 COLUMNS = (
-    *("deciding for", "pairings undone", "made instead", "put off, then made", "landmarks merged", "retracted"),
-    "re-associated at the end",
+    *("deciding for", "undone", "replaced", "deferred, then paired", "landmarks merged", "retracted"),
+    "final re-association",
 )
 
 

@@ -160,4 +160,4 @@ def trust_section(
         blocks += more
     blocks += [p for p in pictures if p.stem == stem(trial, FILTER_SMOOTHER)]
     heading = f"{HEADING}: {trial.log.name}, {trial.task}"
-    return [Section(heading, tuple(blocks), 3, tuple(facts), stem(trial))] if blocks else []
+    return [Section(heading, tuple(blocks), 3, tuple(facts), page=stem(trial))] if blocks else []

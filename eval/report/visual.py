@@ -269,8 +269,10 @@ def _detections(folder: Path, wanted: Drawn, log: Log, evidence: Evidence) -> It
         save(sheet, folder / "figures", name, ("png",))
         caption = say("visual#sheet", log=log.name, shown=len(tiles), frames=len(found.time))
         yield Picture(name, caption, f"{counted(len(tiles), 'frame')} of {log.name} with outlined pictures")
-    frame = drop_blank_columns(detection_table(stats))
-    caption = say("visual#table", log=log.name, truth=evidence.in_view is not None)
+    seen = [s for s in stats if s.detected or s.in_view]
+    frame = drop_blank_columns(detection_table(seen))
+    unseen = len(stats) - len(seen)
+    caption = say("visual#table", log=log.name, truth=evidence.in_view is not None, unseen=unseen)
     yield written_table(frame, folder, name, caption, wanted)
 
 

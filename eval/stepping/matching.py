@@ -5,7 +5,7 @@ Compatibility and matching with a panel for each method, as in a walk; and an en
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -149,8 +149,8 @@ def _background_handles(gate: float | None) -> list[Line2D | Patch]:
 def evidence(name: str, m: Matching) -> list[tuple[int, int]]:
     """Pairs (observation, candidate) that a method starts from.
 
-    The right ones for `truth`, decisions by label for `known`, the nearest of each observation for `nn`, the likeliest
-    for `ml`, pairs without rivals for `singles`, and all compatible ones for other methods.
+    `truth`: the right ones; `known`: decisions by label; `nn`: the nearest of each observation; `ml`: the likeliest;
+    `singles`: pairs without rivals; other methods: all compatible ones.
     """
     e, p = m.expectation, plane_of(m)
     if name in ("truth", "known"):
@@ -177,14 +177,30 @@ EVIDENCE = {
 }
 
 
-def paint_compatibility(fig: Figure, m: Matching) -> None:
-    """Compatible pairs in grey, and in colour those that each method starts from."""
+def _paint(
+    fig: Figure,
+    m: Matching,
+    what: str,
+    panel: Callable[[Axes, Plane, str, bool], str],
+    handles: Sequence[Line2D | Patch],
+) -> None:
+    """A panel for each method; `panel` draws a method (the first one with all numbers) and returns its title."""
     p, names = plane_of(m), list(m.decisions)
     panels, place = make_panels(fig, names)
-    rest = "all compatible pairs" if m.gate is not None else f"all pairs; drawn: inside {SHOWN_WITHOUT_GATE:g}"
     for at, (ax, name) in enumerate(zip(panels, names, strict=True)):
         background(ax, p)
         name_landmarks(ax, p)
+        ax.set_title(f"{called(name, names)}{panel(ax, p, name, at == 0)}")
+        robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
+    legend(fig, place, handles)
+    fig.suptitle(f"{m.title}: {what}, robot frame", x=0.01, ha="left")
+
+
+def paint_compatibility(fig: Figure, m: Matching) -> None:
+    """Compatible pairs in grey, and in colour those that each method starts from."""
+    rest = "all compatible pairs" if m.gate is not None else f"all pairs; drawn: inside {SHOWN_WITHOUT_GATE:g}"
+
+    def panel(ax: Axes, p: Plane, name: str, first: bool) -> str:
         pairs = evidence(name, m)
         good = [q for q in pairs if p.compatible[q]]
         bad = [q for q in pairs if not p.compatible[q]]
@@ -193,45 +209,38 @@ def paint_compatibility(fig: Figure, m: Matching) -> None:
         without = ~np.isin(np.arange(len(p.xy)), [i for i, _ in pairs])
         ax.plot(*p.xy.T, "o", color=GOOD, markersize=3.5, markeredgewidth=0.8, zorder=5)
         ax.plot(*p.xy[without].T, "o", color="white", markersize=2.2, markeredgewidth=0.0, zorder=5.1)
-        if at == 0:
+        if first:
             write_numbers(ax, p.xy, [str(i) for i in range(len(p.xy))], "#202020", 5.5)
-        out = f", {len(bad)} incompatible" if bad else ""
-        ax.set_title(f"{called(name, names)}: {EVIDENCE.get(name, rest)} ({len(pairs)}{out})")
-        robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
+        return f": {EVIDENCE.get(name, rest)} ({len(pairs)}{f', {len(bad)} incompatible' if bad else ''})"
+
     handles: list[Line2D | Patch] = [
         _mark("o", "observation, 3σ ellipse", markersize=4.0),
         _mark("o", "observation without such a pair", markerfacecolor="white", markersize=4.0),
         *_background_handles(m.gate),
         _stroke("pair that the method starts from"),
     ]
-    if "truth" in names:
+    if "truth" in m.decisions:
         handles.append(_stroke("true pair that is not compatible", BAD, linestyle=DASHES))
-    legend(fig, place, handles)
-    fig.suptitle(f"{m.title}: compatibility, robot frame", x=0.01, ha="left")
+    _paint(fig, m, "compatibility", panel, handles)
 
 
 def paint_matching(fig: Figure, m: Matching) -> None:
     """Decisions of each method on the same expectation: shapes show the decision, colours whether it is right."""
-    p, names = plane_of(m), list(m.decisions)
-    panels, place = make_panels(fig, names)
-    for at, (ax, name) in enumerate(zip(panels, names, strict=True)):
-        background(ax, p)
-        name_landmarks(ax, p)
-        made = m.decisions[name]
-        update = " (updates)" if name == m.chosen else ""
-        if isinstance(made, str):
-            ax.set_title(f"{called(name, names)}{update}: {made}")
-        else:
-            ax.set_title(f"{called(name, names)}{update}: {_counted(made, m.truth.get(name))}")
-            draw_decisions(ax, p, made, m.truth.get(name), all_numbers=at == 0)
-            inset_on_wrong(ax, p, made, m.truth.get(name))
+
+    def panel(ax: Axes, p: Plane, name: str, first: bool) -> str:
+        made, truth, update = m.decisions[name], m.truth.get(name), ""
         if name == m.chosen:
+            update = " (updates)"
             for spine in ax.spines.values():
                 spine.set(linewidth=1.8, edgecolor="black")
-        robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
-    shapes = (("o", "paired"), ("*", "NEW"), ("x", "discarded"))
+        if isinstance(made, str):
+            return f"{update}: {made}"
+        draw_decisions(ax, p, made, truth, all_numbers=first)
+        inset_on_wrong(ax, p, made, truth)
+        return f"{update}: {_counted(made, truth)}"
+
     handles: list[Line2D | Patch] = [
-        *(_mark(shape, f"observation: {what}") for shape, what in shapes),
+        *(_mark(s, f"observation: {what}") for s, what in (("o", "paired"), ("*", "NEW"), ("x", "discarded"))),
         *_background_handles(m.gate),
         _stroke("pairing"),
     ]
@@ -239,10 +248,9 @@ def paint_matching(fig: Figure, m: Matching) -> None:
         handles += [
             _stroke("wrong pairing", BAD, linestyle=DASHES),
             _mark("o", "wrong (FP or FN), numbered", BAD),
-            _stroke("to the landmark that is right", BAD, linewidth=0.9, linestyle=":"),
+            _stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":"),
         ]
-    legend(fig, place, handles)
-    fig.suptitle(f"{m.title}: matching, robot frame", x=0.01, ha="left")
+    _paint(fig, m, "matching", panel, handles)
 
 
 def _tally(truth: TruthRow | None) -> str:

@@ -38,7 +38,7 @@ def motion_noise(inputs: Inputs, task: str, size: float) -> Run:
     return filter_known(replace(given, increments=Increments(u.mean, size * u.covariance)), task)
 
 
-def reading_noise(inputs: Inputs, task: str, size: float) -> Run:
+def measurement_noise(inputs: Inputs, task: str, size: float) -> Run:
     """EKF with its measurement noise scaled by `size`."""
     given, o = for_task(inputs, task), inputs.observations
     return filter_known(replace(given, observations=replace(o, R=size * o.R)), task)
@@ -71,7 +71,7 @@ def heading_jacobian(inputs: Inputs, task: str, size: float) -> Run:
 
 BROKEN: Mapping[str, Broken] = {
     "motion-noise": Broken(motion_noise, (0.5, 0.25, 0.1), 1.0, "assumes too little odometry noise"),
-    "reading-noise": Broken(reading_noise, (0.5, 0.25, 0.1), 1.0, "assumes too little measurement noise"),
+    "reading-noise": Broken(measurement_noise, (0.5, 0.25, 0.1), 1.0, "assumes too little measurement noise"),
     "reported": Broken(reported, (0.8, 0.5, 0.25), 1.0, "reports too small a covariance"),
     "cross-covariance": Broken(
         cross_covariance, (0.3, 0.6, 1.0), 0.0, "loses cross-covariances of new landmarks", ("slam",)

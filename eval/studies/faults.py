@@ -1,7 +1,7 @@
 """Faults injected into a simulated log, to test whether its own data reveal them.
 
 Stated covariances, sensor, map and prior do not change, nor do truth and frames. Each fault is a pure function of log,
-size and generator, and keeps the noise of the log, so that logs with different sizes differ by the fault alone.
+size and generator. It keeps the noise of the log, so logs with different sizes differ by the fault alone.
 """
 
 from __future__ import annotations

@@ -187,10 +187,10 @@ def _noise(made: Trust, inputs: Inputs, smoother: Run, threshold: float) -> list
 
 
 def _outliers(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding], Inputs, Run, BoolArray]:
-    """Readings that do not fit, if there are more than in twins; inputs and smoother without them, and which (M,).
+    """Outliers, if there are more than in twins; inputs and smoother without them, and which observations (M,).
 
-    The Gaussian smoother bends to them (in the arena, 10 wrong labels leave 80 readings that do not fit), so they are
-    looked for where a robust one is, in sigmas of the noise that it finds typical there.
+    The Gaussian smoother bends to them: in the arena, 10 wrong labels leave 80 outliers. So they are taken from a
+    robust smoother, in sigmas of its typical noise.
     """
     nothing = np.zeros(len(inputs.observations.frame), bool)
     usual = [s.outlying for s in made.twins]

@@ -42,7 +42,7 @@ SHORTEST = 10  # frames; least number for a lag-1 correlation or a slope
 
 @dataclass(frozen=True, eq=False)
 class Source:
-    """What twins are drawn from, and how they are estimated.
+    """Source of twins, and how they are estimated.
 
     Attributes:
         log: the real one, without the systematic errors that the smoother estimated; twins have none and estimate them
@@ -163,12 +163,12 @@ TWINS = 4  # twins in a round, which give the noise to 2 % on a log of 200 frame
 def with_noise(inputs: Inputs, factors: Mapping[str, float]) -> Inputs:
     """The inputs with the stated sigmas of components multiplied by factors (correlations stay)."""
     motion = np.array([factors.get(name, 1.0) for name in residuals.COMPONENTS[:3]])
-    reading = np.array([factors.get(name, 1.0) for name in residuals.COMPONENTS[3:]])
+    sensor = np.array([factors.get(name, 1.0) for name in residuals.COMPONENTS[3:]])
     increments, o = inputs.increments, inputs.observations
     return replace(
         inputs,
         increments=Increments(increments.mean, motion[:, None] * increments.covariance * motion),
-        observations=replace(o, R=reading[:, None] * o.R * reading),
+        observations=replace(o, R=sensor[:, None] * o.R * sensor),
     )
 
 

@@ -37,7 +37,7 @@ from eval.studies.faults import FAULTS
 from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of, twin_sample
 from eval.studies.scenario import paragraph, parameters, parameters_of_kind
 from eval.studies.shipped import path_of
-from eval.studies.trusted import FEWEST, Blame, judged
+from eval.studies.trusted import FEWEST, judged
 from eval.studies.twins import Source, inputs_of, source_of, twin
 
 STREAM = 0xFA017  # separates the faults' random numbers from those of logs and twins of the same seed
@@ -212,15 +212,9 @@ def _concluded(
     blame = judged(log, task, KNOWN, real, twins, smoother).blame
     if blame is None:
         return Examined(*about, failure="too few twins")
-    return Examined(*about, blame.p, bool(blame.objected), blame.cause, _named(blame), nis_out(runs), _convicts(blame))
-
-
-def _named(blame: Blame) -> tuple[str, ...]:
-    return tuple(f"{f.kind} {f.name}" for f in blame.findings)
-
-
-def _convicts(blame: Blame) -> bool:
-    return any(f.cause == ESTIMATOR for f in blame.findings)
+    found = tuple(f"{f.kind} {f.name}" for f in blame.findings)
+    convicted = any(f.cause == ESTIMATOR for f in blame.findings)
+    return Examined(*about, blame.p, bool(blame.objected), blame.cause, found, nis_out(runs), convicted)
 
 
 def nis_out(runs: Sequence[Run]) -> bool:

@@ -1,18 +1,15 @@
 """Effects of noise, biases, odometry scales and a latency on a log's inputs, fitted by `eval.tuning.fit`.
 
 Every parameter is 0 for the log as stated: the logarithm of a factor (noise, odometry scale), a bias in its unit, or
-seconds. The truth is not used.
+seconds. The truth is not used. A scale of odometry is that of the best prediction: noisy odometry is shrunk by the
+share of noise in its mean square.
 
-A scale of odometry is that of the best prediction: noisy odometry is shrunk by the share of noise in its mean square
-(regression on a noisy quantity).
-
-A latency that averages two noisy samples would be favoured: an increment cut between two samples holds a part of
-either, with less noise. If frames have the odometry's own stamps, the likelihood then has a maximum half a sample
-before the right latency and another half a sample after it (the interpolation artefact of image registration: Pluim,
-Maintz and Viergever, Computer Vision and Image Understanding 77, 2000). So an increment is cut once and moved from
-there with the velocity averaged over `HALF_WIDTH` either side. The covariance of this average with the noise of the
-increment is the same at both ends and cancels (instrumental variables: Söderström and Stoica, System Identification,
-1989, chapter 8).
+A latency that averages two noisy samples would be favoured, because an increment cut between two samples has less
+noise. The likelihood then has maxima half a sample before and after the right latency (the interpolation artefact of
+image registration: Pluim, Maintz and Viergever, Computer Vision and Image Understanding 77, 2000). So an increment is
+cut once and moved from there with the velocity averaged over `HALF_WIDTH` either side. The covariance of this average
+with the noise of the increment is the same at both ends and cancels (instrumental variables: Söderström and Stoica,
+System Identification, 1989, chapter 8).
 """
 
 from __future__ import annotations
@@ -169,7 +166,7 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
         found.append(Parameter("odometry_v", "", scale, 0.2, "true distance per odometry distance"))
         found.append(Parameter("odometry_omega", "", scale, 0.2, "true rotation per odometry rotation"))
     if "latency" in groups and odometry is not None:
-        found.append(Parameter(LATENCY, "s", 1.0, 0.2, "readings were taken this long before their stamp"))
+        found.append(Parameter(LATENCY, "s", 1.0, 0.2, "observations were taken this long before their stamp"))
     return Model(inputs, odometry, tuple(found))
 
 

@@ -34,9 +34,8 @@ from graph.qr.calibrated import linearize_increments
 from graph.systematic import Errors, drift_key
 
 PINNED = 1e-4
-"""m. Sigma of a known landmark in the sensor's frame, where it depends on the errors and no prior can hold it exactly.
-It adds 1e-4 to the variance of observations of 0.01 m; its weight is at most 1e4 times theirs, far from the 1e10 at
-which Cholesky fails."""
+"""m. Sigma of a known landmark in the sensor's frame, where no prior can hold it exactly. It adds 1e-4 to the variance
+of observations of 0.01 m; Cholesky fails at a weight of 1e10."""
 UNIT = {n: noise.Unit.Create(n) for n in (1, 2, 3)}
 
 
@@ -188,21 +187,15 @@ def _residual(errors: Errors, keys: Sequence[int], mean: Array, root: Array, now
 
 
 class Motion:
-    """All increments so far, in the order of frames from 1 on.
-
-    Attributes:
-        knot: of the drift, the newest one.
-        oldest: first frame in the graph; increments up to it are no factors any more.
-        now: (q,) the present constants, in prior sigmas: all factors are linearized there.
-    """
+    """All increments so far, in the order of frames from 1 on."""
 
     def __init__(self, errors: Errors) -> None:
         self._errors = errors
-        self.knot = 0
-        self.now = np.zeros(len(errors.constant))
+        self.knot = 0  # the newest one of the drift
+        self.now = np.zeros(len(errors.constant))  # in prior sigmas: all factors are linearized there
         self._mean, self._covariance = [np.zeros(3)], [np.zeros((3, 3))]
         self._knots = list[int]()
-        self.oldest = 0
+        self.oldest = 0  # first frame in the graph; increments up to it are no factors any more
         self._first_knot = 0
 
     @property

@@ -30,24 +30,15 @@ from graph.qr.solution import marginals, means
 
 @dataclass(frozen=True, eq=False)
 class PoseProblem:
-    """Prior, chain and loop closures over K key poses.
+    """Prior, chain and loop closures over K key poses."""
 
-    Attributes:
-        prior: on key pose 0; zero covariance is allowed.
-        key1, key2: (E,) ends of the edges: the K - 1 of the chain, then the L loop closures.
-        relative: (E, 3) pose of key2 in the frame of key1, as measured.
-        root: (E, 3, 3) roots of the information, in the frame of key2.
-        loops: L.
-        structure: of the elimination.
-    """
-
-    prior: Prior
-    key1: IntArray
+    prior: Prior  # on key pose 0; zero covariance is allowed
+    key1: IntArray  # (E,) ends of the edges, with key2: the K - 1 of the chain, then the L loop closures
     key2: IntArray
-    relative: Array
-    root: Array
-    loops: int
-    structure: Structure = field(repr=False)
+    relative: Array  # (E, 3) pose of key2 in the frame of key1, as measured
+    root: Array  # (E, 3, 3) roots of the information, in the frame of key2
+    loops: int  # L, number of loop closures
+    structure: Structure = field(repr=False)  # of the elimination
 
     @property
     def keys(self) -> int:
@@ -195,42 +186,28 @@ def _linearize(pose: Array, key1: IntArray, key2: IntArray, relative: Array, roo
 
 
 CUT = 30.0
-"""sigma. From Cauchy's optimum on, a loop closure further off has no weight. There it has 0.1 %, a pull of 3 % of a
-sigma; but two hundred false ones add up. In grids of corridors with as many false loop closures as true ones the path's
-error changed by up to a third, cut by less than 2 % (GNC: 0). Cut at 10, true ones were lost, too."""
-MOST = 400
-"""Steps of one search. With a robust loss 50 to 150 are usual."""
-DEPTH = 6
-"""Steps of an extrapolation."""
-ROUNDING = 1e-5
-"""sigma. A step that hardly shrank and is shorter than this, for each direction, ends the search."""
+"""sigma. From Cauchy's optimum on, a loop closure further off has no weight. There it has a pull of 3 % of a sigma, but
+two hundred false ones add up: in grids of corridors with as many false loop closures as true ones they changed the
+path's error by up to a third, cut by less than 2 %. Cut at 10, true ones were lost, too."""
+MOST = 400  # steps of one search. With a robust loss 50 to 150 are usual
+DEPTH = 6  # steps of an extrapolation
+ROUNDING = 1e-5  # sigma. A step that hardly shrank and is shorter than this, for each direction, ends the search
 
 
-Loss = Callable[[Array], tuple[Array, Array]]
-"""Squared whitened residuals (L,) of the loop closures to twice their losses (L,) and their weights (L,)."""
+Loss = Callable[[Array], tuple[Array, Array]]  # squared residuals (L,) to twice the losses, weights
 
 
 @dataclass(frozen=True, eq=False)
 class SmoothedPoses:
-    """The optimum of a pose graph.
+    """The optimum of a pose graph."""
 
-    Attributes:
-        pose: (K, 3), world frame.
-        covariance: (K, 3, 3), world frame, additive; of the information as weighted.
-        weight: (L,) of each loop closure, 0: left out, 1: trusted.
-        cost: twice the sum of all losses; without a robust one the chi-square.
-        dof: its degrees of freedom.
-        iterations: steps in all.
-        last_step: sigmas, largest component of the remaining step.
-    """
-
-    pose: Array
-    covariance: Array
-    weight: Array
-    cost: float
-    dof: int
-    iterations: int
-    last_step: float
+    pose: Array  # (K, 3), world frame
+    covariance: Array  # (K, 3, 3), world frame, additive; of the information as weighted
+    weight: Array  # (L,) of each loop closure, 0: left out, 1: trusted
+    cost: float  # twice the sum of all losses; without a robust one the chi-square
+    dof: int  # its degrees of freedom
+    iterations: int  # steps in all
+    last_step: float  # sigmas, largest component of the remaining step
 
 
 def smooth_poses(problem: PoseProblem, start: Array, *, loss: str = "gaussian") -> SmoothedPoses:

@@ -43,10 +43,8 @@ def roots_at_end(relative: Array, covariance: Array, what: str) -> tuple[Array, 
     return invertible_roots(body, lambda i: f"{what}, number {i}" if len(relative) > 1 else what, "its inverse")
 
 
-THRESHOLD = 0.05
-"""m, rad. Relinearize what moved further than this, ..."""
-SKIP = 1
-"""... anywhere in the graph, in every update."""
+THRESHOLD = 0.05  # m, rad. Relinearize what moved further than this, ...
+SKIP = 1  # ... anywhere in the graph, in every update
 
 
 class PoseGraph:
@@ -156,26 +154,20 @@ def name_of_key(key: int) -> str:
     return f"key pose {gtsam.symbolIndex(key)}"
 
 
-LAG = 30.0
-"""s."""
-SLACK = 0.1
-"""Share of the lag by which the oldest key pose may exceed it, as in `graph.fixed_lag`."""
+LAG = 30.0  # s
+SLACK = 0.1  # share of the lag by which the oldest key pose may exceed it, as in `graph.fixed_lag`
 
 
 class FixedLagPoseGraph(PoseGraph):
-    """`PoseGraph` with a bounded number of key poses in the graph.
-
-    Attributes:
-        fixes: loop closures to a marginalized key pose.
-        lost: loop closures between two marginalized key poses, which are ignored.
-    """
+    """`PoseGraph` with a bounded number of key poses in the graph."""
 
     def __init__(self, prior: Prior, *, lag: float = LAG, loss: str = "gaussian") -> None:
         """As `PoseGraph`; a key pose stays for `lag` >= 0 [s] after its time, and up to a tenth longer."""
         if not lag >= 0.0:
             raise ValueError(f"lag {lag} must not be negative")
         super().__init__(prior, loss=loss)
-        self.lag, self.fixes, self.lost = lag, 0, 0
+        self.lag = lag
+        self.fixes, self.lost = 0, 0  # loop closures to one, and between two (ignored) marginalized key poses
         self._engine = self._window = Window(self._engine)
         self._time = [0.0]
         self._left: list[tuple[Array, Array]] = []

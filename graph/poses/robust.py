@@ -12,10 +12,8 @@ from association.expectation import gate_threshold
 from data.se2 import Array, BoolArray
 from graph.poses.batch import Loss, PoseProblem, SmoothedPoses, descend, evaluate, finished
 
-GROW = 1.4
-"""Growth of the control parameter in each round, as in the paper."""
-ROUNDS = 200
-"""Upper bound: 100 take the control parameter from 1e-7 to 1e7."""
+GROW = 1.4  # growth of the control parameter in each round, as in the paper
+ROUNDS = 200  # upper bound: 100 take the control parameter from 1e-7 to 1e7
 DIM = 3
 
 

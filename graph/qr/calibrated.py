@@ -32,8 +32,7 @@ from graph.problem import Problem, displaced
 from graph.qr.solution import Solution
 from graph.systematic import CONSTANTS, Calibrated, drift_key
 
-SMALL = 1e-3
-"""rad. Below this turn the functions of the logarithm use their series, accurate to 1e-15."""
+SMALL = 1e-3  # rad. Below this turn the functions of the logarithm use their series, accurate to 1e-15
 
 
 @numba.njit(cache=True)
@@ -122,19 +121,14 @@ def linearize_increments(
 
 
 class CalibratedRows:
-    """The rows and columns of the systematic errors.
-
-    Attributes:
-        constants: q, number of constant errors.
-        first_of: (K,) first frame of each knot's drift, empty without a drift.
-    """
+    """The rows and columns of the systematic errors."""
 
     def __init__(self, problem: Problem) -> None:
         assert problem.calibrated is not None
         self._problem, self._of = problem, problem.calibrated
         c = problem.calibrated
-        self.constants = len(c.constant)
-        self.first_of = first_frames(c.of, c.knots)
+        self.constants = len(c.constant)  # q
+        self.first_of = first_frames(c.of, c.knots)  # (K,)
         self._root = root_information(c.increments.covariance[1:])[0]
         self._prior = prior_factor(problem.prior)
         self._own, self._earlier = drift_rows(c.ended, c.systematic.length)

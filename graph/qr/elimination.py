@@ -25,19 +25,15 @@ from data.se2 import Array
 
 
 class Structure(NamedTuple):
-    """The sparsity of an elimination; positions in the order of elimination (a postorder).
+    """The sparsity of an elimination; positions in the order of elimination (a postorder)."""
 
-    variable: (V,) eliminated at each position; parent: (V,) position, -1 for a root; children: (V,) their number;
-    start: (V + 1,) and separator: positions of each separator, ascending; first, block: the rows by position (CSR).
-    """
-
-    variable: IntArray
-    parent: IntArray
-    children: IntArray
-    start: IntArray
-    separator: IntArray
-    first: IntArray
-    block: IntArray
+    variable: IntArray  # (V,) eliminated at each position
+    parent: IntArray  # (V,) position, -1 for a root
+    children: IntArray  # (V,) their number
+    start: IntArray  # (V + 1,) first index of each position in `separator`
+    separator: IntArray  # positions of each separator, ascending
+    first: IntArray  # (V + 1,) first index of each position in `block`
+    block: IntArray  # (B,) rows of `Rows` by position
 
 
 def structure(variable: IntArray, order: IntArray) -> Structure:
@@ -157,42 +153,30 @@ def _moved(separator: IntArray, start: IntArray, post: IntArray, new: IntArray, 
     return out
 
 
-SLACK = 1.25
-"""A front with more than this many times the rows that its columns can need is made triangular first."""
-SINGULAR = 1e-12
-"""A diagonal of R below this share of its column is rounding, not information."""
-SMALLEST = 1e-150
-"""Least diagonal of R whose square has an inverse."""
+SLACK = 1.25  # A front with more than this many times the rows that its columns can need is made triangular first
+SINGULAR = 1e-12  # A diagonal of R below this share of its column is rounding, not information
+SMALLEST = 1e-150  # least diagonal of R whose square has an inverse
 
 
 class Rows(NamedTuple):
-    """Whitened rows of a least-squares problem in V variables, in B blocks of up to three.
+    """Whitened rows of a least-squares problem in V variables, in B blocks of up to three."""
 
-    variable: (B, 2) the two variables of a block, -1 for none in the second place; A: (B, 3, 6) their coefficients,
-    three columns each; b: (B, 3, c) right-hand sides; height: (B,) rows in use; dim: (V,) 1 to 3 columns in use. With a
-    third variable, of one column, in some blocks: (B, 3), -1 for none, and (B, 3, 7).
-    """
-
-    variable: IntArray
-    A: Array
-    b: Array
-    height: IntArray
-    dim: IntArray
+    variable: IntArray  # (B, 2) of a block, -1 for none; (B, 3) with a third variable, of one column
+    A: Array  # (B, 3, 6) coefficients, three columns each; (B, 3, 7) with a third variable
+    b: Array  # (B, 3, c) right-hand sides
+    height: IntArray  # (B,) rows in use
+    dim: IntArray  # (V,) 1 to 3 columns in use
 
 
 class Triangle(NamedTuple):
-    """The eliminated problem: R, S and d of all positions, row-major, concatenated, and their offsets.
-
-    free: the first variable that the rows do not determine, -1: none. left: (c, c) squares and products of the
-    residuals of the right-hand sides.
-    """
+    """The eliminated problem: R, S and d of all positions, row-major, concatenated."""
 
     R: Array
     S: Array
     d: Array
-    at_S: IntArray
-    free: int
-    left: Array
+    at_S: IntArray  # offsets of the positions in S
+    free: int  # the first variable that the rows do not determine, -1: none
+    left: Array  # (c, c) squares and products of the residuals of the right-hand sides
 
 
 def eliminate(rows: Rows, s: Structure) -> Triangle:

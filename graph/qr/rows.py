@@ -18,12 +18,9 @@ from graph.qr.elimination import NO_DRIFT, Rows, Structure, ordering, structure
 from graph.qr.solution import Solution
 from graph.systematic import CONSTANTS
 
-CHUNK = 20000
-"""Factors that gtsam linearizes at once: its triplets take 24 bytes a number."""
-EXACT = 1e-15
-"""Share of the largest variance of the prior below which another one is zero, and rounding."""
-INDEX = np.uint64(2**56 - 1)
-"""The index bits of a gtsam symbol, below its character."""
+CHUNK = 20000  # factors that gtsam linearizes at once: its triplets take 24 bytes a number
+EXACT = 1e-15  # share of the largest variance of the prior below which another one is zero, and rounding
+INDEX = np.uint64(2**56 - 1)  # the index bits of a gtsam symbol, below its character
 
 
 class _Chunk(NamedTuple):
@@ -41,16 +38,11 @@ class Linearizer:
     observations. The prior is taken exactly, even if singular: variable 0 represents the motion of the first pose, see
     `first`. Systematic errors: their drifts are variables behind the landmarks, with blocks behind the observations;
     each constant one has a right-hand side, the effect of a unit of it on the residuals.
-
-    Attributes:
-        frames, numbers: N; the landmarks to be estimated.
-        calibrated: the part of the systematic errors, None without any.
-        structure: of the elimination.
     """
 
     def __init__(self, problem: Problem) -> None:
         self.prior = problem.prior
-        self.frames, self.numbers = len(problem.motion) + 1, problem.numbers
+        self.frames, self.numbers = len(problem.motion) + 1, problem.numbers  # N, landmarks to be estimated
         self.calibrated = None if problem.calibrated is None else CalibratedRows(problem)
         n, m = self.frames, len(problem.observations)
         frame = np.array([s.frame for s in problem.observations], np.int64)

@@ -26,25 +26,16 @@ from graph.qr.rows import put_prior
 
 
 class Estimated(NamedTuple):
-    """Estimated errors besides path and map, in prior sigmas.
+    """Estimated errors besides path and map, in prior sigmas."""
 
-    Attributes:
-        motion: (N, 3, q) effect of a unit of each constant error on the increments.
-        observed: (m, 2, q) on the observations.
-        now: (q,) estimated sizes.
-        by_drift: (N, 3) effect of a unit of its knot's drift on an increment; of: (N,) that knot.
-        own, earlier: (K,) coefficients of a knot and the one before in the rows of the drift's prior, K = 0 without
-            one; steps: (K,) values of those rows for the estimated drift.
-    """
-
-    motion: Array
-    observed: Array
-    now: Array
-    by_drift: Array
-    of: IntArray
-    own: Array
-    earlier: Array
-    steps: Array
+    motion: Array  # (N, 3, q) effect of a unit of each constant error on the increments
+    observed: Array  # (m, 2, q) effect on the observations
+    now: Array  # (q,) estimated sizes
+    by_drift: Array  # (N, 3) effect of a unit of its knot's drift on an increment
+    of: IntArray  # (N,) that knot
+    own: Array  # (K,) coefficients of each knot in the rows of the drift's prior; K = 0 without one
+    earlier: Array  # (K,) coefficients of the knot before
+    steps: Array  # (K,) values of those rows for the estimated drift
 
 
 def estimated_errors(inputs: Inputs, found: Systematics, path: Array, frame: IntArray, z_hat: Array) -> Estimated:
@@ -102,23 +93,19 @@ def without_errors(left: Array, now: Array) -> Array:
     return with_prior[:at, :at] - across @ np.linalg.solve(with_prior[at:, at:], across.T)
 
 
-ALIKE = 1e-9
-"""Share of its information that others leave of an error which they explain wholly: rounding."""
-UNIDENTIFIABLE = 1e-16
-"""Least share of a column's square that path and map must leave; less is rounding (some 1e-26 was found)."""
+ALIKE = 1e-9  # share of an error's information that others leave if they explain it wholly: rounding
+UNIDENTIFIABLE = 1e-16  # least share of a column's square that path and map must leave; less is rounding
 
 
 class Score(NamedTuple):
     """Score of p systematic errors; zero for an error that the data cannot identify.
 
-    Attributes:
-        score: (p,) derivative of the profile log-likelihood by the size of each error, at size zero.
-        information: (p, p) covariance of the score under the null hypothesis. The efficient estimate of error j, if it
-            is the only one, is score[j] / information[j, j], its variance 1 / information[j, j].
+    The efficient estimate of error j, if it is the only one, is score[j] / information[j, j], its variance 1 /
+    information[j, j].
     """
 
-    score: Array
-    information: Array
+    score: Array  # (p,) derivative of the profile log-likelihood by the size of each error, at size zero
+    information: Array  # (p, p) covariance of the score under the null hypothesis
 
     @property
     def sigmas(self) -> Array:
@@ -127,19 +114,19 @@ class Score(NamedTuple):
         return np.divide(self.score, root, out=np.zeros_like(root), where=root > 0.0)
 
     def given(self, others: IntArray) -> Score:
-        """The same with the errors `others` (q,) estimated, too, so that only what they do not explain is left."""
+        """The score with the errors `others` (q,) estimated as well."""
         root = np.sqrt(np.diag(self.information))
         scale = np.where(root > 0.0, root, 1.0)
         score, correlation = self.score / scale, self.information / np.outer(scale, scale)
-        # pseudo-inverse: a SLAM robot's scales of odometry and of ranges, of which it can tell one, may both be others
+        # pseudo-inverse: the scales of odometry and of ranges, of which SLAM identifies one, may both be others
         inverse = np.linalg.pinv(correlation[np.ix_(others, others)], rcond=ALIKE, hermitian=True)
         across = correlation[:, others] @ inverse
         left = correlation - across @ correlation[others]
-        told = np.diag(left) > ALIKE
-        told[others] = False
+        identifiable = np.diag(left) > ALIKE
+        identifiable[others] = False
         score = scale * (score - across @ score[others])
         left = 0.5 * (left + left.T) * np.outer(scale, scale)
-        return Score(np.where(told, score, 0.0), np.where(np.outer(told, told), left, 0.0))
+        return Score(np.where(identifiable, score, 0.0), np.where(np.outer(identifiable, identifiable), left, 0.0))
 
 
 def systematic(
@@ -151,27 +138,19 @@ def systematic(
     observed: Array,
     found: Systematics | None = None,
 ) -> Score:
-    """Score of p hypothetical errors phi, linearized at a smoothed path.
+    """Score of p hypothetical errors phi, linearized at a smoothed path (N, 3) with landmarks (L, 2), world frame.
 
     Model: stated increment k = true one + motion[k] phi + noise (body frame of k - 1), observation i = noise-free
-    measurement + observed[i] phi + noise, the first pose according to the prior.
+    measurement + observed[i] phi + noise, the first pose according to the prior. `motion` (N, 3, p) and `observed` (M,
+    2, p) are derivatives by a unit of each error. Those by distances, turns or ranges must come from the smoothed
+    solution: measured values share the residuals' noise, which biases a scale (in the arena by 7 sigma). `number` (M,)
+    is the row of `landmarks` of each observation, -1: not used; inputs with a map have exact landmarks.
 
-    Args:
-        inputs: with a map, the landmarks are exact (localization); without, they are estimated (SLAM).
-        number: (M,) row of `landmarks` of each observation; -1: not used.
-        path: (N, 3) smoothed poses, world frame. At the optimum the score is the likelihood's; elsewhere that of the
-            problem as linearized there.
-        landmarks: (L, 2) m, world frame.
-        motion: (N, 3, p) m, m, rad by unit of each error; row 0 is ignored.
-        observed: (M, 2, p) in the sensor's units by unit of each error. Columns of distances, turns or ranges must come
-            from the smoothed solution: measured values share the residuals' noise, which biases a scale (in the arena
-            by 7 sigma).
-        found: the systematic errors of `inputs.systematic` that were estimated. `motion` and `observed` are then of the
-            corrected log, and an estimated error shows as far as its prior held it back.
+    `found` are the errors of `inputs.systematic` that were estimated. `motion` and `observed` are then of the corrected
+    log, and an estimated error shows as far as its prior held it back.
 
-    Raises:
-        UnderConstrained: naming a landmark, by its row, or a pose that the data do not determine.
-        LinAlgError: the covariance of an observation is not positive definite.
+    Raises UnderConstrained for a landmark or pose that the data do not determine, LinAlgError for a singular
+    observation covariance.
     """
     n, p = len(path), motion.shape[2]
     stated = inputs

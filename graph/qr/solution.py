@@ -142,21 +142,13 @@ def _covariances(s: Structure, t: Triangle, dim: IntArray, out: Array) -> None:
 
 
 class Solution(NamedTuple):
-    """A step to the minimum of the linearized problem.
+    """A step to the minimum of the linearized problem."""
 
-    Attributes:
-        step: (V, 3), of the variables.
-        constants: (q,), of the constant errors, in sigmas.
-        length: of the whole step, in sigmas; half its square is the predicted decrease of the cost.
-        columns: (V, 3, q); -columns is the derivative of the variables with respect to the constant errors.
-        covariance: (q, q) of the constant errors, in sigmas.
-    """
-
-    step: Array
-    constants: Array
-    length: float
-    columns: Array
-    covariance: Array
+    step: Array  # (V, 3), of the variables
+    constants: Array  # (q,), of the constant errors, in sigmas
+    length: float  # of the whole step, in sigmas; half its square is the predicted decrease of the cost
+    columns: Array  # (V, 3, q); -columns is the derivative of the variables with respect to the constant errors
+    covariance: Array  # (q, q) of the constant errors, in sigmas
 
 
 def solve(rows: Rows, s: Structure, t: Triangle, now: Array) -> Solution:

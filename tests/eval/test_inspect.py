@@ -99,7 +99,7 @@ def test_odd_rows_are_counted_and_the_first_ones_named():
     assert "without a true pose: 2 frames 3, 4" in text
     assert "outside the stated field of view: 1 observation 5" in text
     assert "moved more than 10 times faster than the usual 1 m/s: 1 frame 9" in text
-    assert "label seen already in the same frame: 1 observation 3" in text
+    assert "label repeated in the same frame: 1 observation 3" in text
     assert "not in the map: 1 label 7" in text
     assert len(text.splitlines()) == 5
 

@@ -336,8 +336,7 @@ def _course(
 
 def _since(stamps: Array, origin: float, shift: float = 0.0) -> Array:
     """Seconds after `origin`, moved by `shift`, rounded to microseconds, the precision of large stamps."""
-    seconds: Array = np.round(stamps - origin + shift, 6)
-    return seconds
+    return np.asarray(np.round(stamps - origin + shift, 6))
 
 
 def _window(

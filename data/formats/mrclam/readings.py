@@ -178,5 +178,4 @@ def _covariance(pose: Array, body: Array, sigma: float) -> Array | None:
     if float(np.mean(np.sum((offset - [x, y]) ** 2, axis=1))) < 1e-4:
         return None
     information = np.array([[1.0, 0.0, -y], [0.0, 1.0, x], [-y, x, float(np.mean(np.sum(offset**2, axis=1)))]])
-    covariance: Array = sigma**2 * np.linalg.inv(information)
-    return covariance
+    return np.asarray(sigma**2 * np.linalg.inv(information))

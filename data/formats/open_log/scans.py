@@ -142,8 +142,7 @@ def _array(archive: zipfile.ZipFile, name: str) -> NDArray[np.generic]:
     if not dtype.hasobject and math.prod(shape) * dtype.itemsize != left:
         raise ValueError(f"{name} of shape {shape} is {math.prod(shape) * dtype.itemsize} bytes, and {left} are there")
     content.seek(0)
-    found: NDArray[np.generic] = np.lib.format.read_array(content, allow_pickle=False)
-    return found
+    return np.asarray(np.lib.format.read_array(content, allow_pickle=False))
 
 
 def _kind(array: NDArray[np.generic]) -> str:

@@ -56,8 +56,7 @@ class Ways(Locked):
         a, b = self.place[self.edge[:, 0]], self.place[self.edge[:, 1]]
         n = np.maximum(np.ceil(self.length / 0.1), 1.0).astype(int)
         share = np.concatenate([np.linspace(0.0, 1.0, k + 1) for k in n])[:, None]
-        points: Array = np.repeat(a, n + 1, axis=0) * (1.0 - share) + np.repeat(b, n + 1, axis=0) * share
-        return points
+        return np.asarray(np.repeat(a, n + 1, axis=0) * (1.0 - share) + np.repeat(b, n + 1, axis=0) * share)
 
     def routes(self, cost: Array) -> scipy.sparse.csr_array:
         """The graph with the costs (E,) of its paths."""

@@ -18,7 +18,8 @@ from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
 from data.result import NEW, Finished, MapState, PoseEstimate, Trajectory, Updated
 from data.se2 import Array, BoolArray, wrap_angle
-from eval.replay.external.guard import ForeignError, array, call, kind, whole
+from eval.replay.external.guard import ForeignError, array, call, whole
+from eval.replay.external.load import kind_of
 
 
 class Samples(NamedTuple):
@@ -91,7 +92,7 @@ def check_covariance(who: str, P: Any) -> None:
 def expectation_of(who: str, given: Any, observations: FrameObservations) -> Expectation:
     """An expectation of the present observations, with guarded functions."""
     if not isinstance(given, Expectation):
-        raise ForeignError(f"{who} returned {kind(given)}; an association.expectation.Expectation is needed")
+        raise ForeignError(f"{who} returned {kind_of(given)}; an association.expectation.Expectation is needed")
     n, m = len(given.number), len(observations.z)
     number = whole(who, given.number, n, "number")
     if len(np.unique(number)) != n or (number < 0).any():
@@ -130,7 +131,7 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
     stated = given._asdict() if isinstance(given, Updated) else {} if given is None else given
     if not isinstance(stated, Mapping) or set(stated) - set(Updated._fields):
         raise ForeignError(
-            f"{who} returned {kind(given)}; None, a data.result.Updated, or a dict with some of its fields "
+            f"{who} returned {kind_of(given)}; None, a data.result.Updated, or a dict with some of its fields "
             f"({', '.join(Updated._fields)}) is needed"
         )
     used = decisions >= 0
@@ -162,7 +163,9 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
 def map_of(who: str, given: Any) -> MapState:
     """A map: number (L,), xy (L, 2) and covariance (L, 2, 2), which may be None."""
     if not isinstance(given, tuple) or len(given) != 3:
-        raise ForeignError(f"{who} returned {kind(given)}; (number, xy, covariance) is needed, covariance may be None")
+        raise ForeignError(
+            f"{who} returned {kind_of(given)}; (number, xy, covariance) is needed, covariance may be None"
+        )
     n = len(given[0])
     covariance = np.full((n, 2, 2), np.nan) if given[2] is None else array(who, given[2], (n, 2, 2), "the covariance")
     return MapState(whole(who, given[0], n, "number"), array(who, given[1], (n, 2), "xy"), covariance)
@@ -171,10 +174,10 @@ def map_of(who: str, given: Any) -> MapState:
 def finished_of(who: str, given: Any) -> Finished:
     """The end of a run: a final trajectory or None, and a map or None."""
     if not isinstance(given, Finished):
-        raise ForeignError(f"{who} returned {kind(given)}; a data.result.Finished is needed, or no `finish` at all")
+        raise ForeignError(f"{who} returned {kind_of(given)}; a data.result.Finished is needed, or no `finish` at all")
     final = given.final
     if final is not None and not isinstance(final, Trajectory):
-        raise ForeignError(f"{who}: final is {kind(final)}; a data.result.Trajectory is needed, or None")
+        raise ForeignError(f"{who}: final is {kind_of(final)}; a data.result.Trajectory is needed, or None")
     return given._replace(map=None if given.map is None else map_of(who, given.map))
 
 

@@ -65,9 +65,3 @@ def whole(who: str, value: Any, length: int, meant: str) -> Any:
 def _brief(value: Any) -> str:
     text = " ".join(repr(value).split())
     return text if len(text) <= 80 else f"{text[:77]}..."
-
-
-def kind(value: Any) -> str:
-    """Type of a value with its article."""
-    name = type(value).__name__
-    return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"

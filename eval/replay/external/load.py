@@ -11,6 +11,7 @@ import sysconfig
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import accumulate
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -80,7 +81,7 @@ def load(text: str) -> Loaded:
             raise UsageError(f"{place.shown}: no {place.attribute!r} in {_where(place)}; there is {there}")
         thing = getattr(thing, part)
     if not callable(thing):
-        raise UsageError(f"{place.shown}: {place.attribute} is {_a(thing)}; a class or a function is needed")
+        raise UsageError(f"{place.shown}: {place.attribute} is {kind_of(thing)}; a class or a function is needed")
     return Loaded(text, place.name, thing, _sources(module))
 
 
@@ -140,17 +141,13 @@ def _sources(module: ModuleType) -> tuple[Path, ...]:
 
 
 def _import_failure(place: Place, fault: BaseException) -> str:
-    if isinstance(fault, ModuleNotFoundError) and place.module and (fault.name or "") in _parents(place.module):
+    parents = list(accumulate(place.module.split("."), "{}.{}".format))
+    if isinstance(fault, ModuleNotFoundError) and place.module and (fault.name or "") in parents:
         return f"there is no module {fault.name!r}, neither installed nor in {Path.cwd()}"
     if isinstance(fault, SyntaxError):
         file = Path(fault.filename or place.file or place.module).name
         return f"{file}, line {fault.lineno}: {fault.msg}"
     return f"importing it raised {in_one_line(fault)}{at_line(fault)}"
-
-
-def _parents(module: str) -> list[str]:
-    parts = module.split(".")
-    return [".".join(parts[: i + 1]) for i in range(len(parts))]
 
 
 def in_one_line(fault: BaseException) -> str:
@@ -162,7 +159,7 @@ def in_one_line(fault: BaseException) -> str:
 def at_line(fault: BaseException) -> str:
     """` (file.py, line 7)`: the innermost line of an exception outside libraries; empty if there is none."""
     frames = traceback.extract_tb(fault.__traceback__)
-    own = [f for f in frames if not f.filename.startswith("<") and not _elsewhere(f.filename)]
+    own = [f for f in frames if not f.filename.startswith(("<", *LIBRARIES))]
     return f" ({Path(own[-1].filename).name}, line {own[-1].lineno})" if own else ""
 
 
@@ -171,10 +168,6 @@ LIBRARIES = (
     *(str(ROOT / folder) for folder in ("association", "data", "ekf", "eval", "graph")),
     *(sysconfig.get_path(kind) for kind in ("stdlib", "purelib", "platlib")),
 )
-
-
-def _elsewhere(file: str) -> bool:
-    return file.startswith(LIBRARIES)
 
 
 def _own(name: str, value: object, module: ModuleType) -> bool:
@@ -186,6 +179,7 @@ def _where(place: Place) -> str:
     return Path(place.file).name if place.file else place.module
 
 
-def _a(thing: object) -> str:
-    kind = type(thing).__name__
-    return f"{'an' if kind[0] in 'aeiou' else 'a'} {kind}"
+def kind_of(value: object) -> str:
+    """Type of a value with its article."""
+    name = type(value).__name__
+    return f"{'an' if name[0].lower() in 'aeiou' else 'a'} {name}"

@@ -64,7 +64,7 @@ def tasks_of(loaded: Loaded) -> tuple[str, ...]:
 
 
 def lack(text: str, task: str, association: str, setup: Setup) -> str | None:
-    """What a foreign estimator lacks for a run, in a sentence; None if nothing.
+    """Reason why a foreign estimator cannot do a run, in a sentence; None if it can.
 
     `association` is a name of ours, or any other text.
     """

@@ -1,7 +1,7 @@
 """Where a foreign estimator or association method is: `[NAME=]package.module:Class`, `[NAME=]./file.py:Class`.
 
-Such a text is settled early, with a name and a place that other processes in other folders find. Nothing heavy is
-imported here, so that `--help` and a mistyped name answer at once.
+The text is settled early, with a name and a place that other processes in other folders find. Nothing heavy is imported
+here, so that `--help` and a mistyped name answer at once.
 
 A name also determines colour and marker in figures, from its letters, so that they are equal in every process. If two
 names of one run would look the same, the later one in the alphabet moves on; therefore the names of a run are

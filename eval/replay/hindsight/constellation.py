@@ -1,9 +1,9 @@
 """Constellations: recognize landmarks initialized twice by their relative positions.
 
 After a long drive the pose is uncertain, and several old landmarks are inside the gate of one observation. The window
-of landmarks initialized since the robot returned fits the old map in one way or in none. Every pair of new landmarks
-laid onto a pair of old ones gives an alignment, the others vote for it (geometric consensus), and the alignments with
-most votes are compared.
+of landmarks initialized since the robot returned fits the old map in one way or in none. A pair of new landmarks laid
+onto a pair of old ones gives an alignment, for which the others vote (geometric consensus). The alignments with most
+votes are compared.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def recognize(
 
 
 def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntArray) -> tuple[IntArray, IntArray]:
-    """Those of new landmarks i (k,) and old ones j (k,) that can be the same, with all their correlations.
+    """The pairs of new landmarks i (k,) and old ones j (k,) that can be the same, with all their correlations.
 
     The worst pair that the others contradict is dropped, one at a time (`CONSTELLATION_ALONE`); the rest must pass the
     joint test (`CONSTELLATION_GATE`).

@@ -29,8 +29,8 @@ class Reassociation(NamedTuple):
 def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> float:
     """Variance of observations (m) of the landmarks (m,), -1 for none, over the stated one; poses (N, 3).
 
-    From the quantile `REASSOCIATION_QUANTILE` of squared distances to often observed landmarks: the position of a
-    landmark observed once follows from that observation. 1 without such landmarks, at least `LEAST_SCALE`.
+    From a quantile of squared distances to often observed landmarks; the position of a landmark observed once follows
+    from that observation. 1 without such landmarks, at least `LEAST_SCALE`.
     """
     times = np.bincount(number[number >= 0], minlength=1)
     rows = np.flatnonzero((number >= 0) & (times[np.maximum(number, 0)] >= constants.REASSOCIATION_OBSERVATIONS))

@@ -1,7 +1,7 @@
-"""Step 6, SLAM's monitor: has the robot been kidnapped, and where in its own map is it then?
+"""Step 6, SLAM's monitor: detect a kidnapped robot, and relocalize it in its own map.
 
-A robot that pairs nothing where confirmed landmarks should be in view is not where it believes; exploration misses
-nothing. After the alarm the motion counts as unknown, and the scan since then is searched in the map without a prior.
+A robot that pairs nothing where confirmed landmarks should be in view is lost; exploration misses nothing. After the
+alarm the motion counts as unknown, and the scan since then is searched in the map without a prior.
 """
 
 from __future__ import annotations

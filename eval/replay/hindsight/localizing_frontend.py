@@ -113,7 +113,7 @@ class Stretches:
 
 
 class Handed(NamedTuple):
-    """What a smoother has of the newest w observations: frame (w,), z (w, 2), R (w, 2, 2), its pairing (w,)."""
+    """The newest w observations of a smoother: frame (w,), z (w, 2), R (w, 2, 2), its pairing (w,)."""
 
     frame: IntArray
     z: Array

@@ -1,9 +1,9 @@
-"""Is the robot lost, with a known map or while mapping?
+"""Tests for a lost robot, with a known map and while mapping.
 
-Cumulative sums: every frame adds the log-likelihood ratio of "lost" against "healthy" to a score that never falls below
-zero (Page, Biometrika 41, 1954). The trouble began where the score last left zero.
+Every frame adds the log-likelihood ratio of "lost" against "healthy" to a cumulative sum, which never falls below zero
+(Page, Biometrika 41, 1954). The trouble began where the sum last left zero.
 
-With a known map, a kidnapped robot leaves observations unpaired or pairs them badly: a score each.
+With a known map, a kidnapped robot leaves observations unpaired or pairs them badly: a sum each.
 
 A robot lost while mapping observes known surroundings as new: it misses confirmed landmarks and observes newer ones in
 their place. Exploration misses no old landmarks; a bad sensor misses many, but also observes old ones. So two kinds

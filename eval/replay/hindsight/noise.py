@@ -1,6 +1,6 @@
 """Variance scales of the stated noise, learned from innovations and from consecutive frames.
 
-*By innovations.* Stated noise is often several times too large, because kept_at_end errors must count for less. This is
+*By innovations.* Stated noise is often several times too large, because lasting errors must count for less. This is
 right for an estimate, but not for comparing explanations. So squared innovations are taken relative to their usual
 size, with Student's tails because slips happen.
 
@@ -11,7 +11,7 @@ Statistical Society B 39, 1977). A pair may also be of a moving object, or of tw
 Lasting errors, of a calibration for example, cancel.
 
 Where the log shows more noise or a wider view than stated, `Restated` corrects the statement. It never reduces noise,
-because differences hide kept_at_end errors; innovations narrow the gates (`gates`).
+because differences hide lasting errors; innovations narrow the gates (`gates`).
 """
 
 from __future__ import annotations

@@ -189,9 +189,9 @@ def place(
 ) -> Placed | None:
     """The pose at which a frame is to be decided about, with its decisions; None if the map does not give one.
 
-    The score of a pose is -d^2 / 2 of the motion to it, plus log probabilities of its missed detections and of unpaired
-    observations in mapped areas. Pairings must pass the gates jointly and each given the others. Their number and fit
-    do not count, because a repetitive world provides them by chance.
+    The score of a pose is -d^2 / 2 of the motion to it, plus two log probabilities: of its missed detections, and of
+    unpaired observations in mapped areas. Pairings must pass the gates jointly and each given the others. Their number
+    and fit do not count, because a repetitive world provides them by chance.
 
     e is linearized at the pose predicted (3,) in the world, with `elsewhere`; motion (3, 3) is its covariance relative
     to the map, in the predicted body frame. Pairings pass `gate`; outside `new_gate` an observation is a new landmark.

@@ -158,7 +158,7 @@ def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
 
 @dataclass
 class Record:
-    """What is known of one landmark of the map, except its position."""
+    """One landmark of the map, except its position."""
 
     observations: list[tuple[int, int]]  # (observation, decision) of all assigned to it; the first one initialized it
     place: tuple[float, float]  # (x, y) [m] of the robot at its last detection opportunity
@@ -229,7 +229,7 @@ def kept_at_end(opportunities: Opportunities, former: Opportunities, observation
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
     These are persistent with probability `PERSISTENT_PROBABILITY`, and have as many observations as all but the fewest
-    of them, or `CONFIRMED`: a landmark observed twice among often observed ones is a person who came by at the end. If
+    of them, or `CONFIRMED`. A landmark observed twice among often observed ones is a person who came by at the end. If
     fewer than half of the expected number would stay, the most probable ones are kept.
 
     `former`: opportunities of retracted landmarks; observations (n,): number of each landmark of the map.

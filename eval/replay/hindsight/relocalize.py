@@ -5,8 +5,8 @@ landmarks such that all their distances agree. Hypotheses with most pairings are
 distance. The best counts only if no other place explains the scan nearly as well.
 
 The scan is accumulated over a few frames as a robot-centred map (Castellanos, Martinez-Cantin, Tardos and Neira,
-Robotics and Autonomous Systems 55, 2007): the robot is at the origin without error, its motion moves the points, and
-the uncertainty of the motion is common to all of them.
+Robotics and Autonomous Systems 55, 2007). The robot is at the origin without error; its motion moves the points and
+adds an uncertainty common to all of them.
 """
 
 from __future__ import annotations
@@ -221,9 +221,9 @@ def _search(
 ) -> tuple[IntArray, bool]:
     """Interpretation tree over points (m, 2) in order, every landmark or none for each; depth first.
 
-    A pairing must agree in its distances to all points paired before, within `tolerance` (m, m), and lie on the right
-    side of the line through the first two (distances alone allow a mirror image). A branch is cut if it cannot reach
-    `fewest` pairings, nor the most found so far less `slack`.
+    A pairing must agree in its distances to all points paired before, within `tolerance` (m, m). It must also be on the
+    right side of the line through the first two, because distances alone allow a mirror image. A branch is cut if it
+    cannot reach `fewest` pairings, nor the most found so far less `slack`.
 
     Returns the hypotheses (h, m), landmark index or -1, and whether the search is complete.
     """

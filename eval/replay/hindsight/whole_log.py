@@ -104,9 +104,9 @@ class WholeLog:
         )  # fmt: skip
 
 
-def _numbers(records: dict[int, Record], readings: int) -> IntArray:
+def _numbers(records: dict[int, Record], observations: int) -> IntArray:
     """Landmark (m,) of each observation, `DISCARD` for none."""
-    number = np.full(readings, DISCARD, np.int64)
+    number = np.full(observations, DISCARD, np.int64)
     for n, record in records.items():
         number[[row for row, _ in record.observations]] = n
     return number

@@ -68,9 +68,9 @@ QUESTIONS = (
 )
 HEADS = (
     "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: share of the frames (98.9 % expected);"
-    " landmarks at the end; state: mean length. "
+    " landmarks: at the end; state: mean length. "
 )
-LOST = "A run that this question is about did not get to its end; Failures says where and why."
+LOST = "A run that this question needs stopped before the end; see Failures."
 NAMES_OF_METHODS = (
     "Methods by their names on the command line: jcbb-first is the lab's JCBB (of solutions with equally many pairings"
     " the first), jcbb takes the one with the least joint distance, jcbb-hindsight may revise; known: by labels."

@@ -52,7 +52,7 @@ WRONG = [
     (estimators.seams, "localization", wrong.BelowZero, "the same path in a world turned by -2 rad"),
     (estimators.seams, "localization", wrong.NearTheSeam, "the same path in a world turned by 3.1 rad"),
     (estimators.covariance, "localization", wrong.BodyFrame, r"% from that in the body frame: turn it by the heading"),
-    (estimators.without_noise, "localization", wrong.Drifting, "sigma off where the true path from exact readings"),
+    (estimators.without_noise, "localization", wrong.Drifting, "sigma off where the true path from exact observations"),
     (estimators.linear_world, "localization", wrong.Drifting, "sigma off where the exact solution"),
     (estimators.linear_world, "slam", wrong.Timid, r"sigmas are 5, 5, 5 times the exact ones .*; a factor of 2"),
     (estimators.covariances, "slam", wrong.Asymmetric, "frame 0: Asymmetric.estimate: the covariance is not symmetric"),
@@ -65,7 +65,7 @@ WRONG = [
     (estimators.numbers, "slam", wrong.Swapped, r"landmark \d+ is .* m from where it was seen first, where number \d+"),
     (estimators.removal, "slam", wrong.Returning, "landmark 0 was removed and is in the map again"),
     (estimators.expectation, "slam", wrong.Blurred, "and HPHt differ by .* % of the largest covariance"),
-    (estimators.expectation, "slam", wrong.Shifted, "decisions of nearest neighbour on exact readings are not those"),
+    (estimators.expectation, "slam", wrong.Shifted, "of nearest neighbour on exact observations are not those"),
     (estimators.runs, "slam", wrong.Dead, r"stopped at frame 1: Dead.predict raised OSError: flat battery \(wrong.py"),
 ]
 
@@ -80,7 +80,7 @@ def test_each_check_of_an_estimator_fails_what_is_wrong_in_its_way(check, task, 
 @pytest.mark.parametrize(
     ("method", "name", "words"),
     [
-        (wrong.first, "exact readings", "names no candidate|is exactly landmark"),
+        (wrong.first, "exact observations", "names no candidate|is exactly landmark"),
         (wrong.unwrapped, "angle seams", "bearings 3.1316 and -3.1316 are 0.02 rad apart, decided is -1, not 7"),
         (
             wrong.greedy,

@@ -9,7 +9,7 @@ import pytest
 from data.log import Log
 from data.logs import open_log
 from eval.referee.lost import lost
-from eval.replay import compare
+from eval.replay.run import compare
 from tests.eval.referee import wrecks
 
 

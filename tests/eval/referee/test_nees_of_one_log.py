@@ -11,7 +11,7 @@ from data.inputs import Prior
 from data.logs import open_log
 from eval.referee.consistency import THIN, nearly_singular, nis_bounds
 from eval.referee.score import Trial, score
-from eval.replay import compare
+from eval.replay.run import compare
 
 
 def test_an_exact_prior_beside_the_truth_shows_in_the_mean_and_not_in_the_median():

@@ -35,7 +35,7 @@ def test_the_answers_have_the_referees_counts(report):
     nn = next(r for r in rows if r[0] == "corridor:0" and r[3:5] == ["nn", "online"])
     text = (report / "report.md").read_text()
     assert f"NN (ekf) pairs {nn[rows[0].index('fp')]} of 548 observations wrongly" in text
-    assert "Not answered: this needs a corridor without people, without odometry" in text
+    assert "Not answered: this needs a log of the corridor without people, without odometry" in text
 
 
 def test_each_log_has_its_own_table_of_decisions(report):

@@ -31,16 +31,16 @@ def sentence(**changed) -> str:
 
 def test_the_sentence_says_by_how_much_with_interval_p_and_what_it_rests_on():
     assert sentence() == (
-        "The smoother's RMSE is lower by 0.0200 m, 95 % interval 0.0031 to 0.0412 m, p = 0.013; one log, errors"
-        " correlated over about 14 frames, and another log's map would err otherwise."
+        "The smoother's RMSE is lower by 0.0200 m, 95 % interval 0.0031 to 0.0412 m, p = 0.013. "
+        "This holds for one log, with errors correlated over about 14 frames and one map."
     )
     assert sentence(task="localization").endswith("correlated over about 14 frames.")
 
 
 def test_a_worse_smoother_is_higher_with_the_interval_turned_round():
     text = sentence(rmse_position_m=-0.02, rmse_position_lower=-0.0412, rmse_position_upper=0.0031, rmse_position_p=0.2)
-    assert "is higher by 0.0200 m, 95 % interval −0.0031 to 0.0412 m, p = 0.200;" in text
-    assert text.endswith("would err otherwise, so it may be chance.")
+    assert "is higher by 0.0200 m, 95 % interval −0.0031 to 0.0412 m, p = 0.200," in text
+    assert text.endswith("frames and one map.")
     assert not difference().chance
     assert difference(rmse_position_p=0.06).chance
     assert difference(rmse_position_lower=-0.001).chance
@@ -48,7 +48,7 @@ def test_a_worse_smoother_is_higher_with_the_interval_turned_round():
 
 def test_without_an_interval_it_says_why_and_no_number():
     text = sentence(**SILENT)
-    assert text == "Whether the difference is chance this log cannot tell: 40 frames are too few."
+    assert text == "This log is too short to test whether the difference is chance: 40 frames are too few."
 
 
 def test_only_the_pair_that_is_compared_is_spoken_of():

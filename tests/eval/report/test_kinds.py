@@ -121,7 +121,7 @@ def test_the_difference_from_batch_is_that_of_the_others_and_not_of_batch_itself
     fig = saved[0][0]
     assert len(fig.axes) == 1
     assert "EKF" in fig.axes[0].get_title(loc="left")
-    assert "No error: the log has no true path." in picture.caption
+    assert "no error, as the log has no ground truth." in picture.caption
 
 
 def test_files_are_written_of_every_run_and_films_only_where_asked_for(monkeypatch, tmp_path):

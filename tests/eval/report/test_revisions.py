@@ -37,12 +37,12 @@ def test_counts_are_those_of_the_events(people):
     row = tally(runs[0])
     events = [e for e in runs[0].events if e.why != REASSOCIATED]
     undone = [e for e in events if e.old >= 0]
-    assert row["pairings undone"] == str(len(undone))
-    assert row["made instead"] == "0"
+    assert row["undone"] == str(len(undone))
+    assert row["replaced"] == "0"
     assert row["retracted"].startswith(str(sum(e.old == NEW for e in events)) + " (")
     assert row["landmarks merged"] == "0"
     anew = {e.observation for e in runs[0].events if e.why == REASSOCIATED}
-    assert row["re-associated at the end"] == str(len(anew))
+    assert row["final re-association"] == str(len(anew))
     assert anew
 
 
@@ -70,7 +70,7 @@ def test_merged_landmarks_are_shown_before_others():
     assert one.old.tolist() == [7, 7]
     assert one.new.tolist() == [2, 2]
     row = tally(run)
-    assert [row[k] for k in ("pairings undone", "made instead", "landmarks merged")] == ["5", "4", "1"]
+    assert [row[k] for k in ("undone", "replaced", "landmarks merged")] == ["5", "4", "1"]
     assert example(revising_run(Event(9, 5, 1, DISCARD, "uncertain"))) is None
 
 

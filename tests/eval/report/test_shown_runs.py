@@ -86,5 +86,5 @@ def test_growth_is_shown_of_filter_and_incremental_smoother_under_known_associat
 def test_a_caption_names_the_shown_only_if_others_are_not():
     assert left_out(LAB, LAB.runs) == ""
     assert left_out(LAB, [KNOWN[0], JCBB[2]]) == (
-        " Shown are ekf with known, batch with jcbb; the other runs' files are in `runs/`."
+        " Shown: ekf with known, batch with jcbb; files of all runs: `runs/`."
     )

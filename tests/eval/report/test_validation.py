@@ -76,15 +76,15 @@ def test_the_section_says_how_many_right_logs_are_objected_to_and_how_many_fault
     facts = validation_facts(STUDY, found)
     assert (facts.sound, facts.objected, facts.sure, facts.met) == (20, 1, 2, 1)
     text = "\n".join(b for b in section.blocks if isinstance(b, str))
-    assert "Of 20 logs that are right, 1 are objected to (5.0 %)" in text
-    assert "2 faults are detected in 90 % of the logs or more; 1 of them are put down to the right cause" in text
+    assert "Of 20 logs without a fault, 1 are rejected (5.0 %)" in text
+    assert ("2 faults are detected in 90 % of the logs or more; 1 of them are attributed to the right cause") in text
     assert stems == ["trust_size", "trust_power"]
 
 
 def test_what_diverged_is_listed_once_with_what_replays_it():
     run = Diverged("slam", "ekf", "nn", 3, "frame 7: lost", False, "python -m eval.run_all --seed 3")
     doubtful = replace(run, seed=4, implausible=True)
-    assert say("studies#diverged", lost=()) == "Every run of every estimator got to its end."
+    assert say("studies#diverged", lost=()) == "Every run of every estimator reached its end."
     assert say("studies#diverged", lost=(run, run)) == (
         "2 runs diverged; they are in no average:\n\n"
         "* seed 3: `ekf` (slam, nn), frame 7: lost: `python -m eval.run_all --seed 3`"

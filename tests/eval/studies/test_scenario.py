@@ -102,7 +102,7 @@ def test_an_estimator_may_be_told_other_noise_but_the_measurements_stay():
     ("batch = {}", 'batch = { must_be = "good" }', "must_be = 'good'"),
     ("batch = {}", 'batch = { task = ["mapping"] }', "'mapping' is unknown"),
     ("batch = {}", "batch = { world = { speed = true } }", "[estimators.batch.world] speed = True: a finite number"),
-    ('"localization", "slam"]', '"slam", "slam"]', "none twice"),
+    ('"localization", "slam"]', '"slam", "slam"]', "none of them twice"),
     ('[estimators]', '[setup]\ngte = 0.9\n[estimators]', "unknown key 'gte' in [setup]"),
     ('runs = 3', 'wrong = [0.5, 0.1]', "ascending"),
     ('runs = 3', 'wrong = [1.0]', "shares from 0"),

@@ -13,7 +13,7 @@ from data.inputs import Increments, LandmarkMap, Prior
 from data.se2 import between, compose, pose_error, world_from_body
 from data.worlds.linear import LinearWorld, simulate
 from graph.batch import Start, smooth
-from graph.qr.score_test import systematic
+from graph.qr.score_test import Score, systematic
 from tests.graph.worlds import SENSORS, circle
 
 EXACT = np.zeros((3, 3))
@@ -164,6 +164,23 @@ def test_a_slam_robot_tells_the_scales_of_odometry_and_of_points_only_from_each_
     motion[1:, 2, 2] = 1.0
     found = systematic(inputs, number, path, xy, motion, readings)
     np.testing.assert_allclose(found.sigmas[0], -found.sigmas[1], rtol=1e-6)
+    first = found.given(np.array([0]))
+    assert (first.information[:2] == 0.0).all()
+    assert first.information[2, 2] > 0.0
+    both = found.given(np.array([0, 1]))
+    np.testing.assert_allclose(both.information[2, 2], first.information[2, 2], rtol=1e-6)
+
+
+def test_given_others_the_estimate_is_that_of_all_together():
+    """Partitioned inverse: variance and estimate alone, the others profiled out, are those of the joint solution."""
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(9, 4)) * [1.0, 1e3, 1e-3, 1.0]
+    s = Score(A.T @ rng.normal(size=9), A.T @ A)
+    jointly, covariance = np.linalg.solve(s.information, s.score), np.linalg.inv(s.information)
+    alone = s.given(np.array([0, 1, 3]))
+    assert alone.score[2] / alone.information[2, 2] == pytest.approx(jointly[2])
+    assert 1.0 / alone.information[2, 2] == pytest.approx(covariance[2, 2])
+    assert (alone.sigmas[[0, 1, 3]] == 0.0).all()
 
 
 WORLD = LinearWorld(frames=20, laps=0.4, sigma_turn=1e-4)

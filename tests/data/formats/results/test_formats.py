@@ -148,5 +148,5 @@ def test_what_a_file_does_not_say_must_be_said_and_nothing_else(tmp_path):
         with pytest.raises(UsageError, match=wanted):
             read_path(str(tmp_path / name), manner)
     name, _ = ours(tmp_path)
-    with pytest.raises(UsageError, match=r"--cov .*: a TUM file"):
+    with pytest.raises(UsageError, match=r"--cov .*a TUM file"):
         read_path(str(tmp_path / name), Manner(cov=tmp_path / "a.txt"))

@@ -51,7 +51,7 @@ def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
     assert question.code is Code.LANDMARKS
     assert question.named["landmarks"] == len(run.map)
     (section,) = warnings_section([question])
-    assert section.blocks[1].endswith("do better?")
+    assert section.blocks[1].endswith("be better?")
 
 
 @pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])

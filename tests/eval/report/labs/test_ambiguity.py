@@ -89,7 +89,7 @@ def test_the_report_shows_both_peaks_and_what_the_prior_makes_of_them():
     assert (q.moves, q.both, q.decides, q.primed) == (40, 19, False, PRIMED.name)
     assert q.prior == pytest.approx(518.0, abs=0.5)
     text, table = said[AMBIGUOUS]
-    assert "does not decide either" in text
+    assert "does not determine it either" in text
     assert "518 times as likely" in text
     assert isinstance(table, Table)
     assert table.frame["readings that fit, of 10"].tolist() == [4, 0, 8, 0, 8, 0, 4]
@@ -116,6 +116,6 @@ def test_errors_with_a_prior_stand_beside_those_without():
     (text,) = answers(without, given)[CHANGES]
     assert "ekf with known association 0.358 m (0.179 m without)" in text
     assert "ekf-iterated with known association 0.0894 m." in text
-    assert "costs a factor of 4.0" in text
+    assert "error by a factor of 4.0" in text
     swapped = Trial(primed, "slam", tuple(replace(r, estimator=n) for r, n in zip(given.runs, ("ekf-iterated", "ekf"))))
     assert "costs a factor" not in answers(without, swapped)[CHANGES][0]

@@ -63,7 +63,7 @@ def test_the_numbers_are_those_counted_by_hand(tmp_path):
     # two of ten observations of the log without people: point 2 taken for 1, and point 1 initialized twice
     assert rows.loc["nn", ["FP", "FN"]].tolist() == [1, 1]
     assert rows.loc["nn", "RMSE [m]"] == pytest.approx(0.3 * np.sqrt(0.8))
-    assert "1 of 10 wrong, the first in frame 2" in first.blocks[0]
+    assert "1 of 10 pairings are wrong, the first in frame 2" in first.blocks[0]
     assert "No fewer" not in second.blocks[0]
     assert third.blocks[1].frame["condition"].tolist() == ["plain", "plain", "people", "people"]
 
@@ -83,8 +83,8 @@ def test_a_run_that_did_not_get_to_its_end_is_said_and_no_picture_of_it_is_asked
     halted = replace(given[0].runs[1], failure=Failure("diverged", 3, stopped("made up")))
     given[0] = replace(given[0], runs=(given[0].runs[0], halted, *given[0].runs[2:]))
     sections = answered(tmp_path, given)
-    assert "did not get to its end" in sections[0].blocks[0]
-    assert "Failures says where" in sections[0].blocks[-1]
+    assert "stopped before the end" in sections[0].blocks[0]
+    assert "Failures." in sections[0].blocks[-1]
     lab = find_lab(given, named=False)
     assert lab is not None
     assert not NEEDED["first-wrong"](lab)

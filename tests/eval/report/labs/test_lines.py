@@ -45,16 +45,17 @@ def sections(tmp_path, errors=ERRORS):
 
 def test_each_answer_has_its_own_runs_numbers(tmp_path):
     assert [s.blocks[0] for s in sections(tmp_path)] == [
-        "**It takes the nearest landmark for each observation alone: 1 of 10 wrong, the first in frame 2; RMSE 0.268 m,"
-        " 0.00894 m with labels.**",
-        "**Fewer wrong pairings (0 instead of 1), and 3 observations of mapped points unused: RMSE 0.0447 m instead of"
-        " 0.268 m.**",
-        "**With people about NN's RMSE rises from 0.268 to 0.537 m and SINGLES's RMSE falls from 0.0447 to 0.0268 m.**",
-        "**It accepts only pairings that agree with each other on where the robot is: 0 wrong on `corridor:0:people`"
-        " where NN has 5, RMSE 0.0894 m instead of 0.537 m.**",
-        "**Only known finds the way: position RMSE known 0.00894 m, nn 1.79 m, singles 2.68 m, jcbb-first 3.58 m.**",
-        "**It removes 1 landmark seen only once, 1 of them people: 2 in the map instead of 3, and the path is better"
-        " (RMSE 0.00894 m, 0.0894 m without).**",
+        "**It pairs each observation alone with the nearest landmark: 1 of 10 pairings are wrong, the first in frame 2."
+        " RMSE 0.268 m, with labels 0.00894 m.**",
+        "**It has fewer wrong pairings than NN (0 instead of 1), but leaves 3 observations of mapped points unused."
+        " RMSE 0.0447 m instead of 0.268 m.**",
+        "**With people, NN's RMSE rises from 0.268 to 0.537 m and SINGLES's RMSE falls from 0.0447 to 0.0268 m.**",
+        "**It accepts only pairings that are jointly compatible: 0 wrong ones on `corridor:0:people`, with NN 5."
+        " RMSE 0.0894 m instead of 0.537 m.**",
+        "**Only known estimates a usable path. Position RMSE: known 0.00894 m, nn 1.79 m, singles 2.68 m,"
+        " jcbb-first 3.58 m.**",
+        "**It removes 1 landmark observed only once, 1 of them on people. The map has 2 landmarks instead of 3, and the"
+        " path is more accurate (RMSE 0.00894 m, 0.0894 m without).**",
     ]  # fmt: skip
 
 
@@ -62,10 +63,10 @@ def test_what_stays_is_not_said_to_fall_and_who_is_lost_least_is_named(tmp_path)
     lost = {"known": 2.0, "nn": 1.0, "singles": 3.0, "jcbb-first": 4.0}
     same = ERRORS | {PEOPLE: ERRORS[PLAIN], BLIND: lost}
     lines = [s.blocks[0] for s in sections(tmp_path, same)]
-    assert lines[2] == "**With people about NN's RMSE stays at 0.268 m and SINGLES's RMSE stays at 0.0447 m.**"
-    assert lines[4].startswith("**Every method is lost, nn least: position RMSE known 1.79 m, nn 0.894 m, ")
+    assert lines[2] == "**With people, NN's RMSE stays at 0.268 m and SINGLES's RMSE stays at 0.0447 m.**"
+    assert lines[4].startswith("**All methods fail; nn least. Position RMSE: known 1.79 m, nn 0.894 m, ")
     worse = ERRORS | {PEOPLE: ERRORS[PEOPLE] | {"jcbb-first": 0.001}}
-    assert "and the path is worse (RMSE 0.00894 m" in sections(tmp_path, worse)[5].blocks[0]
+    assert "and the path is less accurate (RMSE 0.00894 m" in sections(tmp_path, worse)[5].blocks[0]
 
 
 def test_tables_name_what_is_special_about_each_condition_and_count_its_run(tmp_path):
@@ -82,7 +83,7 @@ def test_tables_name_what_is_special_about_each_condition_and_count_its_run(tmp_
 def test_paragraphs_compare_singles_with_jcbb_and_tell_of_the_others_without_odometry(tmp_path):
     _, second, _, _, fifth, _ = (s.blocks[2].blocks[0] for s in sections(tmp_path))
     assert "**SINGLES** uses 5 of 10 observations of `corridor:0` (0 wrongly)" in second
-    assert "3 observations of points in the map go unused." in second
-    assert "JCBB uses 3 right pairings more, and SINGLES' RMSE is 2.5 times as large." in second
-    assert "NN makes 6 right pairings and 1 wrong one, and leaves 0 out" in fifth
-    assert "SINGLES makes 5 right pairings and 0 wrong ones, and leaves 3 out" in fifth
+    assert "3 observations of points in the map remain unused." in second
+    assert "JCBB uses 3 more correct pairings, and SINGLES' RMSE is 2.50 times as large." in second
+    assert "NN makes 6 correct pairings and 1 wrong one, and misses 0; SINGLES" in fifth
+    assert "SINGLES makes 5 correct pairings and 0 wrong ones, and misses 3." in fifth

@@ -69,7 +69,7 @@ def test_each_question_is_answered_in_a_line_with_the_numbers_of_its_runs(tmp_pa
     assert (third.filter, third.commands, third.smoother) == pytest.approx((0.05, rising, 0.01))
     assert lines(sections)[1:] == [
         "**6 pictures were found in 40 frames, four corners each: 4 observations.**",
-        f"**The filter's position RMSE is 0.0500 m where commands alone have {rising:.3f} m; smoothed 0.0100 m.**",
+        f"**The filter's position RMSE is 0.0500 m, from commands alone {rising:.3f} m, smoothed 0.0100 m.**",
     ]
 
 
@@ -89,7 +89,7 @@ def test_without_a_true_path_no_error_is_said(tmp_path):
     sections = answers(tmp_path, trial(truth=False), no_plots=True)
     first, _, third = lines(sections)
     assert "off" not in first
-    assert "errors are not known" in third
+    assert "errors are unknown" in third
     (table,) = (b for b in sections[2].blocks if isinstance(b, Table))
     assert not any("error" in c or "RMSE" in c for c in table.frame)
 

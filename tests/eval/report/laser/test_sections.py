@@ -79,15 +79,15 @@ def test_graph_and_loop_closures_are_counted_and_robust_smoothers_say_what_they_
     assert found.left_out == (("gnc", 1), ("batch-cauchy", 0))
     assert (found.scale, found.time, found.ungated) == (None, None, None)
     text = text_of(section(tmp_path, [Trial(laser_log(), "slam", runs)]))
-    assert "* 0 scans in 40 frames became 8 key poses; 4 loop closures were looked at, 3 believed" in text
-    assert "* `gnc` left 1 of them out in the end." in text
+    assert ("* 0 scans in 40 frames became 8 key poses; 4 candidate loop closures were tested and 3 accepted,") in text
+    assert "* `gnc` finally rejected 1 of them.\n* `batch-cauchy` finally rejected 0 of them." in text
     assert "variances" not in text
     assert "front end" not in text
 
 
 def test_the_scale_of_claimed_variances_is_told_with_its_error(tmp_path):
     text = text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(scale=(2.5, 0.31)),))]))
-    assert "claims are taken times 2.50 ± 0.31, learned" in text
+    assert "Variance scale of scan matching: 2.50 ± 0.31, learned" in text
 
 
 def test_the_time_of_the_front_end_is_set_against_that_of_the_drive(tmp_path):
@@ -114,9 +114,10 @@ def filters(**with_gate):
 def test_what_gates_do_to_the_filter_is_told_with_where_each_ends(tmp_path):
     text = text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(), filters()))]))
     assert (
-        "The filter over key poses takes every believed loop closure and ends with a position RMSE of 0.200 m. With a"
-        " gate of 0.999 it rejects 2 of 3 and ends with a position RMSE of 0.500 m. With that gate and unscaled"
-        " covariances it rejects 1 of 3 and ends with a position RMSE of 0.700 m.\n"
+        "The filter over key poses uses every accepted loop closure and ends with a position "
+        "RMSE of 0.200 m. With a gate of 0.999 it rejects 2 of 3 and ends with a position RMSE "
+        "of 0.500 m. With that gate and unscaled covariances it rejects 1 of 3 and ends with a "
+        "position RMSE of 0.700 m.\n"
     ) in f"{text}\n"
 
 
@@ -127,7 +128,7 @@ def test_a_gated_filter_that_came_to_no_end_is_said_to(broken, tmp_path):
     found = facts(laser(), gated).gates
     assert (found[0].rejected, found[0].looked, found[1]) == (2, 3, None)
     text = text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(), gated))]))
-    assert "With that gate and unscaled covariances it did not get to the end." in text
+    assert "With that gate and unscaled covariances it stopped before the end." in text
 
 
 def test_of_a_filter_that_stopped_or_has_no_gated_twin_nothing_is_said_of_gates():
@@ -140,9 +141,11 @@ def test_without_truth_the_gates_are_told_without_an_error_and_with_relations_ag
     blind = text_of(section(tmp_path, [Trial(laser_log(truth=False), "slam", (laser(), filters()))]))
     assert "rejects 2 of 3. With that" in blind
     tied = text_of(section(tmp_path, [Trial(laser_log(relations=stretched()), "slam", (laser(), filters()))]))
-    assert "takes every believed loop closure and ends 0.3000 ± 0.0000 m off the relations." in tied
+    assert (
+        "poses uses every accepted loop closure and ends with a mean error of 0.3000 ± 0.0000 m against the relations."
+    ) in tied
     gone = replace(filters(), last=None)
-    assert "every believed loop closure." in text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(), gone))]))
+    assert "every accepted loop closure." in text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(), gone))]))
 
 
 def test_runs_stand_against_the_relations_filter_first_and_wheels_last():
@@ -153,7 +156,7 @@ def test_runs_stand_against_the_relations_filter_first_and_wheels_last():
         ("ekf", "online"), ("ekf", "last state"), ("isam2", "online"), ("isam2", "final"), ("dead-reckoning", "online"),
     ]  # fmt: skip
     assert against_relations(trial).startswith(
-        "Against 2 reference relations (tied by row): `ekf` (online) 0.3000 ± 0.0000 m, 0.00°; `ekf` (last state)"
+        "Against 2 reference relations (matched by row): `ekf` (online) 0.3000 ± 0.0000 m, 0.00°; `ekf` (last state)"
     )
     assert against_relations(Trial(laser_log(), "slam", (laser(),))) == ""
     assert against_relations(Trial(log, "slam", (replace(laser(), failure=STOPPED),))) == ""

@@ -53,7 +53,7 @@ def test_an_estimate_that_used_no_reading_is_not_to_be_trusted():
     both = frozenset({("ekf", "known"), ("batch", "known")})
     mark = trust_mark(facts(unused=both))
     assert mark.word == "neither"
-    assert "ekf used next to no reading" in mark.note
+    assert "ekf used almost no observation;" in mark.note
 
 
 @pytest.mark.parametrize(
@@ -121,19 +121,19 @@ def test_the_cause_is_one_word_also_without_twins(said, word):
     f = facts(EKF | {"rmse_position_m": math.nan}, BATCH | {"rmse_position_m": math.nan}, BLIND, said)
     assert (f.verdict, f.cause) == (Verdict.CAUSE, word)
     assert trust_mark(f).word == f"cause: {word}"
-    assert introduction([f]).endswith(f"one referee. No truth on blind, cause: {word}.")
+    assert introduction([f]).endswith(f"one referee. No ground truth on blind, cause: {word}.")
 
 
 def test_the_sentences_say_what_was_compared_and_how_much_better_where_both_got_there():
     bad = facts(EKF | {"status": "implausible"})
     assert introduction([facts()]) == (
-        "Filter (ekf) and smoother (batch) on identical inputs from 1 log, scored by one referee."
-        " For the path after the fact trust the smoother (the filter's RMSE is 8.42 times as large)."
+        "Filter (ekf) and smoother (batch) on identical inputs from 1 log, scored by one "
+        "referee. Offline, use the smoother (the filter's RMSE is 8.42 times as large)."
     )
     found = conclusion([facts(), bad])
     assert (found.logs, found.filters, found.smoothers, found.everywhere) == (1, ("ekf",), ("batch",), True)
     assert (found.filter_fails, found.ratios) == (1, pytest.approx((8.417, 8.417), abs=1e-3))
-    assert introduction([facts(), bad]).endswith("8.42 times as large), where the filter fails on 1 row.")
+    assert introduction([facts(), bad]).endswith("8.42 times as large); the filter failed on 1 log.")
 
 
 def test_rows_of_one_log_are_told_apart_by_their_task():
@@ -141,17 +141,17 @@ def test_rows_of_one_log_are_told_apart_by_their_task():
     found = conclusion([facts(), closer])
     assert (found.smoother, found.filter) == (("home (slam)",), ("home (localization)",))
     said = introduction([facts(), closer])
-    assert "trust the smoother on home (slam) (the" in said
-    assert said.endswith("the filter is closer on home (localization).")
+    assert "Offline, use the smoother on home (slam) (the" in said
+    assert said.endswith("the filter is more accurate on home (localization).")
 
 
 @pytest.mark.parametrize(
     ("rmse", "online", "note"),
     [
-        (0.4041, Online.EQUAL, "later data; online both are equal"),
+        (0.4041, Online.EQUAL, "offline; online both are equal"),
         (0.3, Online.OTHER, "online isam2 0.300 m"),
-        (0.1, Online.FAR_BETTER, "also online (isam2 0.100 m)"),
-        (None, Online.UNKNOWN, "for the path after the fact"),
+        (0.1, Online.FAR_BETTER, "online, too (isam2 0.100 m)"),
+        (None, Online.UNKNOWN, "offline"),
     ],
 )
 def test_an_online_smoother_tells_later_data_from_the_kind_of_estimator(rmse, online, note):
@@ -162,12 +162,12 @@ def test_an_online_smoother_tells_later_data_from_the_kind_of_estimator(rmse, on
 
 def test_the_error_of_the_frame_is_told_from_that_of_the_path():
     text = gauge_statement(facts())
-    assert "`ekf` has 0.112 m instead of 0.404 m and `batch` 0.0440 m instead of 0.0480 m" in text
-    assert "(the ratio is then 2.55, not 8.42)" in text
+    assert "`ekf` 0.112 m instead of 0.404 m, `batch` 0.0440 m instead of 0.0480 m" in text
+    assert "(ratio 2.55 instead of 8.42)" in text
     assert facts().gauge == Gauge((0.404, 0.048), (0.112, 0.044), mostly=True, ratio_differs=True)
     same = facts(EKF | {"rmse_aligned_m": 0.4})
     assert not same.gauge.mostly
-    assert "here that makes little difference: aligned" in gauge_statement(same)
+    assert "After alignment, almost the same: `ekf`" in gauge_statement(same)
     assert facts(task="localization").gauge is None
 
 

@@ -81,16 +81,20 @@ def test_facts_say_why_these_which_are_not_told_and_what_the_battery_says(trial)
     assert facts.before.judged.objected == 2
     assert facts.after is None
     text = say("systematic", facts)
-    assert text.startswith("* Estimated along by filter and smoother alike: `scale`, `curvature`. These are the ones")
-    assert "outside what 20 twins show (family-wise p at most 0.05): odometry turns 5.00 % ± 0.10 % less" in text
-    assert text.endswith("(errors estimated along): not enough memory.")
+    assert text.startswith(
+        "* Estimated by filter and smoother jointly with the poses: `scale`, `curvature`. A score test"
+    )
+    assert (
+        "outside the range of 20 bootstrap replicates (family-wise p at most 0.05): odometry turns 5.00 % ± 0.10 % less"
+    ) in text
+    assert text.endswith("(with these errors estimated): not enough memory.")
 
 
 def test_without_a_run_nothing_is_said_of_the_errors(trial):
     facts = estimated(trial, Calibration("", "", "known", ERRORS, ALL, after=said()), [])
     assert (facts.judged, facts.untold) == (False, ())
-    assert "No run got to its end" in say("systematic", facts)
-    assert say("systematic", facts).endswith("too few twins.")
+    assert "No run reached its end" in say("systematic", facts)
+    assert say("systematic", facts).endswith("too few bootstrap replicates.")
 
 
 def test_the_figure_has_a_panel_for_each_error_with_truth_prior_and_estimates(trial):

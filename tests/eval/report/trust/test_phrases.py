@@ -57,9 +57,9 @@ def test_a_systematic_error_has_its_side_and_its_unit(name, size, error, text):
 
 
 def test_points_are_spoken_of_as_points():
-    assert phrase("z1_constant", POINTS, -0.1, 0.02) == "the readings' x is 0.10 m ± 0.02 m too small"
-    assert phrase("z2_range", POINTS, 0.01, math.nan) == "readings are turned 0.573° counter-clockwise"
-    assert phrase("z1_range", POINTS, -0.1, math.nan) == "readings grow 10.0 % too slowly"
+    assert phrase("z1_constant", POINTS, -0.1, 0.02) == "the observations' x is 0.10 m ± 0.02 m too small"
+    assert phrase("z2_range", POINTS, 0.01, math.nan) == "observations are rotated 0.573° counter-clockwise"
+    assert phrase("z1_range", POINTS, -0.1, math.nan) == "observed distances grow 10.0 % too slowly"
     assert "older than stamped" in phrase("z2_speed", POINTS, 0.1, 0.02)
 
 

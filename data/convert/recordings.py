@@ -1,0 +1,94 @@
+"""Recordings with few flags as open logs: CARMEN, ROS bags (with `rosbags`), the visual lab, Victoria Park."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from data.convert.parsers import Add
+    from data.log import Log
+
+KINDS = ("victoria-park", "carmen", "rosbag", "lab")
+CARMEN = """\
+examples:
+  python -m data.convert carmen intel.log.gz logs/intel                       relations: intel.relations.csv beside it
+  python -m data.convert carmen intel.log.gz logs/intel --relations my_relations.csv
+  python -m data.convert carmen intel.gfs.log logs/intel-raw --undo-correction
+"""
+ROSBAG = """\
+examples:
+  python -m data.convert rosbag robot.bag logs/robot                              one topic of each kind: it is found
+  python -m data.convert rosbag robot_mcap/ logs/robot --scan /front/scan --odom /odom
+"""
+LAB = """\
+examples:
+  python -m data.convert lab my_lab logs/lab                      pictures found, their corners as observations
+  python -m data.convert lab my_lab logs/lab --camera-translation m --corner-noise depth
+"""
+
+
+def add_parsers(add: Add, *, parameters: bool) -> None:
+    """The parsers of all kinds; `parameters` is unused."""
+    park = add(
+        "victoria-park",
+        help="the Victoria Park log that gtsam bundles",
+        description="Victoria Park: 6969 frames of a car among trees, from the installed gtsam wheel. No ground truth.",
+        epilog="example:\n  python -m data.convert victoria-park logs/victoria",
+    )
+    carmen = add(
+        "carmen",
+        help="a CARMEN log with laser scans (.log, .clf, also .gz)",
+        description="Odometry and laser scans of a CARMEN log, with reference relations where there are some.",
+        epilog=CARMEN,
+    )
+    carmen.add_argument("source", metavar="SOURCE", type=Path, help="log file: ODOM, FLASER or ROBOTLASER1 lines")
+    rosbag = add(
+        "rosbag",
+        help="a ROS 1 or 2 bag with laser scans and odometry",
+        description="LaserScan and Odometry messages of a bag: every scan is a frame, the odometry is interpolated.",
+        epilog=ROSBAG,
+    )
+    rosbag.add_argument("source", metavar="BAG", type=Path, help="a .bag file, a folder of ROS 2, or its .mcap or .db3")
+    lab = add(
+        "lab",
+        help="a folder in the visual lab's format, as an open log",
+        description="Find the pictures in every image of a recording, and write their corners as an open log folder.",
+        epilog=LAB,
+    )
+    lab.add_argument("source", metavar="FOLDER", type=Path, help="with configuration, log file and folder landmark/")
+    for each in (park, carmen, rosbag, lab):
+        each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
+    text = "poses are a particle filter's: recover the raw odometry"
+    carmen.add_argument("--undo-correction", action="store_true", help=text)
+    text = "reference relations by frame (default: NAME.relations.csv beside the log)"
+    carmen.add_argument("--relations", metavar="FILE", type=Path, help=text)
+    rosbag.add_argument("--scan", metavar="TOPIC", help="of the scans (default: the only one)")
+    rosbag.add_argument("--odom", metavar="TOPIC", help="of the odometry (default: the only one)")
+    lab.add_argument("--camera-translation", choices=("cm", "mm", "m"), default="cm", help="unit of T (default: cm)")
+    text = "what R and T do (default: p_c = R p_b + T)"
+    lab.add_argument("--camera-reading", choices=("to-camera", "to-body"), default="to-camera", help=text)
+    lab.add_argument("--corner-noise", choices=("lab", "depth"), default="lab", help="of the corners (default: lab)")
+    lab.add_argument("--trust-pickle", action="store_true", help="read object arrays: they can run code")
+
+
+def convert(args: argparse.Namespace) -> Log:
+    """The log of the recording."""
+    if args.kind == "victoria-park":
+        from data.formats.recordings.victoria_park import load_victoria_park
+
+        return load_victoria_park()
+    if args.kind == "carmen":
+        from data.formats.recordings.carmen import load_carmen
+
+        return load_carmen(args.source, args.relations, undo_correction=args.undo_correction)
+    if args.kind == "rosbag":
+        from data.formats.recordings.ros import log_of, read_bag
+
+        return log_of(args.source, read_bag(args.source, args.scan, args.odom))
+    from data.visual.opening import Camera, open_lab_log
+
+    camera = Camera(args.camera_translation, args.camera_reading, args.corner_noise, args.trust_pickle)
+    return open_lab_log(args.source, camera, lambda text: print(text, file=sys.stderr))  # noqa: T201
