@@ -30,7 +30,7 @@ def trial(*runs, log=None, task="slam", **more):
 @pytest.fixture
 def saved(monkeypatch):
     found = []
-    monkeypatch.setattr(pictures, "save", lambda fig, folder, stem, formats: found.append((fig, stem, formats)))
+    monkeypatch.setattr(pictures, "save", lambda fig, folder, stem, formats=None: found.append((fig, stem, formats)))
     return found
 
 
@@ -92,11 +92,10 @@ def test_systematic_errors_have_a_picture_where_they_were_estimated(saved, tmp_p
     assert picture.alt.endswith("as ekf estimate them")
 
 
-@pytest.mark.parametrize(("quick", "formats"), [(True, ("png",)), (False, ("pdf", "png"))])
-def test_a_picture_is_saved_under_its_log_and_task_for_print_unless_it_has_to_be_quick(quick, formats, saved, tmp_path):
-    picture = draw(tmp_path, trial(FILTER), "error", quick=quick)
+def test_a_picture_is_saved_under_its_log_and_task(saved, tmp_path):
+    picture = draw(tmp_path, trial(FILTER), "error")
     assert picture.stem == "hall-slam-error"
-    assert [(stem, f) for _, stem, f in saved] == [("hall-slam-error", formats)]
+    assert [(stem, f) for _, stem, f in saved] == [("hall-slam-error", None)]
     assert picture.caption.startswith("`hall`, slam: error of each coordinate")
 
 
@@ -108,7 +107,7 @@ def test_the_growth_of_uncertainty_is_told_in_numbers_of_robot_and_landmarks(sav
         np.array([0, 5, 6]), np.zeros((3, 2)), np.array([0.2, 0.8, 0.3])[:, None, None] ** 2 * np.eye(2),
         np.zeros(3, int), np.ones(3, int),
     )  # fmt: skip
-    caption = draw(tmp_path, trial(replace(FILTER, online=path, map=mapped)), "growth", quick=True).caption
+    caption = draw(tmp_path, trial(replace(FILTER, online=path, map=mapped)), "growth").caption
     assert caption.endswith(
         "ekf: robot at most 0.900 m, 0.400 m at the end; first landmark 0.200 m, last 0.300 m, least certain 0.800 m"
         " (number 5)."

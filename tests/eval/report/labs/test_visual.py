@@ -28,7 +28,7 @@ FAILED = Failure("diverged", 15, stopped("made up"))
 def saved(monkeypatch):
     """Figures by their file's name, as they were when they were to be saved, with the formats."""
     found = {}
-    monkeypatch.setattr(visual, "save", lambda fig, folder, stem, formats: found.update({stem: (fig, formats)}))
+    monkeypatch.setattr(visual, "save", lambda fig, folder, stem, formats=None: found.update({stem: (fig, formats)}))
     return found
 
 
@@ -130,12 +130,11 @@ def test_without_plots_there_are_formulas_alone(tmp_path):
     assert [b for b in blocks if isinstance(b, Formula)] == [m.formula for m in models.MODELS]
 
 
-@pytest.mark.parametrize(("quick", "drawn"), [(True, ("png",)), (False, ("pdf", "png"))])
-def test_plots_are_drawn_for_print_unless_it_has_to_be_quick_and_images_never(quick, drawn, saved, tmp_path):
-    sections = visual.visual_hand_in(tmp_path, Output(formats=("csv",), quick=quick), [trial()])
+def test_plots_have_the_formats_of_the_figure_style_and_images_are_png(saved, tmp_path):
+    sections = visual.visual_hand_in(tmp_path, Output(formats=("csv",)), [trial()])
     stems = [b.stem for s in sections for b in s.blocks if isinstance(b, Picture)]
     assert stems == ["lab-motion", "lab-camera", "lab-plan", "lab-error"] == list(saved)
-    assert [saved[s][1] for s in stems] == [drawn, ("png",), drawn, drawn]
+    assert [saved[s][1] for s in stems] == [None, ("png",), None, None]
 
 
 def test_the_first_plan_shows_dead_reckoning_with_ellipses_in_their_size_and_the_second_the_filter_too(saved, tmp_path):

@@ -79,7 +79,7 @@ def test_every_statistic_has_a_name_that_is_none_of_the_codes():
 
 def test_a_section_has_words_table_and_figure(tmp_path):
     trust = blamed(TURN, cause=NOISE, objected=2)
-    picture = draw(tmp_path, TRIAL, FILTER_SMOOTHER, quick=True)
+    picture = draw(tmp_path, TRIAL, FILTER_SMOOTHER)
     (section,) = trust_section(tmp_path, Output(), TRIAL, [picture], [trust])
     words, table, more, shown = section.blocks
     assert section.heading == "Trust without ground truth: home, slam"
@@ -121,5 +121,5 @@ def test_the_figure_is_drawn_where_the_smoother_made_the_same_decisions():
 def test_who_decided_otherwise_is_named_in_the_caption(tmp_path, also):
     runs = [run_with_error(SIGMA, estimator=name) for name in also]
     runs = [replace(r, final_decisions=r.final_decisions + 1) for r in runs]
-    caption = draw(tmp_path, replace(TRIAL, runs=(*TRIAL.runs, *runs)), FILTER_SMOOTHER, quick=True).caption
+    caption = draw(tmp_path, replace(TRIAL, runs=(*TRIAL.runs, *runs)), FILTER_SMOOTHER).caption
     assert ("other decisions: isam2, ekf-iterated" in caption) == bool(also)
