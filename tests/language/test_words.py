@@ -1,0 +1,68 @@
+"""The field's words, everywhere a person reads: no banned word in docstrings, comments, texts, pages and templates."""
+
+from __future__ import annotations
+
+import ast
+import io
+import json
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+LIST = Path(__file__).parent / "banned.txt"
+ROOMS = ("association", "data", "ekf", "eval", "graph")
+PAGES = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md")
+KEPT = {
+    "PAIRED = ": "values in files are contracts",
+}
+
+
+def banned() -> dict[str, str]:
+    lines = [line for line in LIST.read_text().splitlines() if line and not line.startswith("#")]
+    return dict(line.split(" = ", 1) for line in lines)
+
+
+def texts_of_module(path: Path) -> Iterator[tuple[int, str]]:
+    """Docstrings, texts and comments with their lines; keys and names of columns have no blank and are left out."""
+    source = path.read_text()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value.strip():
+            yield node.lineno, node.value
+    for token in tokenize.generate_tokens(io.StringIO(source).readline):
+        if token.type == tokenize.COMMENT:
+            yield token.start[0], token.string
+
+
+def texts() -> Iterator[tuple[str, str]]:
+    """Every text that a person may read, and where it stands."""
+    for path in [*(p for room in ROOMS for p in sorted((ROOT / room).rglob("*.py"))), ROOT / "slamref.py"]:
+        for line, text in texts_of_module(path):
+            yield f"{path.relative_to(ROOT)}:{line}", text
+    templates = [p for room in ROOMS for p in sorted((ROOT / room).rglob("*.j2"))]
+    pages = [*(ROOT / p for p in PAGES), *sorted((ROOT / "docs").glob("*.md"))]
+    for path in [*templates, *pages]:
+        for number, line in enumerate(path.read_text().splitlines(), start=1):
+            yield f"{path.relative_to(ROOT)}:{number}", line
+    for cell in json.loads((ROOT / "docs" / "tour.ipynb").read_text())["cells"]:
+        if cell["cell_type"] == "markdown":
+            yield "docs/tour.ipynb", "".join(cell["source"])
+
+
+@pytest.fixture(scope="module")
+def everything():
+    return list(texts())
+
+
+@pytest.mark.parametrize(("word", "instead"), banned().items())
+def test_no_text_has_a_banned_word(everything, word, instead):
+    pattern = re.compile(rf"(?<![\w`-])(?:{word})(?![\w`-])", re.IGNORECASE)
+    found = [f"{where}: {m[0]!r}" for where, text in everything if (m := pattern.search(text))]
+    assert not found, f"say {instead!r}: " + "; ".join(found[:8])
+
+
+def test_the_texts_that_are_searched_are_many(everything):
+    assert len(everything) > 8000
