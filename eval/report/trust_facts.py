@@ -53,7 +53,7 @@ GROUPS = ("motion", "sensor", "bias", "odometry")
 
 @dataclass(frozen=True)
 class Terms:
-    """Names of a log's quantities: observations are ranges and bearings (else points), time is in seconds (else frames)."""
+    """Names of a log's quantities: ranges and bearings, else points; time in seconds, else frames."""
 
     polar: bool = True
     stamped: bool = True

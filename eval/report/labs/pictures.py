@@ -226,7 +226,7 @@ def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
 
 
 def removed_places(s: Shown) -> Array:
-    """Where landmarks that were removed had been initialized (r, 2): observations placed from the pose of that frame."""
+    """Places where removed landmarks had been initialized (r, 2), from the pose of that frame."""
     run, o = s.run, s.log.recorded.observations
     if run.removed is None or not np.any(run.removed >= 0):
         return np.empty((0, 2))

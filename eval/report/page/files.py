@@ -18,7 +18,8 @@ TITLES = {
     "comparison": "Errors and consistency", "association": "Association outcomes",
     "differences": "Filters against smoothers", "consistency": "Consistency over simulated runs",
     "coverage": "Coverage of the last positions [%]", "relations": "Errors against reference relations",
-    "graph-sizes": "Sizes of the pose graph", "revisions": "Revised decisions", "knowledge": "Ablation of labels and map",
+    "graph-sizes": "Sizes of the pose graph", "revisions": "Revised decisions",
+    "knowledge": "Ablation of labels and map",
     "published": "Ours beside published numbers", "trust": "Consistency without ground truth",
 }  # fmt: skip
 """Of a LaTeX table, by a part of its name."""
