@@ -22,7 +22,7 @@ CORNERS = 4
 
 @dataclass(frozen=True, eq=False)
 class VisualSetup:
-    """What is surveyed before the robot starts.
+    """The survey before the robot starts.
 
     Attributes:
         rotation: rad, of R in p_c = R p_b + T, in plan.

@@ -55,7 +55,7 @@ PARTS = (
 
 @dataclass(frozen=True)
 class Bar:
-    """One way of deciding, who decided so, and what came of it."""
+    """One association method, who decided so, and what came of it."""
 
     label: str
     counts: Confusion

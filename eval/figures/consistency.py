@@ -15,6 +15,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from data.terminal import counted
+from data.words import number
 from eval.figures.error import heading_of, panels, thinned, ticks, time_axis
 from eval.figures.paper import page_width
 from eval.figures.style import BAND, LONG_HANDLE, drawing, style_of
@@ -72,7 +73,7 @@ def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
         keep = thinned(values)
         ax.plot(at[keep], values[keep], color=s.colour, linewidth=0.7, zorder=2)
         mean = mean_or_nan(values)
-        measured = f"mean {_short(mean)}" if np.isfinite(mean) else "nothing to compare with"
+        measured = f"mean {number(mean)}" if np.isfinite(mean) else "nothing to compare with"
         ax.set_title(f"{heading_of(s)}: {measured}".replace("\n", ", "), loc="left")
         ax.set_ylabel("pose NEES [–]")
     _scale(axes, curves, lower, upper)
@@ -116,7 +117,7 @@ def anees_figure(
     for i, (name, values) in enumerate(average.items()):
         style, first = style_of(name), few * i // len(average)
         mean, outside = mean_or_nan(values), _share_outside(values, lower, upper)
-        measured = f": mean {_short(mean)}, {100.0 * outside:.0f} % outside" if np.isfinite(mean) else ""
+        measured = f": mean {number(mean)}, {100.0 * outside:.0f} % outside" if np.isfinite(mean) else ""
         label = style.label + measured
         handles += ax.plot(time, values, markevery=(first, few), markersize=3.0, label=label, zorder=2, **style.look)
     _scale([ax], list(average.values()), lower, upper)
@@ -128,11 +129,6 @@ def anees_figure(
     handles += _handles(dof, f"95 % band {lower:.2f} to {upper:.2f}: 5 % outside by design")
     fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=LONG_HANDLE)
     return fig
-
-
-def _short(value: float) -> str:
-    """Three digits, without exponents up to a million."""
-    return f"{value:.0f}" if 1000.0 <= abs(value) < 1e6 else f"{value:.3g}"
 
 
 def _share_outside(values: Array, lower: float, upper: float) -> float:

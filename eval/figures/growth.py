@@ -14,6 +14,7 @@ from matplotlib.lines import Line2D
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
+from data.words import number
 from eval.figures.error import longest_sigma, ticks, time_axis
 from eval.figures.paper import page_width, points
 from eval.figures.plane import SIGMAS, longest_axis
@@ -98,7 +99,7 @@ def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
         style, sigma = style_of(run.estimator), longest_sigma(run.trajectory("online"))
         known = sigma[np.isfinite(sigma)]
         most, end = (float(known.max()), float(known[-1])) if len(known) else (np.nan, np.nan)
-        label = f"{style.label}, {run.association}: at most {most:.2g} m, {end:.2g} m at the end"
+        label = f"{style.label}, {run.association}: at most {number(most)} m, {number(end)} m at the end"
         robot.plot(time, sigma, color=style.colour, linestyle=SOLID if i == 0 else DASHED, linewidth=1.2, label=label)
         if run.map is not None and len(run.map):
             last = longest_axis(run.map.covariance) / SIGMAS

@@ -63,11 +63,11 @@ class AnswerFacts:
         association: under which they are compared; None: nothing decides. several: whether there are others.
         outcome: what came of the comparison.
         filtered, smoothed: their rows, of the online and the final phase; None: none ran.
-        lost_to_linearization: whether the filter alone is lost, with readings that fit the smoother far better.
+        lost_to_linearization: whether the filter alone is lost, with observations that fit the smoother far better.
         newest: the online row of a smoother that steps, if its error is known.
         nearer: to the truth. because: of what.
         difference: of their errors, with what chance makes of it.
-        deciding: how the ways of deciding without labels did.
+        deciding: how the association methods without labels did.
     """
 
     association: str | None
@@ -119,7 +119,7 @@ def answer_facts(
 
 
 def answer(facts: AnswerFacts, trust: str = "") -> str:
-    """The facts in a few sentences; `trust`, what the log says of itself, comes first where there is no truth."""
+    """The facts in a few sentences; `trust`, the diagnosis, comes first without ground truth."""
     return paragraph("answer", facts, trust=trust)
 
 
@@ -153,12 +153,12 @@ def because(filtered: float, smoothed: float, online: float) -> Because:
 
 
 def fits(filtered: Scored, smoothed: Scored) -> bool:
-    """Whether prior, map and readings agree in a smoother's solution, or at least incomparably better than here."""
+    """Whether prior, map and observations agree in a smoother's solution, or at least far better than here."""
     return smoothed.nis <= smoothed.nis_upper or FAR * smoothed.nis < filtered.nis
 
 
 def pick(rows: Sequence[Scored], names: Sequence[str], phase: str) -> Scored | None:
-    """The first of the named estimators, in their order, that has a row in the phase; one that got to the end first."""
+    """The first of the named estimators with a row in the phase; one that reached the end is preferred."""
     found = [r for name in names for r in rows if r.estimator == name and r.phase == phase]
     return min(found, key=lambda r: r.status != "ok", default=None)
 
@@ -172,7 +172,7 @@ def chosen_association(rows: Sequence[Scored]) -> str | None:
 
 
 def gate_sentence(setup: Setup, *, sensed: bool) -> str:
-    """Which gate the readings paired by label had to pass; `sensed`: a sensor read the labels of this log."""
+    """The gate of observations paired by label; `sensed`: a sensor read the labels of this log."""
     gate, by_default = setup.settled(sensed).label_gate, setup.gate_known == "auto"
     smoothers = setup.gate_smoothers
     return paragraph("settings#gate", gate=gate, by_default=by_default, smoothers=smoothers, sensed=sensed)

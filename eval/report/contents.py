@@ -50,7 +50,7 @@ TITLE = "Filter or smoother: which estimate can be trusted?"
 
 
 class Written(NamedTuple):
-    """What is missing from a result folder for want of memory, and a lab's answers in a line each."""
+    """What is missing from a result folder for lack of memory, and a lab's answers in a line each."""
 
     missing: tuple[Notice, ...]
     answers: tuple[str, ...]
@@ -218,7 +218,7 @@ def _declared(judged: Sequence[Judged]) -> Declared | None:
 
 @dataclass(frozen=True)
 class LogSource:
-    """A log's size, sensor and labels; `gate`: a sentence on the gate of readings paired by label, where there are."""
+    """A log's size, sensor and labels; `gate`: a sentence on the gate of observations paired by label."""
 
     name: str
     kind: str
@@ -262,7 +262,7 @@ def _source(log: Log, setup: Setup, *, gated: bool) -> LogSource:
 
 
 def _write_provenance(folder: Path, options: Options, outcome: Outcome, arguments: Sequence[str]) -> None:
-    """Inputs with their digests, and estimators and ways of association by flag and scenario file."""
+    """Inputs with their digests, and estimators and association methods by flag and scenario file."""
     results: dict[str, dict[str, str]] = {}
     for run in (r for t in outcome.trials for r in t.runs if isinstance(r, GivenRun)):
         results.setdefault(run.estimator, {}).update(run.source)

@@ -1,4 +1,4 @@
-"""How the ways of deciding without labels did, and which decisions were revised: how many, why, and one example."""
+"""How the association methods without labels did, and which decisions were revised: how many, why, and one example."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from eval.report.words import paragraph
 SAME = 0.02
 """Relative difference of two RMSE values below which they are called equal."""
 USABLE = 0.9
-"""A way of deciding is usable whose path has less than this share of dead reckoning's error."""
+"""A association method is usable whose path has less than this share of dead reckoning's error."""
 
 
 @dataclass(frozen=True)
@@ -56,13 +56,13 @@ class Way:
 
     @property
     def quality(self) -> tuple[float, int]:
-        """By which ways of deciding are ordered."""
+        """By which association methods are ordered."""
         return self.f1, -self.fp - self.fn
 
 
 @dataclass(frozen=True)
 class Deciding:
-    """How the ways of deciding without labels did on one log and task.
+    """How the association methods without labels did on one log and task.
 
     Attributes:
         first, worst: by their decisions alone; the same if there is one.
@@ -84,7 +84,7 @@ class Deciding:
 
 
 def deciding(rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[Row]) -> list[Way]:
-    """The runs that decided for themselves, got to the end and are plausible, in their last phase.
+    """The runs that decided for themselves, reached the end and are plausible, in their last phase.
 
     `rows` are those of metrics.csv (`metrics`) typed; `outcomes` are rows of association.csv.
     """
@@ -110,7 +110,7 @@ def deciding(rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[
 def deciding_facts(
     rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[Row], labelled: int | None = None
 ) -> Deciding | None:
-    """The best and the worst way of deciding; None where nobody decided. Arguments as of `deciding`."""
+    """The best and the worst association method; None where nobody decided. Arguments as of `deciding`."""
     own = deciding(rows, metrics, outcomes)
     if not own:
         return None

@@ -61,16 +61,16 @@ class LogFacts:
 
     Attributes:
         association: under which filter and smoother are compared, None: nothing decides.
-        filtered, smoothed: their rows; None: none ran. trusted: which of these two got to the end, are plausible, not
+        filtered, smoothed: their rows; None: none ran. trusted: which of these two reached the end, are plausible, not
             lost, and more than dead reckoning; unused: names of those that are no more.
         newest: the online row of a smoother that steps, plausible; online: what it says.
         measured: whether errors are known at all. errors: position error [m] of both: RMSE, or with reference relations
             alone (`related`) the mean of theirs; NaN: unknown.
         apart: RMS distance [m] of the filter from the smoother.
-        best, worst: ways of deciding without labels.
+        best, worst: association methods without labels.
         runs: how many; failed: those that did not get to the end, are implausible, lost, or dead reckoning.
         given: results that were handed in; given_best: the one with the least RMSE.
-        cause: what is to blame, by what the log says of itself; twins: so many of its twins were made; None: no word.
+        cause: the violated assumption by the diagnosis; twins: number of replicates; None: unknown.
     """
 
     log: str
@@ -252,7 +252,7 @@ ODOMETRY, SENSOR = "odometry", "sensor"
 
 
 def cause_word(trust: Trust) -> str:
-    """What is to blame for what a log says of itself; without twins the largest residual effect hints at it."""
+    """The violated assumption; without bootstrap replicates the largest residual effect is a hint."""
     return _judged(trust, trust.blame) if trust.blame is not None else _hinted(trust)
 
 
@@ -263,7 +263,7 @@ def _judged(trust: Trust, blame: Blame) -> str:
     for found in blame.findings:
         if found.cause == blame.cause:
             return side(_component(found))
-    # no finding has a name: the side of the residuals that lie furthest outside their twins
+    # no finding has a name: the side of the residuals furthest outside the range of the replicates
     sides = [side(name.split("_", 1)[1]) for _, name in blame.objected if name.startswith(("slope_", "residual_"))]
     return max(dict.fromkeys(sides), key=sides.count) if sides else _largest(_spreads(trust)) or SENSOR
 
@@ -273,7 +273,7 @@ def _component(found: Finding) -> str:
 
 
 def side(component: str) -> str:
-    """Which of the robot's two sources a component of increments or readings belongs to."""
+    """Whether a component belongs to odometry or sensor."""
     return ODOMETRY if component.startswith("odometry") else SENSOR
 
 

@@ -144,7 +144,7 @@ def _filter_smoother(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
 
 
 def _calibrated(trial: Trial) -> list[Run]:
-    """Runs that estimated systematic errors along, with the first way of association that has some."""
+    """Runs that estimated systematic errors along, with the first association method that has some."""
     there = [r for r in finished(trial) if r.errors is not None and r.association != "none"]
     return [r for r in there if r.association == there[0].association]
 

@@ -101,7 +101,7 @@ def film_stem(trial: Trial, run: Run) -> str:
 
 
 def write_films(folder: Path, trial: Trial, speed: float | None = None) -> None:
-    """Film every run of a trial that got to the end; `speed`: seconds of the log in one of the film."""
+    """Film every run of a trial that reached the end; `speed`: seconds of the log in one of the film."""
     from eval.figures.film import animate  # OpenCV is loaded only where films are wanted
 
     for run in _filmed(trial):

@@ -1,4 +1,4 @@
-"""Results that were handed in: what `eval.score` prints of one or of many, and what the report says of them."""
+"""Results that were handed in: what `eval.score` prints of one or of many, and the report's sentences on them."""
 
 from __future__ import annotations
 

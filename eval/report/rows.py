@@ -71,7 +71,7 @@ class Scored:
 
     @property
     def ok(self) -> bool:
-        """Whether it got to the end, is plausible and not lost."""
+        """Whether it reached the end, is plausible and not lost."""
         return self.status == "ok" and not self.lost_why
 
     @property

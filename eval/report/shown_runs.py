@@ -16,23 +16,23 @@ from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, FILTERS, HINDSIGHT
 from eval.report.words import paragraph
 
 FIRST = ("known", "jcbb", "jcbb-first")
-"""Ways of association that are shown before all others."""
+"""Association methods that are shown before all others."""
 MOST_PATHS = 6
 """Paths in one map, the dead-reckoned one included."""
 
 
 def finished(trial: Trial) -> list[Run]:
-    """The estimates that got to the end, implausible ones as well; dead reckoning is none."""
+    """The estimates that reached the end, implausible ones as well; dead reckoning is none."""
     return [r for r in trial.runs if r.failure is None and r.estimator != "dead-reckoning"]
 
 
 def plausible(trial: Trial) -> list[Run]:
-    """The estimates that got to the end and can be believed."""
+    """The estimates that reached the end and can be believed."""
     return [r for r in finished(trial) if r.flaw is None]
 
 
 def associations(runs: Sequence[Run]) -> list[str]:
-    """The ways of association of some runs, those to be shown first in front: `known`, and those that are not ours."""
+    """The association methods of some runs, those to be shown first in front: `known`, and those that are not ours."""
     given = list(dict.fromkeys(r.association for r in runs if r.association != "none"))
     theirs = tuple(a for a in given if a not in ASSOCIATIONS)
     first = (FIRST[0], *theirs, *FIRST[1:])
@@ -93,7 +93,7 @@ def worst(trial: Trial) -> Run | None:
 def for_map(trial: Trial, most: int = MOST_PATHS) -> list[Run]:
     """Runs for the map: all while they are few; else a filter and a smoother with known and with decided association.
 
-    The run that went furthest astray is always among them, as a contrast. With several ways of association a smoother
+    The run that went furthest astray is always among them, as a contrast. With several association methods a smoother
     is there with its final path only, as lines then tell the associations apart.
     """
     if len(trial.runs) <= most:
@@ -146,7 +146,7 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
 
 
 def for_loop_states(trial: Trial) -> list[Run]:
-    """For each way of association the last smoother, else the filter: decisions in hindsight first, labels last."""
+    """For each association method the last smoother, else the filter: decisions in hindsight first, labels last."""
     deciding = [
         r
         for r in plausible(trial)

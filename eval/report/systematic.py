@@ -97,7 +97,7 @@ class Estimated:
 
     Attributes:
         names: the errors; why: these, as of a `Calibration`.
-        judged: whether a run got to its end; untold: errors of which the log says nothing.
+        judged: whether a run reached its end; untold: errors of which the log says nothing.
         before, after: the battery under plain estimators and under these (None: not enough memory).
     """
 

@@ -36,15 +36,15 @@ SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
 OWN = "own_smoother"
 HEADING = "Trust without ground truth"
 FINE = FinePrint(
-    "What a log says of itself",
+    "Consistency without ground truth",
     "P_f and P_s are the covariances of the online and of the smoothed pose, d is their difference. All statistics:"
     " trust.csv; definitions: docs/verdicts.md.",
 )
-MORE = "More of what the log says of itself"
+MORE = "More of the diagnosis"
 
 
 def first_words(trust: Trust, *, terms: Terms, measured: bool = False) -> str:
-    """Two to four sentences, two beside errors against the truth (`measured`); empty where the log says nothing."""
+    """Two to four sentences, two if errors against the truth are known (`measured`); empty without a diagnosis."""
     return say("trust#first", trust=facts_of(trust, terms), measured=measured)
 
 
@@ -55,7 +55,7 @@ def statistic_words(name: str, terms: Terms) -> tuple[str, float]:
 
 
 def shown(trust: Trust) -> list[Row]:
-    """The rows that matter: those objected to, furthest from their twins first, then the rest of the headline ones."""
+    """The rows of the table: rejected statistics, the furthest first, then the other headline ones."""
     objected = () if trust.blame is None else trust.blame.objected
     outside = sorted((r for r in trust.rows if _key(r) in objected), key=lambda r: -_distance(trust, r))
     rest = [r for r in trust.rows if _key(r) not in objected and (r.twins or not trust.twins)]
@@ -83,13 +83,13 @@ def _stands_out(row: Row) -> bool:
 
 
 def _drawn(trust: Trust, row: Row) -> Array:
-    """The statistic in the twins (N,), those that have it."""
+    """The statistic in the bootstrap replicates that have it (N,)."""
     values = [s.measured[_key(row)].value for s in trust.twins if _key(row) in s.measured]
     return np.array([v for v in values if math.isfinite(v)], float)
 
 
 def _distance(trust: Trust, row: Row) -> float:
-    """How far a statistic is from its twins' median, in their spread on that side."""
+    """Distance of a statistic from the replicates' median, in their spread on that side."""
     drawn = _drawn(trust, row)
     if not len(drawn):
         return 0.0
@@ -124,7 +124,7 @@ def _text(value: float, digits: int = 3) -> str | None:
 
 
 def of_trial(trial: Trial, said: Sequence[Trust]) -> list[Trust]:
-    """What is told of a log and task: all ways of association that have twins, else the first one alone."""
+    """The diagnoses of a log and task: all association methods with replicates, else the first one."""
     own = [t for t in said if (t.log, t.task) == (trial.log.name, trial.task) and trial.variant_of is None]
     order = associations(trial.runs)
     own.sort(key=lambda t: order.index(t.association) if t.association in order else len(order))
@@ -133,7 +133,7 @@ def of_trial(trial: Trial, said: Sequence[Trust]) -> list[Trust]:
 
 
 def first_said(trial: Trial, said: Sequence[Trust]) -> str:
-    """For the first page: the first way of association; with truth only what twins say."""
+    """For the first page: the first association method; with truth only what twins say."""
     for trust in of_trial(trial, said)[:1]:
         measured = trial.log.truth.known_poses > 0
         if trust.blame is not None or not measured:

@@ -17,7 +17,7 @@ from eval.replay.settings import ESTIMATORS, FILTERS
 from eval.studies.trusted import Blame, Trust
 
 STANDS_OUT = 3.0
-"""Standard errors from which a slope is named where there are no twins to judge it by."""
+"""Standard errors from which a slope is named without bootstrap replicates."""
 SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
 METRES, SECONDS, DRIFT = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0)
 UNITS = {
@@ -40,7 +40,7 @@ OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
 SIGMA = "sigma_"
 """Prefix of a factor of a stated sigma among what a calibration did."""
 LATE = ("speed", "turn_rate")
-"""Regressors of readings that are stamped at the wrong instant."""
+"""Regressors of observations with wrong time stamps."""
 FITTED = {
     "odometry_x_distance": "odometry",
     "odometry_theta_turn": "odometry",
@@ -53,7 +53,7 @@ GROUPS = ("motion", "sensor", "bias", "odometry")
 
 @dataclass(frozen=True)
 class Terms:
-    """What a log's numbers are called: readings ranges and bearings (else points), time in seconds (else frames)."""
+    """Names of a log's quantities: ranges and bearings, else points; time in seconds, else frames."""
 
     polar: bool = True
     stamped: bool = True
@@ -165,7 +165,7 @@ class Advice:
 
 @dataclass(frozen=True)
 class TrustFacts:
-    """What a log with one way of association says about itself.
+    """What a log with one association method says about itself.
 
     Attributes:
         twins: how many; judged: what the battery says beside them, None: too few of them.
@@ -173,7 +173,7 @@ class TrustFacts:
         asked: systematic errors beyond `STANDS_OUT` standard errors, each alone, largest first.
         findings: the weightiest first; main: those for a first page.
         power: what would have been seen with a probability of `power_share`; brief_power: of this the first page's.
-        nees: mean pose NEES on the twins by estimator and phase. deciding: what to expect of the way of association.
+        nees: mean pose NEES on the twins by estimator and phase. deciding: what to expect of the association method.
         done, after: what a calibration changed, and what the log says then.
     """
 

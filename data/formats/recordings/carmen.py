@@ -205,14 +205,14 @@ def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str]]:
         sigma = head["accuracy"] if head["accuracy"] > 0.0 else SIGMA
         stated = float(scans.head[:, HEAD.index("max_range")].min())
         mounting, notes = _mounting(scans, offset)
-    largest, said = largest_range(scans.ranges, stated)
+    largest, note = largest_range(scans.ranges, stated)
     if mounting.any():
         x, y, turned = mounting[0], mounting[1], math.degrees(mounting[2])
         notes.append(f"The laser is mounted at ({x:.6g}, {y:.6g}) m, turned by {turned:.4g} deg.")
     # p_scanner = R p_body + T: the body's pose in the laser's frame
     tx, ty, turn = (float(v) + 0.0 for v in inverse(mounting))
     scanner = Scanner(low, step, largest, sigma, turn, (tx, ty))
-    return scanner, [*notes, said]
+    return scanner, [*notes, note]
 
 
 def beams_of(n: int) -> tuple[float, float]:

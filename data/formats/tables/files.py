@@ -232,8 +232,8 @@ class Units:
         if unit is not None:
             return factor(dimension, unit, f"--unit {quantity}={unit}")
         kind = dimension.partition("/")[0]
-        said = self.given.get(kind)
-        return 1.0 if said is None else factor(kind, said, f"--unit {kind}={said}")
+        unit_of_kind = self.given.get(kind)
+        return 1.0 if unit_of_kind is None else factor(kind, unit_of_kind, f"--unit {kind}={unit_of_kind}")
 
 
 def factor(dimension: str, text: str, where: str) -> float:

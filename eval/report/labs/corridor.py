@@ -37,7 +37,7 @@ THE_LABS = {"jcbb": ("jcbb-first", "jcbb")}
 """The lab's JCBB, and what stands for it where that was not run."""
 METHODS = ("known", "nn", "singles", "jcbb-first", "jcbb", "jcbb-hindsight")
 OWN_DECISIONS = ("ekf", "isam2")
-"""Estimators whose decisions answer the questions, the first of them that got to its end."""
+"""Estimators whose decisions answer the questions, the first of them that reached its end."""
 TURN = 0.5
 """rad. A true motion that turns by more is called a turn, else a move."""
 SWITCHES = ("people", "odometry", "forward", "constant_velocity")
@@ -117,7 +117,7 @@ class Pairings:
 
 @dataclass(frozen=True)
 class Judged:
-    """A run that got to its end as the answers tell of it; NaN: not known.
+    """A run that reached its end as the answers tell of it; NaN: not known.
 
     Attributes:
         log, estimator, association, status: as in metrics.csv; name: as the lab calls the association.
@@ -153,7 +153,7 @@ class Judged:
 
     @property
     def name(self) -> str:
-        """What the lab calls its way of association."""
+        """What the lab calls its association method."""
         return NAMES.get(self.association, self.association)
 
     @property
@@ -229,7 +229,7 @@ def run_of(trial: Trial | None, association: str) -> Run | None:
 
 
 def has(lab: Lab, switches: tuple[bool, bool], *methods: str) -> bool:
-    """Whether runs with all these methods got to their end in a condition."""
+    """Whether runs with all these methods reached their end in a condition."""
     return all(run_of(lab.trials.get(switches), m) is not None for m in methods)
 
 
@@ -362,7 +362,7 @@ class Judge:
         }
 
     def look(self, trial: Trial, run: Run) -> Judged:
-        """A run that got to its end, on a log with true poses and ids."""
+        """A run that reached its end, on a log with true poses and ids."""
         log, truth, p = trial.log, trial.log.truth, run.phases[0]
         rows = {q: self._rows.get((log.name, trial.task, run.estimator, run.association, q), {}) for q in run.phases}
         path = run.trajectory(p).pose

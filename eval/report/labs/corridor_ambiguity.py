@@ -1,4 +1,4 @@
-"""How far did the robot go? What two scans of the corridor lab say of it alone, and what a motion prior adds."""
+"""Direction of straight moves from two scans of the corridor lab alone, and with a motion prior."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def _factor(log: Log, pair: Pair) -> float:
 
 @dataclass(frozen=True)
 class Primed:
-    """Runs on a log with a motion prior, each with the same on the log without, if it got to its end there.
+    """Runs on a log with a motion prior, each with the same on the log without, if it reached its end there.
 
     notes: the log's own. relinearized: how many times as large the filter's error is as the iterated one's with the
     same pairings; NaN: not known, or no larger.

@@ -21,6 +21,7 @@ from data.inputs import CLUTTER, Inputs, IntArray
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
+from data.words import number
 from eval.figures.error import error_figure, ticks, time_label
 from eval.figures.paper import page_width
 from eval.figures.plane import true_landmarks
@@ -91,12 +92,12 @@ def _measure(inputs: Inputs, front: FrontEnd, seconds: Array) -> None:
 
 
 def called(run: Run) -> str:
-    """The way of association as the lab calls it; where that is ambiguous, as on the command line."""
+    """The association method as the lab calls it; where that is ambiguous, as on the command line."""
     return "by labels" if run.association == "known" else NAMES.get(run.association, run.association)
 
 
 def people_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
-    """Maps of some methods with people about, and their position error with people and without."""
+    """Maps of some methods with people, and their position error with people and without."""
     with drawing():
         fig = Figure(figsize=(page_width(), 4.9))
         grid = fig.add_gridspec(2, len(busy), height_ratios=(2.5, 1.0))
@@ -107,7 +108,7 @@ def people_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
             below = fig.add_subplot(grid[1, k])
             for shown, line, label in ((without, DASHED, "without people"), (s, SOLID, "with people")):
                 error = _error(shown)
-                label = f"{label}: at most {np.nanmax(error):.2g} m"
+                label = f"{label}: at most {number(float(np.nanmax(error)))} m"
                 _line(below, shown.log, error, shown.run.association, line, label, style="default")
             _axes_over_time(below, s.log, "position error [m]" if k == 0 else "", 4)
             below.legend(loc="upper left")
@@ -116,7 +117,7 @@ def people_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
 
 
 def paths_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
-    """What every method believes the path to be, a panel each: with its map, and dashed the path with people about."""
+    """What every method believes the path to be, a panel each: with its map, and dashed the path with people."""
     with drawing():
         columns = 3
         rows = -(-len(quiet) // columns)
@@ -125,17 +126,17 @@ def paths_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
         for k, s in enumerate(quiet):
             ax = axes.flat[k]
             _draw_map(ax, s, left=k % columns == 0, size=2.5)
-            title = f"{s.run.association}: RMSE {rms(_error(s)):.2g} m"
+            title = f"{s.run.association}: RMSE {number(rms(_error(s)))} m"
             other = next((b for b in busy if b.run.association == s.run.association), None)
             if other is not None:
                 path, colour = other.run.trajectory("online").pose[:, :2], colour_of_method(other.run.association)
                 ax.plot(*path.T, color=colour, linestyle=DASHED, linewidth=0.9, zorder=2.8)
-                title += f", with people {rms(_error(other)):.2g} m"
+                title += f", with people {number(rms(_error(other)))} m"
             ax.set_title(title, loc="left", fontsize=7.0)
             ax.set_xlabel("x [m]" if k + columns >= len(quiet) else "")
         for ax in axes.flat[len(quiet) :]:
             ax.set_axis_off()
-        dashed = Line2D([], [], color="#404040", linestyle=DASHED, linewidth=0.9, label="with people about")
+        dashed = Line2D([], [], color="#404040", linestyle=DASHED, linewidth=0.9, label="with people")
         fig.legend(handles=[*_map_handles(), dashed], loc="outside lower center", ncols=4)
         return fig
 
@@ -162,7 +163,7 @@ def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
 
 
 def update_time_figure(log: Log, times: Sequence[tuple[str, str, Times]], repeats: int) -> Figure:
-    """Measured time of each frame's update, by label and way of association. Never the same twice."""
+    """Measured time of each frame's update, by label and association method. Never the same twice."""
     with drawing():
         fig = Figure(figsize=(page_width(), 2.5))
         ax = fig.add_subplot()
@@ -179,7 +180,7 @@ def update_time_figure(log: Log, times: Sequence[tuple[str, str, Times]], repeat
 def _line(
     ax: Axes, log: Log, values: Array | IntArray, method: str, line: Line, label: str, style: str = "steps-post"
 ) -> None:
-    """Values (N,) of the frames over time, in the colour of a way of association."""
+    """Values (N,) of the frames over time, in the colour of an association method."""
     (drawn,) = ax.plot(log.recorded.time, values, linestyle=line, linewidth=1.1, drawstyle=style, label=label)
     drawn.set_color(colour_of_method(method))
 
@@ -225,7 +226,7 @@ def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
 
 
 def removed_places(s: Shown) -> Array:
-    """Where landmarks that were removed had been initialized (r, 2): reading placed from the pose of that frame."""
+    """Places where removed landmarks had been initialized (r, 2), from the pose of that frame."""
     run, o = s.run, s.log.recorded.observations
     if run.removed is None or not np.any(run.removed >= 0):
         return np.empty((0, 2))
@@ -276,7 +277,7 @@ def _need(lab: Lab, switches: tuple[bool, bool], method: str) -> Shown:
     trial = lab.trials[switches]
     run = run_of(trial, method)
     if run is None:
-        raise LookupError(f"{trial.log.name}: no run with {method} got to its end")
+        raise LookupError(f"{trial.log.name}: no run with {method} reached its end")
     return Shown(trial, run)
 
 
@@ -318,7 +319,7 @@ def _people(lab: Lab, setup: Setup) -> Drawn:
     return (
         people_figure(quiet, busy),
         f"`{busy[0].log.name}`: squares are landmarks initialized on people. Below: error with people and without.",
-        f"Maps of {' and '.join(called(s.run) for s in busy)} with people about, and their position errors",
+        f"Maps of {' and '.join(called(s.run) for s in busy)} with people, and their position errors",
     )
 
 
@@ -350,7 +351,7 @@ def _paths(lab: Lab, setup: Setup) -> Drawn:
 
 
 def _online(trial: Trial) -> list[Run]:
-    """The filters' runs that got to their end, one for each way of association."""
+    """The filters' runs that reached their end, one for each association method."""
     found: dict[str, Run] = {}
     for run in trial.runs:
         if run.failure is None and run.online is not None and run.association != "none":
@@ -409,4 +410,4 @@ NEEDED: dict[str, Callable[[Lab], bool]] = {
     "maintenance": lambda lab: maintained_pair(lab) is not None,
     UPDATE_TIME: lambda lab: maintained_pair(lab) is not None,
 }
-"""What each picture needs: runs that got to their end."""
+"""What each picture needs: runs that reached their end."""

@@ -130,7 +130,7 @@ class Blind:
     Attributes:
         known, jcbb: filters with these; smoother: batch with known association, if its result is plausible.
         motion: true against stated motions; reach: m from the start in truth, at most.
-        runs: with each of `METHODS` that got to its end.
+        runs: with each of `METHODS` that reached its end.
     """
 
     known: Judged | None

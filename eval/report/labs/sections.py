@@ -189,4 +189,4 @@ def _ambiguity_sections(q: Ambiguity | None) -> list[Section]:
             columns["with the prior − largest"] = [f"{v - max(q.posterior):.1f}" for v in q.posterior]
         caption = paragraph(f"{TEMPLATE}#ambiguity_caption", q=q, near=NEAR)
         blocks.append(Table(pd.DataFrame(columns), caption))
-    return [Section("Do two scans tell how far the robot went?", tuple(blocks), 3, facts=q)]
+    return [Section("Do two scans determine the motion?", tuple(blocks), 3, facts=q)]

@@ -79,7 +79,7 @@ class Estimated:
 
 @dataclass(frozen=True)
 class Estimates:
-    """Those of every estimator that got to its end."""
+    """Those of every estimator that reached its end."""
 
     runs: tuple[Estimated, ...]
 

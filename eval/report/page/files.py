@@ -18,8 +18,9 @@ TITLES = {
     "comparison": "Errors and consistency", "association": "Association outcomes",
     "differences": "Filters against smoothers", "consistency": "Consistency over simulated runs",
     "coverage": "Coverage of the last positions [%]", "relations": "Errors against reference relations",
-    "graph-sizes": "Sizes of the pose graph", "revisions": "Decisions taken back", "knowledge": "From labels to none",
-    "published": "Ours beside published numbers", "trust": "What the log says of itself",
+    "graph-sizes": "Sizes of the pose graph", "revisions": "Revised decisions",
+    "knowledge": "Ablation of labels and map",
+    "published": "Ours beside published numbers", "trust": "Consistency without ground truth",
 }  # fmt: skip
 """Of a LaTeX table, by a part of its name."""
 LONGEST = 80

@@ -2,7 +2,7 @@
 
 Columns of a table for a paper: their keys, as `--columns` has them, short heads, and which are left out first.
 
-What logs, estimators and ways of association are called in a paper.
+What logs, estimators and association methods are called in a paper.
 
 The fine print of all tables for a paper, in one file: `tables/notes.tex`, a paragraph for each text.
 
@@ -112,7 +112,7 @@ def estimators(text: str) -> str:
 
 
 def association(name: str) -> str:
-    """A way of association; blank for none."""
+    """A association method; blank for none."""
     return METHODS.get(name, name)
 
 

@@ -20,7 +20,7 @@ from tests.eval.handmade_lab import lab_log, lab_run
 
 BARE = simulate(Corridor(odometry=False), 0)
 PRIMED = simulate(Corridor(odometry=False, forward=True), 0)
-AMBIGUOUS, CHANGES = "Do two scans tell how far the robot went?", "What does a motion prior change?"
+AMBIGUOUS, CHANGES = "Do two scans determine the motion?", "What does a motion prior change?"
 
 
 def test_the_likelihood_of_a_move_is_that_of_its_definition():

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
+from data.words import number
 from eval.figures.style import colour_of_method
 from eval.referee.score import Trial
 from eval.report.labs.pictures import Shown, Times, maintenance_figure, paths_figure, people_figure, update_time_figure
@@ -87,7 +88,7 @@ def test_the_error_is_drawn_with_people_and_dashed_without_and_its_largest_is_sa
     assert quiet.get_linestyle() == "--"
     assert busy.get_linestyle() == "-"
     texts = [t.get_text() for t in below.get_legend().get_texts()]
-    assert texts == ["without people: at most 0.1 m", "with people: at most 0.4 m"]
+    assert texts == ["without people: at most 0.100 m", "with people: at most 0.400 m"]
     assert below.get_ylim()[0] == 0.0
     assert people.axes[0].get_title(loc="left").endswith("with people: the map at the end")
 
@@ -125,8 +126,8 @@ def test_only_the_left_maps_and_the_lowest_of_a_column_have_their_axes_named(kep
 def test_paths_with_people_are_dashed_between_truth_and_belief_and_both_rmse_are_said(paths):
     rms = np.sqrt(0.8)
     titles = [ax.get_title(loc="left") for ax in paths.axes[:4]]
-    assert titles[0] == f"known: RMSE {0.2 * rms:.2g} m"
-    assert titles[1] == f"nn: RMSE {0.2 * rms:.2g} m, with people {0.4 * rms:.2g} m"
+    assert titles[0] == f"known: RMSE {number(0.2 * rms)} m"
+    assert titles[1] == f"nn: RMSE {number(0.2 * rms)} m, with people {number(0.4 * rms)} m"
     for k, ax in enumerate(paths.axes[:4]):
         dashed = [x for x in paths_in(ax) if x.get_linestyle() == "--"]
         assert len(dashed) == (k > 0)
@@ -144,7 +145,7 @@ def test_legends_show_lines_as_they_are_drawn(people, paths):
         assert {h.get_linewidth() for h in shown_lines} <= widths
         assert {h.get_linestyle() for h in shown_lines} <= {"-", "--"}
     texts = [t.get_text() for t in paths.legends[0].get_texts()]
-    assert texts[-1] == "with people about"
+    assert texts[-1] == "with people"
     assert all(3.0 <= t.get_fontsize() <= 9.0 for t in [*paths.legends[0].get_texts(), *people.legends[0].get_texts()])
 
 
