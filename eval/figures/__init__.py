@@ -42,36 +42,14 @@ __all__ = [
 ]
 _NAMES = {
     "association": ("confusion_figure",),
-    "claims": (
-        "claims_figure",
-        "filter_smoother_figure",
-        "systematic_figure",
-    ),
-    "consistency": (
-        "anees_figure",
-        "nees_figure",
-    ),
-    "error": (
-        "difference_figure",
-        "error_figure",
-    ),
-    "growth": (
-        "growth_figure",
-        "state_figure",
-    ),
-    "laser": (
-        "loop_picture",
-        "map_picture",
-    ),
+    "claims": ("claims_figure", "filter_smoother_figure", "systematic_figure"),
+    "consistency": ("anees_figure", "nees_figure"),
+    "error": ("difference_figure", "error_figure"),
+    "growth": ("growth_figure", "state_figure"),
+    "laser": ("loop_picture", "map_picture"),
     "log": ("loop_state_figure",),
     "map": ("map_figure",),
-    "studies": (
-        "Seen",
-        "coverage_figure",
-        "outlier_figure",
-        "power_figure",
-        "run_end_figure",
-    ),
+    "studies": ("Seen", "coverage_figure", "outlier_figure", "power_figure", "run_end_figure"),
 }
 HOMES = {name: f"eval.figures.{module}" for module, names in _NAMES.items() for name in names}
 

@@ -164,7 +164,7 @@ def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figu
     handles = [_excursion(axes, time, d, style) for d, style in zip(found, styles, strict=True)]
     time_axis(axes[-1], log.recorded)
     fig.align_ylabels(list(axes))
-    title = f"{log.name}: online less smoothed ({style_of(smoother.estimator).label}), not an error"
+    title = f"{log.name}: online minus smoothed ({style_of(smoother.estimator).label}), not an error"
     fig.suptitle(title, x=0.01, ha="left")
     band = Patch(facecolor="#D0D0D0", edgecolor="#606060", linewidth=0.5, label="±3σ that the difference may have")
     fig.legend(handles=[*handles, band], loc="outside lower center", ncols=2, numpoints=1)

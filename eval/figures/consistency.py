@@ -86,10 +86,7 @@ def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
 
 def _handles(dof: int, band: str) -> list[Line2D | Patch]:
     expected = f"expected of a consistent estimator: {dof}"
-    return [
-        Patch(label=band, **BAND),
-        Line2D([], [], color="#505050", linewidth=0.6, linestyle="--", label=expected),
-    ]
+    return [Patch(label=band, **BAND), Line2D([], [], color="#505050", linewidth=0.6, linestyle="--", label=expected)]
 
 
 @drawing()

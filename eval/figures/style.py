@@ -125,14 +125,7 @@ METHOD_LINES: dict[str, Line] = {
     "gnn": (0, (1.0, 3.0)),
 }
 """Where one estimator was run with several association methods; dashed is its online path beside a final one."""
-OTHERS = (
-    ("#8000E0", "*"),
-    ("#800000", "h"),
-    ("#806080", "d"),
-    ("#E00040", "1"),
-    ("#E040E0", "2"),
-    ("#C080C0", "3"),
-)
+OTHERS = (("#8000E0", "*"), ("#800000", "h"), ("#806080", "d"), ("#E00040", "1"), ("#E040E0", "2"), ("#C080C0", "3"))
 """Colour and marker of names that are not ours, as far from ours and from each other as colours go (CIELAB, for all
 colour-blind readers): each with every one of these lines, so that so many names look different."""
 OTHER_LINES: tuple[Line, ...] = (DASHDOT, LONG, DASHDOTDOT)

@@ -1,6 +1,6 @@
-"""What each file of the result folder holds: columns with unit and meaning, and how rows become its table and CSV.
+"""Files of the result folder: columns with unit and meaning, and how rows become a table and a CSV file.
 
-First the kinds of columns and files, then the files of one run and of one log (`runs/<log>/`), those for readers, and
+Kinds of columns and files come first, then the files of one run and one log (`runs/<log>/`), the report's files, and
 the CSV files at the top.
 """
 
@@ -25,23 +25,17 @@ BLANKS = {"text": "str", "count": "Int64", "number": "float64"}
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a CSV.
-
-    Attributes:
-        name: in the file's first line.
-        about: what it holds, in words.
-        unit: of its number; empty: it has none.
-        kind: `text`, `count` (a whole number, also a frame or the number of a landmark) or `number`.
-    """
+    """A column of a CSV."""
 
     name: str
     about: str
     unit: str = ""
     kind: Kind = "number"
+    """A frame and the number of a landmark are counts."""
 
     def __post_init__(self) -> None:
         if not self.about.strip():
-            raise ValueError(f"column {self.name!r}: what it holds must be said")
+            raise ValueError(f"column {self.name!r} has no description")
 
 
 def text(name: str, about: str) -> Column:
@@ -56,28 +50,25 @@ def count(name: str, about: str) -> Column:
 
 def measured(metric: Metric) -> Column:
     """The column of a metric."""
-    expected = "" if metric.expected is None else f"; {metric.expected:.3g} expected of a consistent estimator"
+    expected = "" if metric.expected is None else f" (expected {metric.expected:.3g})"
     kind: Kind = {"d": "count", "s": "text"}.get(metric.form, "number")  # type: ignore[assignment]
-    unit = "share, 0 to 1" if metric.percent else metric.unit
+    unit = "share" if metric.percent else metric.unit
     return Column(metric.column, f"{metric.about or metric.spelled or metric.heading}{expected}", unit, kind)
 
 
 @dataclass(frozen=True)
 class File:
-    """A file of the result folder, or a kind of them.
-
-    Attributes:
-        path: below the result folder; `<...>` stands for names.
-        about: what it is, in a sentence or two.
-        columns: of a CSV, in order; those `optional` stand in some of these files only.
-        when: where it is not always there.
-    """
+    """A file of the result folder, or a kind of them."""
 
     path: str
+    """Below the result folder; `<...>` stands for names."""
     about: str
     columns: tuple[Column, ...] = ()
+    """Of a CSV, in order."""
     optional: tuple[str, ...] = ()
+    """Columns of some of these files only."""
     when: str = ""
+    """Condition under which the file exists; empty: always."""
 
     @property
     def name(self) -> str:
@@ -90,14 +81,14 @@ class File:
         return tuple(c.name for c in self.columns)
 
     def table(self, rows: Sequence[Mapping[str, object]]) -> pd.DataFrame:
-        """Rows as a table with exactly these columns, each of its type; what a row lacks is unknown."""
+        """Rows as a table of exactly these columns, each of its type; missing values are unknown."""
         unknown = {k for row in rows for k in row} - set(self.names)
         if unknown:
             raise AssertionError(f"{self.path}: columns {sorted(unknown)} are none of {', '.join(self.names)}")
         return pd.DataFrame({c.name: _typed([row.get(c.name) for row in rows], c.kind) for c in self.columns})
 
     def write(self, table: pd.DataFrame, place: Path) -> None:
-        """Write `place/name`; a column that is not described here cannot be written, nor one be left out."""
+        """Write `place/name`; AssertionError where the columns are not those described here."""
         given = tuple(str(c) for c in table.columns)
         if given != tuple(n for n in self.names if n in given or n not in self.optional):
             raise AssertionError(f"{self.path} has the columns {', '.join(self.names)}, not {', '.join(given)}")
@@ -115,321 +106,289 @@ def _typed(values: Sequence[Any], kind: Kind) -> pd.Series:
 
 LOG_FOLDER = "runs/<log>"
 RUN_FOLDER = f"{LOG_FOLDER}/<task>-<estimator>-<association>"
-NUMBER = "its number in the order of creation (SLAM), or its id in the map (localization)"
-DECIDED = "landmark number; -1: initialized a new landmark; -2: discarded"
 
 
-def covariance(names: str, what: str) -> tuple[Column, ...]:
+def covariance(names: str, about: str) -> tuple[Column, ...]:
     """The upper triangle of a covariance; `names` as in `xyt`."""
-    return tuple(
-        Column(f"c_{a}{b}", f"covariance of {what}, entry {LETTERS[a]}, {LETTERS[b]}", UNITS[(a == "t") + (b == "t")])
-        for i, a in enumerate(names)
-        for b in names[i:]
-    )
+    units = ("m²", "m rad", "rad²")
+    pairs = ((a, b) for i, a in enumerate(names) for b in names[i:])
+    return tuple(Column(f"c_{a}{b}", about, units[(a == "t") + (b == "t")]) for a, b in pairs)
 
 
-UNITS = ("m²", "m rad", "rad²")
-"""Of an entry of a covariance, by how many headings it is about."""
-LETTERS = {"x": "x", "y": "y", "t": "theta"}
 PATH = (
-    Column("t", "time of the frame; of a log without stamps its number", "s"),
-    Column("x", "of the robot in the world frame", "m"),
-    Column("y", "of the robot in the world frame", "m"),
-    Column("theta", "heading, counter-clockwise from the world's x axis", "rad"),
-    *covariance("xyt", "the pose's error, additive, in the world frame"),
+    Column("t", "time of the frame; its number if the log has no stamps", "s"),
+    Column("x", "position in the world frame", "m"),
+    Column("y", "position in the world frame", "m"),
+    Column("theta", "heading, counter-clockwise from the x axis", "rad"),
+    *covariance("xyt", "covariance of the pose error in the world frame"),
 )
 ESTIMATED = tuple(
-    column
-    for name, unit in ERRORS.items()
-    for column in (
-        Column(name, "this systematic error, as estimated along (`--calibrate`)", "" if unit == "1" else unit),
-        Column(f"sigma_{name}", "its standard deviation", "" if unit == "1" else unit),
+    Column(
+        f"{prefix}{name}", "systematic error (`--calibrate`) and its standard deviation", "" if unit == "1" else unit
     )
+    for name, unit in ERRORS.items()
+    for prefix in ("", "sigma_")
 )
-"""Each of those that are estimated; they stand behind all others."""
+"""Estimated systematic errors; these columns come last."""
 OPTIONAL = tuple(c.name for c in ESTIMATED)
 ONLINE = File(
     f"{RUN_FOLDER}/online.csv",
-    "What was known at each instant, one row for each frame; not of batch smoothers.",
+    "Path with each pose estimated from the data up to its frame. One row per frame; not for batch smoothers.",
     (
         *PATH,
-        Column("log_likelihood", "of the innovations used in the frame; blank where none are formed"),
-        count("state_size", "length of the estimator's state vector after the frame"),
+        Column("log_likelihood", "log-likelihood of the innovations used in the frame"),
+        count("state_size", "length of the state vector after the frame"),
         *ESTIMATED,
     ),
     OPTIONAL,
 )
 FINAL = File(
     f"{RUN_FOLDER}/final.csv",
-    "The path given all data, one row for each frame; not of filters.",
+    "Path estimated from all data. One row per frame; not for filters.",
     (*PATH, *ESTIMATED),
     OPTIONAL,
 )
 LANDMARKS = File(
     f"{RUN_FOLDER}/landmarks.csv",
-    "The last map; in SLAM only. Of walls x and y are rho [m] and alpha [rad].",
+    "The last map of SLAM. For walls x and y are rho [m] and alpha [rad].",
     (
-        count("landmark", "landmark number: the order of creation, never given twice"),
-        Column("x", "in the world frame", "m"),
-        Column("y", "in the world frame", "m"),
-        *covariance("xy", "the position's error in the world frame"),
-        count("true_id", "true id of the observation that initialized it; -1: that observation was clutter"),
-        count("first_frame", "frame in which it was initialized"),
+        count("landmark", "landmark number, never reused"),
+        Column("x", "position in the world frame", "m"),
+        Column("y", "position in the world frame", "m"),
+        *covariance("xy", "covariance of the position error"),
+        count("true_id", "true id of its first observation; -1: clutter"),
+        count("first_frame", "frame of its initialization"),
         count("times_seen", "observations paired with it, the first included"),
         count(
             "ambiguous",
-            "number of the nearest landmark that it cannot be told from: no frame saw both, and their difference is"
-            " within the 99 % gate of their covariances and a reading's; its own number: by its readings it may be two;"
-            " blank: neither",
+            "nearest landmark that may be the same one (no common frame, difference inside the 99 % gate); its own"
+            " number: it may be two landmarks",
         ),
     ),
 )
 DECISIONS = File(
     f"{RUN_FOLDER}/decisions.csv",
-    "One row for each observation of the log: what it was paired with; not of dead reckoning and laser logs. A landmark"
-    f" is meant by {NUMBER}.",
+    "Association decisions, one row per observation; not for dead reckoning and laser logs.",
     (
         count("frame", "frame of the observation"),
-        count("observation", "its place within the frame, from 0"),
-        count("decision", f"made online: {DECIDED}"),
-        count("truth", "the right landmark at that moment; -1: not in the map; blank: the true id is unknown"),
-        text("outcome", "`tp`, `tn`, `fp` or `fn` of the decision; blank where the truth is unknown"),
-        count(
-            "final_decision",
-            f"after all revisions: {DECIDED}; a landmark whose -1 was revised begins with its first observation",
-        ),
-        text("final_outcome", "outcome of the final decision against the landmarks that are left"),
+        count("observation", "index within the frame, from 0"),
+        count("decision", "online decision"),
+        count("truth", "right landmark at that frame"),
+        text("outcome", "`tp`, `tn`, `fp` or `fn` of the online decision"),
+        count("final_decision", "decision after all revisions"),
+        text("final_outcome", "its outcome against the remaining landmarks"),
     ),
 )
 LOOPS = File(
     f"{LOG_FOLDER}/loops.csv",
-    "Every loop closure that was looked at.",
+    "All loop closures tested.",
     (
-        count("key1", "earlier key pose (row of the chain of key poses)"),
+        count("key1", "earlier key pose"),
         count("key2", "later key pose"),
         Column("dx", "position of key2 in the body frame of key1", "m"),
         Column("dy", "position of key2 in the body frame of key1", "m"),
-        Column("dtheta", "heading of key2 in the body frame of key1", "rad"),
-        *covariance("xyt", "that relative pose"),
-        Column("score", "share of the scan that the match explains, 0 to 1"),
-        count("accepted", "1: it joined the graph"),
-        count("final", "1: it kept its weight to the end"),
+        Column("dtheta", "heading of key2 relative to key1", "rad"),
+        *covariance("xyt", "covariance of this relative pose"),
+        Column("score", "share of the scan that the match explains"),
+        count("accepted", "1: added to the graph"),
+        count("final", "1: kept its weight to the end"),
     ),
-    when="laser logs, with scans that were matched",
+    when="laser logs with matched scans",
 )
-LASER = "laser logs; from isam2's final phase, else from the first estimator"
+LASER = "laser logs; final phase of isam2, else the first estimator"
 LAB_TEXT = File(
     f"{RUN_FOLDER}/lab.txt",
-    "Each step as the lab's program prints it: right answer, hypothesis, which are correct; steps and landmarks count "
-    "from 1, 0 is none.",
-    when="with `--lab-text`",
+    "Every step in the format of the lab's program; steps and landmarks count from 1, 0 is none.",
+    when="`--lab-text`",
 )
-TUM = "`t x y z qx qy qz qw` in each line, without a header; frames without a pose are left out"
 OF_RUNS = (
     ONLINE,
     FINAL,
-    File(f"{RUN_FOLDER}/online.tum", f"The same path for other tools: {TUM}."),
-    File(f"{RUN_FOLDER}/final.tum", f"The same path for other tools: {TUM}."),
+    File(f"{RUN_FOLDER}/<phase>.tum", "The path as lines `t x y z qx qy qz qw`; frames without a pose are left out."),
     LANDMARKS,
     DECISIONS,
     LAB_TEXT,
 )
 OF_LOGS = (
-    File(f"{LOG_FOLDER}/truth.tum", f"The true path, at the frames of the log: {TUM}.", when="logs with true poses"),
+    File(f"{LOG_FOLDER}/truth.tum", "The true path in the same format.", when="logs with true poses"),
     LOOPS,
+    File(f"{LOG_FOLDER}/graph.g2o", "Key poses, relative motions and accepted loop closures.", when=LASER),
     File(
-        f"{LOG_FOLDER}/graph.g2o", "Key poses, the motion between them and the loop closures kept, for g2o.", when=LASER
+        f"{LOG_FOLDER}/map.<type>", "Occupancy grid: `png` with the path, `pgm` and `yaml` for map servers.", when=LASER
     ),
-    File(f"{LOG_FOLDER}/map.png", "The occupancy grid with the path.", when=LASER),
-    File(f"{LOG_FOLDER}/map.pgm", "The occupancy grid for map servers.", when=LASER),
-    File(f"{LOG_FOLDER}/map.yaml", "Where `map.pgm` lies and how it is meant.", when=LASER),
 )
 OTHERS = (
-    File("report.html", "The report, in one file."),
-    File("report.md", "The same in Markdown."),
-    File("report.json", "The facts that its sentences were written from: numbers, names and codes, without words."),
+    File("report.<type>", "The report as `html` and `md`; `json` has its facts as numbers, names and codes."),
+    File("players/<log>.html", "All runs on a log, frame by frame, in a browser.", when="not with `--no-plots`"),
     File(
-        "players/<log>.html",
-        "Every run on a log, frame by frame, in a browser: one file, which loads nothing.",
-        when="not with `--no-plots`",
+        "tables/<name>.<type>",
+        "Tables of the report: `csv` with every digit, `md` and `tex` rounded (`--table-width`, `--columns`).",
     ),
-    File("tables/<name>.csv", "A table of the report, every digit, with the heads that people read."),
-    File("tables/<name>.md", "The same in Markdown, rounded."),
-    File("tables/<name>.tex", "The same in LaTeX, for a column or a page of a paper (`--table-width`, `--columns`)."),
-    File("tables/notes.tex", "What the LaTeX tables mean: their fine print, one paragraph for each."),
-    File("figures/<name>.pdf", "A figure, for a paper.", when="not with `--quick` or `--no-plots`"),
-    File("figures/<name>.png", "The same as an image.", when="not with `--no-plots`"),
+    File("tables/notes.tex", "Explanations of the LaTeX tables."),
     File(
-        "figures/<name>.svg", "The small map of a log in the first table of the report.", when="not with `--no-plots`"
+        "figures/<name>.<type>",
+        "Figures: `png`, `pdf` (not with `--quick`), `svg` (small maps), `pgf` (`--pgf`), `webm` (`--animate`); none"
+        " with `--no-plots`.",
     ),
-    File("figures/<name>.webm", "A film of a run (VP8, plays in browsers).", when="with `--animate`"),
-    File("figures/<name>.pgf", "A figure that LaTeX sets with the document's own fonts.", when="with `--pgf`"),
-    File(
-        "figures/lab-<name>.png",
-        "A figure of a lab's answers; `lab-update-time` shows measured times, so that it, its table and `report.html` "
-        "differ from run to run.",
-        when="with `--lab`",
-    ),
-    File("write-up.tex", "Answers, tables and figures, one page per log, for pdflatex.", when="with `--write-up`"),
+    File("write-up.tex", "Answers, tables and figures for pdflatex, one page per log.", when="`--write-up`"),
     File("provenance.json", "Command, versions, seed, and the SHA-256 of every input."),
-    File("run.log", "What the run said."),
+    File("run.log", "Messages of the run."),
 )
 
 
 LOG = text("log", "name of the log")
 TASK = text("task", "`localization` (in a known map) or `slam`")
-ESTIMATOR = text("estimator", "name of the estimator, as on the command line")
-ASSOCIATION = text(
-    "association", "who paired the observations, as on the command line; `none`: nobody (dead reckoning)"
-)
-PHASE = text("phase", "`online`: each pose from the data up to its frame; `final`: every pose from all data")
+ESTIMATOR = text("estimator", "estimator, as on the command line")
+ASSOCIATION = text("association", "association method, as on the command line; `none`: dead reckoning")
+PHASE = text("phase", "`online`: poses from data up to their frame; `final`: from all data")
 WHO = (LOG, TASK, ESTIMATOR, ASSOCIATION)
 RUN = (*WHO, PHASE)
 
 METRICS = File(
     "metrics.csv",
-    "One row for each run and phase. A filter does not revise its past and has its `online` row only, batch smoothers "
-    "only their `final` one.",
+    "Accuracy and consistency, one row per run and phase; filters have no `final` row, batch smoothers no"
+    " `online` row. docs/results-files.md defines the relative errors.",
     (
         *RUN,
         text(
             "status",
-            "`ok`; `diverged`, `incomplete`: there are no numbers; `implausible`: numbers that no honest run gives, in"
-            " no average",
+            "`ok`; `diverged`, `incomplete`: no numbers; `implausible`: physically impossible numbers, in no average",
         ),
         *(measured(m) for m in OF_ESTIMATES),
     ),
 )
 DECISION_COUNTS = File(
     "association.csv",
-    "One row for each run and phase that decided: outcomes of every observation's decision against the truth. On laser "
-    "logs the decisions are about loop closures.",
+    "Outcomes of association decisions, one row per run and phase; on laser logs of loop closures.",
     (*RUN, *(measured(m) for m in OF_DECISIONS)),
 )
 CONSISTENCY = File(
     "consistency.csv",
-    "Verdicts of Monte Carlo studies, one row for each estimator and quantity. Only the header where no study ran.",
+    "Verdicts of Monte Carlo studies, one row per estimator and quantity.",
     (
         text("scenario", "name of the study"),
         ESTIMATOR,
         text(
             "quantity",
-            "`pose`, `position`, `heading`, `landmarks`: NEES; `nis`: NIS per degree of freedom; `whiteness`:"
-            " correlation of successive innovations; `coverage_50`, ...: share of last positions inside that ellipse;"
-            " `covers_scale`, ...: share of runs whose systematic error is inside the 95 % interval claimed for it",
+            "`pose`, `position`, `heading`, `landmarks`: NEES; `nis`: NIS per dof; `whiteness`: lag-1 correlation of"
+            " innovations; `coverage_...`: share of last positions inside that ellipse; `covers_...`: share of runs"
+            " whose systematic error is inside its 95 % interval",
         ),
-        Column("dof", "degrees of freedom of the quantity, which is its expected mean"),
-        count("runs", "runs that count"),
-        Column("mean", "mean over the runs of each run's mean; of a coverage the share"),
-        Column("lower", "lower end of its 95 % interval"),
-        Column("upper", "upper end of its 95 % interval"),
+        Column("dof", "degrees of freedom, the expected mean"),
+        count("runs", "runs without failures"),
+        Column("mean", "mean of the runs' means; for coverages the share"),
+        Column("lower", "95 % bounds of the mean"),
+        Column("upper", "95 % bounds of the mean"),
         text("verdict", "`consistent`, `overconfident`, `conservative`, or `not enough runs`"),
         TASK,
         ASSOCIATION,
         PHASE,
-        Column("power", "probability that this test rejects a covariance claimed at 0.8 of the true one"),
-        count("diverged", "runs that diverged or are implausible, in no average"),
+        Column("power", "probability of rejecting a covariance stated at 0.8 of the true one"),
+        count("diverged", "diverged or implausible runs"),
     ),
 )
 TRUST = File(
     "trust.csv",
-    "What each log says about itself, without any truth: statistics of innovations and residuals, beside those of"
-    " twins (`--twins`).",
+    "Consistency statistics that need no truth, compared with bootstrap replicates (`--twins`).",
     (
         *WHO,
-        text("statistic", "its name: `nis`, `innovation_lag1`, `filter_smoother_...`, `residual_...`, `slope_...`"),
-        Column("value", "of the log"),
-        Column("expected", "by theory where there is a theory, else the median of the twins"),
-        count("twins", "twins it is compared with"),
-        Column("p", "p value against the twins, by rank; blank without twins"),
-        Column("p_family", "p value corrected for all statistics of this log"),
-        Column("se", "standard error of the value, where one is known"),
-        count("frame", "frame that a largest value is found in"),
+        text("statistic", "`nis`, `innovation_lag1`, `filter_smoother_...`, `residual_...`, `slope_...`"),
+        Column("value", "value of the log"),
+        Column("expected", "expected by theory, else the median of the replicates"),
+        count("twins", "number of replicates"),
+        Column("p", "p value by rank among the replicates"),
+        Column("p_family", "p value corrected for all statistics of the log"),
+        Column("se", "standard error of the value"),
+        count("frame", "frame of a largest value"),
     ),
 )
 RELATIONS = File(
     "relations.csv",
-    "Errors of the runs against a log's reference relations.",
+    "Errors against reference relations.",
     (
         LOG,
         ESTIMATOR,
         ASSOCIATION,
         PHASE,
-        text("tie", "how relations are tied to frames: `row` (of the log) or `time` (stamps)"),
-        text("subset", "`all` relations, or only the `exact` ones"),
-        count("relations", "how many"),
-        Column("trans_mean_m", "mean error of the translation", "m"),
-        Column("trans_std_m", "standard deviation of the error of the translation", "m"),
-        Column("trans_max_m", "largest error of the translation", "m"),
-        Column("rot_mean_deg", "mean error of the rotation", "deg"),
-        Column("rot_std_deg", "standard deviation of the error of the rotation", "deg"),
-        Column("rot_max_deg", "largest error of the rotation", "deg"),
+        text("tie", "relations matched to frames by `row` of the log or by `time`"),
+        text("subset", "`all` relations or only the `exact` ones"),
+        count("relations", "number of relations"),
+        *(
+            Column(f"{part}_{of}_{unit}", "mean, standard deviation and maximum of the error", unit)
+            for part, unit in (("trans", "m"), ("rot", "deg"))
+            for of in ("mean", "std", "max")
+        ),
     ),
-    when="where a log has reference relations",
+    when="logs with reference relations",
 )
 PUBLISHED = File(
     "published.csv",
-    "Our numbers beside published ones.",
+    "Comparison with published numbers.",
     (
         text("scenario", "name of the study"),
-        text("estimator", "name of the estimator"),
-        text("quantity", "column of metrics.csv that was published, or what a stored run is compared in"),
-        Column("ours", "our number"),
-        Column("se_ours", "its standard error"),
-        Column("published", "the published number"),
-        Column("se_published", "its standard error"),
-        Column("difference_in_se", "the difference in standard errors of the difference"),
+        ESTIMATOR,
+        text("quantity", "compared quantity"),
+        Column("ours", "our number and its standard error"),
+        Column("se_ours", "our number and its standard error"),
+        Column("published", "published number and its standard error"),
+        Column("se_published", "published number and its standard error"),
+        Column("difference_in_se", "difference in standard errors of the difference"),
     ),
-    when="where a scenario with published numbers ran",
+    when="scenarios with published numbers",
 )
 TIMING = File(
     "timing.csv",
-    "How long each estimator took; never the same twice, so not part of any comparison of bytes.",
+    "Run times of the estimators; they differ from run to run.",
     (
         *WHO,
         count("frames", "frames of the log"),
-        Column("seconds", "wall time of the estimation; of a laser log with the front end", "s"),
-        Column("frames_per_second", "frames over seconds", "1/s"),
+        Column("seconds", "wall time of the estimation, laser front end included", "s"),
+        Column("frames_per_second", "frames / seconds", "1/s"),
     ),
 )
 DIFFERENCES = File(
     "slamref.score(...).differences",
-    "Filters (a) against smoothers (b) under the same association, on logs with truth: a minus b.",
+    "Filter minus smoother under the same association method, for logs with truth.",
     (
         LOG,
         TASK,
         ASSOCIATION,
         text("a", "the filter"),
         text("b", "the smoother"),
-        text("phase_a", "its phase"),
-        text("phase_b", "its phase"),
-        Column("rmse_position_m", "difference of the position RMSE", "m"),
-        Column("rmse_position_lower", "lower end of its 95 % interval", "m"),
-        Column("rmse_position_upper", "upper end of its 95 % interval", "m"),
-        Column("rmse_position_p", "p value of no difference"),
-        Column("nees_pose", "difference of the mean pose NEES"),
-        Column("nees_pose_lower", "lower end of its 95 % interval"),
-        Column("nees_pose_upper", "upper end of its 95 % interval"),
-        Column("nees_pose_p", "p value of no difference"),
-        Column("block_frames", "mean block of the bootstrap", "frames"),
-        text("rmse_position_why", "why the interval of the RMSE is missing"),
-        text("nees_pose_why", "why the interval of the NEES is missing"),
+        text("phase_a", "their phases"),
+        text("phase_b", "their phases"),
+        *(
+            Column(f"{name}{suffix}", about, unit)
+            for name, first, unit, what in (
+                ("rmse_position", "_m", "m", "position RMSE"),
+                ("nees_pose", "", "", "mean pose NEES"),
+            )
+            for suffix, about, unit in (
+                (first, f"difference in {what}", unit),
+                ("_lower", "its 95 % bounds", unit),
+                ("_upper", "its 95 % bounds", unit),
+                ("_p", "p value of no difference", ""),
+            )
+        ),
+        Column("block_frames", "mean block length of the bootstrap", "frames"),
+        text("rmse_position_why", "reasons for missing bounds"),
+        text("nees_pose_why", "reasons for missing bounds"),
     ),
 )
+_SUBJECT = "log, task, estimator and association method, where they apply"
 NOTICES = File(
     "notices.csv",
-    "Everything that was found about logs and runs: questions, notes, why runs stopped, are implausible or lost, and"
-    " what is to be doubted.",
+    "Diagnostics of logs and runs: questions, notes, failures, implausible and lost runs.",
     (
-        text("code", "what was found, in a word: one of a fixed list"),
-        text("severity", "`info`, `warning` or `error`: a fact, something to look at, a reason not to use the result"),
-        text("log", "name of the log; blank where it is about none"),
-        text("task", "of the run or the comparison; blank where it is about the log"),
-        text("estimator", "of the run; blank where it is about no single one"),
-        text("association", "of the run; blank where it is about the log"),
-        count("frame", "frame that it is about, or that it begins in; blank: none"),
-        text("values", "its numbers and names, as JSON with the names in alphabetical order; unknown is `null`"),
-        text("text", "the sentence of the report"),
+        text("code", "one of a fixed list"),
+        text("severity", "`info`, `warning`, or `error`: do not use the result"),
+        text("log", _SUBJECT),
+        text("task", _SUBJECT),
+        text("estimator", _SUBJECT),
+        text("association", _SUBJECT),
+        count("frame", "first frame, where it applies"),
+        text("values", "JSON object of numbers and names, sorted by name"),
+        text("text", "sentence of the report"),
     ),
 )
 TOP = (METRICS, DECISION_COUNTS, CONSISTENCY, TRUST, RELATIONS, PUBLISHED, NOTICES, TIMING)

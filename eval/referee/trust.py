@@ -50,7 +50,7 @@ class Difference:
     """An online trajectory against a smoothed one, by frame.
 
     Attributes:
-        d: (N, 3) online less smoothed, world frame, heading wrapped.
+        d: (N, 3) online minus smoothed, world frame, heading wrapped.
         sigma: (N, 3) square root of the diagonal of P_f - P_s; NaN where later data took too little away.
         square: (N,) quadratic form over the directions compared; NaN where there is none.
         dof: (N,) how many directions that are.

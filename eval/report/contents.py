@@ -167,16 +167,7 @@ class Failed:
 
 def _failure_section(trials: Sequence[Trial], missing: Sequence[Notice]) -> Section:
     failed = [
-        Failed(
-            t.log.name,
-            t.task,
-            r.estimator,
-            r.association,
-            r.status,
-            r.flaw.frame,
-            r.flaw.notice,
-            origin(r, t),
-        )
+        Failed(t.log.name, t.task, r.estimator, r.association, r.status, r.flaw.frame, r.flaw.notice, origin(r, t))
         for t in trials
         for r in t.runs
         if r.flaw is not None

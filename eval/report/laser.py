@@ -191,10 +191,7 @@ INTEL_RELATIONS = 2984
 
 
 def laser_sections(
-    folder: Path,
-    wanted: Wanted,
-    trials: Sequence[Trial],
-    published: Sequence[Sequence[Picture]],
+    folder: Path, wanted: Wanted, trials: Sequence[Trial], published: Sequence[Sequence[Picture]]
 ) -> list[Section]:
     """A section for each laser log; those that stand beside another are rows in its table of graph sizes."""
     sections = []

@@ -123,11 +123,7 @@ def of_trial(trial: Trial, calibrations: Sequence[Calibration]) -> Calibration |
 
 
 def systematic_section(
-    folder: Path,
-    wanted: Wanted,
-    trial: Trial,
-    pictures: Sequence[Picture],
-    calibrations: Sequence[Calibration],
+    folder: Path, wanted: Wanted, trial: Trial, pictures: Sequence[Picture], calibrations: Sequence[Calibration]
 ) -> list[Section]:
     """Words, table and figure of a log and task; none where no errors were estimated."""
     c = of_trial(trial, calibrations)

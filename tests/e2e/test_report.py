@@ -137,7 +137,7 @@ def test_the_report_shows_pictures_and_needs_no_network(report):
     assert "https://" not in html
     text = (report / "report.md").read_text()
     assert "not enough runs" in text
-    for name in ("my_log-slam-map.png", "my_log-slam-error.pdf"):
+    for name in ("my_log-slam-map.png", "my_log-slam-error.png"):
         assert (report / "figures" / name).stat().st_size > 5000
     assert r"\toprule" in (report / "tables" / "my_log-slam-comparison.tex").read_text()
     provenance = json.loads((report / "provenance.json").read_text())

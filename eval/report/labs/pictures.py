@@ -240,7 +240,7 @@ def _map_handles() -> list[Line2D]:
     grey = "#404040"
     return [
         Line2D([], [], color=TRUTH_COLOUR, linewidth=1.0, label="true path"),
-        Line2D([], [], color=grey, linewidth=1.2, label="believed path (colour of the method)"),
+        Line2D([], [], color=grey, linewidth=1.2, label="estimated path (colour of the method)"),
         Line2D([], [], marker="+", color=FAINT, linestyle="none", label="true point"),
         Line2D([], [], marker=".", color=grey, linestyle="none", label="landmark"),
         Line2D(
@@ -345,8 +345,8 @@ def _paths(lab: Lab, setup: Setup) -> Drawn:
     quiet, busy = ([Shown(lab.trials[c], r) for r in _online(lab.trials[c])] for c in (BLIND, BLIND_PEOPLE))
     return (
         paths_figure(quiet, busy),
-        f"`{quiet[0].log.name}`: true path and what each method believes, online; the map is the one without people.",
-        f"True and believed paths without odometry of {', '.join(s.run.association for s in quiet)}",
+        f"`{quiet[0].log.name}`: true path and online path of each method; the map is the one without people.",
+        f"True and estimated paths without odometry of {', '.join(s.run.association for s in quiet)}",
     )
 
 

@@ -15,16 +15,7 @@ from eval.plan.flags.options import Options
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import Job, work
 from eval.referee.score import Scores, Trial
-from eval.report.labs.corridor import (
-    BLIND,
-    BLIND_PEOPLE,
-    METHODS,
-    ODOMETRY,
-    PEOPLE,
-    Judged,
-    Lab,
-    find_lab,
-)
+from eval.report.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Judged, Lab, find_lab
 from eval.report.labs.corridor_ambiguity import NEAR, Ambiguity, ambiguity, primed
 from eval.report.labs.pictures import NEEDED, UPDATE_TIME, draw
 from eval.report.labs.pictures import stem as stem_of

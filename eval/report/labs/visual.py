@@ -29,16 +29,7 @@ from eval.referee.errors import position_distance, rms
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, Picture, Section
 from eval.report.page.files import written_table
-from eval.report.visual import (
-    MOTION,
-    OBSERVATION,
-    UPDATE,
-    constants,
-    models_latex,
-    statistics_of,
-    summary,
-    tiles_of,
-)
+from eval.report.visual import MOTION, OBSERVATION, UPDATE, constants, models_latex, statistics_of, summary, tiles_of
 from eval.report.words import paragraph
 
 SHOWN = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")

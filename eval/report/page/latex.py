@@ -200,11 +200,7 @@ def text_width(text: str, size: str = "footnotesize") -> float:
 
 NAMES = ("log", "task", "scenario", "estimator", "association", "phase")
 """Columns that say what a row is about; they are never left out, only said once where they are all the same."""
-READ: dict[str, Callable[[str], str]] = {
-    "log": log,
-    "task": lambda t: TASKS.get(t, t),
-    "association": association,
-}
+READ: dict[str, Callable[[str], str]] = {"log": log, "task": lambda t: TASKS.get(t, t), "association": association}
 ESTIMATORS = ("filter", "smoother", "deciding for")
 """Heads of other columns that name estimators."""
 NARROWEST, NARROWEST_NAMES = 60.0, 100.0

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
+from itertools import groupby
 from pathlib import Path
 
-from eval.referee.result_files import BLANKS, DIFFERENCES, OF_LOGS, OF_RUNS, OTHERS, TOP, File
+from eval.referee.result_files import BLANKS, DIFFERENCES, OF_LOGS, OF_RUNS, OTHERS, TOP, Column, File
 
 PAGE = Path(__file__).parents[3] / "docs" / "results-folder.md"
 HEAD = f"""\
@@ -13,43 +14,60 @@ HEAD = f"""\
 
 <!-- Written by `make docs` out of eval/referee/result_files.py. Do not edit. -->
 
-Every file that `slamref run` writes (default: `results/report`), and every column. SI units and radians, unless a name
-ends in a unit. In file names `:`, `+` and `/` of a log's name become `_`. A blank cell is unknown or does not apply,
-never zero. Columns may be appended in later versions, never reordered or renamed. Two runs with the same inputs and
-seed write the same bytes, except in `timing.csv`, `provenance.json`, `run.log`, the tables that quote a time, and with
-`--lab corridor:...` the figure of measured update times (`figures/lab-update-time.*`), its table, and `report.html`,
-which shows it.
+Every file and column that `slamref run` writes (default: `results/report`).
 
-**Decisions.** A landmark number is ≥ 0: the order of creation in SLAM, the map's own id in localization. `-1` in a
-decision: the observation initialized a new landmark. `-2`: it was discarded. `-1` in a truth: the right landmark is
-not in the map, or the observation was clutter.
+* Units are SI and radians unless a name ends in a unit. The second column is the type (`text`, `count`, `number`) or
+  the unit of a number; shares lie between 0 and 1.
+* A blank cell is unknown or does not apply, never zero.
+* In file names `:`, `+` and `/` of a log's name become `_`.
+* Later versions may append columns, but never reorder or rename them.
+* The same inputs and seed give the same bytes. Exceptions are measured times (`timing.csv`, `provenance.json`,
+  `run.log`, tables that quote them) and, with `--lab corridor:...`, `figures/lab-update-time.*` and `report.html`.
 
-From Python, `slamref.score(trials)` has the same tables as attributes: `metrics`, `association` (association.csv),
-`timing`, `relations` and `differences`, with the types below: words are `{BLANKS["text"]}`, numbers
-`{BLANKS["number"]}` (unknown: NaN), counts `{BLANKS["count"]}` (unknown: `pd.NA`).
-`slamref.notices(trials)` has what notices.csv holds, with types; `slamref.sentence(notice)` is its text.
+**Landmark numbers** are at least 0: the order of creation in SLAM, the map's ids in localization. A decision of `-1`
+initialized a landmark, `-2` discarded the observation. A truth of `-1` means that no landmark of the map is right.
+
+In Python, `slamref.score(trials)` has the tables `metrics`, `association`, `timing`, `relations` and `differences`.
+Texts are `{BLANKS["text"]}`, numbers `{BLANKS["number"]}` (unknown: NaN), counts `{BLANKS["count"]}`
+(unknown: `pd.NA`).
+`slamref.notices(trials)` has the diagnostics, `slamref.sentence(notice)` their text.
 """
 
 
 def page() -> str:
     """The page in Markdown."""
-    parts = [HEAD, "## At the top\n", *(_section(f) for f in TOP)]
-    parts += ["## Of each run\n", *(_section(f) for f in OF_RUNS), "## Of each log\n", *(_section(f) for f in OF_LOGS)]
-    parts += ["## For readers\n", *(_section(f) for f in OTHERS), "## In Python only\n", _section(DIFFERENCES)]
+    first: dict[Column, str] = {}
+    parts = [HEAD]
+    for title, files in (
+        ("At the top", TOP),
+        ("Of each run", OF_RUNS),
+        ("Of each log", OF_LOGS),
+        ("For readers", OTHERS),
+        ("In Python only", (DIFFERENCES,)),
+    ):
+        parts += [f"## {title}\n", *(_section(f, first) for f in files)]
     return "\n".join(parts)
 
 
-def _section(file: File) -> str:
-    when = f" ({file.when})" if file.when else ""
+def _section(file: File, first: dict[Column, str]) -> str:
+    """A file; `first`: the file that each column was described for, which is added to."""
+    about_file = f"{file.about[:-1]} ({file.when})." if file.when else file.about
     if not file.columns:
-        return f"* `{file.path}`: {file.about}{when}\n"
-    head = f"### `{file.path}`\n\n{file.about}{when}\n"
-    rows = [f"| `{c.name}` | {c.kind} | {c.unit} | {_cell(c.about)} |" for c in file.columns]
-    return "\n".join([head, "| column | type | unit | what it holds |", "|---|---|---|---|", *rows, ""])
-
-
-def _cell(text: str) -> str:
-    return text.replace("|", r"\|")
+        return f"* `{file.path}`: {about_file}\n"
+    rows = []
+    for about, group in groupby(file.columns, lambda c: f"as in `{first[c]}`" if c in first else c.about):
+        columns = list(group)
+        types = [c.unit or c.kind for c in columns]
+        names = [f"`{c.name}`" for c in columns]
+        if about != columns[0].about:
+            types = [""]
+        elif len(set(types)) > 1:
+            names = [f"`{c.name}`" + f" {c.unit}" * bool(c.unit and not c.name.endswith(f"_{c.unit}")) for c in columns]
+            types = [columns[0].kind]
+        rows.append(f"| {', '.join(names)} | {types[0]} | {about.replace('|', chr(92) + '|')} |")
+    first |= {c: file.name for c in file.columns if c not in first}
+    head = f"### `{file.path}`\n\n{about_file}\n"
+    return "\n".join([head, "| column | type, unit | meaning |", "|---|---|---|", *rows, ""])
 
 
 def main() -> int:

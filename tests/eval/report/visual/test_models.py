@@ -140,10 +140,7 @@ def test_the_typeset_motion_model_and_its_jacobians_are_the_codes(pose, control,
 def test_the_filter_propagates_the_covariance_that_the_typeset_jacobians_give(pose, control, dt):
     sigma = (0.01, np.radians(4.0))
     value = motion_values(np.array(pose), control, dt)
-    F, G = (
-        array(AFTER_X, value, visual.MOTION),
-        array(AFTER_U, value, visual.MOTION),
-    )
+    F, G = (array(AFTER_X, value, visual.MOTION), array(AFTER_U, value, visual.MOTION))
     Q = array(r"\mathbf{Q} =", {r"\sigma_v^2": sigma[0] ** 2, r"\sigma_\omega^2": sigma[1] ** 2}, visual.MOTION)
     P = np.array([[0.04, 0.01, 0.002], [0.01, 0.09, -0.003], [0.002, -0.003, 0.01]])
     model = VelocityModel(VelocityNoise("velocity", sigma))
