@@ -12,8 +12,8 @@ from collections.abc import Iterator
 import pytest
 
 from data.logs import open_log
+from eval.compare import compare
 from eval.referee.score import Trial, score
-from eval.replay import compare
 from eval.report.rows import nis_verdict
 from tests.eval.referee.wrecks import stated
 

@@ -164,7 +164,7 @@ def test_a_filter_that_is_reset_believes_only_that():
         mean, P = np.array([3.0, -1.0, 2.0]), np.diag([0.04, 0.01, 0.02])
         expectation = anew.expect(inputs.frame_observations(5))
         anew.reset(mean, P)
-        with pytest.raises(RuntimeError, match="moved on"):
+        with pytest.raises(RuntimeError, match="form a new one"):
             expectation.joint(np.arange(2))
         fresh = EkfLocalizer(replace(inputs.prior, mean=mean, covariance=P), inputs.sensor, inputs.map, options)
         for f in (anew, fresh):

@@ -99,7 +99,7 @@ def test_before_a_run_it_is_said_why_walls_forbid_it(log, name, task, way, optio
 @pytest.mark.parametrize("task", ["slam", "localization"])
 def test_before_a_run_it_is_said_that_errors_of_the_sensor_are_those_of_points(log, task):
     inputs = replace(log.recorded, systematic=Systematic(("bearing",), np.array([0.1])))
-    assert "errors of odometry can be estimated" in str(lack_with_walls("ekf", task, "jcbb", inputs))
+    assert "with walls only odometry's errors can be estimated" in str(lack_with_walls("ekf", task, "jcbb", inputs))
     wheels = replace(log.recorded, systematic=Systematic(("scale",), np.array([0.1])))
     assert lack_with_walls("ekf", task, "jcbb", wheels) is None
 
@@ -115,7 +115,7 @@ def test_errors_of_the_sensor_are_refused_with_their_reason(log, name):
     inputs = replace(log.inputs(labels=True), systematic=Systematic((name,), np.array([0.1])))
     (found,) = compare(inputs, "slam", ["ekf"])
     assert found.status == "incomplete"
-    assert "errors of odometry can be estimated" in found.failure.why
+    assert "with walls only odometry's errors can be estimated" in found.failure.why
     assert not set(every(inputs)) & {"range", "bearing"}
 
 
@@ -210,7 +210,7 @@ def test_the_player_is_told_that_landmarks_are_walls(log, run):
 
 
 def test_g2o_has_no_vertex_for_a_wall(log):
-    with pytest.raises(UsageError, match="no vertex for a wall"):
+    with pytest.raises(UsageError, match="walls, which g2o has no vertex for"):
         graph_text(log.recorded, labelled(log))
 
 

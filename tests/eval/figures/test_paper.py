@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from matplotlib import image
+from matplotlib import font_manager, image
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
@@ -17,7 +17,7 @@ from eval.figures.paper import across, page_width, translate
 from eval.figures.style import drawing, save
 from eval.plan import appearance
 from eval.plan.flags.options import read_options
-from eval.plan.flags.table import inches
+from eval.plan.flags.table import Output, inches
 
 COLUMN = FigureStyle(width=3.4, fonts=("STIXGeneral", "DejaVu Sans"), mathematics="stix")
 
@@ -97,15 +97,15 @@ def test_lengths_have_units():
 
 
 def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):
-    look, said = appearance.figure_style_of(read_options(["--font", "Nowhere Grotesk"]).drawing)
+    look, said = appearance.figure_style_of(read_options(["--font", "Nowhere Grotesk"]).drawing, Output())
     assert look.fonts == ("DejaVu Sans",)
     assert said == "--font Nowhere Grotesk: not on this machine; figures have DejaVu Sans instead"
-    fonts = [f for f in appearance.font_manager.fontManager.ttflist if f.name in ("STIXGeneral", "DejaVu Sans")]
-    monkeypatch.setattr(appearance.font_manager.fontManager, "ttflist", fonts)
-    look, said = appearance.figure_style_of(read_options(["--font", "Times"]).drawing)
+    fonts = [f for f in font_manager.fontManager.ttflist if f.name in ("STIXGeneral", "DejaVu Sans")]
+    monkeypatch.setattr(font_manager.fontManager, "ttflist", fonts)
+    look, said = appearance.figure_style_of(read_options(["--font", "Times"]).drawing, Output())
     assert (look.fonts[0], look.mathematics) == ("STIXGeneral", "stix")
     assert said.endswith("figures have STIXGeneral instead")
-    assert appearance.figure_style_of(read_options([]).drawing)[0] == FigureStyle()
+    assert appearance.figure_style_of(read_options([]).drawing, Output())[0] == FigureStyle()
 
 
 def test_without_latex_the_flags_that_need_it_say_so_before_any_work(monkeypatch):

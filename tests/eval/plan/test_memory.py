@@ -65,4 +65,4 @@ def test_estimators_are_tried_one_by_one_and_all_the_rest_is_kept(isam2_needs_mo
     ]  # fmt: skip
     report = (out / "report.md").read_text()
     assert "isam2 with association known is incomplete, stopped at frame 0: it ran out of memory" in report
-    assert "Missing for want of memory:" in report
+    assert "Missing, because memory was not sufficient:" in report

@@ -106,7 +106,7 @@ def test_every_log_has_its_truth_as_tum_and_a_truth_may_be_alone(first, tmp_path
     assert metrics["rmse_position_m"].tolist() == pytest.approx(
         [own.loc["ekf", "online"]["rmse_aligned_m"], own.loc["isam2", "final"]["rmse_aligned_m"]], rel=1e-9
     )
-    assert "But aligned: a, b" in (tmp_path / "alone/report.md").read_text()
+    assert "Exception: a, b" in (tmp_path / "alone/report.md").read_text()
 
 
 @pytest.mark.parametrize(("command", "wanted"), [

@@ -110,6 +110,6 @@ def test_they_are_drawn_where_there_is_no_truth_and_only_there(tmp_path):
     assert not {"claims", "fate"} & set(kinds(Trial(circle_log(), "slam", (run,))))
     assert not {"claims", "fate"} & set(kinds(blind, quick=True))
     for kind in ("claims", "fate"):
-        picture = draw(tmp_path, blind, kind, quick=True)
+        picture = draw(tmp_path, blind, kind)
         assert blind.log.name in picture.caption
         assert (tmp_path / "figures" / f"{picture.stem}.png").exists()
