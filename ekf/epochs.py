@@ -22,7 +22,7 @@ from ekf import kernels, systematic
 from ekf.filter import DEFAULT, FilterOptions, frame_of
 from ekf.kernels import NEWEST
 from ekf.parking import Triangle, root, symmetric, whitened
-from ekf.whole_run import FilterRun, Steps, Track, empty_track, filter_run, rules_of, run
+from ekf.whole_run import NO_MAP, FilterRun, Steps, Track, empty_track, filter_run, rules_of, run
 
 LEAST = 300  # landmarks. A smaller map is never parked: at most some tenths of a second would be gained
 STEP, PAIRING = 1.0e-9, 2.0e-10  # s. Cost of a frame per squared length of the state, and additional cost per pairing
@@ -148,7 +148,7 @@ def run_in_epochs(
             else:
                 systematic.predict_with_errors(*step, errors)
         starts = inputs.start[epoch.begin : epoch.end + 1]
-        steps = Steps(motion, M, starts, o.z, o.R, decided, np.empty((0, 2)))
+        steps = Steps(motion, M, starts, o.z, o.R, decided, NO_MAP)
         rules = rules_of(options, threshold, base - 3, state.first)
         part = Track(track.pose[frames], track.covariance[frames], track.stats[frames], track.size[frames], track.white)
         d, status, stopped = run(

@@ -18,6 +18,9 @@ from ekf.kernels import NEWEST, OK, Pairings, augment, healthy, predict
 from ekf.systematic import Errors, hold_known, predict_with_errors
 from ekf.updates import Outcome, UpdateRule, update, update_each
 
+NO_MAP = np.empty((0, 2))
+NO_MAP.setflags(write=False)  # as a map's positions are: the loop is compiled once
+
 
 class FilterRun(NamedTuple):
     """The results of a filter over N frames and M observations."""
@@ -46,7 +49,7 @@ def run_filter(
     n, slam = len(inputs), inputs.map is None
     decided = np.array(decisions, np.int64)
     if inputs.map is None:
-        known = np.empty((0, 2))
+        known = NO_MAP
     else:
         known = inputs.map.xy
         paired = decided >= 0

@@ -52,7 +52,7 @@ class PoseProblem:
 
     def residuals(self, pose: Array) -> Array:
         """Whitened residuals (E, 3) of all edges at poses (K, 3)."""
-        residual: Array = _residuals(pose, self.key1, self.key2, self.relative, self.root)
+        residual: Array = _residuals(np.ascontiguousarray(pose), self.key1, self.key2, self.relative, self.root)
         return residual
 
     def prior_residual(self, pose: Array) -> tuple[Array, Array, Array]:
@@ -67,7 +67,7 @@ class PoseProblem:
 
     def step(self, pose: Array, weight: Array) -> Newton:
         """The least-squares step at poses (K, 3), loops weighted (L,); the chain determines all variables."""
-        A, b = _linearize(pose, self.key1, self.key2, self.relative, self.root)
+        A, b = _linearize(np.ascontiguousarray(pose), self.key1, self.key2, self.relative, self.root)
         scale = np.sqrt(weight)
         first = len(b) - self.loops
         A[first:] *= scale[:, None, None]
