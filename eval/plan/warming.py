@@ -22,6 +22,7 @@ from data.worlds.arena import Arena, simulate
 from data.worlds.registry import named_log
 from eval.compare import compare
 from eval.plan.first_use import alone, mark_name
+from eval.plan.stale_kernels import forget_stale, note_sources
 from eval.replay.estimators import make_estimator
 from eval.replay.hindsight.placement import candidates
 from eval.replay.hindsight.relocalize import Scan, relocalize
@@ -125,7 +126,9 @@ def compile_all(quiet: bool = False, background: bool = False) -> None:
         return
     with alone(place.parent, wait=not background) as first:
         if first and not (background and _is_there(place)):
+            forget_stale()
             _compile(quiet)
+            note_sources()
             with suppress(OSError):  # without the mark, the next run looks again
                 place.touch()
 
