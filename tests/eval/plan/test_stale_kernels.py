@@ -49,7 +49,7 @@ def test_a_change_makes_its_module_stale_and_those_that_use_it(project, name, st
 
 
 def test_without_a_note_everything_is_stale(project):
-    folder, kept = project
+    _, kept = project
     kept.unlink()
     assert {m.stem for m in stale_kernels.forget_stale(kept)} == {"inner", "outer", "other"}
 
