@@ -30,29 +30,20 @@ from data.result import MapEstimate, Run
 from data.se2 import Array, BoolArray
 from eval.referee.errors import observed
 
-FITS = 2
-"""Registrations of a frame: the second is weighted by the residuals of the first."""
-UNKNOWN_POSE = 1e-6
-"""1/m^2 and 1/rad^2, information about a pose without a covariance."""
-MEDIAN_1, MEDIAN_2 = 0.4549, 1.3863
-"""Medians of chi-square with one and two degrees of freedom."""
-ENOUGH = 4
-"""Least number of observations of a landmark that the noise is estimated from."""
-SMALLEST = 1e-4
-"""Least noise, as a share of the stated variance."""
+FITS = 2  # registrations of a frame: the second is weighted by the residuals of the first
+UNKNOWN_POSE = 1e-6  # 1/m^2 and 1/rad^2, information about a pose without a covariance
+MEDIAN_1, MEDIAN_2 = 0.4549, 1.3863  # medians of chi-square with one and two degrees of freedom
+ENOUGH = 4  # least number of observations of a landmark that the noise is estimated from
+SMALLEST = 1e-4  # least noise, as a share of the stated variance
 
 
 class Registered(NamedTuple):
     """Observations of a log, registered to the map of a run."""
 
-    row: IntArray
-    """(M,) row of the paired landmark in the map, -1: none."""
-    xy: Array
-    """(M, 2) m, world frame, by the other pairings of the frame."""
-    covariance: Array
-    """(M, 2, 2) by the estimated noise."""
-    stated: Array
-    """(M, 2, 2) by the stated noise."""
+    row: IntArray  # (M,) row of the paired landmark in the map, -1: none
+    xy: Array  # (M, 2) m, world frame, by the other pairings of the frame
+    covariance: Array  # (M, 2, 2) by the estimated noise
+    stated: Array  # (M, 2, 2) by the stated noise
 
 
 def registered(run: Run, inputs: Inputs) -> Registered | None:
@@ -146,43 +137,27 @@ def squares(off: Array, information: Array) -> Array:
     return square
 
 
-FALSE = 0.01
-"""False-rejection rate of a whole map."""
-FEWEST = 3
-"""Least number of frames in each half."""
-OUTLIERS, OUTLYING = 0.05, 9.0
-"""Share of observations in the tails, and their variance relative to the others."""
-SPREADS = (1.0, 1.25, 1.5)
-"""Variance factors of a single point: noise differs between landmarks."""
-BESIDE = 25.0
-"""Squared distance of a neighbouring observation, by the larger of stated and estimated covariance."""
-AROUND = 100.0
-"""Squared distance up to which farther ones count as clutter."""
-SCATTERED = 2.5
-"""Mean squared distance (expected 2) from which a landmark without neighbouring observations is tested."""
-EDGE = 5.0
-"""Limit of a squared distance in that mean, in units of 2."""
-ROUNDS = 10
-"""Iterations of expectation maximization, and of the robust mean."""
-LEAST = 0.02
-"""Least share of observations of either point, and of frames that observed both, or one."""
+FALSE = 0.01  # false-rejection rate of a whole map
+FEWEST = 3  # least number of frames in each half
+OUTLIERS, OUTLYING = 0.05, 9.0  # share of observations in the tails, and their variance relative to the others
+SPREADS = (1.0, 1.25, 1.5)  # variance factors of a single point: noise differs between landmarks
+BESIDE = 25.0  # squared distance of a neighbouring observation, by the larger of stated and estimated covariance
+AROUND = 100.0  # squared distance up to which farther ones count as clutter
+SCATTERED = 2.5  # mean squared distance (expected 2) from which a landmark without neighbouring observations is tested
+EDGE = 5.0  # limit of a squared distance in that mean, in units of 2
+ROUNDS = 10  # iterations of expectation maximization, and of the robust mean
+LEAST = 0.02  # least share of observations of either point, and of frames that observed both, or one
 
 
 class Pairs(NamedTuple):
     """Observations of the tested landmarks: n pairings, one per frame and landmark, and k neighbours of these."""
 
-    group: IntArray
-    """(n,) 2 * tested landmark + half."""
-    share: Array
-    """(n,) weight of each pairing."""
-    neighbour: IntArray
-    """(k,) pairings with a neighbouring observation."""
-    x: Array
-    """(n + k, 2) m, pairings, then neighbours, relative to the mapped landmark."""
-    W: Array
-    """(n + k, 2, 2) information."""
-    log_det: Array
-    """(n + k,) of the covariances."""
+    group: IntArray  # (n,) 2 * tested landmark + half
+    share: Array  # (n,) weight of each pairing
+    neighbour: IntArray  # (k,) pairings with a neighbouring observation
+    x: Array  # (n + k, 2) m, pairings, then neighbours, relative to the mapped landmark
+    W: Array  # (n + k, 2, 2) information
+    log_det: Array  # (n + k,) of the covariances
 
     @property
     def every(self) -> IntArray:
@@ -389,12 +364,9 @@ def _explained(pairs: Pairs, two: Two, clutter: float) -> tuple[Array, Array, Ar
     return likelihood, of[0], real[0] + real[1], np.stack(weight, axis=1)
 
 
-GATE = 0.99
-"""Chi-square probability of a significant difference."""
-MOST = 32
-"""Largest number of neighbours of a landmark that are tested."""
-NONE = -1
-"""For a landmark that is not ambiguous."""
+GATE = 0.99  # chi-square probability of a significant difference
+MOST = 32  # largest number of neighbours of a landmark that are tested
+NONE = -1  # for a landmark that is not ambiguous
 
 
 def ambiguous(run: Run, inputs: Inputs) -> IntArray:

@@ -16,23 +16,16 @@ from scipy import special
 from data.se2 import Array
 from eval.referee.effects import Scored
 
-MOST = 4
-"""Largest number of systematic errors."""
-AS_WELL = 0.97
-"""Correlation of scores above which two systematic errors cannot be distinguished."""
-NEES_BAND = (0.8, 1.25)
-"""Accepted NEES per dof on twins: 10 % of a sigma."""
+MOST = 4  # largest number of systematic errors
+AS_WELL = 0.97  # correlation of scores above which two systematic errors cannot be distinguished
+NEES_BAND = (0.8, 1.25)  # accepted NEES per dof on twins: 10 % of a sigma
 NIS_BAND = (0.95, 1.05)
 """Accepted NIS, as a share of the expected one, on twins: consistent filters (110 logs of arena, corridor and circle,
 SLAM) have 0.988 to 1.032; one with half the odometry's covariance 1.06."""
-SURE = 0.001
-"""P value below which the mean NEES or NIS of the twins is rejected."""
-LEAST_FACTOR = 1.05
-"""Least factor of a sigma that is called wrong."""
-THRESHOLD = 3.0
-"""sigma, least significance of a systematic error or a wrong noise, unless the twins have larger ones."""
-WRONG_PAIRINGS = 0.01
-"""Share of wrong pairings above which the decisions are to blame: one in a hundred ruins a path."""
+SURE = 0.001  # p value below which the mean NEES or NIS of the twins is rejected
+LEAST_FACTOR = 1.05  # least factor of a sigma that is called wrong
+THRESHOLD = 3.0  # sigma, least significance of a systematic error or a wrong noise, unless the twins have larger ones
+WRONG_PAIRINGS = 0.01  # share of wrong pairings above which the decisions are to blame: one in a hundred ruins a path
 POWER = 0.9
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
 
@@ -41,20 +34,14 @@ NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", 
 class Finding:
     """One explanation."""
 
-    cause: str
-    """`NOISE`, `ASSOCIATIONS` or `ESTIMATOR`."""
-    kind: str
-    """`systematic`, `sigma`, `tails`, `pairings`, `decisions`, `linearization` or `innovations`."""
-    name: str
-    """Of the systematic error, component or estimator."""
+    cause: str  # `NOISE`, `ASSOCIATIONS` or `ESTIMATOR`
+    kind: str  # `systematic`, `sigma`, `tails`, `pairings`, `decisions`, `linearization` or `innovations`
+    name: str  # of the systematic error, component or estimator
     size: float
     """Systematic error, factor of the stated sigma, number of observations, or NEES per dof (NIS: share) on twins."""
-    error: float = math.nan
-    """Standard error of the size."""
-    gain: float = math.nan
-    """Of log-likelihood."""
-    other: tuple[str, ...] = ()
-    """Systematic errors that cannot be distinguished from it."""
+    error: float = math.nan  # standard error of the size
+    gain: float = math.nan  # of log-likelihood
+    other: tuple[str, ...] = ()  # systematic errors that cannot be distinguished from it
 
 
 def component_of(name: str) -> str:

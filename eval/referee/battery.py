@@ -12,10 +12,8 @@ import numpy as np
 
 from data.se2 import Array
 
-LOWEST, HIGHEST = 0.1587, 0.8413
-"""Quantiles one standard deviation from the median of a Gaussian."""
-LEVEL = 0.05
-"""Family-wise false-rejection rate."""
+LOWEST, HIGHEST = 0.1587, 0.8413  # quantiles one standard deviation from the median of a Gaussian
+LEVEL = 0.05  # family-wise false-rejection rate
 
 
 def rank_p(value: float, twins: Array) -> float:

@@ -17,20 +17,16 @@ from data.se2 import BoolArray
 from data.truth import UNKNOWN_ID
 
 OUTCOMES = ("tp", "tn", "fp", "fn")
-WITHIN = 0.3
-"""m, distance within which a neighbour of the right landmark counts as near."""
-NO_LANDMARK = -1
-"""GT of an observation whose landmark is not in the map."""
+WITHIN = 0.3  # m, distance within which a neighbour of the right landmark counts as near
+NO_LANDMARK = -1  # GT of an observation whose landmark is not in the map
 
 
 @dataclass(frozen=True)
 class Confusion:
     """Outcomes of a run; the counts of TP, TN, FP and FN sum to M."""
 
-    outcome: IntArray
-    """(M,) index into `OUTCOMES`."""
-    ground_truth: IntArray
-    """(M,) landmark number, or `NO_LANDMARK`."""
+    outcome: IntArray  # (M,) index into `OUTCOMES`
+    ground_truth: IntArray  # (M,) landmark number, or `NO_LANDMARK`
     tp: int
     tn: int
     fp: int

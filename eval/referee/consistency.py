@@ -63,19 +63,14 @@ def anees_band(dof: int, runs: int, level: float = LEVEL) -> tuple[float, float]
 
 
 QUANTITIES = {"pose": (0, 1, 2), "position": (0, 1), "heading": (2,)}
-MIN_RUNS = 50
-"""Least number of runs for a verdict."""
-FAMILY_LEVEL = 0.001
-"""False-rejection rate of the exit status over all declared verdicts."""
-TAIL_LEVEL = 0.001
-"""Probability below which a single run's mean NEES makes the verdict overconfident."""
-CLAIMED = 0.8
-"""Stated fraction of the true covariance against which the power is computed."""
+MIN_RUNS = 50  # least number of runs for a verdict
+FAMILY_LEVEL = 0.001  # false-rejection rate of the exit status over all declared verdicts
+TAIL_LEVEL = 0.001  # probability below which a single run's mean NEES makes the verdict overconfident
+CLAIMED = 0.8  # stated fraction of the true covariance against which the power is computed
 COVERAGE_LEVELS = (0.5, 0.9, 0.95, 0.99)
 INSIDE_3SIGMA = float(special.chdtr(2, 9.0))
 """Share of positions inside the 3 sigma ellipse of a consistent estimator (98.89 %)."""
-CHI2_3_MEDIAN = float(special.chdtri(3, 0.5))
-"""Median pose NEES of a consistent estimator (2.366)."""
+CHI2_3_MEDIAN = float(special.chdtri(3, 0.5))  # median pose NEES of a consistent estimator (2.366)
 THIN = 100.0
 """Eigenvalue below which a pose covariance is nearly singular, in floors of the increments' covariance. After an exact
 prior this lasts a frame or two."""
@@ -141,17 +136,12 @@ class Verdict:
     mean: float
     lower: float
     upper: float
-    dof: int
-    """Of the chi-square law; 0 for whiteness."""
-    expected: float
-    """Mean of a consistent estimator (NEES and NIS: dof; coverage: the level; whiteness: 0)."""
+    dof: int  # of the chi-square law; 0 for whiteness
+    expected: float  # mean of a consistent estimator (NEES and NIS: dof; coverage: the level; whiteness: 0)
     runs: int
-    word: str
-    """`consistent`, `overconfident`, `conservative` or `not enough runs`."""
-    p_value: float
-    """Two-sided, of a mean equal to `expected`."""
-    power: float
-    """Probability of rejecting a covariance stated at 0.8 of the true one; NaN: unknown."""
+    word: str  # `consistent`, `overconfident`, `conservative` or `not enough runs`
+    p_value: float  # two-sided, of a mean equal to `expected`
+    power: float  # probability of rejecting a covariance stated at 0.8 of the true one; NaN: unknown
 
 
 def verdict(run_means: Array, dof: int, level: float = LEVEL) -> Verdict:

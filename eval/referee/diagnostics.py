@@ -31,15 +31,12 @@ from eval.referee.residuals import Used, smoothed_residuals, used_by
 from eval.referee.result_files import NOTICES
 from eval.referee.score import Scores, Trial, lost_of, score
 
-UNUSED = 0.1
-"""Share of paired observations below which an estimate is dead reckoning."""
-FEWEST = 20
-"""Least number of observations, or twice the landmarks, to ask about."""
+UNUSED = 0.1  # share of paired observations below which an estimate is dead reckoning
+FEWEST = 20  # least number of observations, or twice the landmarks, to ask about
 CROWDED = 0.5
 """Share of landmarks close to another one. With right labels it is at most 0.23 (Victoria Park; 0 in other logs); with
 sigmas stated 2 or 3 times too small it is 0.64 to 0.97."""
-ON_TOP = 5.0
-"""Standard deviations of an observation within which two landmarks are close; the gate of new ones has 4.8."""
+ON_TOP = 5.0  # standard deviations of an observation within which two landmarks are close; the gate of new ones has 4.8
 
 
 def _of(run: Run, code: Code, **values: Value) -> Notice:
@@ -93,10 +90,8 @@ def ambiguity_of(run: Run, inputs: Inputs) -> list[Notice]:
     return [*found, _of(run, Code.DOUBLE, double=double, landmarks=len(of))] if double else found
 
 
-STEP = 1e-3
-"""Sigma, largest Newton step of a converged optimizer; it leaves a share STEP^2 of the cost at most."""
-ROUNDING = 1e-2
-"""Rounding of a cost: 10^5 squares, each rounded at 1e-7 of its size."""
+STEP = 1e-3  # sigma, largest Newton step of a converged optimizer; it leaves a share STEP^2 of the cost at most
+ROUNDING = 1e-2  # rounding of a cost: 10^5 squares, each rounded at 1e-7 of its size
 
 
 def minima(trial: Trial) -> list[Notice]:
@@ -130,10 +125,8 @@ def two_minima(batch: Run, other: Run) -> Notice | None:
     ).about(association=batch.association)
 
 
-WRONG, AGREE = 0.05, 0.99
-"""Least share of FP in the pairings, and least `majority_agreement` beside it."""
-OTHER = 0.05
-"""Least relative difference of the landmark RMSE with true ids by majority."""
+WRONG, AGREE = 0.05, 0.99  # least share of FP in the pairings, and least `majority_agreement` beside it
+OTHER = 0.05  # least relative difference of the landmark RMSE with true ids by majority
 
 
 def naming(run: Run, scores: Scores, log: str) -> Notice | None:
@@ -162,10 +155,8 @@ def _numbers(table: pd.DataFrame, key: tuple[str, ...], columns: Sequence[str]) 
     return [float("nan") if rows.empty or pd.isna(v := rows.iloc[0][c]) else float(v) for c in columns]
 
 
-JUMP = ABSURD**0.5
-"""Stated sigmas between an online pose and the smoothed one."""
-NEAR = 3.0
-"""Sigmas of the range within which a bearing means nothing."""
+JUMP = ABSURD**0.5  # stated sigmas between an online pose and the smoothed one
+NEAR = 3.0  # sigmas of the range within which a bearing means nothing
 
 
 def origin(run: Run, trial: Trial) -> Notice | None:
@@ -189,8 +180,7 @@ def origin(run: Run, trial: Trial) -> Notice | None:
     return notice(Code.ORIGIN, Severity.WARNING, k, sign=sign, online=online, size=size, beside=near, **of_pairing)
 
 
-Sign = tuple[int, str, str, float]
-"""Frame, kind (`path` or `innovation`), estimator and size of a misfit."""
+Sign = tuple[int, str, str, float]  # frame, kind (`path` or `innovation`), estimator and size of a misfit
 
 
 def _difference(run: Run, trial: Trial) -> Sign | None:

@@ -22,8 +22,7 @@ from data.sensors import RELATIVE_POINT
 from eval.referee.residuals import Used
 from graph.qr.score_test import Score, systematic
 
-SLIGHT = 0.01
-"""Least rate of a component that shows a delay, as a share of the other component's."""
+SLIGHT = 0.01  # least rate of a component that shows a delay, as a share of the other component's
 
 
 class Effect(NamedTuple):

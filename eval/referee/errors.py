@@ -113,12 +113,9 @@ def landmark_errors(xy: Array, true_id: IntArray, truth: Truth, sensor: Sensor) 
 class Along:
     """Errors of one run and phase, per frame (N,); NaN: no truth."""
 
-    distance: Array
-    """m, of the positions."""
-    thin: BoolArray
-    """Frames with a nearly singular covariance, which enter no NEES and no proper score."""
-    nees: Mapping[str, Array]
-    """Of each of `consistency.QUANTITIES`; NaN also where thin or singular."""
+    distance: Array  # m, of the positions
+    thin: BoolArray  # frames with a nearly singular covariance, which enter no NEES and no proper score
+    nees: Mapping[str, Array]  # of each of `consistency.QUANTITIES`; NaN also where thin or singular
 
 
 def along(run: Run, phase: str, log: Log) -> Along | None:
@@ -134,8 +131,7 @@ def along(run: Run, phase: str, log: Log) -> Along | None:
     return Along(position_distance(pose, truth), thin, nees)
 
 
-DISTANCES = (1.0, 10.0)
-"""m."""
+DISTANCES = (1.0, 10.0)  # m
 TOLERANCE = 0.1
 
 

@@ -71,22 +71,18 @@ def moved_walls(T: Array, m: MapEstimate) -> MapEstimate:
     return MapEstimate(m.number, walls, J @ m.covariance @ J.transpose(0, 2, 1), m.first_frame, m.times_seen)
 
 
-SAME = 1e-6
-"""s, largest difference of equal stamps (files hold microseconds; as in `smfeval`)."""
-GAP = 1.0
-"""s, largest interval that is interpolated."""
+SAME = 1e-6  # s, largest difference of equal stamps (files hold microseconds; as in `smfeval`)
+GAP = 1.0  # s, largest interval that is interpolated
 
 
 @dataclass(frozen=True, eq=False)
 class Match:
     """The truth at n stamps."""
 
-    truth: Array
-    """(n, 3), NaN where unmatched."""
+    truth: Array  # (n, 3), NaN where unmatched
     matched: int
     unmatched: int
-    interpolated: int
-    """Number of matched poses between two truths."""
+    interpolated: int  # number of matched poses between two truths
     error: float
     """m, RMS error of the interpolation; NaN without one. Truths are left out and interpolated from their neighbours;
     a quarter of that error holds at half the step."""
@@ -148,10 +144,8 @@ def _sagitta(time: Array, pose: Array, gap: float) -> float:
     return float(0.25 * math.sqrt(np.mean(off**2))) if len(off) else math.nan
 
 
-GIVEN = "given"
-"""Association method of a run whose decisions were read as well."""
-TRUTH_ALONE = "a truth alone"
-"""Kind of the source of a log that has a truth alone."""
+GIVEN = "given"  # association method of a run whose decisions were read as well
+TRUTH_ALONE = "a truth alone"  # kind of the source of a log that has a truth alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,14 +161,10 @@ class Kept:
 class GivenRun(Run):
     """A run of another program."""
 
-    log: Log | None = None
-    """The log at the run's stamps; the scored log itself where the stamps are its frames."""
-    match: Match | None = None
-    """None: there is no truth."""
-    aligned: str = NONE
-    """One of `ALIGNMENTS`."""
-    source: Mapping[str, str] = field(default_factory=dict)
-    """SHA-256 of each file read."""
+    log: Log | None = None  # the log at the run's stamps; the scored log itself where the stamps are its frames
+    match: Match | None = None  # None: there is no truth
+    aligned: str = NONE  # one of `ALIGNMENTS`
+    source: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of each file read
     handed_in: ClassVar[bool] = True
 
 

@@ -22,16 +22,12 @@ from eval.referee.given_runs import log_of
 
 REPLICATES = 1000
 """Bootstrap replicates: the 2.5 % point has a standard error of 0.5 % in level, and p is at least 1/1001."""
-SEED = 0
-"""Seed of every run and pair, so that a run has the same interval wherever it is scored."""
-MIN_FRAMES = 50
-"""Least number of frames of an interval: with 30 the measured coverage is 89 % even without correlation."""
-LONGEST = 0.1
-"""Largest mean block, as a share of the frames: ten blocks."""
+SEED = 0  # seed of every run and pair, so that a run has the same interval wherever it is scored
+MIN_FRAMES = 50  # least number of frames of an interval: with 30 the measured coverage is 89 % even without correlation
+LONGEST = 0.1  # largest mean block, as a share of the frames: ten blocks
 MIN_INDEPENDENT = 20.0
 """Least number of independent frames; below it the measured coverage is 20 to 80 % (docs/verdicts.md)."""
-CHUNK = 500_000
-"""Blocks drawn at once, for 50 MB of memory."""
+CHUNK = 500_000  # blocks drawn at once, for 50 MB of memory
 
 
 @dataclass(frozen=True)
@@ -41,12 +37,9 @@ class Interval:
     value: float
     lower: float = math.nan
     upper: float = math.nan
-    p: float = math.nan
-    """Two-sided, of a difference of zero."""
-    block: float = math.nan
-    """Mean length of the blocks [frames], also one that is too long for an interval."""
-    why: str = ""
-    """Clause that explains a missing interval."""
+    p: float = math.nan  # two-sided, of a difference of zero
+    block: float = math.nan  # mean length of the blocks [frames], also one that is too long for an interval
+    why: str = ""  # clause that explains a missing interval
 
 
 def run_intervals(squared_error: Array, nees: Array, rng: np.random.Generator) -> tuple[Interval, Interval]:

@@ -144,16 +144,11 @@ def _summary(trans: Array, rot: Array) -> RelationErrors:
 
 NEAR_M, NEAR_RAD = 0.15, 0.02
 """m and rad within which a loop closure is right (outlier limits of Cartographer's `autogenerate_ground_truth`)."""
-HONEST = 0.9999
-"""Chi-square probability (3 dof) within which a loop closure is right by its own covariance: 4.6 sigma."""
-REACH = 2.0
-"""m, largest distance between the true positions of a revisit, as for candidates of loop closures."""
-DRIVEN = 10.0
-"""m, least distance driven between them: turning in a room closes no loop."""
-FIT = 0.1
-"""m, largest distance of matching scan points: three beams of 1 degree at 2 m."""
-OVERLAP = 0.6
-"""Share of each scan's points that must match at the true poses; scan matching needs 0.5."""
+HONEST = 0.9999  # chi-square probability (3 dof) within which a loop closure is right by its own covariance: 4.6 sigma
+REACH = 2.0  # m, largest distance between the true positions of a revisit, as for candidates of loop closures
+DRIVEN = 10.0  # m, least distance driven between them: turning in a room closes no loop
+FIT = 0.1  # m, largest distance of matching scan points: three beams of 1 degree at 2 m
+OVERLAP = 0.6  # share of each scan's points that must match at the true poses; scan matching needs 0.5
 
 
 @dataclass(frozen=True)
@@ -299,8 +294,7 @@ class FactorNees:
 
     factors: int
     mean: float
-    median: float
-    """Of NEES / 3; expected 0.79."""
+    median: float  # of NEES / 3; expected 0.79
     lower: float
     upper: float
 
@@ -342,8 +336,7 @@ def loop_squares(loops: Loops, truth: Array, *, wrong: bool = True) -> Array:
     return squared_distance(closure_errors(loops, truth)[which], loops.covariance[which])
 
 
-KEPT = 0.05
-"""Weight below which a loop closure is rejected: Cauchy's at 4.4 sigma; GNC's weights are 0 or 1."""
+KEPT = 0.05  # weight below which a loop closure is rejected: Cauchy's at 4.4 sigma; GNC's weights are 0 or 1
 
 
 def paths_of(run: Run) -> dict[str, Array]:

@@ -14,25 +14,17 @@ from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee.consistency import gated
 
-FRAMES = 10
-"""Least number of frames with observations in a stretch."""
-OBSERVATIONS = 30
-"""Least number of observations, or of expected ones, in a stretch."""
-SHARE = 0.1
-"""Share of paired or detected ones below which the estimator is lost."""
-ESTABLISHED = 3
-"""Observations of a SLAM landmark before it can be missed."""
-OLD = 20
-"""Frames from its initialization before it can be missed: a kidnapped robot initializes others at once."""
-EDGE = 0.9
-"""Share of range and field of view in which a landmark is expected."""
-ABSURD = 100.0
-"""NIS per degree of freedom, or squared innovation in sigmas: 10 sigma."""
+FRAMES = 10  # least number of frames with observations in a stretch
+OBSERVATIONS = 30  # least number of observations, or of expected ones, in a stretch
+SHARE = 0.1  # share of paired or detected ones below which the estimator is lost
+ESTABLISHED = 3  # observations of a SLAM landmark before it can be missed
+OLD = 20  # frames from its initialization before it can be missed: a kidnapped robot initializes others at once
+EDGE = 0.9  # share of range and field of view in which a landmark is expected
+ABSURD = 100.0  # NIS per degree of freedom, or squared innovation in sigmas: 10 sigma
 CHANCE, USED = 1.8, 0.7
 """Factor of the expected NIS, and share of paired observations: pairings by chance fill the gate evenly, while sigmas
 stated at half give 1.9 and pair nearly all."""
-TOGETHER = 3
-"""Successive absurd innovations; fewer may be wrong labels."""
+TOGETHER = 3  # successive absurd innovations; fewer may be wrong labels
 
 
 def lost(run: Run, inputs: Inputs, label: IntArray | None = None) -> Notice | None:

@@ -14,10 +14,8 @@ from scipy import special
 from data import se2
 from data.se2 import Array, BoolArray
 
-FIRST_NODES, MOST_NODES = 32, 4096
-"""Numbers of directions over which the energy score is averaged."""
-TOLERANCE = 1e-10
-"""Relative change of the energy score that ends the doubling of directions."""
+FIRST_NODES, MOST_NODES = 32, 4096  # numbers of directions over which the energy score is averaged
+TOLERANCE = 1e-10  # relative change of the energy score that ends the doubling of directions
 
 
 def log_score(error: Array, covariance: Array) -> Array:

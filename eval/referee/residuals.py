@@ -20,34 +20,26 @@ from eval.referee.consistency import successive
 from eval.referee.errors import observed
 
 COMPONENTS = ("odometry_x", "odometry_y", "odometry_theta", "z1", "z2")
-OUTLYING = float(special.chdtri(2, 1e-5))
-"""Squared residual (2 dof) of an outlier: exceeded by 1 in 100 000, about 23."""
-FITTING = float(special.chdtri(2, 0.01))
-"""Squared residual inside which an observation fits another landmark: 99 %."""
+OUTLYING = float(special.chdtri(2, 1e-5))  # squared residual (2 dof) of an outlier: exceeded by 1 in 100 000, about 23
+FITTING = float(special.chdtri(2, 0.01))  # squared residual inside which an observation fits another landmark: 99 %
 
 
 @dataclass(frozen=True, eq=False)
 class Used:
     """The pairings of a run's last map."""
 
-    number: IntArray
-    """(M,) row of `landmarks` for every observation of the log; -1: not paired."""
-    landmarks: Array
-    """(L, 2)."""
-    identity: IntArray
-    """(L,) landmark numbers; in localization the map's ids."""
+    number: IntArray  # (M,) row of `landmarks` for every observation of the log; -1: not paired
+    landmarks: Array  # (L, 2)
+    identity: IntArray  # (L,) landmark numbers; in localization the map's ids
 
 
 @dataclass(frozen=True, eq=False)
 class Residuals:
     """Residuals in stated sigmas, each component by itself."""
 
-    odometry: Array
-    """(N, 3) in the previous body frame; NaN in the first frame and where the stated variance is 0."""
-    observations: Array
-    """(M, 2), NaN where not paired."""
-    squared: Array
-    """(M,) squared distance under R, NaN where not paired."""
+    odometry: Array  # (N, 3) in the previous body frame; NaN in the first frame and where the stated variance is 0
+    observations: Array  # (M, 2), NaN where not paired
+    squared: Array  # (M,) squared distance under R, NaN where not paired
 
 
 def used_by(run: Run, inputs: Inputs) -> Used:

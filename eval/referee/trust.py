@@ -26,13 +26,10 @@ from eval.referee.score import nis_of
 
 SHARE = 0.01
 """Least reduction of the filter's variance by later data, as a share of it, in a direction that is compared."""
-TOLERANCE = 1e-6
-"""Rounding of the eigenvalues of P_f - P_s, as a share of P_f."""
-SINGULAR = 1e-11
-"""Smallest eigenvalue of the correlation matrix of a filter that is compared."""
+TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f
+SINGULAR = 1e-11  # smallest eigenvalue of the correlation matrix of a filter that is compared
 COORDINATES = ("x", "y", "theta")
-Key = tuple[str, str]
-"""Estimator and statistic."""
+Key = tuple[str, str]  # estimator and statistic
 
 
 class Measured(NamedTuple):
@@ -48,18 +45,12 @@ class Measured(NamedTuple):
 class Difference:
     """An online trajectory against a smoothed one, by frame."""
 
-    d: Array
-    """(N, 3) online minus smoothed, world frame, heading wrapped."""
-    sigma: Array
-    """(N, 3) root of the diagonal of P_f - P_s; NaN where the reduction is below `SHARE`."""
-    square: Array
-    """(N,) quadratic form over the compared directions; NaN without any."""
-    dof: Array
-    """(N,) number of compared directions."""
-    semidefinite: BoolArray
-    """(N,) whether P_f - P_s is."""
-    comparable: BoolArray
-    """(N,) whether P_f is regular."""
+    d: Array  # (N, 3) online minus smoothed, world frame, heading wrapped
+    sigma: Array  # (N, 3) root of the diagonal of P_f - P_s; NaN where the reduction is below `SHARE`
+    square: Array  # (N,) quadratic form over the compared directions; NaN without any
+    dof: Array  # (N,) number of compared directions
+    semidefinite: BoolArray  # (N,) whether P_f - P_s is
+    comparable: BoolArray  # (N,) whether P_f is regular
 
 
 def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
@@ -156,12 +147,9 @@ def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measu
 class Smoothed:
     """Statistics of a batch smoother's run."""
 
-    statistics: dict[str, Measured]
-    """Of its cost, residuals, and slopes of systematic errors."""
-    typical: dict[str, float]
-    """Spread of the residuals without outliers by component, in stated sigmas."""
-    outlying: int
-    """Number of outliers."""
+    statistics: dict[str, Measured]  # of its cost, residuals, and slopes of systematic errors
+    typical: dict[str, float]  # spread of the residuals without outliers by component, in stated sigmas
+    outlying: int  # number of outliers
 
 
 def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
