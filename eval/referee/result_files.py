@@ -223,8 +223,8 @@ OTHERS = (
     File("tables/notes.tex", "Explanations of the LaTeX tables."),
     File(
         "figures/<name>.<type>",
-        "Figures: `png`, `pdf` (for a paper: `--formats pdf`, `--write-up`, `--font` and the like), `svg` (small maps), `pgf` (`--pgf`), `webm` (`--animate`); none"
-        " with `--no-plots`.",
+        "Figures: `png`, `pdf` (`--formats pdf`, `--write-up` and other options for papers), `svg` (small maps),"
+        " `pgf` (`--pgf`), `webm` (`--animate`); none with `--no-plots`.",
     ),
     File("write-up.tex", "Answers, tables and figures for pdflatex, one page per log.", when="`--write-up`"),
     File("provenance.json", "Command, versions, seed, and the SHA-256 of every input."),
