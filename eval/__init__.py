@@ -1,4 +1,7 @@
-"""Replay, referee, experiments, tables, figures, report and the command line."""
+"""Replay, referee, experiments, tables, figures, report and the command line.
+
+Commands import only their parsers first, so that `--help` answers at once.
+"""
 
 from __future__ import annotations
 
@@ -10,20 +13,20 @@ ROOT = Path(__file__).parents[1]
 
 
 def _require_ours() -> None:
-    """Nothing works with somebody else's `data`: `python -m` looks into the working directory first."""
+    """Refuse to start where another package hides one of ours: `python -m` searches the working directory first."""
     for package in ("association", "data", "ekf", "graph"):
         spec = find_spec(package)
         places = [] if spec is None else [*(spec.submodule_search_locations or ()), spec.origin or ""]
         if not any(p and Path(p).resolve() == (ROOT / package).resolve() for p in places):
             where = next((p for p in reversed(places) if p), "nowhere")
-            said = (
-                f"the package {package!r} found first is {where}, not that of slamref in {ROOT}; start from another "
-                "folder, or use the command `slamref`, which does not look into the working directory"
+            message = (
+                f"the package {package!r} found first is {where}, not that of slamref in {ROOT}; start in another "
+                "folder, or use the command `slamref`, which does not search the working directory"
             )
             if sys.argv[:1] == ["-m"]:  # as a command: Python is still looking for the module
-                sys.stderr.write(f"slamref: {said}\n")
+                sys.stderr.write(f"slamref: {message}\n")
                 raise SystemExit(2)
-            raise ImportError(said)
+            raise ImportError(message)
 
 
 _require_ours()

@@ -1,7 +1,6 @@
-"""`python -m eval.benchmark`: how fast the estimators are, beside their peers timed in the same run.
+"""`slamref benchmark`: speed of the estimators and of their peers in the same process.
 
-Every figure is the median of several repetitions after a warm-up; ratios compare neighbours in the same process, so
-they travel between machines, absolute seconds do not. Only the parser is imported at once.
+Each number is the median of several repetitions after a warm-up. Ratios hold on other machines, seconds do not.
 """
 
 from __future__ import annotations
@@ -21,24 +20,20 @@ PROG = "python -m eval.benchmark"
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """Time everything and print the tables as they come; returns the exit status."""
-    return ended(lambda: _benchmark(argv, prog), "interrupted; what was printed or written so far is whole")
+    """The command `prog`; returns its exit status."""
+    return ended(lambda: _benchmark(argv, prog), "interrupted; tables and files written so far are complete")
 
 
 def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
-    p = Command(prog, PROG, "How fast the estimators are, beside their peers timed in the same run.")
-    p.add_argument("--quick", action="store_true", help="a tenth of the work, to see that it runs")
+    p = Command(prog, PROG, "Time the estimators and their peers in the same run.")
+    p.add_argument("--quick", action="store_true", help="a tenth of the work, as a trial")
     p.add_argument(
         "--large",
         metavar="OUT",
         type=Path,
-        help="instead: time and memory of logs of 1000 to 100 000 frames, to OUT/large.csv and OUT/large.png (hours)",
+        help="time and memory for logs of 1000 to 100 000 frames, in OUT/large.csv and OUT/large.png; takes hours",
     )
-    p.add_argument(
-        "--laser",
-        action="store_true",
-        help="instead: errors, consistency and loop closures of 50 simulated floor plans",
-    )
+    p.add_argument("--laser", action="store_true", help="errors, NEES and loop closures of 50 simulated floor plans")
     args = p.read(argv)
     quick = args.quick
     if args.laser:
@@ -56,7 +51,7 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
 
 
 def _large(out: Path, quick: bool) -> None:
-    """Measure logs of all sizes, a line each as they come; with the files of what is done so far."""
+    """Measure logs of all sizes; the line and the files of each are written when it is done."""
     from eval.benchmarks.large import SIZES, line_of, measure_all, scaling_figure, write
     from eval.figures.style import save
 
@@ -70,7 +65,7 @@ def _large(out: Path, quick: bool) -> None:
 
 
 def _measured(quick: bool) -> Iterator[list[Timed]]:
-    """The tables, each when it is done."""
+    """The lines of each table, when it is done."""
     from eval.benchmarks.association import association_lines, hindsight_lines
     from eval.benchmarks.speed import localization_lines, study_lines, victoria_park_lines, visual_lines
 

@@ -1,7 +1,4 @@
-"""`python -m eval.check`: check somebody's estimator or way of association, and print what each check found.
-
-Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
-"""
+"""`slamref check`: check an estimator or an association method, one line per check."""
 
 from __future__ import annotations
 
@@ -14,47 +11,44 @@ from data.terminal import ended
 from eval.replay.external.spec import FORM, OURS, entry_points, is_foreign, one_settled, settled
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
 
-FINE, FAILED, WRONG = 0, 1, 2
+FINE, FAILED = 0, 1
 KINDS = ("estimator", "association")
 PROG = "python -m eval.check"
 EXAMPLES = """\
 examples:
   python -m eval.check ./mine.py:Filter                     a class: all checks of an estimator
-  python -m eval.check ./my_singles.py:singles              a function: all checks of a way of association
+  python -m eval.check ./my_singles.py:singles              a function: all checks of an association method
   python -m eval.check my_package.filters:make --as estimator    a function that makes an estimator
-  python -m eval.check ekf isam2 jcbb                       ours
+  python -m eval.check ekf isam2 jcbb                       built-in ones
 
-What an estimator or a way of association is, and how runs use it: docs/extending.md.
+The page docs/extending.md describes both interfaces.
 
 exit status: 0 every check passed, 1 one failed, 2 wrong usage"""
 
 
 def parser(prog: str = PROG) -> Command:
     """The flags."""
-    p = Command(prog, PROG, "Check an estimator or a way of association: a sentence for each check.", EXAMPLES)
-    p.add_argument("what", metavar="WHAT", nargs="+", help=f"{FORM}, or a name of ours")
-    p.add_argument(
-        "--as", dest="kind", choices=KINDS, help="what it is (default: a class with `update` is an estimator)"
-    )
+    p = Command(prog, PROG, "Check an estimator or an association method; print one line per check.", EXAMPLES)
+    p.add_argument("what", metavar="WHAT", nargs="+", help=f"{FORM}, or a built-in name")
+    p.add_argument("--as", dest="kind", choices=KINDS, help="its kind (default: a class with `update` is an estimator)")
     return p
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The whole command, called `prog`; returns the exit status."""
+    """The command `prog`; returns its exit status."""
     options = parser(prog).read(argv)
     return ended(lambda: max(_check(*asked) for asked in [_settled(text, options.kind) for text in options.what]))
 
 
 def _settled(text: str, kind: str | None) -> tuple[str, str]:
-    """The text as it can be loaded, and what it is; raises UsageError where it cannot."""
+    """The text as it can be loaded, and its kind; UsageError for an unknown name."""
     from eval.replay.external.load import load
 
     if kind is None and not is_foreign(text):
         kind = next((k for k in KINDS if text in OURS[k] or text in entry_points(k)), None)
         if kind is None:
-            raise UsageError(
-                f"{text}: unknown; known: {', '.join((*ESTIMATORS, *ASSOCIATIONS))}; or your own as {FORM}"
-            )
+            known = ", ".join((*ESTIMATORS, *ASSOCIATIONS))
+            raise UsageError(f"{text}: unknown; known: {known}; or your own as {FORM}")
     if kind is None:
         thing = load(settled("check", text, "estimator")).thing
         kind = "estimator" if callable(getattr(thing, "update", None)) else "association"
@@ -69,13 +63,12 @@ def _check(text: str, kind: str) -> int:
     from eval.replay.external.spec import shown
 
     findings = estimator_findings(text) if kind == "estimator" else association_findings(text)
-    print(f"{shown(text)} ({'estimator' if kind == 'estimator' else 'way of association'})")
+    print(f"{shown(text)} ({kind if kind == 'estimator' else 'association method'})")
     for f in findings:
         print(f"  {f.line}")
     failed = sum(not f.passed for f in findings)
-    print(
-        f"{len(findings) - failed} of {len(findings)} checks passed" if failed else f"all {len(findings)} checks passed"
-    )
+    passed = f"{len(findings) - failed} of" if failed else "all"
+    print(f"{passed} {len(findings)} checks passed")
     return FAILED if failed else FINE
 
 

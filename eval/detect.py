@@ -1,7 +1,4 @@
-"""`python -m eval.detect IMAGE REFERENCE...`: find reference pictures in a photo of one's own, and outline them.
-
-Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
-"""
+"""`slamref detect IMAGE REFERENCE...`: find reference pictures in a photo and outline them."""
 
 from __future__ import annotations
 
@@ -16,48 +13,34 @@ from data.terminal import ended
 
 PROG = "python -m eval.detect"
 LARGEST = 1600
-"""px; longer side that a photo is scaled down to while it is searched: twice a camera's frame, for which the detector
-was made. Corners are given in the photo's own pixels."""
+"""px; longer side of the searched copy of a photo, twice that of the camera frames the detector was tuned for."""
 EXAMPLES = """\
 examples:
-  python -m eval.detect photo.jpg landmark/*.jpg                    which of these pictures are in the photo, and where
-  python -m eval.detect photo.jpg poster.png --out found.png        and a copy of the photo with their outlines
+  python -m eval.detect photo.jpg landmark/*.jpg                    pictures in the photo, and their corners
+  python -m eval.detect photo.jpg poster.png --out found.png        the same, and the photo with outlines
 
-A line for each picture found: its file, corners (u, v) in px from the centre of the upper left pixel (upper left, upper
-right, lower right, lower left corner of the picture), matched features that agree, RMS distance of these from where the
-homography puts them, standard deviation of the least certain corner. A picture that is partly hidden by the edge of the
-photo, or too oblique, is refused; why is said, too.
+A line for each picture found: file, corners (u, v), inlier features, RMS reprojection error [px], largest corner sigma
+[px]. Corners: upper left, upper right, lower right, lower left, in px of the photo from the centre of its upper left
+pixel. A picture cut off by the edge of the photo, or too oblique, is refused with the reason.
 
-exit status: 0 fine (also if nothing was found), 2 wrong usage or an image that cannot be read"""
+exit status: 0 fine (even if nothing was found), 2 wrong usage or an unreadable image"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The whole command, called `prog`; returns the exit status."""
-    return ended(lambda: _detect_as_asked(argv, prog))
-
-
-def _detect_as_asked(argv: Sequence[str] | None, prog: str) -> None:
-    parser = Command(
-        prog,
-        PROG,
-        "Find reference pictures in a photo, by SIFT and a checked homography.",
-        EXAMPLES,
-    )
+    """The command `prog`; returns its exit status."""
+    about = "Find reference pictures in a photo, by SIFT and a verified homography."
+    parser = Command(prog, PROG, about, EXAMPLES)
     parser.add_argument("image", metavar="IMAGE", type=Path, help="the photo")
-    parser.add_argument(
-        "references", metavar="REFERENCE", type=Path, nargs="+", help="an image of a whole picture and nothing else"
-    )
-    parser.add_argument(
-        "--out", metavar="FILE.png", type=Path, help="write the photo with the outlines of what was found"
-    )
-    options = parser.read(argv)
-    if options.out is not None and options.out.suffix.lower() != ".png":
-        raise UsageError(f"--out {options.out}: a file name that ends in .png is needed")
-    _detect(options.image, options.references, options.out)
+    reference = "an image of one whole picture, without surroundings"
+    parser.add_argument("references", metavar="REFERENCE", type=Path, nargs="+", help=reference)
+    parser.add_argument("--out", metavar="FILE.png", type=Path, help="write the photo with outlines of the pictures")
+    return ended(lambda: _detect(**vars(parser.read(argv))))
 
 
 def _detect(image: Path, references: Sequence[Path], out: Path | None) -> None:
-    """Print what was found; write the picture if one is wanted."""
+    """Print the detections; write the photo with outlines to `out`, if given."""
+    if out is not None and out.suffix.lower() != ".png":
+        raise UsageError(f"--out {out}: a file name that ends in .png is needed")
     import cv2
     import numpy as np
 

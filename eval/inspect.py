@@ -1,7 +1,4 @@
-"""`python -m eval.inspect LOG`: what a log holds, what is odd about it, questions to its author, a picture.
-
-Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
-"""
+"""`slamref inspect LOG`: contents of a log, unusual values, questions to its author, a plot."""
 
 from __future__ import annotations
 
@@ -21,31 +18,27 @@ examples:
   python -m eval.inspect arena:0 --plot arena.png
   python -m eval.inspect corridor:0:people
   python -m eval.inspect path/to/my_log --plot my_log.pdf
-  python -m eval.inspect MRCLAM_Dataset1.zip         what to type to make a log of it; also for a .mat file
+  python -m eval.inspect MRCLAM_Dataset1.zip         the command that converts it (also for .mat files)
 
 exit status: 0 fine, 2 wrong usage or bad data"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The whole command, called `prog`; returns the exit status."""
-    return ended(lambda: _inspect_as_asked(argv, prog))
-
-
-def _inspect_as_asked(argv: Sequence[str] | None, prog: str) -> None:
-    about = "Print the contents of a log, what is unusual about it, and questions about what may be ambiguous."
+    """The command `prog`; returns its exit status."""
+    about = "Print the contents of a log, unusual values, and questions about ambiguous ones."
     parser = Command(prog, PROG, about, EXAMPLES)
     parser.add_argument(
         "log",
         metavar="LOG",
-        help="an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]; of a UTIAS "
-        "MRCLAM folder or zip, or a .mat file: the command that converts it",
+        help="an open log folder, a CARMEN log, or a name: victoria-park, arena:SEED, corridor:SEED[:KEYS]; also a "
+        "recording to convert (UTIAS MRCLAM, .mat)",
     )
-    parser.add_argument("--plot", metavar="FILE", type=Path, help="write a picture of the log (.png or .pdf)")
-    _inspect(**vars(parser.read(argv)))
+    parser.add_argument("--plot", metavar="FILE", type=Path, help="plot the log (.png or .pdf)")
+    return ended(lambda: _inspect(**vars(parser.read(argv))))
 
 
 def _inspect(log: str, plot: Path | None) -> None:
-    """Print the summary; write the picture if one is wanted."""
+    """Print the summary; plot the log to `plot`, if given."""
     if plot is not None and plot.suffix not in PICTURES:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
     from data.formats.recognize import door
@@ -55,9 +48,9 @@ def _inspect(log: str, plot: Path | None) -> None:
     from data.words import sentence, title
 
     answer = door(log)
-    if answer is not None:  # asked what this is: that is said, and it is no fault
+    if answer is not None:  # a recording to convert
         if plot is not None:
-            raise UsageError(f"--plot {plot}: {log} is no log yet, there is nothing to draw")
+            raise UsageError(f"--plot {plot}: {log} is not a log yet; convert it first")
         print("\n".join(answer))
         return
     opened = open_log(log)

@@ -1,4 +1,4 @@
-"""`slamref report DIR`: shows the report of a result folder in the browser."""
+"""`slamref report DIR`: show the report of a result folder in the browser."""
 
 from __future__ import annotations
 
@@ -29,11 +29,10 @@ def show(folder: Path) -> None:
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The whole command, called `prog`; returns the exit status."""
+    """The command `prog`; returns its exit status."""
     p = Command(prog, PROG, "Show the report of a result folder in the browser.", f"examples:\n  {PROG} results/report")
-    p.add_argument(
-        "folder", metavar="DIR", type=Path, nargs="?", default=DEFAULT, help=f"the result folder (default: {DEFAULT})"
-    )
+    about = f"the result folder (default: {DEFAULT})"
+    p.add_argument("folder", metavar="DIR", type=Path, nargs="?", default=DEFAULT, help=about)
     return ended(lambda: show(p.read(argv).folder))
 
 

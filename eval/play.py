@@ -1,7 +1,4 @@
-"""`python -m eval.play LOG`: one page that plays a log in the browser, with every estimate, decision and ellipse.
-
-Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
-"""
+"""`slamref play LOG`: a page that replays a log with all estimates, decisions and ellipses."""
 
 from __future__ import annotations
 
@@ -16,6 +13,7 @@ from data.terminal import ended, message_of
 from eval.plan.flags.options import options_of
 from eval.plan.flags.table import Options, add_flags
 from eval.replay.flag import rows
+from eval.step import frames_of
 
 PROG = "python -m eval.play"
 TABLE = rows(Options)
@@ -23,7 +21,7 @@ TASKS = "localization, slam (default: localization where there is a map, but sla
 HOW = ("estimator", "association", "gate", "new_gate", "gate_known", "in_view")
 LONG_LOGS = ("maintain", "forget_after", "deactivate_after", "lag", "keyframe_distance")
 SHARED = (replace(TABLE["task"], help=TASKS), *(TABLE[name] for name in (*HOW, *LONG_LOGS)))
-"""Flags that mean what they mean in `eval.run_all`."""
+"""Flags shared with `slamref run`."""
 EXAMPLES = """\
 examples:
   python -m eval.play arena:0
@@ -31,14 +29,14 @@ examples:
   python -m eval.play victoria-park --association jcbb --estimator ekf,batch --out park.html
   python -m eval.play path/to/my_log --task slam --gate 0.95
 
-The page stands in the working directory as the log's name with .html, or where --out says; it loads nothing.
+The page is one self-contained file in the working directory, or in FILE of --out.
 
 exit status: 0 fine, 2 wrong usage or bad data, 130 interrupted"""
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What was asked for."""
+    """The values of all flags."""
 
     options: Options
     out: Path | None
@@ -47,7 +45,7 @@ class Wish:
 
 def parser(prog: str = PROG) -> Command:
     """The flags."""
-    p = Command(prog, PROG, "Write a page that plays a log in the browser.", EXAMPLES)
+    p = Command(prog, PROG, "Write a page that replays a log in the browser.", EXAMPLES)
     p.add_argument("log", metavar="LOG", help="as for `slamref run`")
     add_flags(p, SHARED)
     p.add_argument("--frames", metavar="N", help="only the first N frames")
@@ -56,22 +54,19 @@ def parser(prog: str = PROG) -> Command:
 
 
 def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
-    """Flags, checked as those of `eval.run_all` are; raises UsageError for what makes no sense."""
+    """Checked flags; UsageError for invalid ones."""
     given = vars(parser(prog).read(argv))
-    frames, out = given["frames"], given["out"]
-    if frames is not None and (not frames.isascii() or not frames.isdigit() or int(frames) < 1):
-        raise UsageError(f"--frames {frames}: a whole number from 1 up is needed")
+    out = given["out"]
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
-        raise UsageError(f"--out {out}: the name of a page ends in .html")
+        raise UsageError(f"--out {out}: a file name that ends in .html is needed")
     stated: dict[str, object] = {"log": [given["log"]]}
     stated |= {"task": "slam"} if given["log"].startswith("corridor:") else {}
     stated |= {row.name: given[row.name] for row in SHARED if row.name in given}
-    options = options_of(stated)
-    return Wish(options, out, None if frames is None else int(frames))
+    return Wish(options_of(stated), out, frames_of(given["frames"]))
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The whole command, called `prog`; returns the exit status."""
+    """The command `prog`; returns its exit status."""
     return ended(lambda: _play(read(argv, prog)))
 
 

@@ -1,7 +1,7 @@
-"""`python -m eval.run_all`: run filters and smoothers on identical inputs, referee them, write the report.
+"""`slamref run`: run filters and smoothers on identical inputs, score them, write the report.
 
-This module talks to the person: flags in, progress and verdict out, exit status 0, 1 or 2. The result folder is built
-beside its final name and moved into place at the end, so an interrupted run leaves the previous report whole.
+The result folder is built beside its final name and moved into place at the end: an interrupted run leaves the previous
+report complete.
 """
 
 from __future__ import annotations
@@ -31,39 +31,39 @@ from eval.plan.flags.table import Options
 FINE, REJECTED = 0, 1
 MARK = "provenance.json"
 COLOURS = {"good": "32", "fair": "33", "bad": "31"}
-"""ANSI colours of the sentence on whom to trust, by the tone of its mark."""
+"""ANSI colours of the trust line, by tone."""
 
 
 class Console:
-    """What is said to the person, and kept for run.log."""
+    """Messages to the user, kept for run.log."""
 
     def __init__(self, options: Options) -> None:
-        """Quiet says nothing, verbose says more; run.log gets everything."""
+        """Follow -q and -v; run.log gets everything."""
         self.quiet, self.verbose = options.execution.quiet, options.execution.verbose
         self.lines: list[str] = []
         self.coloured = sys.stdout.isatty() and "NO_COLOR" not in os.environ
         self.kept: Callable[[], str] = lambda: "nothing was changed"
 
     def say(self, text: str, colour: str = "") -> None:
-        """A sentence everybody wants to see, on a terminal in a colour (ANSI)."""
+        """Print a message, unless quiet; on a terminal in an ANSI colour."""
         self.lines.append(text)
         if not self.quiet:
             _print(f"\033[{colour}m{text}\033[0m" if colour and self.coloured else text)
 
     def complain(self, text: str) -> None:
-        """An error that did not end the command at once; nobody is spared it."""
+        """Print an error that does not end the command, even if quiet."""
         self.lines.append(f"slamref: {text}")
         print(f"slamref: {text}", file=sys.stderr, flush=True)
 
     def detail(self, text: str) -> None:
-        """A sentence for -v and run.log."""
+        """Print a message for -v."""
         self.lines.append(text)
         if self.verbose:
             _print(text)
 
 
 def _print(text: str) -> None:
-    """A line on standard output; the report is made all the same where nobody reads on (`... | head -1`)."""
+    """Print a line; a closed pipe (`... | head -1`) does not end the run."""
     try:
         print(text, flush=True)
     except BrokenPipeError:
@@ -72,17 +72,17 @@ def _print(text: str) -> None:
 
 
 def lab(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The same with `--lab` for words without a flag."""
+    """`slamref lab`: positional words are values of `--lab`."""
     return main(argv, prog, "lab")
 
 
 def study(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The same with `--scenario` for words without a flag."""
+    """`slamref study`: positional words are values of `--scenario`."""
     return main(argv, prog, "scenario")
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = "log") -> int:
-    """The whole command, called `prog`; words without a flag are values of `positional`. Returns the exit status."""
+    """The command `prog`, whose positional words are values of flag `positional`; returns its exit status."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     consoles: list[Console] = []
 
@@ -105,10 +105,9 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = 
 
 @contextmanager
 def heeding_interruption() -> Iterator[Callable[[], None]]:
-    """A function that raises KeyboardInterrupt if Ctrl-C was pressed, even where a library lost the exception.
+    """A function that raises KeyboardInterrupt after Ctrl-C, even if a library lost the exception.
 
-    (Libraries call back from compiled code while they are loaded: an exception raised there goes nowhere, or comes out
-    as another one, which after Ctrl-C is an interruption, too.)
+    Exceptions in callbacks from compiled code vanish, or become others; after Ctrl-C these count as interruptions, too.
     """
     pressed: list[int] = []
 
@@ -120,7 +119,7 @@ def heeding_interruption() -> Iterator[Callable[[], None]]:
         if pressed:
             raise KeyboardInterrupt
 
-    if threading.current_thread() is not threading.main_thread():  # only that one may
+    if threading.current_thread() is not threading.main_thread():  # only that one may set handlers
         yield check
         return
     before = signal.signal(signal.SIGINT, handle)
@@ -134,7 +133,7 @@ def heeding_interruption() -> Iterator[Callable[[], None]]:
 
 
 def leave(status: int) -> NoReturn:
-    """End the process: an interruption by its own status, though Python would end as if killed by the signal."""
+    """End the process with a status; after an interruption at once, since Python would report a signal instead."""
     if status == INTERRUPTED:
         sys.stdout.flush()
         sys.stderr.flush()
@@ -144,10 +143,10 @@ def leave(status: int) -> NoReturn:
 
 @contextmanager
 def staged(out: Path) -> Iterator[Path]:
-    """A folder beside `out` that takes its place when the block ends well, and vanishes when it does not."""
+    """A folder beside `out` that replaces it if the block succeeds, and is deleted otherwise."""
     out = out.absolute()
     if out.exists() and any(out.iterdir()) and not (out / MARK).exists():
-        raise UsageError(f"--out {out.name}: the folder holds something else than a report; name another one")
+        raise UsageError(f"--out {out.name}: the folder contains other files than a report; name another one")
     with ExitStack() as stack:
         try:
             partial = stack.enter_context(whole_folder(out))
@@ -176,9 +175,9 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
 
     check_columns(options.output.columns)
     require_latex(options.drawing)
-    look, about_look = figure_style_of(options.drawing, options.output)
-    if about_look:
-        console.say(about_look)
+    style, about_style = figure_style_of(options.drawing, options.output)
+    if about_style:
+        console.say(about_style)
     compile_if_needed(console.quiet)
     plan = make_plan(options, console.say)
     begin = time.time()
@@ -208,8 +207,8 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
                 if found.severity is not Severity.INFO or run.handed_in:
                     console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {sentence(found)}")
     for trial in outcome.trials:
-        doubts = (n for run in trial.runs for n in questions_of_run(run, trial.log.recorded))
-        for question in together(n.about(log=trial.log.name, task=trial.task) for n in doubts):
+        found_in_runs = (n for run in trial.runs for n in questions_of_run(run, trial.log.recorded))
+        for question in together(n.about(log=trial.log.name, task=trial.task) for n in found_in_runs):
             console.say(asked(question))
     for study in outcome.studies:
         for text in study_lines(study):
@@ -219,7 +218,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
     scores = score(outcome.trials)
-    in_lab = options.selection.lab is not None  # its answers say it all
+    in_lab = options.selection.lab is not None  # which prints its answers instead
     for text in [] if in_lab else lines(headlines(scores, outcome.trials, outcome.studies, judged)):
         console.say(text)
     for trial in outcome.trials:
@@ -227,7 +226,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             facts = facts_of(trial, scores, outcome.trust)
             mark = trust_mark(facts)
             console.say(trust_line(facts, mark), COLOURS.get(mark.tone, ""))
-    with _bar("writing", console.quiet, check) as progress, figure_style(look):
+    with _bar("writing", console.quiet, check) as progress, figure_style(style):
         missing, answers = write_results(folder, options, outcome, scores, judged, arguments, progress)
     failed = failed_declarations(judged)
     for j in failed:
@@ -241,8 +240,8 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
         console.say(line)
     for text in answers:
         console.say(text)
-    for gone in missing:
-        console.complain(said(gone))
+    for why in missing:
+        console.complain(said(why))
     console.say(f"report: {options.output.out / 'report.html'}  (slamref report {options.output.out})")
     (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
     return WRONG if missing else REJECTED if failed else FINE
@@ -250,7 +249,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
 
 @contextmanager
 def _bar(what: str, quiet: bool, check: Callable[[], None]) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on the terminal; yields a function (done, total)."""
+    """A progress bar on a terminal; yields its update (done, total)."""
     from tqdm import tqdm
 
     with tqdm(desc=what, disable=quiet or not sys.stderr.isatty(), leave=False, unit="job") as bar:

@@ -1,7 +1,4 @@
-"""`python -m eval.score ESTIMATE TRUTH`: somebody's trajectory against a truth, a name and a value a line.
-
-Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
-"""
+"""`slamref score ESTIMATE TRUTH`: score a trajectory file against a true path; one name and value per line."""
 
 from __future__ import annotations
 
@@ -11,39 +8,37 @@ from typing import Any
 
 from data.command import Command
 from data.errors import UsageError
-from data.terminal import ended
+from data.terminal import counted, ended
 from eval.plan.flags.table import Reading, add_flags
 from eval.replay.flag import read_values, rows
 
 PROG = "python -m eval.score"
 HELP = """\
-Score a trajectory against a truth: errors, relative errors, and with a covariance NEES. Both may be CSV with the
-columns t,x,y,theta, TUM (also with covariance), SQUARE, EuRoC, KITTI poses or a topic of a ROS bag; the truth also a
-log. A name and a value a line, SI units (deg where the name says so), names as in metrics.csv; nothing is aligned
-unless asked. With several estimates, each of a run of its own: their mean NEES, with a verdict and its power."""
+Score a trajectory against a truth: errors, relative errors, and NEES where the file has covariances.
+Formats: CSV with columns t,x,y,theta, TUM (also with covariance), SQUARE, EuRoC, KITTI poses, or a topic of a ROS bag.
+The truth may also be a log. Each line has a name of metrics.csv and a value, in SI units unless the name has a unit.
+Paths are aligned with --align only. For estimates of several runs: the mean NEES, a verdict, and its power."""
 EXAMPLES = """\
 examples:
   python -m eval.score estimate.tum truth.tum
   python -m eval.score estimate.tum truth.tum --align se2
-  python -m eval.score estimate.tum truth.tum --cov estimate.cov      covariances in a file of their own
-  python -m eval.score wide.tum truth.csv --cov-frame world           29 columns; errors added in the world's axes
+  python -m eval.score estimate.tum truth.tum --cov estimate.cov      covariances in a separate file
+  python -m eval.score wide.tum truth.csv --cov-frame world           29 columns, covariances in world axes
   python -m eval.score poses.txt gt.txt --times times.txt --axes camera     KITTI
   python -m eval.score bag:/odom truth.csv --truth-gap 0.2
   python -m eval.score results/report/runs/arena_0/slam-ekf-known/online.csv arena:0
-  python -m eval.score runs/*/est.csv --truth runs/*/truth.csv        Monte Carlo: one run each, a verdict on all
+  python -m eval.score runs/*/est.csv --truth runs/*/truth.csv        Monte Carlo: a run each, one verdict
 
 exit status: 0 fine, 2 wrong usage or bad data"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The whole command, called `prog`; returns the exit status."""
+    """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, HELP, EXAMPLES)
     parser.add_argument("files", metavar="FILE", nargs="+", help="ESTIMATE TRUTH, or estimates alone with --truth")
-    parser.add_argument(
-        "--truth", metavar="FILE", nargs="+", default=[], help="one truth for all estimates, or one for each, in order"
-    )
-    table = rows(Reading)
-    add_flags(parser, table.values())
+    truth = "one truth for all estimates, or one for each, in order"
+    parser.add_argument("--truth", metavar="FILE", nargs="+", default=[], help=truth)
+    add_flags(parser, rows(Reading).values())
     given = vars(parser.read(argv))
     return ended(lambda: _score(given))
 
@@ -59,16 +54,18 @@ def _score(given: dict[str, Any]) -> None:
 
 
 def _files(files: list[str], truths: list[str]) -> tuple[list[str], list[str]]:
-    """Estimates, and a truth for each."""
+    """Estimates, and the truth of each."""
     if not truths:
         if len(files) != 2:
-            what = "ESTIMATE TRUTH are needed" if len(files) < 2 else "which are truths? --truth FILE ... is needed"
-            raise UsageError(f"{len(files)} file{'s' * (len(files) > 1)}; {what}")
+            needed = "ESTIMATE TRUTH" if len(files) < 2 else "--truth FILE ... before the truths"
+            raise UsageError(f"{counted(len(files), 'file')} without --truth: type {needed}")
         return files[:1], files[1:]
     if len(truths) == 1:
         return files, truths * len(files)
     if len(truths) != len(files):
-        raise UsageError(f"{len(files)} estimates and {len(truths)} truths; one for all is needed, or one for each")
+        raise UsageError(
+            f"--truth: {len(truths)} truths for {counted(len(files), 'estimate')}; give one, or one for each"
+        )
     return files, truths
 
 

@@ -1,8 +1,4 @@
-"""`python -m eval.step`: walk through a log one Enter at a time, and look at what each association method makes of it.
-
-The order of a cycle is that of the university lab on data association: move, observe, compatibility, matching, update.
-Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
-"""
+"""`slamref step`: walk through a log, one frame at each press of Enter, in the order of the data association lab."""
 
 from __future__ import annotations
 
@@ -33,28 +29,28 @@ SHARED = (
     replace(TABLE["task"], metavar="NAME", help=TASKS),
     *(TABLE[name] for name in ("gate", "new_gate", "gate_known", "in_view", "maintain")),
 )
-"""Flags that mean what they mean in `eval.run_all`."""
+"""Flags shared with `slamref run`."""
 DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
 EXAMPLES = """\
 examples:
-  python -m eval.step corridor:0 --association jcbb               the lab, one Enter at a time
-  python -m eval.step corridor:0:people --association nn          people in the way, nearest neighbour
-  python -m eval.step corridor:0 --estimator isam2 --save steps   the smoother; a picture of each stage in steps/
+  python -m eval.step corridor:0 --association jcbb               the lab, one frame at each Enter
+  python -m eval.step corridor:0:people --association nn          with people, nearest neighbour
+  python -m eval.step corridor:0 --estimator isam2 --save steps   a smoother; figures of all stages in steps/
   python -m eval.step corridor:0 --association known --run-through
   python -m eval.step corridor:0:people --gate 0.95 --new-gate 0.99 --maintain --run-through
   python -m eval.step arena:0 --task localization --frames 20     a known map; the first 20 frames
   python -m eval.step path/to/my_log --association gnn --in-view
   python -m eval.step corridor:0 --association nn --new-gate 0.99 --run-through --lab-text
 
-At a pause: Enter goes on, r and Enter runs through to the end, q and Enter (or end of file, or Ctrl-C) stops.
-Pictures come in windows where matplotlib can open them (MPLBACKEND=Agg: never), and as PNG files with --save.
+At a pause: Enter continues, r and Enter runs to the end, q and Enter (or end of file, or Ctrl-C) stops.
+Figures are shown in windows if matplotlib can open them (MPLBACKEND=Agg: never), and saved as PNG with --save.
 
 exit status: 0 fine, 2 wrong usage or bad data, 130 interrupted"""
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What was asked for."""
+    """The values of all flags."""
 
     options: Options
     save: Path | None
@@ -69,15 +65,15 @@ def parser(prog: str = PROG) -> Command:
     p.add_argument("words", nargs="*", metavar="LOG", help="the same as --log")
     add_flags(p, SHARED)
     add = p.add_argument
-    add("--save", metavar="DIR", type=Path, help="write the pictures and the text of all steps there")
-    add("--run-through", action="store_true", help="do not pause (nor does it without a terminal)")
+    add("--save", metavar="DIR", type=Path, help="write figures and text of all steps to DIR")
+    add("--run-through", action="store_true", help="do not pause (never without a terminal)")
     add("--frames", metavar="N", help="only the first N frames")
-    add("--lab-text", action="store_true", help="print steps as the lab's program does: its words, numbers from 1")
+    add("--lab-text", action="store_true", help="print the steps in the format of the lab's program, numbers from 1")
     return p
 
 
 def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
-    """Flags, checked as those of `eval.run_all` are; raises UsageError for what makes no sense."""
+    """Checked flags; UsageError for invalid ones."""
     given = vars(parser(prog).read(argv))
     given["log"] = logs = [*given.pop("words"), *given.get("log", [])]
     if len(logs) != 1:
@@ -90,10 +86,11 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     estimator = options.selection.estimator[0]
     if not steps(estimator):
         raise UsageError(f"--estimator {estimator}: does not work step by step; {', '.join(STEPPING)} do")
-    return Wish(options, given["save"], given["run_through"], _frames(given["frames"]), given["lab_text"])
+    return Wish(options, given["save"], given["run_through"], frames_of(given["frames"]), given["lab_text"])
 
 
-def _frames(text: str | None) -> int | None:
+def frames_of(text: str | None) -> int | None:
+    """The value of `--frames`, a number from 1 up."""
     if text is None:
         return None
     if not text.isascii() or not text.isdigit() or int(text) < 1:
@@ -102,8 +99,8 @@ def _frames(text: str | None) -> int | None:
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The whole command, called `prog`; returns the exit status."""
-    return ended(lambda: _step(read(argv, prog)), "interrupted; what was written so far is whole")
+    """The command `prog`; returns its exit status."""
+    return ended(lambda: _step(read(argv, prog)), "interrupted; files written so far are complete")
 
 
 def _step(wish: Wish) -> None:
@@ -154,11 +151,11 @@ def _step(wish: Wish) -> None:
         run = step_by_step(estimator, inputs, task, association, setup, observer=walk)
         end(log, with_plausibility(run, inputs), images, walk)
     except StoppedError:
-        print("stopped; what was written so far is whole")
+        print("stopped; files written so far are complete")
 
 
 def task_of(log: Log, asked: Sequence[str]) -> str:
-    """The first task asked for, or else localization where there is a map; a corridor is for SLAM."""
+    """The first of the given tasks; by default localization in a known map, but SLAM in a corridor."""
     has_map = log.recorded.map is not None
     if "localization" in asked and not has_map:
         raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); only slam makes sense")

@@ -1,7 +1,4 @@
-"""`python -m eval.tune LOG OUT`: noise, biases and odometry scales that a labelled log's innovations ask for.
-
-Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
-"""
+"""`slamref tune LOG OUT`: fit noise, biases and odometry scales to the innovations of a labelled log."""
 
 from __future__ import annotations
 
@@ -29,18 +26,18 @@ if TYPE_CHECKING:
 
 PROG = "python -m eval.tune"
 MARK = "tuned"
-"""Key of [source] in a tuned log's log.toml: what was changed, and by which log."""
+"""Key of [source] in log.toml of a tuned log: the fitted values and their log."""
 HELP = """\
-Fit the noise of motion and sensor, constant biases of the readings, scales of the odometry and, where the log has
-odometry.csv, the latency of the readings: maximum likelihood of the innovations of an EKF that knows the labels
-(localization where the log has a map, else SLAM). OUT becomes a copy of LOG with these numbers in it.
+Fit noise of motion and sensor, observation biases, odometry scales and, with odometry.csv, observation latency.
+The fit maximizes the likelihood of the innovations of an EKF with labels (localization if LOG has a map, else SLAM).
+OUT is a copy of LOG with the fitted values.
 
-Never report results on OUT itself, whose NIS is right by construction: apply its numbers to another log with --use.
-The fit takes some 800 runs of the filter; it does not look at the ground truth. Standard errors hold for white
-innovations, so on a recording they are too small; the lag-1 correlation shows how far from white it is.
+Do not report results on OUT, whose NIS is right by construction; apply its values to another log with --use.
+The fit runs the filter about 800 times and does not use the ground truth. Standard errors hold for white
+innovations; on recordings they are too small, and the lag-1 correlation measures how far from white these are.
 
-A factor multiplies what LOG states (noise: a standard deviation; odometry: distance or rotation, shrunk as the best
-prediction from noisy odometry is); measured = true + bias; a reading was taken `latency` before its stamp."""
+A factor multiplies the value stated in LOG: a standard deviation, or odometry distance or rotation (a regression
+coefficient, below 1 for noisy odometry). Bias: measured minus true. Latency: stamp minus time of observation."""
 EXAMPLES = """\
 examples:
   python -m eval.tune logs/nine logs/nine-tuned
@@ -51,7 +48,7 @@ exit status: 0 fine, 2 wrong usage or bad data"""
 
 
 class Numbers(NamedTuple):
-    """What was fitted to a log, by name, as a person reads it."""
+    """Fitted values by parameter name, and the log they were fitted to."""
 
     fitted_to: str
     values: Mapping[str, float]
@@ -59,7 +56,7 @@ class Numbers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """A tuned log; by title its innovations' scores (or why there is none) and RMSE, position [m] and heading [deg]."""
+    """A tuned log, with scores (or the reason for none) and RMSE (position [m], heading [deg]) by title."""
 
     log: Log
     model: Model
@@ -70,53 +67,44 @@ class Tuning:
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The whole command, called `prog`; returns the exit status."""
-    return ended(lambda: _tune_as_asked(argv, prog), "interrupted; nothing was written")
-
-
-def _tune_as_asked(argv: Sequence[str] | None, prog: str) -> None:
+    """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, HELP, EXAMPLES)
     parser.add_argument("log", metavar="LOG", help="an open log folder with labels, or a name: arena:SEED, ...")
-    parser.add_argument("out", metavar="OUT", type=Path, help="folder of the copy; an earlier tuned log is replaced")
-    parser.add_argument(
-        "--fit",
-        metavar="GROUPS",
-        help="what may change, of motion,sensor,bias,odometry,latency,growth; default: all "
-        "but growth (a range's sigma as a power of the range)",
+    parser.add_argument("out", metavar="OUT", type=Path, help="folder of the copy; replaces an earlier tuned log")
+    groups = (
+        "parameters to fit: of motion,sensor,bias,odometry,latency,growth, where growth is an exponent of range sigma "
+        "over range (default: all but growth)"
     )
-    parser.add_argument(
-        "--gate",
-        default="auto",
-        metavar="P",
-        help="leave out pairings beyond this chi-square probability under the "
-        f"noise as stated, or none, or auto (default): {SENSED_GATE} where a sensor read the labels, else none",
+    gate = (
+        "reject pairings beyond this chi-square probability under the stated noise, or none, or auto (default): "
+        f"{SENSED_GATE} where a sensor read the labels, else none"
     )
-    parser.add_argument("--use", metavar="TUNED", type=Path, help="fit nothing: apply the numbers of this tuned log")
-    options = parser.read(argv)
-    from eval.plan.warming import compile_if_needed
-
-    compile_if_needed()
-    sys.stdout.write(_run(options))
+    parser.add_argument("--fit", metavar="GROUPS", help=groups)
+    parser.add_argument("--gate", default="auto", metavar="P", help=gate)
+    parser.add_argument("--use", metavar="TUNED", type=Path, help="apply the values of this tuned log, without a fit")
+    return ended(lambda: _run(parser.read(argv)), "interrupted; nothing was written")
 
 
-def _run(options: argparse.Namespace) -> str:
-    """Tune, write the copy, and give the report."""
+def _run(options: argparse.Namespace) -> None:
+    """Tune, write the copy and print the report."""
     from threadpoolctl import threadpool_limits
 
     from data.formats.open_log.writer import write_folder
     from data.logs import open_log
+    from eval.plan.warming import compile_if_needed
 
+    compile_if_needed()
     log = open_log(options.log)
     folder = Path(options.log) if Path(options.log).is_dir() else None
     _require_free(options.out, folder)
     used = None if options.use is None else _numbers_of(options.use)
     if used is not None and options.fit is not None:
-        raise UsageError("--fit and --use exclude each other: --use fits nothing")
+        raise UsageError("--fit, --use: exclude each other; --use fits nothing")
     gate = Setup(gate_known=probability_or_auto("--gate", options.gate)).settled(log.labels_are_sensed).label_gate
     with threadpool_limits(1):
         tuning = tune(log, folder, groups=options.fit, gate=gate, use=used)
     write_folder(tuning.log, options.out)
-    return "\n".join([*_report(log, tuning), f"written: {options.out.absolute()}", ""])
+    sys.stdout.write("\n".join([*_report(log, tuning), f"written: {options.out.absolute()}", ""]))
 
 
 def tune(
@@ -127,25 +115,25 @@ def tune(
     gate: float | None = None,
     use: Numbers | None = None,
 ) -> Tuning:
-    """Fit a log's noise and biases (or take those of another tuned log), and judge them.
+    """Fit noise and biases of a log, or apply those of another tuned log, and score both.
 
     Args:
         log: with labels.
-        folder: where it was loaded from, for its odometry.csv.
+        folder: of the log, for its odometry.csv.
         groups: comma list of `eval.tuning.model.GROUPS`; None: the default ones.
-        gate: chi-square probability beyond which pairings are left out, under the noise as stated.
-        use: of another log; then nothing is fitted.
+        gate: chi-square probability beyond which pairings are rejected, under the stated noise.
+        use: values of another tuned log, instead of a fit.
 
     Raises:
-        UsageError: no labels, a tuned copy, or options that make no sense.
-        DataError: nothing to fit to, or the filter fails.
+        UsageError: no labels, a tuned copy, or invalid options.
+        DataError: no observations to fit to, or the filter fails.
     """
     from association.expectation import gate_threshold
     from eval.tuning.fit import Fit, fit, pairings
     from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, read_odometry, vector
 
     if not log.has_labels:
-        raise UsageError(f"log {log.name!r} has no labels; noise is fitted with known association only")
+        raise UsageError(f"log {log.name!r} has no labels; a fit needs them (label in observations.csv)")
     if MARK in log.source:
         raise UsageError(f"log {log.name!r} is a tuned copy; tune the original")
     inputs = log.inputs(labels=True)
@@ -160,7 +148,7 @@ def tune(
 
 
 def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fit | Numbers) -> Log:
-    """The copy: new numbers, the truth at the same frames (where they moved, at the new instants), and its origin."""
+    """The copy: fitted values, truth at the (perhaps shifted) frames, and a record of the fit."""
     from eval.tuning.fit import HELD, Fit
     from eval.tuning.model import apply
 
@@ -170,30 +158,30 @@ def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fi
         truth = replace(truth, pose=_truth_at(folder, inputs.time))
     if isinstance(origin, Fit):
         kept = [i for i, word in enumerate(origin.status) if word != HELD]
-        told: dict[str, object] = {
+        record: dict[str, object] = {
             "fitted_to": log.name,
             "values": {model.parameters[i].name: model.parameters[i].value(theta[i]) for i in kept},
             "standard_errors": {model.parameters[i].name: _spread(model, origin, i) for i in kept},
             "log_likelihood_gain": origin.gain,
         }
         note = (
-            "Noise and biases were fitted to this very log by eval.tune, so its NIS is right by construction: do not "
-            "report results on it; apply its numbers to another log with --use."
+            "Noise and biases were fitted to this log by `slamref tune`, so its NIS is right by construction: do not "
+            "report results on it; apply its values to another log with --use."
         )
     else:
-        told = origin._asdict()
-        note = f"Noise and biases that eval.tune fitted to log {origin.fitted_to!r} were put in."
+        record = origin._asdict()
+        note = f"Noise and biases are those that `slamref tune` fitted to log {origin.fitted_to!r}."
     return replace(
         log,
         recorded=inputs.without_labels(),
         truth=truth,
-        source={**log.source, MARK: told},
+        source={**log.source, MARK: record},
         notes=(*log.notes, note),
     )
 
 
 def _truth_at(folder: Path, time: Array) -> Array:
-    """truth.csv beside odometry.csv at other instants (N,)."""
+    """Poses (N, 3) of truth.csv at other times (N,) [s]."""
     from data.formats.csv_table import read_table
     from data.formats.open_log.reader import POSE, TRUTH
     from data.timeline import truth_at
@@ -205,7 +193,7 @@ def _truth_at(folder: Path, time: Array) -> Array:
 def _judge(
     log: Log, tuned: Log, model: Model, decisions: IntArray, found: Fit | None
 ) -> tuple[dict[str, Score | str], dict[str, tuple[float, float]]]:
-    """Innovations and errors before and after; where something was fitted, its first half's numbers on the second."""
+    """Scores and RMSE before and after; after a fit also a cross-check, fitted to one half and scored on the other."""
     from ekf.whole_run import run_filter
     from eval.referee.errors import heading_rmse_deg, position_distance, rms
     from eval.tuning.fit import fit, middle, score
@@ -234,12 +222,12 @@ def _judge(
 
 
 def _require_free(out: Path, folder: Path | None) -> None:
-    """Raise unless OUT is free, empty, or an earlier tuned log."""
+    """Raise unless OUT is missing, empty, or an earlier tuned log."""
     from data.formats.open_log.header import read_header
     from data.formats.open_log.reader import HEADER
 
     if folder is not None and os.path.realpath(out) == os.path.realpath(folder):
-        raise UsageError(f"OUT {out}: that is LOG itself; choose another name")
+        raise UsageError(f"OUT {out}: is LOG itself; choose another name")
     if not out.exists() or (out.is_dir() and not any(out.iterdir())):
         return
     if not (out / HEADER).is_file() or MARK not in read_header(out / HEADER).source:
@@ -247,29 +235,29 @@ def _require_free(out: Path, folder: Path | None) -> None:
 
 
 def _numbers_of(folder: Path) -> Numbers:
-    """What a tuned log's [source] says about it, checked: a person may have edited it."""
+    """The checked record of a tuned log, which may have been edited."""
     from data.formats.open_log.reader import load_folder
 
-    told = load_folder(folder).source.get(MARK)
-    if not isinstance(told, Mapping):
-        raise UsageError(f"--use {folder}: not a tuned log; it has no {MARK!r} in [source]")
-    values = told.get("values")
+    record = load_folder(folder).source.get(MARK)
+    if not isinstance(record, Mapping):
+        raise UsageError(f"--use {folder}: not a tuned log; name a folder that `slamref tune` wrote")
+    values = record.get("values")
     if not isinstance(values, Mapping) or not all(isinstance(v, int | float) for v in values.values()):
         raise DataError(f"--use {folder}: [source] {MARK}: a table `values` of numbers is needed")
-    return Numbers(str(told.get("fitted_to", "?")), {str(name): float(v) for name, v in values.items()})
+    return Numbers(str(record.get("fitted_to", "?")), {str(name): float(v) for name, v in values.items()})
 
 
 def _spread(model: Model, found: Fit, i: int) -> float:
-    """Standard error of a parameter as a person reads it, to first order."""
+    """Standard error of a parameter in its printed unit, to first order."""
     p = model.parameters[i]
     return float(found.error[i]) * (p.value(found.theta[i]) if p.is_factor else 1.0)
 
 
 def _report(log: Log, tuning: Tuning) -> list[str]:
-    """What was found, in lines."""
+    """The lines of the printed report."""
     task = "SLAM" if tuning.model.inputs.map is None else "localization"
     lines = [f"{log.name}: {counted(len(tuning.model.inputs), 'frame')}, {task}, known association", ""]
-    rows = [("parameter", "value", "s.e.", "", "what it is")]
+    rows = [("parameter", "value", "s.e.", "", "meaning")]
     for i, p in enumerate(tuning.model.parameters):
         value = p.value(tuning.theta[i])
         if tuning.fit is not None:

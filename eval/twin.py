@@ -1,7 +1,4 @@
-"""`python -m eval.twin LOG OUT --seed S`: a log drawn again as it says of itself, as an open log folder with a truth.
-
-Only the parser is imported at once, so that `--help` does not wait for the numerical libraries.
-"""
+"""`slamref twin LOG OUT --seed S`: draw a bootstrap replicate of a log, as an open log folder with a true path."""
 
 from __future__ import annotations
 
@@ -17,94 +14,82 @@ from eval.replay.settings import ASSOCIATIONS, TASKS
 
 PROG = "python -m eval.twin"
 HELP = """\
-Draw a log again as it says of itself: the path and map of the batch smoother stand for the truth; prior, increments and
-readings are drawn with the covariances that LOG states, at the same frames, of the same landmarks. What the smoother
-did not use is copied as it was read, and is clutter of the twin. OUT has what LOG may lack: a true path, and for every
-reading the landmark it is of. Twins show what an estimator does on this very geometry where everything is as stated;
-`python -m eval.run_all --log LOG --twins N` compares LOG with N of them."""
+Draw a bootstrap replicate ("twin") of a log. The path and map of the batch smoother are its truth.
+Prior, increments and observations are drawn with the covariances of LOG, in the same frames, of the same landmarks.
+Observations that the smoother did not use are copied; they are clutter of the twin. OUT has a true path and true ids.
+Estimators on twins show their behaviour in this geometry when all noise is as stated.
+`slamref run LOG --twins N` compares LOG with N of them."""
 EXAMPLES = """\
 examples:
   python -m eval.twin victoria-park park-twin --seed 1
-  python -m eval.run_all --log park-twin --estimator ekf,batch
+  slamref run park-twin --estimator ekf,batch
   python -m eval.twin my_log my_twin --seed 3 --association jcbb
 
 exit status: 0 fine, 2 wrong usage or bad data"""
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The whole command, called `prog`; returns the exit status."""
-    return ended(lambda: _twin_as_asked(argv, prog), "interrupted; nothing was written")
-
-
-def _twin_as_asked(argv: Sequence[str] | None, prog: str) -> None:
+    """The command `prog`; returns its exit status."""
     parser = Command(prog, PROG, HELP, EXAMPLES)
     parser.add_argument("log", metavar="LOG", help="an open log folder, or a name: victoria-park, arena:SEED, ...")
-    parser.add_argument("out", metavar="OUT", type=Path, help="folder of the twin; an earlier log there is replaced")
-    parser.add_argument("--seed", type=_seed, default=0, metavar="S", help="of everything that is drawn (default: 0)")
-    parser.add_argument(
-        "--task", choices=TASKS, help="whose path is the truth (default: localization where LOG has a map, else slam)"
-    )
+    parser.add_argument("out", metavar="OUT", type=Path, help="folder of the twin; replaces an earlier log")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="S", help="random seed (default: 0)")
+    task = "task of the smoother (default: localization where LOG has a map, else slam)"
+    parser.add_argument("--task", choices=TASKS, help=task)
     parser.add_argument(
         "--association",
         metavar="NAME",
-        help=f"who pairs the readings: of {', '.join(ASSOCIATIONS)}, or your own (default: known where LOG has labels, "
-        "else jcbb-hindsight, of walls jcbb)",
+        help=f"of {', '.join(ASSOCIATIONS)}, or your own (default: known where LOG has labels, jcbb for walls, else "
+        "jcbb-hindsight)",
     )
-    options = parser.read(argv)
-    from eval.plan.warming import compile_if_needed
-
-    compile_if_needed()
-    sys.stdout.write(_run(options))
+    return ended(lambda: _run(parser.read(argv)), "interrupted; nothing was written")
 
 
 def _seed(text: str) -> int:
     if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r}: a whole number, not negative, is needed")
+        raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 0 up is needed")
     return int(text)
 
 
-def _run(options: argparse.Namespace) -> str:
-    """Estimate, draw, write; gives the report."""
+def _run(options: argparse.Namespace) -> None:
+    """Estimate, draw and write the twin; print a summary."""
     from dataclasses import replace
 
     from data.formats.open_log.writer import write_folder
     from data.logs import open_log
     from eval.compare import compare
     from eval.plan.foreign import load_all
+    from eval.plan.warming import compile_if_needed
     from eval.replay.estimators import FOR_WALLS
     from eval.replay.external.spec import one_settled
     from eval.replay.settings import HINDSIGHT, Setup
     from eval.studies.sampled import smoother_of
     from eval.studies.twins import inputs_of, source_of, twin
 
+    compile_if_needed()
     log = open_log(options.log)
     task = options.task or ("slam" if log.recorded.map is None else "localization")
     if task == "localization" and log.recorded.map is None:
-        raise UsageError(f"--task localization: log {log.name!r} has no map; only slam makes sense")
+        raise UsageError(f"--task localization: log {log.name!r} has no map; type --task slam")
     association = "known" if log.has_labels else HINDSIGHT if log.recorded.sensor.sees_points else FOR_WALLS
     if options.association is not None:
         association = one_settled("--association", options.association, "association")
         load_all((), (association,))
     if association == "known" and not log.has_labels:
-        raise UsageError(f"--association known: log {log.name!r} has no labels")
+        raise UsageError(f"--association known: log {log.name!r} has no labels; type --association {HINDSIGHT}")
     inputs, setup = inputs_of(log, task, association), Setup()
     smoother = smoother_of(compare(inputs, task, ("ekf", "batch"), association, setup), inputs)
     if smoother is None:
-        raise UsageError(f"no twin of {log.name}: the filter that the smoother starts from does not get to the end")
+        raise UsageError(f"log {log.name!r}: no twin, because the EKF fails before the end; try another --association")
     made = twin(source_of(log, smoother, ("ekf",), setup, association), options.seed)
     if log.recorded.map is None:
-        # landmarks.csv would be a map to localize in, which the log does not have
+        # without landmarks.csv, which would be a map for localization
         made = replace(made, truth=replace(made.truth, landmarks=None))
     write_folder(made, options.out)
     seen = int((made.truth.landmark_of >= 0).sum()) if made.truth.landmark_of is not None else 0
-    lines = [
-        f"{made.name}: {counted(len(inputs), 'frame')}, {counted(len(inputs.observations.frame), 'reading')},"
-        f" {seen} of them drawn anew",
-        *(f"- {note}" for note in made.notes),
-        f"written: {options.out.absolute()}",
-        "",
-    ]
-    return "\n".join(lines)
+    size = f"{counted(len(inputs), 'frame')}, {counted(len(inputs.observations.frame), 'observation')}"
+    notes = "".join(f"- {note}\n" for note in made.notes)
+    sys.stdout.write(f"{made.name}: {size}, {seen} of them drawn\n{notes}written: {options.out.absolute()}\n")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""`python -m eval.warm`: compile every kernel once, into the cache, so that no first run has to wait for it."""
+"""`slamref warm`: compile all kernels into the cache, so that no run waits for them."""
 
 from __future__ import annotations
 
@@ -14,16 +14,13 @@ PROG = "python -m eval.warm"
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """Compile everything; returns the exit status."""
-    return ended(
-        lambda: _warm(argv, prog), "interrupted; what was compiled is kept, and the next time goes on from there"
-    )
+    """The command `prog`; returns its exit status."""
+    p = Command(prog, PROG, "Compile all kernels into the cache.")
+    p.add_argument("--background", action="store_true", help="at low priority, unless another process compiles; silent")
+    return ended(lambda: _warm(**vars(p.read(argv))), "interrupted; compiled kernels are kept")
 
 
-def _warm(argv: Sequence[str] | None, prog: str) -> None:
-    p = Command(prog, PROG, "Compile every kernel once, into the cache.")
-    p.add_argument("--background", action="store_true", help="at low priority, and not beside another one; no output")
-    background = p.read(argv).background
+def _warm(background: bool) -> None:
     if background:
         os.nice(19)
     from eval.plan.warming import compile_all, mark
@@ -31,8 +28,8 @@ def _warm(argv: Sequence[str] | None, prog: str) -> None:
     begin = time.monotonic()
     compile_all(quiet=background, background=background)
     place = mark()
-    where = "" if place is None else f"; kept in {place.parent} and its neighbours"
-    sys.stdout.write(f"every kernel is compiled ({time.monotonic() - begin:.0f} s){where}\n")
+    where = "" if place is None else f"; in {place.parent} and the folders beside it"
+    sys.stdout.write(f"all kernels are compiled ({time.monotonic() - begin:.0f} s){where}\n")
 
 
 if __name__ == "__main__":

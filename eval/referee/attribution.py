@@ -1,7 +1,7 @@
-"""Whose fault: what a log's statistics ask for, beside its twins'. Pure functions on what was measured.
+"""Which assumption is violated: explanations of a log's statistics, compared with its bootstrap replicates ("twins").
 
-Explanations are compared by the log-likelihood that each would gain: a systematic error by its score (z^2 / 2), a noise
-that is F times as large in variance as stated by dof (F - 1 - ln F) / 2, its dof from the spread among twins.
+Explanations are compared by their gain in log-likelihood: a systematic error by its score (z^2 / 2), a noise of F times
+the stated variance by dof (F - 1 - ln F) / 2, with dof from the spread among twins.
 """
 
 from __future__ import annotations
@@ -16,66 +16,48 @@ from scipy import special
 from data.se2 import Array
 from eval.referee.effects import Scored
 
-MOST = 4
-"""Systematic errors that are told apart at most; one more explains what the others left."""
-AS_WELL = 0.97
-"""Another systematic error whose score correlates with the chosen one's by more cannot be told from it."""
-NEES_BAND = (0.8, 1.25)
-"""Share of its degrees of freedom that an estimator's NEES on twins may be without a word: 10 % of a sigma."""
+MOST = 4  # largest number of systematic errors
+AS_WELL = 0.97  # correlation of scores above which two systematic errors cannot be distinguished
+NEES_BAND = (0.8, 1.25)  # accepted NEES per dof on twins: 10 % of a sigma
 NIS_BAND = (0.95, 1.05)
-"""The same of its NIS, which many more degrees of freedom tell: sound filters (some 110 logs of arena, corridor and
-circle, SLAM) have 0.988 to 1.032 on the twins of a log; one that believes half the odometry's covariance 1.06."""
-SURE = 0.001
-"""P value below which the mean NEES or NIS of the twins is off."""
-LEAST_FACTOR = 1.05
-"""A noise stated within 5 % of what it is is stated right."""
-THRESHOLD = 3.0
-"""sigma. Least size of a systematic error or of a wrong noise that is named, unless the twins themselves go further."""
-WRONG_PAIRINGS = 0.01
-"""Share of wrong pairings from which the decisions are to blame: one in a hundred ruins a path (docs/results.md)."""
+"""Accepted NIS, as a share of the expected one, on twins: consistent filters (110 logs of arena, corridor and circle,
+SLAM) have 0.988 to 1.032; one with half the odometry's covariance 1.06."""
+SURE = 0.001  # p value below which the mean NEES or NIS of the twins is rejected
+LEAST_FACTOR = 1.05  # least factor of a sigma that is called wrong
+THRESHOLD = 3.0  # sigma, least significance of a systematic error or a wrong noise, unless the twins have larger ones
+WRONG_PAIRINGS = 0.01  # share of wrong pairings above which the decisions are to blame: one in a hundred ruins a path
 POWER = 0.9
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One explanation.
+    """One explanation."""
 
-    Attributes:
-        cause: `NOISE`, `ASSOCIATIONS` or `ESTIMATOR`.
-        kind: `systematic`, `sigma`, `tails`, `pairings`, `decisions`, `linearization` or `innovations`.
-        name: of the systematic error, of the component, or of the estimator.
-        size, error: of the systematic error with its standard error; factor of the stated sigma; number of readings;
-            NEES per dof on twins (`innovations`: NIS per dof, as a share of what is expected).
-        gain: of log-likelihood; NaN where there is none.
-        other: systematic errors that this log cannot tell from it.
-    """
-
-    cause: str
-    kind: str
-    name: str
+    cause: str  # `NOISE`, `ASSOCIATIONS` or `ESTIMATOR`
+    kind: str  # `systematic`, `sigma`, `tails`, `pairings`, `decisions`, `linearization` or `innovations`
+    name: str  # of the systematic error, component or estimator
     size: float
-    error: float = math.nan
-    gain: float = math.nan
-    other: tuple[str, ...] = ()
+    """Systematic error, factor of the stated sigma, number of observations, or NEES per dof (NIS: share) on twins."""
+    error: float = math.nan  # standard error of the size
+    gain: float = math.nan  # of log-likelihood
+    other: tuple[str, ...] = ()  # systematic errors that cannot be distinguished from it
 
 
 def component_of(name: str) -> str:
-    """The component that a systematic error `<component>_<regressor>` is of."""
+    """The component of a systematic error `<component>_<regressor>`."""
     return "_".join(name.split("_")[:2]) if name.startswith("odometry") else name.split("_")[0]
 
 
 def systematic_errors(
     scored: Scored, factors: Mapping[str, float], threshold: float, most: int = MOST
 ) -> list[Finding]:
-    """Systematic errors found one after the other, each beside those before; all sizes as they are together.
+    """At most `most` systematic errors by forward selection, with their joint sizes.
 
-    `factors`: of the stated sigma of each component, by which a score counts less; `threshold`: in sigmas; `most`: no
-    more than that.
+    Scores are divided by the `factors` of their component's stated sigma; the threshold is in sigmas.
     """
     weight = np.array([1.0 / max(1.0, factors.get(component_of(n), 1.0)) for n in scored.names])
-    chosen: list[int] = []
-    gains: list[float] = []
+    chosen, gains = list[int](), list[float]()
     for _ in range(most):
         left = scored.score.given(np.array(chosen, np.int64)) if chosen else scored.score
         z = left.sigmas * weight
@@ -94,7 +76,7 @@ def systematic_errors(
 
 
 def _like(scored: Scored, i: int) -> tuple[str, ...]:
-    """Systematic errors whose score says the same as that of error i."""
+    """Systematic errors whose score correlates with that of error i by more than `AS_WELL`."""
     information = scored.score.information
     root = np.sqrt(np.diag(information))
     with_own = np.divide(information[i], root[i] * root, out=np.zeros(len(root)), where=root > 0.0)
@@ -103,16 +85,12 @@ def _like(scored: Scored, i: int) -> tuple[str, ...]:
 
 def factors_of(typical: Mapping[str, float], twins: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Factor of the stated sigma of each component: its typical residual over that of the twins."""
-    result = {}
-    for name, value in typical.items():
-        usual = _median([t[name] for t in twins if name in t])
-        if usual > 0.0:
-            result[name] = value / usual
-    return result
+    usual = {name: _median([t[name] for t in twins if name in t]) for name in typical}
+    return {name: value / usual[name] for name, value in typical.items() if usual[name] > 0.0}
 
 
 def noise_errors(factors: Mapping[str, float], twins: Sequence[Mapping[str, float]], threshold: float) -> list[Finding]:
-    """Components whose noise is not what is stated, by more than `threshold` standard deviations of their twins."""
+    """Components whose noise differs from the stated one by more than `threshold` standard deviations of the twins."""
     found = []
     for name, factor in factors.items():
         logs = np.log([t[name] for t in twins if t.get(name, 0.0) > 0.0])
@@ -128,26 +106,20 @@ def noise_errors(factors: Mapping[str, float], twins: Sequence[Mapping[str, floa
 def outlier_errors(
     outlying: int, elsewhere: int, twins: Sequence[int], squared_excess: float = math.nan
 ) -> list[Finding]:
-    """Readings that do not fit: wrong pairings if most fit another landmark, else tails of the sensor's noise.
+    """Outliers: wrong pairings if most fit another landmark, else tails of the sensor's noise.
 
-    `twins`: how many do not fit in each twin; as many as in the twins' upper tail (Poisson) are nothing to speak of.
+    Empty unless their number is significantly larger (Poisson) than those of the `twins`.
     """
     usual = max(float(np.mean(twins)) if len(twins) else 0.0, 0.1)
     if not float(special.pdtrc(outlying - 1, usual)) < SURE or outlying < 2:
         return []
-    found = []
     if 2 * elsewhere >= outlying:
-        found.append(Finding(ASSOCIATIONS, "pairings", "readings", elsewhere, gain=squared_excess))
-    else:
-        found.append(Finding(NOISE, "tails", "readings", outlying, gain=squared_excess))
-    return found
+        return [Finding(ASSOCIATIONS, "pairings", "readings", elsewhere, gain=squared_excess)]
+    return [Finding(NOISE, "tails", "readings", outlying, gain=squared_excess)]
 
 
 def decision_errors(counts: Mapping[str, Sequence[tuple[int, int, int, int]]]) -> list[Finding]:
-    """Ways of deciding that pair wrongly even on twins; `counts`: tp, tn, fp, fn of each twin, by estimator.
-
-    More wrong pairings than `WRONG_PAIRINGS` of the decisions are too many for least squares.
-    """
+    """Estimators with too many wrong pairings even on twins; `counts`: tp, tn, fp, fn of each twin, by estimator."""
     found = []
     for estimator, twins in counts.items():
         tp, tn, fp, fn = np.sum(np.array(twins).reshape(-1, 4), axis=0).tolist()
@@ -157,17 +129,17 @@ def decision_errors(counts: Mapping[str, Sequence[tuple[int, int, int, int]]]) -
 
 
 def estimator_errors(nees: Mapping[tuple[str, str], Sequence[float]], dof: int = 3) -> list[Finding]:
-    """Estimators whose NEES on the twins is off: linearization, or the estimator itself, as all else is as stated."""
+    """Estimators with a wrong NEES on the twins, whose noise is as stated: linearization, or the estimator itself."""
     return _off("linearization", [(e, np.asarray(v) / dof) for (e, _), v in nees.items()], NEES_BAND)
 
 
 def innovation_errors(nis: Mapping[str, Sequence[float]]) -> list[Finding]:
-    """Estimators whose innovations on the twins are not as they claim; `nis`: per dof, as a share of the expected."""
+    """Estimators with wrong innovations on the twins; `nis`: per dof, as a share of the expected one."""
     return _off("innovations", [(e, np.asarray(v)) for e, v in nis.items()], NIS_BAND)
 
 
 def _off(kind: str, shares: Sequence[tuple[str, Array]], band: tuple[float, float]) -> list[Finding]:
-    """Estimators whose share of what is expected is off by more than the band, on average over the twins (t test)."""
+    """Estimators whose mean share of the expected value over the twins is outside the band (t test)."""
     found = []
     for estimator, values in shares:
         known = values[np.isfinite(values)]
@@ -183,10 +155,10 @@ def _off(kind: str, shares: Sequence[tuple[str, Array]], band: tuple[float, floa
 def detectable(
     slopes: Mapping[str, Sequence[float]], spreads: Mapping[str, Sequence[float]], critical: float
 ) -> dict[str, float]:
-    """What would have been objected to with a probability of `POWER`: systematic errors, and factors of a sigma.
+    """Systematic errors and factors of a sigma that are detected with a probability of `POWER`.
 
-    `slopes` and `spreads`: of the twins by name; `critical`: what the largest standardized statistic must exceed. A
-    residual's spread is taken to grow with the noise as stated, so a factor is what it would have to be at least.
+    `slopes` and `spreads`: of the twins by name; `critical`: of the largest standardized statistic. The spread of a
+    residual is assumed to grow with the noise, so a factor is a lower bound.
     """
     reach = critical + float(special.ndtri(POWER))
     result = {name: reach * _spread(np.asarray(v)) for name, v in slopes.items()}

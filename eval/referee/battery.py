@@ -1,8 +1,7 @@
-"""P values of a log's statistics by rank among its twins, each alone and all together.
+"""P values of a log's statistics by rank among those of its bootstrap replicates ("twins").
 
-Twins are drawn as the log says of itself, so under that hypothesis the real log is one more of them: the rank of a
-statistic among theirs is uniform whatever its distribution (Davison and Hinkley, "Bootstrap methods and their
-application", section 4.2).
+Replicates are drawn from the log's own noise model. If that is right, the rank of a statistic among theirs is uniform
+(Davison and Hinkley, "Bootstrap methods and their application", section 4.2).
 """
 
 from __future__ import annotations
@@ -13,16 +12,14 @@ import numpy as np
 
 from data.se2 import Array
 
-LOWEST, HIGHEST = 0.1587, 0.8413
-"""Quantiles one standard deviation from the median of a Gaussian: the spread on either side."""
-LEVEL = 0.05
-"""Family-wise level at which something is objected to."""
+LOWEST, HIGHEST = 0.1587, 0.8413  # quantiles one standard deviation from the median of a Gaussian
+LEVEL = 0.05  # family-wise false-rejection rate
 
 
 def rank_p(value: float, twins: Array) -> float:
     """Two-sided p value of a statistic by its rank among its twins (N,); NaN without any.
 
-    p = min(1, 2 min(1 + #{T* >= T}, 1 + #{T* <= T}) / (N + 1)), which is at least 2 / (N + 1).
+    p = min(1, 2 min(1 + #{T* >= T}, 1 + #{T* <= T}) / (N + 1)).
     """
     known = twins[np.isfinite(twins)]
     if not len(known) or not math.isfinite(value):
@@ -32,11 +29,10 @@ def rank_p(value: float, twins: Array) -> float:
 
 
 def standardized(real: Array, twins: Array) -> tuple[Array, Array]:
-    """Statistics (S,) and their twins (N, S) about their median, in units of their spread on either side.
+    """Statistics (S,) and their twins (N, S) about their common median, in units of their common spread on either side.
 
-    Both are of real and twins together, so none is preferred. The spread on a side is the distance to the quantile that
-    is one sigma away in a Gaussian, or where that is zero (a share that is nearly always 1) the root mean square.
-    What is unknown (NaN) or never varies comes out as 0: it speaks neither for nor against.
+    The spread on a side is the distance to the quantile that is one sigma away in a Gaussian, or where that is zero the
+    root mean square. Unknown (NaN) and constant statistics become 0.
     """
     pooled = np.vstack([real, twins])
     result = np.zeros_like(pooled)
@@ -47,21 +43,17 @@ def standardized(real: Array, twins: Array) -> tuple[Array, Array]:
         lowest, middle, highest = np.quantile(known, [LOWEST, 0.5, HIGHEST])
         above, below = highest - middle, middle - lowest
         off = column - middle
-        if not above > 0.0:
-            above = math.sqrt(float(np.mean(np.square(known - middle))))
-        if not below > 0.0:
-            below = math.sqrt(float(np.mean(np.square(known - middle))))
+        root = math.sqrt(float(np.mean(np.square(known - middle))))
+        above, below = (side if side > 0.0 else root for side in (above, below))
         result[:, i] = np.where(np.isfinite(off), np.where(off > 0.0, off / above, off / below), 0.0)
     return result[0], result[1:]
 
 
 def family_p(real: Array, twins: Array) -> Array:
-    """P value (S,) of each statistic over the whole battery: step-down max-T (Westfall and Young 1993, algorithm 2.8).
+    """Family-wise p values (S,): step-down max-T (Westfall and Young 1993, algorithm 2.8); NaN: unknown.
 
-    The statistics (S,) of the log and (N, S) of its twins are standardized; the largest is ranked against the twins'
-    largest, the next against the twins' largest of what is left, and so on; none is less than the one before. However
-    many statistics, p reaches 1 / (N + 1), where Holm's correction of rank p values ends at 2 S / (N + 1).
-    A statistic that is unknown has NaN.
+    The largest standardized statistic is ranked against the twins' largest, the next against their largest of the
+    remaining ones, and so on. p reaches 1 / (N + 1) for any S; Holm's correction would end at 2 S / (N + 1).
     """
     n = len(twins)
     result = np.full(len(real), np.nan)
@@ -78,7 +70,7 @@ def family_p(real: Array, twins: Array) -> Array:
 
 
 def critical(twins: Array) -> float:
-    """What the largest standardized statistic of a log must exceed to be objected to at `LEVEL`; twins (N, S)."""
+    """Critical value of the largest standardized statistic of a log at `LEVEL`; twins (N, S)."""
     if not len(twins):
         return math.nan
     known = np.isfinite(twins).any(axis=0)

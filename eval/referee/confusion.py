@@ -1,12 +1,13 @@
-"""Association outcomes: each decision against the landmark that was right at that moment, as TP, TN, FP or FN.
+"""Association outcomes: each decision against the right landmark at that frame, as TP, TN, FP or FN.
 
 H is the decision (a landmark, or none for NEW and DISCARD). GT is the lowest-numbered landmark in the map at that frame
-(not yet removed) that was created from the same true id, else none; clutter has GT none. TP: H = GT, a landmark. TN:
-both none. FP: H a landmark other than GT. FN: H none although GT is a landmark. They sum to the number of observations.
+that was initialized from the same true id, else none; clutter has GT none. TP: H = GT, a landmark. TN: both none.
+FP: H a landmark other than GT. FN: H none although GT is a landmark. They sum to the number of observations.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,36 +18,25 @@ from data.se2 import BoolArray
 from data.truth import UNKNOWN_ID
 
 OUTCOMES = ("tp", "tn", "fp", "fn")
-WITHIN = 0.3
-"""m. Landmarks may stand closer than they can be told apart; a neighbour no farther off is near enough."""
-NO_LANDMARK = -1
-"""GT of an observation whose landmark is not in the map."""
+WITHIN = 0.3  # m, distance within which a neighbour of the right landmark counts as near
+NO_LANDMARK = -1  # GT of an observation whose landmark is not in the map
 
 
 @dataclass(frozen=True)
 class Confusion:
-    """Outcomes of a run.
+    """Outcomes of a run; the counts of TP, TN, FP and FN sum to M."""
 
-    Attributes:
-        outcome: (M,) index into `OUTCOMES`.
-        ground_truth: (M,) landmark number, or `NO_LANDMARK`.
-        tp, tn, fp, fn: counts, summing to M.
-        wrong: FP where GT was a landmark; spurious: FP where it was none.
-        duplicate: FN that created a second landmark; missed: FN that was discarded.
-        deferred: FN whose decision was put off: discarded at first, paired in the end.
-    """
-
-    outcome: IntArray
-    ground_truth: IntArray
+    outcome: IntArray  # (M,) index into `OUTCOMES`
+    ground_truth: IntArray  # (M,) landmark number, or `NO_LANDMARK`
     tp: int
     tn: int
     fp: int
     fn: int
-    wrong: int
-    spurious: int
-    duplicate: int
-    missed: int
-    deferred: int = 0
+    wrong: int  # FP where GT was a landmark
+    spurious: int  # FP where GT was none
+    duplicate: int  # FN that initialized a second landmark
+    missed: int  # FN that was discarded
+    deferred: int = 0  # FN discarded online and paired finally
 
     @property
     def precision(self) -> float:
@@ -66,23 +56,19 @@ def ground_truth(
     known: LandmarkMap | None,
     removed: IntArray | None = None,
 ) -> IntArray:
-    """GT (M,) per observation. With a known map the landmark number is the true id itself, where the map has it.
+    """GT (M,) per observation. With a known map the landmark number is the true id, where the map has it.
 
-    In SLAM a landmark is in the map from the frame after its creation (the decisions of a frame are made together,
-    against the map as it was before) up to the frame `removed` (L,) by landmark number, -1 for good.
+    In SLAM a landmark is in the map from the frame after its initialization (the decisions of a frame are made
+    together) up to the frame `removed` (L,) by landmark number, -1: never removed.
     """
-    gt: IntArray = np.full(len(true_id), NO_LANDMARK, np.int64)
     if known is not None:
-        inside = np.isin(true_id, known.id)
-        gt[inside] = true_id[inside]
-        return gt
-    copies: dict[int, list[tuple[int, int, int]]] = {}
-    for i in np.flatnonzero(created >= 0).tolist():
-        number = int(created[i])
-        until = -1 if removed is None else int(removed[number])
-        copies.setdefault(int(true_id[i]), []).append((number, int(frame[i]), until))
-    for each in copies.values():
-        each.sort()
+        return np.where(np.isin(true_id, known.id), true_id, NO_LANDMARK)
+    gt: IntArray = np.full(len(true_id), NO_LANDMARK, np.int64)
+    copies = defaultdict[int, list[tuple[int, int, int]]](list)
+    rows = np.flatnonzero(created >= 0)
+    for i in rows[np.argsort(created[rows], kind="stable")].tolist():
+        until = -1 if removed is None else int(removed[created[i]])
+        copies[int(true_id[i])].append((int(created[i]), int(frame[i]), until))
     for i, who in enumerate(true_id.tolist()):
         if who < 0:
             continue
@@ -103,10 +89,7 @@ def confuse(
     removed: IntArray | None = None,
     final: IntArray | None = None,
 ) -> Confusion | None:
-    """Score decisions (M,); None where some true id is unknown, because then the counts would not sum.
-
-    `final` (M,): where decisions were revised later, what became of them.
-    """
+    """Outcomes of decisions (M,), of which `final` (M,) is the last revision; None if some true id is unknown."""
     if np.any(true_id == UNKNOWN_ID):
         return None
     gt = ground_truth(frame, true_id, created, known, removed)
@@ -123,10 +106,7 @@ def confuse(
     return Confusion(
         outcome,
         gt,
-        tp=counts["tp"],
-        tn=counts["tn"],
-        fp=counts["fp"],
-        fn=counts["fn"],
+        **counts,
         wrong=int((fp & has).sum()),
         spurious=int((fp & ~has).sum()),
         duplicate=int((fn & (decisions == NEW)).sum()),
@@ -136,10 +116,12 @@ def confuse(
 
 
 def majority(number: IntArray, true_id: IntArray, first: BoolArray) -> IntArray:
-    """What most observations of a landmark truly show: its id, by landmark number; `CLUTTER` where no landmark.
+    """The most frequent true id of each landmark's observations, by landmark number; `CLUTTER`: no landmark.
 
-    number: (M,) landmark of each observation, negative for none; true_id: (M,). Of ids that are equally frequent it is
-    that of the observation which is the landmark's `first` (M,) bool, else the lowest.
+    Args:
+        number: (M,) landmark of each observation, negative: none.
+        true_id: (M,).
+        first: (M,) whether it is its landmark's first; of equally frequent ids that one's wins, else the lowest.
     """
     size = int(number.max(initial=-1)) + 1
     named: IntArray = np.full(size, CLUTTER, np.int64)
@@ -155,11 +137,10 @@ def majority(number: IntArray, true_id: IntArray, first: BoolArray) -> IntArray:
 
 
 def majority_agreement(decisions: IntArray, true_id: IntArray) -> float:
-    """Share of the paired observations that show what most observations paired with the same landmark show.
+    """Share of pairings that have the most frequent true id of their landmark; NaN without pairings.
 
-    decisions, true_id: (M,). In `confuse` a landmark is named by the observation that initialized it: where that one
-    was a neighbour's, all right ones after it count as wrong. Here they count as what they are. Clutter agrees with
-    nothing. NaN where nothing was paired.
+    `confuse` names a landmark by its first observation: if that was a neighbour's, all right ones after it count as
+    wrong. Here they do not. Clutter agrees with nothing.
     """
     paired = decisions >= 0
     if not paired.any():
@@ -172,11 +153,10 @@ def majority_agreement(decisions: IntArray, true_id: IntArray) -> float:
 def share_within(
     decisions: IntArray, true_id: IntArray, taken_id: IntArray, places: LandmarkMap, distance: float = WITHIN
 ) -> float:
-    """Share of the pairings whose landmark stands no farther than `distance` [m] from the right one, in truth.
+    """Share of pairings whose landmark is truly within `distance` [m] of the right one; NaN without pairings.
 
-    true_id: (M,) of each observation; taken_id: (M,) of the landmark it was paired with; both by their true positions,
-    so that neither the error of the map nor a second landmark of the same point counts. A person paired, a landmark
-    initialized on a person and one without a true position are never near. NaN where nothing was paired.
+    True positions of the observation's `true_id` (M,) and the paired landmark's `taken_id` (M,) are compared. An id
+    without a true position is never near.
     """
     paired = np.flatnonzero(decisions >= 0)
     if not len(paired):

@@ -1,18 +1,16 @@
-"""What may be concluded from NEES, NIS and innovations: intervals, verdicts, the family-wise test of the exit status.
+"""Consistency from NEES, NIS and innovations: bounds, verdicts, and the family-wise test of the exit status.
 
-NEES = e' P^-1 e of the world-frame error; a consistent estimator has E[NEES] = dof. One run's time average is no sample
-of independent values, so a verdict needs many runs (Student's t on the run means); see Bar-Shalom, Li, Kirubarajan,
-Estimation with Applications to Tracking and Navigation, section 5.4. docs/verdicts.md has the accept rate and the power
-measured of each verdict.
-
-Bounds inside which averages of squared normalized errors lie by chance: chi-square, and behind a gate.
+NEES = e' P^-1 e of the world-frame error; a consistent estimator has E[NEES] = dof. Errors of successive frames are
+correlated, so a verdict needs many runs (Student's t on the run means); see Bar-Shalom, Li, Kirubarajan, Estimation
+with Applications to Tracking and Navigation, section 5.4. docs/verdicts.md has the measured power of each verdict.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -34,9 +32,9 @@ def chi2_bounds(dof: int, level: float = LEVEL) -> tuple[float, float]:
 
 
 def nis_bounds(dof: int, gated: tuple[float, float] = (1.0, 2.0), level: float = LEVEL) -> tuple[float, float]:
-    """Two-sided interval of NIS per degree of freedom, `gated` its mean and variance per degree of freedom.
+    """Two-sided interval of NIS per degree of freedom, from the gamma distribution with the moments `gated`.
 
-    The gamma distribution with these moments: without a gate that is chi-square, exactly.
+    `gated` is mean and variance per degree of freedom; without a gate the distribution is chi-square exactly.
     """
     mean, variance = gated
     if dof <= 0 or mean <= 0.0 or variance <= 0.0:
@@ -47,12 +45,12 @@ def nis_bounds(dof: int, gated: tuple[float, float] = (1.0, 2.0), level: float =
 
 
 def gated(run: Run, phase: str) -> tuple[float, float]:
-    """Mean and variance per degree of freedom of the squared innovations that gates let a right estimator use."""
+    """Mean and variance per degree of freedom of the squared innovations of a consistent estimator behind its gates."""
     return run.gated_final if phase == "final" and run.gated_final is not None else run.gated
 
 
 def share_interval(hits: int, n: int, level: float = LEVEL) -> tuple[float, float]:
-    """Exact interval of a share seen `hits` times in n (Clopper and Pearson, Biometrika 26, 1934)."""
+    """Exact interval of a share with `hits` in n (Clopper and Pearson, Biometrika 26, 1934)."""
     tail = 0.5 * (1.0 - level)
     lower = float(special.betaincinv(hits, n - hits + 1, tail)) if hits else 0.0
     upper = float(special.betaincinv(hits + 1, n - hits, 1.0 - tail)) if hits < n else 1.0
@@ -60,37 +58,31 @@ def share_interval(hits: int, n: int, level: float = LEVEL) -> tuple[float, floa
 
 
 def anees_band(dof: int, runs: int, level: float = LEVEL) -> tuple[float, float]:
-    """Band of the per-step average NEES over runs: for a plot (5 % of steps lie outside by design), no verdict."""
+    """Band of the per-step average NEES over runs, for plots: 5 % of consistent steps lie outside."""
     lower, upper = chi2_bounds(dof * runs, level)
     return dof * lower, dof * upper
 
 
 QUANTITIES = {"pose": (0, 1, 2), "position": (0, 1), "heading": (2,)}
-MIN_RUNS = 50
-"""Fewer runs than this have no power against a wrong covariance."""
-FAMILY_LEVEL = 0.001
-"""False alarm rate of the exit status over all declared verdicts together."""
-TAIL_LEVEL = 0.001
-"""Probability below which a single run's mean NEES is impossible for a consistent estimator."""
-CLAIMED = 0.8
-"""Power is stated against a covariance claimed at this fraction of the true one."""
+MIN_RUNS = 50  # least number of runs for a verdict
+FAMILY_LEVEL = 0.001  # false-rejection rate of the exit status over all declared verdicts
+TAIL_LEVEL = 0.001  # probability below which a single run's mean NEES makes the verdict overconfident
+CLAIMED = 0.8  # stated fraction of the true covariance against which the power is computed
 COVERAGE_LEVELS = (0.5, 0.9, 0.95, 0.99)
 INSIDE_3SIGMA = float(special.chdtr(2, 9.0))
-"""Share of positions that a consistent estimator has inside its 3 sigma ellipse (98.89 %)."""
-
-CHI2_3_MEDIAN = float(special.chdtri(3, 0.5))
-"""Median of a chi-square variable with 3 dof (2.366): of the pose NEES of a consistent estimator."""
+"""Share of positions inside the 3 sigma ellipse of a consistent estimator (98.89 %)."""
+CHI2_3_MEDIAN = float(special.chdtri(3, 0.5))  # median pose NEES of a consistent estimator (2.366)
 THIN = 100.0
-"""Times the floor of the increments' covariance: a pose covariance with a smaller eigenvalue is nearly singular. What
-it claims in that direction is the floor, not the noise. After an exact prior that lasts a frame or two."""
+"""Eigenvalue below which a pose covariance is nearly singular, in floors of the increments' covariance. After an exact
+prior this lasts a frame or two."""
 
 CONSISTENT, OVERCONFIDENT, CONSERVATIVE, TOO_FEW = "consistent", "overconfident", "conservative", "not enough runs"
 
 
 def squared_distance(error: Array, covariance: Array) -> Array:
-    """Squared distance e' P^-1 e (N,) of errors (N, k) and covariances (N, k, k); NaN if P is singular.
+    """Squared distance e' P^-1 e (N,) of errors (N, k) and covariances (N, k, k).
 
-    P counts as invertible if its correlation matrix has no eigenvalue below 1e-12 (units must not decide).
+    NaN where the correlation matrix of P has an eigenvalue below 1e-12.
     """
     result = np.full(len(error), np.nan)
     variance = np.einsum("nii->ni", covariance)
@@ -120,56 +112,38 @@ def nearly_singular(covariance: Array, floor: float) -> BoolArray:
     return thin
 
 
-def mean_or_nan(values: Array) -> float:
-    """Mean of the finite values; NaN if there are none."""
+def mean_or_nan(values: Array, of: Callable[[Array], Any] = np.mean) -> float:
+    """Mean (or another statistic) of the finite values; NaN if there are none."""
     finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else math.nan
-
-
-def median_or_nan(values: Array) -> float:
-    """Median of the finite values; NaN if there are none."""
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else math.nan
+    return float(of(finite)) if len(finite) else math.nan
 
 
 def inside_3sigma(position_nees: Array) -> float:
-    """Share of frames whose position error lies inside the 3 sigma ellipse; compare with `INSIDE_3SIGMA`."""
-    finite = position_nees[np.isfinite(position_nees)]
-    return float(np.mean(finite <= 9.0)) if len(finite) else math.nan
+    """Share of frames whose position error is inside the 3 sigma ellipse (expected: `INSIDE_3SIGMA`)."""
+    return mean_or_nan(position_nees, lambda finite: np.mean(finite <= 9.0))
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """A mean with its interval, the word it deserves, and what the test could have seen.
-
-    Attributes:
-        mean, lower, upper: of what was measured once per run, with its 95 % interval.
-        dof: degrees of freedom of the chi-square law behind it; 0 for whiteness, which has none.
-        expected: what a consistent estimator has as mean (NEES and NIS: dof; coverage: the level; whiteness: 0).
-        runs: number of runs that enter.
-        word: `consistent`, `overconfident`, `conservative` or `not enough runs`.
-        p_value: two-sided, of a mean equal to `expected`.
-        power: probability that this test, with this spread and this many runs, rejects a covariance claimed at 0.8
-            of the true one; NaN where that cannot be said.
-    """
+    """A mean over runs with its 95 % interval, verdict, p value and power."""
 
     mean: float
     lower: float
     upper: float
-    dof: int
-    expected: float
+    dof: int  # of the chi-square law; 0 for whiteness
+    expected: float  # mean of a consistent estimator (NEES and NIS: dof; coverage: the level; whiteness: 0)
     runs: int
-    word: str
-    p_value: float
-    power: float
+    word: str  # `consistent`, `overconfident`, `conservative` or `not enough runs`
+    p_value: float  # two-sided, of a mean equal to `expected`
+    power: float  # probability of rejecting a covariance stated at 0.8 of the true one; NaN: unknown
 
 
 def verdict(run_means: Array, dof: int, level: float = LEVEL) -> Verdict:
     """Student's t verdict on the run means (N,) of a statistic whose expectation is `dof`.
 
-    A few diverging runs blow up the spread so far that the interval holds any value, dof included. A consistent
-    estimator's run mean averages chi-square variables, so its tail is no heavier than theirs: a run mean that not even
-    a single chi-square value would reach in N draws (probability `TAIL_LEVEL`) makes the verdict overconfident as well.
+    A few diverging runs widen the interval so far that it holds any value. A consistent estimator's run mean averages
+    chi-square variables and has no heavier tail. A run mean that a chi-square variable exceeds in N draws with a
+    probability below `TAIL_LEVEL` therefore makes the verdict overconfident.
     """
     means = np.asarray(run_means, float)
     if not _judgeable(means):
@@ -183,13 +157,11 @@ def verdict(run_means: Array, dof: int, level: float = LEVEL) -> Verdict:
 def whiteness(correlations: Array, level: float = LEVEL) -> Verdict:
     """Student's t verdict on the runs' correlations (N,) of successive innovations, see `lag1`; expected 0.
 
-    Positive: a surprise is followed by one alike, so the gain is too low and the prediction trusted too much
-    (overconfident). Negative: the gain is too high, each update overshoots (conservative); an R claimed too small looks
-    the same (Mehra 1970). A run that diverged counts as in `verdict`: for white Gaussian innovations w'w of one pair
-    has Laplace's distribution, P(|w'w| > 2r) = exp(-2r), and an average over pairs has no heavier tail.
+    A positive one means a gain that is too low (overconfident prediction). A negative one means a gain that is too high
+    (conservative), or a stated R that is too small (Mehra 1970). A run that diverged counts as in `verdict`: for white
+    Gaussian innovations P(|w'w| > 2r) = exp(-2r) (Laplace), and an average over pairs has no heavier tail.
 
-    The power is NaN: P, Q and R claimed at 0.8 leave the gain as it is and the innovations white, so the test is blind
-    to that by nature; what other faults do to the correlation depends on the system.
+    The power is NaN: P, Q and R stated at 0.8 leave the gain unchanged and the innovations white.
     """
     r = np.asarray(correlations, float)
     if not _judgeable(r):
@@ -207,7 +179,7 @@ def _undecided(mean: float, runs: int, dof: int, expected: float) -> Verdict:
 
 
 def _student(values: Array, expected: float, tail: float, level: float) -> tuple[float, float, str, float]:
-    """Mean, half interval, word and p value; `tail`: bound on the probability of the most extreme value in N draws."""
+    """Mean, half interval, word and p value; `tail`: bound on the probability of the largest value in N draws."""
     n = len(values)
     mean, error = float(values.mean()), float(values.std(ddof=1) / math.sqrt(n))
     half = float(special.stdtrit(n - 1, 0.5 * (1.0 + level))) * error
@@ -225,10 +197,7 @@ def _word(accepted: bool, overconfident: bool, runs: int) -> str:
 
 
 def _power(dof: int, mean: float, error: float, n: int, level: float) -> float:
-    """Power of the t test against a claimed covariance of `CLAIMED` times the true one.
-
-    Scaling P divides every NEES by the factor, so mean and spread of a consistent estimator's run means do too.
-    """
+    """Power of the t test against a covariance stated at `CLAIMED`, which divides mean and spread of the NEES."""
     if error <= 0.0 or mean <= 0.0:
         return math.nan
     scaled = error * (dof / mean) / CLAIMED
@@ -238,11 +207,10 @@ def _power(dof: int, mean: float, error: float, n: int, level: float) -> float:
 
 
 def coverage(values: Array, dof: int, level: float) -> Verdict:
-    """Exact binomial verdict on the share of run-end NEES (N,) inside the chi-square ellipse that should hold `level`.
+    """Exact binomial verdict on the share of run-end NEES (N,) inside the chi-square ellipse of `level`.
 
-    Bounds are Clopper and Pearson's (Biometrika 1934) at 95 %, the p value is twice the smaller tail, so that the two
-    agree. Counts are whole, so a consistent estimator is accepted in 95 % of studies or more, and with few runs a high
-    level cannot be exceeded: `conservative` needs level^N < 2.5 % (0.95: 72 runs, 0.99: 368).
+    The p value is twice the smaller tail, in agreement with the 95 % bounds of `share_interval`. At least 95 % of
+    studies accept a consistent estimator; `conservative` needs level^N < 2.5 % (0.95: 72 runs, 0.99: 368).
     """
     nees_end = np.asarray(values, float)
     n = len(nees_end)
@@ -255,7 +223,7 @@ def coverage(values: Array, dof: int, level: float) -> Verdict:
     word = _word(lower <= level <= upper, upper < level, n)
     counts = np.arange(n + 1)
     p_values = np.minimum(2.0 * np.minimum(special.bdtr(counts, n, level), special.bdtrc(counts - 1, n, level)), 1.0)
-    # an ellipse claimed too small by CLAIMED holds what a right one of CLAIMED its squared radius holds
+    # the ellipse of a covariance stated at CLAIMED is the right one with CLAIMED times its squared radius
     share = special.bdtr(counts, n, float(special.chdtr(dof, CLAIMED * radius)))
     power = float(np.diff(share, prepend=0.0)[p_values < 2.0 * tail].sum())
     return Verdict(inside / n, lower, upper, dof, level, n, word, float(p_values[inside]), power)
@@ -271,11 +239,9 @@ def lag1(white: Array, frame: IntArray, number: IntArray) -> tuple[float, float]
 
     Given all data up to frame k, a consistent filter's innovation in frame k+1 has mean zero (Bar-Shalom, Li,
     Kirubarajan 5.4.2), so T = sum of w_k' w_k+1 over the landmarks of both frames is a martingale difference. Hence
-    r = sum T / (2 pairs) has mean 0 and, although innovations within one frame are correlated, sum T^2 estimates the
-    variance of sum T; their ratio r / error is about standard normal in a long run. As w has unit covariance by the
-    filter's claim, r is the correlation if the claim is right, and no variance is estimated; where it is not, r is in
-    units of the claimed variance and may have any size (see `lag1_correlation`). Returns (nan, nan) without pairs.
-    Of a landmark seen twice in a frame, the last observation meets the first of the next frame.
+    r = sum T / (2 pairs) has mean 0, and sum T^2 estimates the variance of sum T although innovations within a frame
+    are correlated. r is in units of the stated variance; it is a correlation only if that is right (see
+    `lag1_correlation`). Returns (nan, nan) without pairs.
     """
     before, after = successive(white, frame, number)
     if not len(after):
@@ -287,10 +253,9 @@ def lag1(white: Array, frame: IntArray, number: IntArray) -> tuple[float, float]
 def lag1_correlation(white: Array, frame: IntArray, number: IntArray) -> tuple[float, float]:
     """Correlation of a landmark's innovations in consecutive frames, within [-1, 1], and its standard error if white.
 
-    Arguments as of `lag1`, but each component of the innovations is divided by its own spread over the pairs, in
-    place of the spread that the filter claims: a noise that is stated wrongly makes NIS large and not this. The spread
-    is about zero, the mean of a consistent filter's innovations, so a bias counts as correlation. Mean of both
-    components; one without any spread is left out. Returns (nan, nan) where nothing is left.
+    As `lag1`, but each component is divided by its own spread over the pairs instead of the stated one, so that a
+    wrongly stated noise does not change it. The spread is about zero, so a bias counts as correlation. Mean of both
+    components; one without spread is left out. Returns (nan, nan) if none is left.
     """
     before, after = successive(white, frame, number)
     spread = np.linalg.norm(white[before], axis=0) * np.linalg.norm(white[after], axis=0)
@@ -303,7 +268,7 @@ def lag1_correlation(white: Array, frame: IntArray, number: IntArray) -> tuple[f
 
 
 def successive(white: Array, frame: IntArray, number: IntArray) -> tuple[IntArray, IntArray]:
-    """Rows of a landmark's values `white` (M, 2) in consecutive frames: those before (p,), those after (p,)."""
+    """Rows (p,), (p,) of a landmark's values `white` (M, 2) in each two consecutive frames."""
     rows = np.flatnonzero(np.isfinite(white).all(axis=1) & (number >= 0))
     rows = rows[np.lexsort((frame[rows], number[rows]))]
     before, after = rows[:-1], rows[1:]
@@ -312,7 +277,7 @@ def successive(white: Array, frame: IntArray, number: IntArray) -> tuple[IntArra
 
 
 def holm_rejected(p_values: Sequence[float], level: float = FAMILY_LEVEL) -> list[bool]:
-    """Holm's step-down procedure: which hypotheses are rejected at a family-wise level (Holm 1979)."""
+    """Which hypotheses are rejected at a family-wise level (Holm's step-down procedure, 1979)."""
     p = np.asarray(p_values, float)
     rejected = np.zeros(len(p), bool)
     for rank, i in enumerate(np.argsort(p, kind="stable")):

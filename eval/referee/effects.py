@@ -1,9 +1,8 @@
-"""Systematic errors a log may have: what each would do to odometry and readings, and how much of it the data ask for.
+"""Systematic errors: the effect of each on odometry and observations, and its estimated size.
 
-Each is the slope of one component of what a log states against a regressor: distance and turn of an increment, time,
-range of a reading, the robot's speed and turn rate. The slope is estimated beside path and map
-(`graph.qr.score_test`), so that what the smoother absorbs of it is counted, and its standard error is that of the
-stated noise.
+Each is the slope of one component against a regressor: distance and turn of an increment, time, range of an
+observation, speed and turn rate of the robot. The slope is estimated jointly with path and map (`graph.qr.score_test`);
+its standard error is that of the stated noise.
 """
 
 from __future__ import annotations
@@ -23,39 +22,33 @@ from data.sensors import RELATIVE_POINT
 from eval.referee.residuals import Used
 from graph.qr.score_test import Score, systematic
 
-SLIGHT = 0.01
-"""Of the other component's rate: a component that the motion moves less (the range, when turning) shows no lateness."""
+SLIGHT = 0.01  # least rate of a component that shows a delay, as a share of the other component's
 
 
 class Effect(NamedTuple):
-    """What a unit of a systematic error adds: to the increments (N, 3), or to the readings (M, 2)."""
+    """Derivative of the increments (N, 3) or the observations (M, 2) with respect to a systematic error."""
 
     name: str
     motion: Array | None = None
-    readings: Array | None = None
+    observations: Array | None = None
 
 
 def effects(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
-    """The systematic errors that the log has room for, by name `<component>_<regressor>`.
+    """The systematic errors that the log can show, by name `<component>_<regressor>`.
 
     `odometry_x_distance` is a share of the distance, `odometry_y_distance` an angle between motion and heading,
     `odometry_theta_distance` a curvature [rad/m], `odometry_theta_turn` a share of the turn, `odometry_theta_time` a
-    drift [rad/s]; `odometry_{x,y}_turn` m/rad. Of a reading, `constant` is a bias in its unit and `range` grows with
-    the range: for points, z1 is then along the ray (a share) and z2 across it (an angle). `speed` and `turn_rate` of a
-    reading are seconds by which it is older than its stamp, as the robot's motion and its turning show it.
+    drift [rad/s]; `odometry_{x,y}_turn` m/rad. For observations, `constant` is a bias in the component's unit and
+    `range` grows with the range; for points, z1 is then along the ray (a share) and z2 across it (an angle). `speed`
+    and `turn_rate` are delays [s] of an observation, seen in the robot's motion and turning.
     """
-    motion = _motion(inputs, path)
-    found = [Effect(f"odometry_{name}", motion=column) for name, column in motion.items()]
-    found += [Effect(name, readings=column) for name, column in _readings(inputs, path, used).items()]
-    return [e for e in found if _told(e.motion) or _told(e.readings)]
-
-
-def _told(column: Array | None) -> bool:
-    return column is not None and bool(np.any(column != 0.0))
+    found = [Effect(f"odometry_{name}", motion=column) for name, column in _motion(inputs, path).items()]
+    found += [Effect(name, observations=column) for name, column in _observations(inputs, path, used).items()]
+    return [e for e in found if any(column is not None and np.any(column != 0.0) for column in e[1:])]
 
 
 def _motion(inputs: Inputs, path: Array) -> dict[str, Array]:
-    """Derivatives (N, 3) of the increments; distance and turn are those of the smoothed path, not the noisy ones."""
+    """Derivatives (N, 3) of the increments, with distance and turn of the smoothed path."""
     step = np.zeros((len(inputs), 3))
     step[1:] = se2.between(path[:-1], path[1:])
     dx, dy, turn = step.T
@@ -73,8 +66,8 @@ def _motion(inputs: Inputs, path: Array) -> dict[str, Array]:
     return {name: np.stack(parts, axis=1) for name, parts in columns.items()}
 
 
-def _readings(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
-    """Derivatives (M, 2) of the readings; zero for one that was not used."""
+def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
+    """Derivatives (M, 2) of the observations; zero where not paired."""
     o, sensor = inputs.observations, inputs.sensor
     rows = np.flatnonzero(used.number >= 0)
     if not len(rows):
@@ -114,13 +107,13 @@ def _velocity(inputs: Inputs, path: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """What a log's data say about systematic errors: their names (p) and the score of each at size zero."""
+    """Names (p) of systematic errors and their scores at size zero."""
 
     names: tuple[str, ...]
     score: Score
 
     def slopes(self) -> Mapping[str, tuple[float, float]]:
-        """Efficient estimate and standard error of each, if it is the only one; none where data say nothing."""
+        """Efficient estimate and standard error of each by itself, where the data have information."""
         score, information = self.score.score, np.diag(self.score.information)
         return {
             name: (float(score[i] / information[i]), 1.0 / math.sqrt(information[i]))
@@ -129,45 +122,45 @@ class Scored:
         }
 
     def together(self, chosen: IntArray) -> tuple[Array, Array]:
-        """Estimates (q,) and standard errors (q,) of the errors `chosen` (q,) as they are beside each other."""
+        """Joint estimates (q,) and standard errors (q,) of the errors `chosen` (q,)."""
         covariance = np.linalg.pinv(self.score.information[np.ix_(chosen, chosen)], rcond=1e-12, hermitian=True)
         return covariance @ self.score.score[chosen], np.sqrt(np.diag(covariance))
 
 
 def scored(inputs: Inputs, path: Array, used: Used, along: Systematics | None = None) -> Scored:
-    """What the data say about each systematic error at a smoothed path (N, 3), beside errors estimated `along`."""
+    """Scores of all systematic errors at a smoothed path (N, 3), jointly with errors estimated `along`."""
     return score_of(inputs, path, used, effects(inputs, path, used), along)
 
 
 def score_of(
     inputs: Inputs, path: Array, used: Used, hypotheses: Sequence[Effect], along: Systematics | None = None
 ) -> Scored:
-    """The same of given hypothetical errors."""
-    motion, readings = _columns(inputs, hypotheses)
-    score = systematic(inputs, used.number, path, used.landmarks, motion, readings, along)
+    """Scores of given systematic errors."""
+    score = systematic(inputs, used.number, path, used.landmarks, *_columns(inputs, hypotheses), along)
     return Scored(tuple(e.name for e in hypotheses), score)
 
 
 def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float]) -> Inputs:
-    """The inputs less systematic errors of these sizes, as seen from a smoothed path (N, 3)."""
+    """The inputs without systematic errors of these sizes, linearized at a smoothed path (N, 3)."""
     found = [e for e in effects(inputs, path, used) if e.name in sizes]
-    motion, readings = _columns(inputs, found)
+    motion, observations = _columns(inputs, found)
     size = np.array([sizes[e.name] for e in found])
     increments, o = inputs.increments, inputs.observations
     mean = increments.mean - motion @ size
     mean[:, 2] = se2.wrap_angle(mean[:, 2])
-    z = o.z - readings @ size
+    z = o.z - observations @ size
     if inputs.sensor.kind != RELATIVE_POINT:
         z = np.column_stack([np.abs(z[:, 0]), se2.wrap_angle(z[:, 1])])
     return replace(inputs, increments=replace(increments, mean=mean), observations=replace(o, z=z))
 
 
 def _columns(inputs: Inputs, found: Sequence[Effect]) -> tuple[Array, Array]:
-    """Derivatives of all increments (N, 3, p) and readings (M, 2, p)."""
-    motion, readings = np.zeros((len(inputs), 3, len(found))), np.zeros((len(inputs.observations.frame), 2, len(found)))
+    """Derivatives of all increments (N, 3, p) and observations (M, 2, p)."""
+    p = len(found)
+    motion, observations = np.zeros((len(inputs), 3, p)), np.zeros((len(inputs.observations.frame), 2, p))
     for i, e in enumerate(found):
         if e.motion is not None:
             motion[:, :, i] = e.motion
-        if e.readings is not None:
-            readings[:, :, i] = e.readings
-    return motion, readings
+        if e.observations is not None:
+            observations[:, :, i] = e.observations
+    return motion, observations

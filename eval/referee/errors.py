@@ -1,16 +1,11 @@
-"""Errors of a trajectory and a map against the truth: RMSE, maxima, alignment. Pure functions on arrays.
+"""Errors of a trajectory and a map against the truth: RMSE, alignment, relative errors.
 
-Errors are world-frame, additive, heading wrapped; frames without truth (NaN) are left out; no alignment unless a name
-says so. A metric without anything to measure is NaN, never zero.
+Errors are world-frame, additive, heading wrapped. Frames without truth (NaN) are left out. Paths are not aligned unless
+a name says so. A metric of no values is NaN.
 
-The errors of one run frame by frame along its log, from which its metrics, scores and intervals are made.
-
-Relative pose errors over stated distances: how fast an estimate drifts, whatever its start and gauge.
-
-Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems (IROS 2012), equation 2: the motion between two
-poses, true and estimated, and the difference of the two. The pairs are those of evo's `evo_rpe --all_pairs
---pairs_from_reference`: every pose with the one whose way from it, along the true path, comes nearest to the distance,
-if within a tenth of it (`--delta_tol 0.1`, evo's default).
+Relative errors are those of Sturm et al., A Benchmark for the Evaluation of RGB-D SLAM Systems (IROS 2012), equation 2.
+The pairs are those of `evo_rpe --all_pairs --pairs_from_reference`: each pose with the one whose distance along the
+true path is nearest to the stated one, if within a tenth of it (`--delta_tol 0.1`, evo's default).
 """
 
 from __future__ import annotations
@@ -49,7 +44,7 @@ def heading_rmse_deg(pose: Array, truth: Array) -> float:
 
 
 def frame_weights(time: Array) -> Array:
-    """Seconds (N,) that each frame stands for: half the way to either neighbour."""
+    """Seconds (N,) of each frame: half the intervals to its neighbours."""
     if len(time) < 2:
         return np.ones(len(time))
     step = np.diff(time)
@@ -58,7 +53,7 @@ def frame_weights(time: Array) -> Array:
 
 
 def time_weighted_rmse(pose: Array, truth: Array, time: Array) -> float:
-    """RMS position error [m] with each frame weighted by its time, as on a uniform grid."""
+    """RMS position error [m] weighted by `frame_weights`."""
     distance = position_distance(pose, truth)
     known = np.isfinite(distance)
     weight = frame_weights(time)[known]
@@ -68,7 +63,7 @@ def time_weighted_rmse(pose: Array, truth: Array, time: Array) -> float:
 
 
 def align(points: Array, onto: Array) -> tuple[Array, Array]:
-    """Rotation (2, 2), translation (2,) of the best rigid fit of points (K, 2) onto others (Umeyama 1991, no scale)."""
+    """Rotation (2, 2) and translation (2,) of the best rigid fit of (K, 2) onto (K, 2) (Umeyama 1991, no scale)."""
     a, b = points.mean(axis=0), onto.mean(axis=0)
     U, _, Vt = np.linalg.svd((onto - b).T @ (points - a))
     D = np.diag([1.0, np.linalg.det(U) * np.linalg.det(Vt)])
@@ -87,14 +82,19 @@ def aligned_rmse(pose: Array, truth: Array) -> float:
 
 
 def named(run: Run) -> IntArray:
-    """Which landmark (M,) is known by an observation: what it initialized in the end, or at first if that is gone."""
+    """Landmark (M,) that takes its true id from an observation: the one initialized finally, else the one online."""
     last = run.initialized
     left = np.where(np.isin(run.created, last[last >= 0]), -1, run.created)
     return np.where(last >= 0, last, left)
 
 
+def observed(run: Run) -> IntArray:
+    """Landmark (M,) of each observation by the final decisions, initializations included; negative: none."""
+    return np.where(run.initialized >= 0, run.initialized, run.final_decisions)
+
+
 def landmark_true_ids(created: IntArray, truth: Truth, numbers: IntArray) -> IntArray:
-    """True id (L,) of each landmark, that of the observation that initialized it (-2 where not known)."""
+    """True id (L,) of each landmark, by the observation that initialized it; -2: unknown."""
     ids = np.full(int(max(created.max(initial=-1), np.max(numbers, initial=-1))) + 1, -2, np.int64)
     if truth.landmark_of is not None:
         first = np.flatnonzero(created >= 0)
@@ -103,7 +103,7 @@ def landmark_true_ids(created: IntArray, truth: Truth, numbers: IntArray) -> Int
 
 
 def landmark_errors(xy: Array, true_id: IntArray, truth: Truth, sensor: Sensor) -> Array:
-    """Position error (L, 2) of each mapped landmark, NaN where its true position is not known, and of walls."""
+    """Position errors (L, 2) of mapped landmarks; NaN where the true position is unknown, and of walls."""
     if truth.landmarks is None or not sensor.sees_points:
         return np.full((len(xy), 2), np.nan)
     return xy - truth.landmarks.positions(true_id)
@@ -111,21 +111,15 @@ def landmark_errors(xy: Array, true_id: IntArray, truth: Truth, sensor: Sensor) 
 
 @dataclass(frozen=True, eq=False)
 class Along:
-    """Errors of one run and phase, per frame (N,); NaN: no truth.
+    """Errors of one run and phase, per frame (N,); NaN: no truth."""
 
-    Attributes:
-        distance: of the estimated position from the true one [m].
-        thin: frames of nearly singular covariance, which are in no NEES and no score of the belief.
-        nees: of each quantity (`consistency.QUANTITIES`); NaN also where thin or not invertible.
-    """
-
-    distance: Array
-    thin: BoolArray
-    nees: Mapping[str, Array]
+    distance: Array  # m, of the positions
+    thin: BoolArray  # frames with a nearly singular covariance, which enter no NEES and no proper score
+    nees: Mapping[str, Array]  # of each of `consistency.QUANTITIES`; NaN also where thin or singular
 
 
 def along(run: Run, phase: str, log: Log) -> Along | None:
-    """Errors of a run in a phase along its log; None where no pose is known or the run did not get to the end."""
+    """Errors of a run in a phase along its log; None without true poses, and for a run that failed."""
     truth = log.truth.pose
     if run.failure is not None or truth is None or not np.isfinite(truth).all(axis=1).any():
         return None
@@ -137,9 +131,7 @@ def along(run: Run, phase: str, log: Log) -> Along | None:
     return Along(position_distance(pose, truth), thin, nees)
 
 
-DISTANCES = (1.0, 10.0)
-"""m: what a robot sees at once, and what it drives between two looks at the same place; the drift over 10 m in metres
-is its tenth in percent of the way."""
+DISTANCES = (1.0, 10.0)  # m
 TOLERANCE = 0.1
 
 
@@ -152,15 +144,14 @@ class Relative:
 
 
 def pairs_by_way(xy: Array, distance: float) -> tuple[IntArray, IntArray]:
-    """Rows i < j (p,) of positions (n, 2) with a way of `distance` between, within a tenth; of equals the first."""
+    """Rows i < j (p,) of positions (n, 2) `distance` apart along the path, within a tenth; of equal ones the first."""
     n = len(xy)
-    none = np.empty(0, np.int64)
     if n < 2:
-        return none, none
+        return np.empty(0, np.int64), np.empty(0, np.int64)
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
     i = np.arange(n - 1)
     high = np.clip(np.searchsorted(way, way[i] + distance), i + 1, n - 1)
-    # the first of the poses that stand where the one before stands
+    # of poses at the same place the first
     low = np.maximum(np.searchsorted(way, way[np.maximum(high - 1, 0)]), i + 1)
     off_low, off_high = (np.abs(way[j] - way[i] - distance) for j in (low, high))
     j = np.where(off_low <= off_high, low, high)
@@ -169,16 +160,16 @@ def pairs_by_way(xy: Array, distance: float) -> tuple[IntArray, IntArray]:
 
 
 def relative(pose: Array, truth: Array, pairs: tuple[IntArray, IntArray]) -> Relative:
-    """Errors of the motions from the first to the second pose of each pair."""
+    """Errors of the motions between the poses of each pair."""
     i, j = pairs
     theirs, ours = se2.between(truth[i], truth[j]), se2.between(pose[i], pose[j])
     return Relative(np.hypot(*(ours - theirs)[:, :2].T), np.abs(se2.wrap_angle(ours[:, 2] - theirs[:, 2])))
 
 
 def rpe_columns(pose: Array, truth: Array) -> dict[str, float | None]:
-    """RMS relative errors of poses (n, 3) over a frame and over `DISTANCES`, by column of metrics.csv.
+    """RMS relative errors of poses (n, 3) over a frame and over `DISTANCES`, by column of metrics.csv; None: no pair.
 
-    Poses without truth are left out first, so that a frame is from one known truth to the next. None: no pair.
+    A frame lasts from one known true pose to the next.
     """
     known = np.isfinite(pose).all(axis=1) & np.isfinite(truth).all(axis=1)
     pose, truth = pose[known], truth[known]

@@ -1,7 +1,7 @@
-"""A run that somebody else made: its trajectory at its own stamps, beside a log whose truth is asked there.
+"""Runs of other programs: a trajectory at its own stamps, scored against the truth of a log.
 
-The truth at these stamps is interpolated where it is dense enough, unknown elsewhere. If that is asked for, the result
-is moved onto it as a whole: poses, landmarks and covariances alike.
+The truth is interpolated at these stamps where it is dense enough, and unknown elsewhere. An alignment moves poses,
+landmarks and covariances.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ ALIGNMENTS = (NONE, FIRST, SE2)
 
 
 def alignment(pose: Array, truth: Array, how: str) -> Array | None:
-    """The motion (3,) T of `how`, to be put in front of every pose (n, 3); None for `none` or where nothing matches.
+    """The motion (3,) T that aligns poses (n, 3) with the truth from the left; None for `none` or without a match.
 
-    Rows NaN are left out; a fit needs two matched poses, or else it is that of the first.
+    NaN rows are left out. With one matched pose `se2` is `first`.
     """
     known = np.flatnonzero(np.isfinite(pose).all(axis=1) & np.isfinite(truth).all(axis=1))
     if how == NONE or not len(known):
@@ -46,56 +46,46 @@ def alignment(pose: Array, truth: Array, how: str) -> Array | None:
 
 
 def moved(T: Array, path: Trajectory) -> Trajectory:
-    """The trajectory with T in front of every pose.
+    """The trajectory moved by T from the left.
 
-    World-frame errors turn with the poses: P becomes J P J', J = blockdiag(R, 1). The fit is taken as known: NEES
-    after an alignment is not that of a consistent estimator. `se2` takes out of the error what P still holds of a
-    common shift and turn, so it is smaller; `first` adds the first pose's error to all others, at a lever arm.
+    World-frame errors turn with the poses: P becomes J P J', J = blockdiag(R, 1). The error of the fit is ignored, so
+    NEES changes: `se2` removes the common shift and turn that P includes, `first` adds the first pose's error.
     """
     J = se2.world_from_body(float(T[2]))
     return Trajectory(se2.compose(T, path.pose), J @ path.covariance @ J.T)
 
 
 def moved_map(T: Array, m: MapEstimate) -> MapEstimate:
-    """The map likewise."""
+    """The map moved by T."""
     R = se2.rotation(float(T[2]))
-    return MapEstimate(m.number, se2.transform_points(T, m.xy), R @ m.covariance @ R.T, m.first_frame, m.times_seen)
+    return replace(m, xy=se2.transform_points(T, m.xy), covariance=R @ m.covariance @ R.T)
 
 
 def moved_walls(T: Array, m: MapEstimate) -> MapEstimate:
-    """The same of walls: alpha turns with the map, rho changes by the way along the normal."""
+    """The map of walls moved by T: alpha turns with it, rho changes by the shift along the normal."""
     alpha = m.xy[:, 1] + T[2]
     c, s = np.cos(alpha), np.sin(alpha)
     walls = np.stack([m.xy[:, 0] + c * T[0] + s * T[1], se2.wrap_angle(alpha)], axis=1)
     J = np.tile(np.eye(2), (len(walls), 1, 1))
     J[:, 0, 1] = c * T[1] - s * T[0]
-    return MapEstimate(m.number, walls, J @ m.covariance @ J.transpose(0, 2, 1), m.first_frame, m.times_seen)
+    return replace(m, xy=walls, covariance=J @ m.covariance @ J.transpose(0, 2, 1))
 
 
-SAME = 1e-6
-"""s: stamps that differ by no more are the same instant (microseconds were written; `smfeval` has the same)."""
-GAP = 1.0
-"""s: truths farther apart are not interpolated. Frames of a log are never farther apart (DESIGN), and beyond, a
-sample of odometry does not hold either."""
+SAME = 1e-6  # s, largest difference of equal stamps (files hold microseconds; as in `smfeval`)
+GAP = 1.0  # s, largest interval that is interpolated
 
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """The truth at n stamps.
+    """The truth at n stamps."""
 
-    Attributes:
-        truth: (n, 3), NaN where unmatched.
-        matched, unmatched: how many.
-        interpolated: how many of the matched lie between two truths.
-        error: m, what interpolation may be wrong by: RMS over the truths that can be left out, each interpolated from
-            its neighbours, over 4 (half the step, a quarter of the sagitta); NaN where nothing was interpolated.
-    """
-
-    truth: Array
+    truth: Array  # (n, 3), NaN where unmatched
     matched: int
     unmatched: int
-    interpolated: int
+    interpolated: int  # number of matched poses between two truths
     error: float
+    """m, RMS error of the interpolation; NaN without one. Truths are left out and interpolated from their neighbours;
+    a quarter of that error holds at half the step."""
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -111,9 +101,8 @@ class Match:
 def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Match:
     """Truth (n, 3) at stamps `time` (n,) from truths (K, 3) at `truth_time` (K,), both strictly ascending.
 
-    A stamp within `SAME` of a truth's takes that truth as it is. Between two known truths no more than `gap` seconds
-    apart, positions are interpolated linearly and headings along the shorter way. Elsewhere, beside a truth that is
-    NaN and outside the span of the truths, it is unknown.
+    A stamp within `SAME` of a truth's takes that truth. Between two known truths at most `gap` seconds apart, positions
+    and headings are interpolated linearly. Elsewhere the truth is unknown.
     """
     n = len(time)
     found = np.full((n, 3), np.nan)
@@ -127,10 +116,9 @@ def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Mat
     within = ~same & (truth_time[before] < time) & (time < truth_time[after])
     within &= truth_time[after] - truth_time[before] <= gap + SAME
     found[within] = _between(truth_time, truth, before[within], after[within], time[within])
-    matched = np.asarray(np.isfinite(found).all(axis=1))
-    between = int((within & matched).sum())
-    error = _sagitta(truth_time, truth, gap) if between else math.nan
-    return Match(found, int(matched.sum()), n - int(matched.sum()), between, error)
+    known = np.asarray(np.isfinite(found).all(axis=1))
+    matched, between = int(known.sum()), int((within & known).sum())
+    return Match(found, matched, n - matched, between, _sagitta(truth_time, truth, gap) if between else math.nan)
 
 
 def _between(time: Array, pose: Array, a: IntArray, b: IntArray, at: Array) -> Array:
@@ -155,20 +143,13 @@ def _sagitta(time: Array, pose: Array, gap: float) -> float:
     return float(0.25 * math.sqrt(np.mean(off**2))) if len(off) else math.nan
 
 
-GIVEN = "given"
-"""Association of a run whose decisions were handed in, too."""
-TRUTH_ALONE = "a truth alone"
-"""Kind of a log's source that holds nothing else."""
+GIVEN = "given"  # association method of a run whose decisions were read as well
+TRUTH_ALONE = "a truth alone"  # kind of the source of a log that has a truth alone
 
 
 @dataclass(frozen=True, eq=False)
 class Kept:
-    """A map and the decisions that were handed in with a path; either may be None.
-
-    Attributes:
-        landmarks: number, xy, covariance.
-        decisions, final: (M,) as of `Run`.
-    """
+    """The map and the decisions (M,) that were read with a path, as of `Run`."""
 
     landmarks: MapEstimate | None = None
     decisions: IntArray | None = None
@@ -177,47 +158,40 @@ class Kept:
 
 @dataclass(frozen=True, eq=False)
 class GivenRun(Run):
-    """A run that was handed in.
+    """A run of another program."""
 
-    Attributes:
-        log: its instants, and the truth there; the log beside which it stands where it has that log's frames.
-        match: with the truth; None: there is none.
-        source: sha256 of what was read, by file.
-        aligned: how it was moved onto the truth (`ALIGNMENTS`).
-    """
-
-    log: Log | None = None
-    match: Match | None = None
-    aligned: str = NONE
-    source: Mapping[str, str] = field(default_factory=dict)
+    log: Log | None = None  # the log at the run's stamps; the scored log itself where the stamps are its frames
+    match: Match | None = None  # None: there is no truth
+    aligned: str = NONE  # one of `ALIGNMENTS`
+    source: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of each file read
     handed_in: ClassVar[bool] = True
 
 
 def log_of(run: Run, log: Log) -> Log:
-    """The log whose frames a run has: its own, if it was handed in."""
+    """The log whose frames a run has: for another program's run its own."""
     return run.log if isinstance(run, GivenRun) and run.log is not None else log
 
 
 def is_truth_alone(log: Log) -> bool:
-    """Whether a log was made of a truth and has nothing else."""
+    """Whether a log has a truth alone."""
     return log.source.get("kind") == TRUTH_ALONE
 
 
 def truth_log(name: str, path: GivenPath) -> Log:
-    """A log that is a truth alone: no increments, no observations; the prior is the first pose, known exactly."""
+    """A log of a truth without increments and observations; the prior is the first pose, known exactly."""
     n = len(path)
     nothing = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
     known = path.pose[np.isfinite(path.pose).all(axis=1)]
     start = known[0] if len(known) else np.zeros(3)
     still = Increments(np.zeros((n, 3)), np.zeros((n, 3, 3)))
     inputs = Inputs(Prior(start, np.zeros((3, 3))), path.time, still, nothing, RangeBearing())
-    said = (f"Truth alone, read from {path.file} ({path.kind})", projection(path), *path.notes)
-    notes = tuple(f"{s[0].upper()}{s[1:]}." for s in said if s)
+    sentences = (f"Truth alone, read from {path.file} ({path.kind})", projection(path), *path.notes)
+    notes = tuple(f"{s[0].upper()}{s[1:]}." for s in sentences if s)
     return Log(name, inputs, Truth(pose=path.pose), source={"kind": TRUTH_ALONE, "file": path.file}, notes=notes)
 
 
 def with_truth(log: Log, path: GivenPath, gap: float = GAP) -> tuple[Log, Match]:
-    """A log with the true path of a file in place of its own, at its frames."""
+    """The log with the true path of a file instead of its own."""
     found = match(log.recorded.time, path.time, path.pose, gap)
     note = f"True path from {path.file}: {sentence(found.notice)}."
     return replace(log, truth=replace(log.truth, pose=found.truth), notes=(*log.notes, note)), found
@@ -225,7 +199,7 @@ def with_truth(log: Log, path: GivenPath, gap: float = GAP) -> tuple[Log, Match]
 
 @dataclass(frozen=True, eq=False)
 class TruePath:
-    """The truth as it is asked at other stamps: (K,) s and (K, 3)."""
+    """True poses (K, 3) at stamps (K,) [s]."""
 
     time: Array
     pose: Array
@@ -242,10 +216,7 @@ def given_run(
     gap: float = GAP,
     kept: Kept = Kept(),
 ) -> GivenRun:
-    """A run of the phases in `paths`, scored against `truth` (None: there is none).
-
-    Phases have the same stamps (the caller sees to that). Where they are the frames of the log, the run is on that log.
-    """
+    """A run of the phases in `paths`, which have the same stamps, scored against `truth`."""
     own, time = log.recorded.time, next(iter(paths.values())).time
     last = paths.get("final") or next(iter(paths.values()))
     found = None
@@ -253,7 +224,8 @@ def given_run(
         found = match(time, truth.time, truth.pose, 0.0 if log.recorded.time_is_index else gap)
     same = len(time) == len(own) and bool((np.abs(time - own) <= SAME).all())
     T = None if found is None else alignment(last.pose, found.truth, align)
-    made, landmarks = {phase: _trajectory(path) for phase, path in paths.items()}, kept.landmarks
+    unknown, landmarks = np.full((len(time), 3, 3), np.nan), kept.landmarks
+    made = {k: Trajectory(p.pose, unknown if p.covariance is None else p.covariance) for k, p in paths.items()}
     if T is not None:
         made = {phase: moved(T, path) for phase, path in made.items()}
         move = moved_map if log.recorded.sensor.sees_points else moved_walls
@@ -274,7 +246,7 @@ def given_run(
         np.where(begun >= 0, NEW, final),
         created,
         begun=begun,
-        notes=(*_notes(last, found, "" if T is None else align), *_gone(kept, task, created)),
+        notes=(*_notes(last, found, "" if T is None else align), *_removed(kept, task, created)),
         log=log if same else _at(log, time, None if found is None else found.truth),
         match=found,
         aligned=NONE if T is None else align,
@@ -283,7 +255,7 @@ def given_run(
 
 
 def _notes(path: GivenPath, found: Match | None, aligned: str) -> Iterator[Notice]:
-    """What is to be known of a path that was read; `aligned`: how it was moved, empty: it was not."""
+    """Notices of a path that was read; `aligned`: its alignment, empty for none."""
     yield notice(Code.READ_FROM, Severity.INFO, file=str(path.file), kind=path.kind)
     yield notice(Code.NO_TRUTH) if found is None else found.notice
     if path.covariance is None:
@@ -293,16 +265,16 @@ def _notes(path: GivenPath, found: Match | None, aligned: str) -> Iterator[Notic
         yield notice(Code.ALIGNED, Severity.INFO, how=aligned)
 
 
-def _gone(kept: Kept, task: str, created: IntArray) -> list[Notice]:
-    """A notice where landmarks were removed on the way, which nobody said when."""
+def _removed(kept: Kept, task: str, created: IntArray) -> list[Notice]:
+    """A notice of landmarks that were removed at an unknown time."""
     if kept.landmarks is None or kept.decisions is None or task == "localization":
         return []
-    gone = np.setdiff1d(created[created >= 0], kept.landmarks.number)
-    return [notice(Code.LANDMARKS_GONE, landmarks=len(gone))] if len(gone) else []
+    removed = np.setdiff1d(created[created >= 0], kept.landmarks.number)
+    return [notice(Code.LANDMARKS_GONE, landmarks=len(removed))] if len(removed) else []
 
 
 def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:
-    """Number (M,) of the landmark that each observation initialized, by the order of creation; -1 where none."""
+    """Number (M,) of the landmark that each observation initialized, in order of creation; -1: none."""
     new = (decisions == NEW) | (final == NEW)
     if task == "localization":
         new[:] = False
@@ -310,10 +282,7 @@ def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:
 
 
 def begun_by(final: IntArray, created: IntArray) -> IntArray:
-    """Number (M,) of the landmark that begins with each observation by the final decisions (M,), -1 where none does.
-
-    It is the one that created it, or if that was decided otherwise in the end, the first one that is left.
-    """
+    """Number (M,) of the landmark whose first observation by the final decisions (M,) it is; -1: none."""
     begun = surviving(final, created)
     numbers, first = np.unique(final, return_index=True)
     later = (numbers >= 0) & np.isin(numbers, created[created >= 0]) & ~np.isin(numbers, begun)
@@ -321,13 +290,8 @@ def begun_by(final: IntArray, created: IntArray) -> IntArray:
     return begun
 
 
-def _trajectory(path: GivenPath) -> Trajectory:
-    P = np.full((len(path), 3, 3), np.nan) if path.covariance is None else path.covariance
-    return Trajectory(path.pose, P)
-
-
 def _at(log: Log, time: Array, truth: Array | None) -> Log:
-    """The log at other instants: nothing is known of it there but the truth."""
+    """The log at other instants, where only the truth is known."""
     n, o = len(time), log.recorded.observations
     nothing = Observations(o.frame[:0], o.z[:0], o.R[:0])
     still = Increments(np.zeros((n, 3)), np.zeros((n, 3, 3)))

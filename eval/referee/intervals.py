@@ -1,10 +1,8 @@
-"""How much of one log's number is chance: intervals of a run, and paired differences of a filter and a smoother.
+"""Bootstrap intervals of one run, and of paired differences between a filter and a smoother.
 
-Errors of successive frames are strongly correlated, so N frames are worth far fewer independent ones. The stationary
-bootstrap (Politis & Romano, JASA 1994) draws whole stretches of the log, of random length with a given mean, and so
-keeps the correlation within them. What is measured is how the number scatters between stretches of this log: errors are
-taken for stationary, and what another log would have done, its own map and drift, is not in it. docs/verdicts.md has
-the coverage measured.
+Errors of successive frames are strongly correlated. The stationary bootstrap (Politis & Romano, JASA 1994) draws whole
+stretches of the log, of random length with a given mean, and so keeps the correlation within them. The intervals assume
+stationary errors and hold for this log, not for another one. docs/verdicts.md has the measured coverage.
 """
 
 from __future__ import annotations
@@ -18,55 +16,36 @@ import numpy as np
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
-from eval.referee import result_files
 from eval.referee.consistency import LEVEL
 from eval.referee.errors import Along
 from eval.referee.given_runs import log_of
 
 REPLICATES = 1000
-"""Resampled logs. The 2.5 % point then has a standard error of 0.5 % in level; p is never below 1/1001."""
-SEED = 0
-"""Seeds the resampling of every run and pair alike, so that a run has the same interval wherever it is scored."""
-MIN_FRAMES = 50
-"""Fewer frames have no interval: the block length is sought over some sqrt(n) + 5 lags, and squared errors are skewed;
-with 30 frames even uncorrelated ones are covered in 89 % of logs (measured, docs/verdicts.md)."""
-LONGEST = 0.1
-"""Share of the frames that a mean block may have: fewer than ten blocks are too few values to take a scatter from."""
+"""Bootstrap replicates: the 2.5 % point has a standard error of 0.5 % in level, and p is at least 1/1001."""
+SEED = 0  # seed of every run and pair, so that a run has the same interval wherever it is scored
+MIN_FRAMES = 50  # least number of frames of an interval: with 30 the measured coverage is 89 % even without correlation
+LONGEST = 0.1  # largest mean block, as a share of the frames: ten blocks
 MIN_INDEPENDENT = 20.0
-"""Independent frames that a log must be worth. The block length is never estimated above about 3 sqrt(n), so where
-errors are correlated over a good part of the log it is far too short; below 20 the interval that claims 95 % has 20 to
-80 % (measured, docs/verdicts.md)."""
-CHUNK = 500_000
-"""Blocks drawn at once: bounds the memory at some 50 MB."""
+"""Least number of independent frames; below it the measured coverage is 20 to 80 % (docs/verdicts.md)."""
+CHUNK = 500_000  # blocks drawn at once, for 50 MB of memory
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A number of one log with its 95 % interval.
-
-    Attributes:
-        value: the number itself; NaN if no frame has it.
-        lower, upper: percentiles of the resampled numbers; NaN where there is no interval.
-        p: two-sided, of a difference of zero; NaN of a single run and where there is no interval.
-        block: mean length of the blocks [frames]; where it forbids the interval, what it would have been.
-        why: why there is no interval, a clause; empty if there is one.
-    """
+    """A number of one log with its 95 % interval; NaN where there is none."""
 
     value: float
     lower: float = math.nan
     upper: float = math.nan
-    p: float = math.nan
-    block: float = math.nan
-    why: str = ""
+    p: float = math.nan  # two-sided, of a difference of zero
+    block: float = math.nan  # mean length of the blocks [frames], also one that is too long for an interval
+    why: str = ""  # clause that explains a missing interval
 
 
 def run_intervals(squared_error: Array, nees: Array, rng: np.random.Generator) -> tuple[Interval, Interval]:
-    """Intervals of the position RMSE [m] and of the mean pose NEES of one run.
+    """Intervals of position RMSE [m] and mean pose NEES of one run, in blocks of the longer estimated mean length.
 
-    Args:
-        squared_error: (N,) squared position errors [m²]; NaN, no truth, is left out.
-        nees: (N,) pose NEES; NaN is left out.
-        rng: draws the blocks, of one mean length for both: the longer one of the two estimated.
+    `squared_error` (N,) [m²] of the positions and `nees` (N,) of the poses; NaN is left out.
     """
     return _both(squared_error[:, None], nees[:, None], rng)
 
@@ -76,15 +55,10 @@ def run_differences(
 ) -> tuple[Interval, Interval]:
     """Differences, first run minus second, in position RMSE [m] and in mean pose NEES, with p of "no difference".
 
-    Args:
-        squared_errors: of both runs in the same frames, (N,) each [m²]; a frame in which one is NaN is left out.
-        nees: of both runs, (N,) each; a frame in which one is NaN is left out.
-        rng: draws the blocks: the same ones for both runs, so what is common to their errors cancels.
-
-    p is about the mean of squares and the mean of NEES. With T the difference of the two means and T* a resampled one,
-    T* - T is distributed as T would be if there were no difference, so p = (1 + #{|T* - T| >= |T|}) / (1 + replicates)
-    (Davison & Hinkley, Bootstrap Methods and their Application, 1997, section 4.4). The mean length of the blocks is
-    that of the frame-by-frame differences, the longer one of squares and NEES.
+    Values (N,) of both runs are of the same frames; a frame with NaN is left out. Both share the blocks, so that common
+    errors cancel. p is about the mean squares and the mean NEES: with T the difference of the two means and T* a
+    resampled one, p = (1 + #{|T* - T| >= |T|}) / (1 + replicates) (Davison & Hinkley, Bootstrap
+    Methods and their Application, 1997, section 4.4). The block length is estimated on the differences by frame.
     """
     return _both(np.stack(squared_errors, axis=1), np.stack(nees, axis=1), rng)
 
@@ -102,7 +76,7 @@ def _both(squares: Array, nees: Array, rng: np.random.Generator) -> tuple[Interv
 
 
 def _contrast(columns: Array) -> Array:
-    """What is asked about, of one run (..., 1) its values, of two (..., 2) the first's minus the second's."""
+    """Values of one run (..., 1), or the first run's minus the second's (..., 2)."""
     return columns[..., 0] if columns.shape[-1] == 1 else columns[..., 0] - columns[..., 1]
 
 
@@ -111,7 +85,7 @@ def _statistic(means: Array, root: bool) -> Array:
 
 
 def _length(series: Array) -> tuple[float, str]:
-    """Mean block length [frames] for a series (n,), and why it does not do (empty: it does)."""
+    """Mean block length [frames] of a series (n,), and why it allows no interval (empty: it does)."""
     n = len(series)
     if n == 0:
         return math.nan, "no frame has a true pose and, for NEES, a covariance to compare with"
@@ -121,20 +95,18 @@ def _length(series: Array) -> tuple[float, str]:
         return math.nan, "what is compared does not vary along the log"
     length, worth = block_length(series), independent_frames(series)
     if worth < MIN_INDEPENDENT:
-        return length, (
-            f"errors are so correlated that {n} frames with truth are worth about {worth:.0f} independent ones,"
-            f" {MIN_INDEPENDENT:.0f} are needed"
-        )
+        worth_of = f"{n} frames with truth are worth about {worth:.0f} independent ones"
+        return length, f"errors are so correlated that {worth_of}, {MIN_INDEPENDENT:.0f} are needed"
     if length > LONGEST * n:
         return length, f"errors are correlated over about {length:.0f} frames, more than a tenth of the {n} with truth"
     return length, ""
 
 
 def independent_frames(series: Array) -> float:
-    """How many independent values scatter in their mean as much as a series (n,) that varies does.
+    """Effective number of independent values in a series (n,) that varies: n over the sum of autocorrelations.
 
-    n over the sum of all autocorrelations, whose noisy tail is cut as Geyer (Statistical Science 1992, section 3.3)
-    does: sums of two successive lags are added while they are positive, none larger than the one before.
+    Sums of two successive lags are added while they are positive, none larger than the previous one (Geyer, Statistical
+    Science 1992, section 3.3).
     """
     n = len(series)
     spectrum = np.abs(np.fft.rfft(series - series.mean(), 2 * n)) ** 2
@@ -159,7 +131,7 @@ def block_length(series: Array) -> float:
     covariance, correlation = np.empty(most + 1), np.empty(most + 1)
     for lag in range(most + 1):
         product = error[lag:] @ error[: n - lag]
-        # scaled by what is left without one value more at either end, as Patton's program and `arch` do
+        # scaled without one more value at either end, as in Patton's program and `arch`
         later, earlier = error[lag + 1 :], error[: -lag - 1]
         covariance[lag] = product / n
         correlation[lag] = abs(product) / np.sqrt((later @ later) * (earlier @ earlier))
@@ -186,16 +158,15 @@ def _interval(values: Array, value: float, block: float, rng: np.random.Generato
 
 
 def resampled_means(values: Array, block: float, rng: np.random.Generator, replicates: int = REPLICATES) -> Array:
-    """Means (replicates, k) of the columns of `values` (n, k), each over n rows drawn by the stationary bootstrap.
+    """Means (replicates, k) of the columns of `values` (n, k) over n rows drawn by the stationary bootstrap.
 
-    A block begins at any row with equal probability, its length is geometric with mean `block` >= 1, the log is closed
-    to a ring, and the last block is cut at n rows (Politis & Romano 1994, section 2). A block's sum is a difference of
-    two cumulative sums, so the cost grows with the number of blocks and not of rows.
+    Blocks begin anywhere on the log closed to a ring and have geometric lengths with mean `block` >= 1; the last one is
+    cut at n rows (Politis & Romano 1994, section 2). Cumulative sums make the cost that of blocks, not of rows.
     """
     n, k = values.shape
     twice = np.zeros((2 * n + 1, k))
     np.cumsum(np.concatenate([values, values]), axis=0, out=twice[1:])
-    # of n rows each but the first begins a block with probability 1/block: eight standard deviations above the mean
+    # number of blocks: eight standard deviations above its mean
     width = min(n, math.ceil(n / block + 8.0 * math.sqrt(n / block)) + 1)
     # the whole part of an exponential variable is geometric
     scale = -1.0 / math.log1p(-1.0 / block) if block > 1.0 else 0.0
@@ -212,31 +183,17 @@ def resampled_means(values: Array, block: float, rng: np.random.Generator, repli
     return means
 
 
-DIFFERENCES = result_files.DIFFERENCES.names
-"""Columns of a row; differences are a minus b, `…_why` says why an interval is missing."""
-
-
 def difference_rows(
     log: Log, task: str, runs: Sequence[Run], errors: Mapping[tuple[int, str], Along]
 ) -> list[dict[str, object]]:
-    """A row for each filter (online) against each smoother (final) under the same association on a log with truth.
+    """Rows of filters (online) against smoothers (final) under the same association method, see `run_differences`.
 
-    Args:
-        log: the log; its name is in the rows.
-        task: of the runs.
-        runs: all runs of the trial; one without a final path is a filter.
-        errors: along the log, by the run's place in `runs` and phase; runs without truth or that failed are missing,
-            implausible ones are compared with nobody.
-
-    See `intervals.run_differences` for the numbers; every pair is resampled from the same seed.
+    `errors` are by index in `runs` and phase. A run without a final path is a filter; implausible runs are left out.
     """
     rows: list[dict[str, object]] = []
     for (a, ours), (b, theirs) in _pairs(runs, {k: v for k, v in errors.items() if log_of(runs[k[0]], log) is log}):
-        rmse, nees = run_differences(
-            (ours.distance**2, theirs.distance**2),
-            (ours.nees["pose"], theirs.nees["pose"]),
-            np.random.default_rng(SEED),
-        )
+        squares, values = (ours.distance**2, theirs.distance**2), (ours.nees["pose"], theirs.nees["pose"])
+        rmse, nees = run_differences(squares, values, np.random.default_rng(SEED))
         row: dict[str, object] = {"log": log.name, "task": task, "association": a.association}
         row |= {"a": a.estimator, "b": b.estimator, "phase_a": "online", "phase_b": "final"}
         row |= {"rmse_position_m": rmse.value, "nees_pose": nees.value}

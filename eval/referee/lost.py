@@ -1,7 +1,7 @@
-"""Is an estimator lost? Said without truth: observations that go unused, landmarks unseen, absurd innovations.
+"""Detection of lost estimators without truth: unpaired observations, missed landmarks, absurd innovations.
 
-An estimator that is lost goes on being certain, and one that has stopped pairing has innovations as right as can be. So
-it is asked whether it uses what it sees where it thinks it is, and whether what it thinks is in view is there.
+A lost estimator may keep small covariances, and without pairings its innovations look right. So the share of paired
+observations and the share of detected landmarks in view are tested.
 """
 
 from __future__ import annotations
@@ -14,34 +14,23 @@ from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee.consistency import gated
 
-FRAMES = 10
-"""A stretch is judged that has so many frames with observations, ..."""
-OBSERVATIONS = 30
-"""... and in which so many could be paired, or so many observations are expected: one in ten of them is no accident."""
-SHARE = 0.1
-"""Below this share of them the estimator is lost; clutter alone leaves more."""
-ESTABLISHED = 3
-"""Observations that a landmark of SLAM needs before it is missed."""
-OLD = 20
-"""Frames after its initialization a landmark is missed: a robot that was moved initializes others at once."""
-EDGE = 0.9
-"""Share of range and field of view in which a landmark is expected: at the edge the estimate's own error decides."""
-ABSURD = 100.0
-"""NIS per degree of freedom, or squared innovation in its own sigmas (10 sigma): no noise model is that wrong."""
+FRAMES = 10  # least number of frames with observations in a stretch
+OBSERVATIONS = 30  # least number of observations, or of expected ones, in a stretch
+SHARE = 0.1  # share of paired or detected ones below which the estimator is lost
+ESTABLISHED = 3  # observations of a SLAM landmark before it can be missed
+OLD = 20  # frames from its initialization before it can be missed: a kidnapped robot initializes others at once
+EDGE = 0.9  # share of range and field of view in which a landmark is expected
+ABSURD = 100.0  # NIS per degree of freedom, or squared innovation in sigmas: 10 sigma
 CHANCE, USED = 1.8, 0.7
-"""Behind a gate, so many times the expected NIS is that of pairings by chance, which fill the gate evenly; with a share
-of observations used below this, it is not the noise (sigmas stated at half give 1.9, and use nearly all)."""
-TOGETHER = 3
-"""So many innovations in a row that are all absurd: fewer may be wrong labels."""
+"""Factor of the expected NIS, and share of paired observations: pairings by chance fill the gate evenly, while sigmas
+stated at half give 1.9 and pair nearly all."""
+TOGETHER = 3  # successive absurd innovations; fewer may be wrong labels
 
 
 def lost(run: Run, inputs: Inputs, label: IntArray | None = None) -> Notice | None:
-    """Why a run is lost, from which frame on; of several reasons the first, of none None.
+    """The first reason why a run is lost, with its frame; None for none, for dead reckoning and failed runs.
 
-    Args:
-        run: that got to the end; dead reckoning uses nothing and cannot be lost.
-        inputs: that it had.
-        label: (M,) under known association what the sensor claims; what is no landmark is not asked for.
+    `label` (M,): labels of known association, negative where an observation is of no landmark.
     """
     if run.association == "none" or run.failure is not None:
         return None
@@ -55,13 +44,13 @@ def _lost(code: Code, frame: int, **values: Value) -> Notice:
 
 
 def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Notice | None:
-    """A stretch in a known map whose observations are hardly ever paired, or a whole run of SLAM."""
+    """A stretch in a known map, or a whole run of SLAM, with hardly any pairing."""
     known = np.ones(len(run.decisions), bool)
     if label is not None:
         known = np.isin(label, inputs.map.id) if inputs.map is not None else label >= 0
     n, frame = len(inputs), inputs.observations.frame
     if inputs.map is None:
-        later = known & (frame >= FRAMES)  # before that there is not much of a map
+        later = known & (frame >= FRAMES)  # with a map
         share = float((_decisions(run)[later] >= 0).mean()) if later.sum() >= OBSERVATIONS else 1.0
         return _lost(Code.HARDLY_USED, FRAMES, share=share, after=FRAMES) if share < SHARE else None
     could = np.bincount(frame[known], minlength=n)
@@ -70,25 +59,23 @@ def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Notice | None:
 
 
 def _unseen(run: Run, inputs: Inputs) -> Notice | None:
-    """A stretch of SLAM in which the landmarks that should be in view are hardly ever seen."""
+    """A stretch of SLAM in which the landmarks in view are hardly ever detected."""
     if inputs.map is not None or run.map is None or run.online is None:
         return None
     if not inputs.sensor.sees_points:  # whether a wall is in view depends on where it ends
         return None
-    could, did, looked = former_observations(run, inputs)
-    if not could.sum():
-        return None
-    rate = min(1.0, did.sum() / could.sum())
+    could, did, sensed = former_observations(run, inputs)
+    rate = min(1.0, did.sum() / could.sum()) if could.sum() else 0.0
     if rate <= 0.0:
         return None
-    # where landmarks are often hidden, neighbours are hidden together: more must be missed
-    return _stretch(rate * could, did, looked, Code.MISSED, OBSERVATIONS / rate)
+    # neighbours are occluded together, so a low detection probability needs a longer stretch
+    return _stretch(rate * could, did, sensed, Code.MISSED, OBSERVATIONS / rate)
 
 
 def former_observations(run: Run, inputs: Inputs) -> tuple[Array, IntArray, BoolArray]:
-    """By frame (N,): old landmarks well in view, old landmarks that were paired, and whether there was an observation.
+    """By frame (N,): old landmarks in view, old landmarks that were paired, and whether there was an observation.
 
-    In SLAM, a landmark is old so many frames after its initialization, and counts if it was seen several times.
+    A landmark is old `OLD` frames after its initialization, if it was observed `ESTABLISHED` times.
     """
     assert run.map is not None
     assert run.online is not None
@@ -98,17 +85,17 @@ def former_observations(run: Run, inputs: Inputs) -> tuple[Array, IntArray, Bool
     slot = np.clip(np.searchsorted(number, run.decisions), 0, max(len(number) - 1, 0))
     paired = np.isin(run.decisions, number)
     paired[paired] = frame[paired] >= first[slot[paired]] + OLD
-    looked: BoolArray = np.bincount(frame, minlength=n) > 0
+    sensed: BoolArray = np.bincount(frame, minlength=n) > 0
     could = np.zeros(n)
-    for k in np.flatnonzero(looked):
+    for k in np.flatnonzero(sensed):
         there = xy[first <= k - OLD]
         if len(there):
             could[k] = _well_inside(inputs, run.online.pose[k], there).sum()
-    return could, np.bincount(frame[paired], minlength=n), looked
+    return could, np.bincount(frame[paired], minlength=n), sensed
 
 
 def _well_inside(inputs: Inputs, pose: Array, xy: Array) -> BoolArray:
-    """Which landmarks (n, 2) a robot at `pose` must have well inside its field of view."""
+    """Which landmarks (n, 2) are well inside the field of view of a robot at `pose`."""
     s = inputs.sensor
     r, angle = s.polar(s.predict(pose, xy)).T
     middle, half = 0.5 * (s.min_angle + s.max_angle), 0.5 * (s.max_angle - s.min_angle)
@@ -117,7 +104,7 @@ def _well_inside(inputs: Inputs, pose: Array, xy: Array) -> BoolArray:
 
 
 def _absurd(run: Run, inputs: Inputs) -> Notice | None:
-    """Innovations, or a smoother's whole cost, that no noise explains."""
+    """Innovations, or a smoother's cost, that no noise explains."""
     frame = inputs.observations.frame
     if run.innovations is not None:
         squared = np.sum(run.innovations.white**2, axis=1)
@@ -134,7 +121,7 @@ def _absurd(run: Run, inputs: Inputs) -> Notice | None:
 
 
 def _by_chance(run: Run) -> Notice | None:
-    """Pairings whose innovations fill the gate, of few of the observations."""
+    """Few pairings whose innovations fill the gate."""
     total, expected = run.total_nis, gated(run, run.phases[-1])[0]
     if total is None or total[1] < OBSERVATIONS or expected > 0.9995:
         return None
@@ -145,13 +132,13 @@ def _by_chance(run: Run) -> Notice | None:
 
 
 def _stretch(
-    could: Array | IntArray, did: IntArray, looked: BoolArray, code: Code, enough: float = OBSERVATIONS
+    could: Array | IntArray, did: IntArray, sensed: BoolArray, code: Code, enough: float = OBSERVATIONS
 ) -> Notice | None:
-    """The first stretch of frames (N,) that were looked at in which far less was done than could be."""
-    at = np.flatnonzero(looked)
+    """The first stretch of the frames `sensed` (N,) with `did` (N,) below a tenth of `could` (N,)."""
+    at = np.flatnonzero(sensed)
     sums = np.concatenate([[0.0], np.cumsum(could[at])])
     done = np.concatenate([[0], np.cumsum(did[at])])
-    # a log too short for a stretch is one itself
+    # a log that is too short is one stretch
     need = enough if enough > OBSERVATIONS else min(enough, sums[-1])
     if len(at) == 0 or not 1.0 <= need <= sums[-1]:
         return None

@@ -20,19 +20,14 @@ class Metric:
     """A number per run and phase."""
 
     column: str
-    heading: str
-    """Short name, for tables."""
-    unit: str = ""
-    """Of the heading's number; `%`: a share, which tables show in percent."""
+    heading: str  # short name, for tables
+    unit: str = ""  # of the heading's number; `%`: a share, which tables show in percent
     better: Better = "neither"
-    expected: float | None = None
-    """Value of a consistent estimator, if there is one."""
+    expected: float | None = None  # value of a consistent estimator, if there is one
     form: str = ".4g"
     """Format of one value; `d`: a whole number, `s`: a text."""
-    spelled: str = ""
-    """Full name, for lines of text; empty: the heading."""
-    about: str = ""
-    """Description in docs/results-folder.md; empty: the full name."""
+    spelled: str = ""  # full name, for lines of text; empty: the heading
+    about: str = ""  # description in docs/results-folder.md; empty: the full name
 
     @property
     def percent(self) -> bool:
@@ -69,8 +64,7 @@ def _consistent(column: str, heading: str, expected: float, spelled: str, unit: 
     return Metric(column, heading, unit, "nearer", expected, spelled=spelled)
 
 
-RUN = ("log", "task", "estimator", "association", "phase")
-"""Columns that name the run and phase of a row."""
+RUN = ("log", "task", "estimator", "association", "phase")  # columns that name the run and phase of a row
 LAG1 = "lag-1 correlation of innovations ± SE"
 OF_ESTIMATES = (
     _count("frames", "frames", about="frames of the log"),

@@ -1,9 +1,7 @@
-"""Proper scores of a pose belief: numbers that only the truth about one's own uncertainty makes small.
+"""Proper scores of a Gaussian pose belief: accuracy and consistency in one number, smaller is better.
 
-NEES asks whether the claimed covariance fits the errors, RMSE how large they are; a proper score asks both at once: its
-expectation is smallest for the belief that is the errors' own distribution (Gneiting & Raftery, Strictly Proper Scoring
-Rules, Prediction, and Estimation, JASA 102, 2007). Smaller is better; in arrays and means a frame without truth or with
-a singular covariance is NaN and left out. Beliefs are Gaussian, errors in the world frame, heading wrapped.
+The expectation of a proper score is smallest for the true distribution of the errors (Gneiting & Raftery, Strictly
+Proper Scoring Rules, Prediction, and Estimation, JASA 102, 2007). Errors are in the world frame, heading wrapped.
 """
 
 from __future__ import annotations
@@ -16,22 +14,18 @@ from scipy import special
 from data import se2
 from data.se2 import Array, BoolArray
 
-FIRST_NODES, MOST_NODES = 32, 4096
-"""Directions over which the energy score is first averaged, and at most."""
-TOLERANCE = 1e-10
-"""Relative change of the energy score with twice the directions that ends the averaging. (The trapezoid rule converges
-exponentially; at the most directions, with an error of 10 000 sigma, the relative error is still below 1e-6.)"""
+FIRST_NODES, MOST_NODES = 32, 4096  # numbers of directions over which the energy score is averaged
+TOLERANCE = 1e-10  # relative change of the energy score that ends the doubling of directions
 
 
 def log_score(error: Array, covariance: Array) -> Array:
     """Negative log density [nats] (N,) of errors (N, k) under N(0, P), P (N, k, k): (e' P^-1 e + log det 2 pi P) / 2.
 
-    Gneiting & Raftery, section 4.1 (Good 1952). Units enter: a coordinate in another unit adds a constant.
-    P must be invertible; a row with NaN in it is NaN.
+    Gneiting & Raftery, section 4.1 (Good 1952). P must be invertible; a row with NaN is NaN.
     """
     result = np.full(len(error), np.nan)
     rows = _known(error, covariance)
-    # by the correlation matrix, so that units do not decide about the accuracy
+    # the correlation matrix makes the accuracy independent of units
     sigma = np.sqrt(np.einsum("nii->ni", covariance[rows]))
     correlation = covariance[rows] / (sigma[:, :, None] * sigma[:, None, :])
     scaled = error[rows] / sigma
@@ -45,7 +39,7 @@ def crps(error: Array, sigma: Array) -> Array:
     """Continuous ranked probability score, in the error's unit, of errors under N(0, sigma²); any shapes.
 
     sigma (z (2 Phi(z) - 1) + 2 phi(z) - 1 / sqrt(pi)), z = error / sigma (Gneiting & Raftery, section 4.2, after
-    equation 20). A heading is taken on the line, not the circle: for sigma well below pi the difference is nothing.
+    equation 20). A heading is treated as a number on the line, for sigma well below pi.
     """
     z = error / sigma
     density = np.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi)
@@ -57,9 +51,8 @@ def energy_score(error: Array, covariance: Array) -> Array:
     """Energy score [m] (N,) of planar errors y (N, 2) under N(0, P), P (N, 2, 2): E|X - y| - E|X - X'| / 2.
 
     Gneiting & Raftery, equation 22. The length of a planar vector v is a quarter of the integral of |u(a)' v| over all
-    directions u(a), so the score is pi/2 times the average CRPS of the projections u'y under N(0, u'P u): no samples,
-    no noise. The integrand has period pi, so equal steps (the trapezoid rule) converge exponentially; they are halved
-    until the score does not change any more.
+    directions u(a), so the score is pi/2 times the average CRPS of the projections u'y under N(0, u'P u). The trapezoid
+    rule converges exponentially; steps are halved until the score changes by less than `TOLERANCE`.
     """
     result = np.full(len(error), np.nan)
     open_rows = np.flatnonzero(_known(error, covariance))
@@ -75,7 +68,7 @@ def energy_score(error: Array, covariance: Array) -> Array:
 
 
 def _projected(y: Array, P: Array, nodes: int, shift: float) -> Array:
-    """pi/2 times the mean CRPS (n,) over so many directions of half a turn, shifted by a share of their step."""
+    """pi/2 times the mean CRPS (n,) over `nodes` directions of half a turn, shifted by a share of their step."""
     angle = (np.arange(nodes) + shift) * (math.pi / nodes)
     u = np.stack([np.cos(angle), np.sin(angle)])
     sigma = np.sqrt(np.einsum("ia,nij,ja->na", u, P, u, optimize=True))
@@ -88,13 +81,9 @@ def _known(error: Array, covariance: Array) -> BoolArray:
 
 
 def mean_scores(pose: Array, covariance: Array, truth: Array, scored: BoolArray) -> dict[str, float]:
-    """Mean scores of a trajectory by their columns of metrics.csv, empty if no frame is scored.
+    """Mean scores of a trajectory by column of metrics.csv, empty if no frame is scored.
 
-    Args:
-        pose: (N, 3), world frame.
-        covariance: (N, 3, 3) of its error.
-        truth: (N, 3), world frame.
-        scored: (N,) the frames that count: with truth and invertible covariance.
+    `scored` (N,): frames with truth and an invertible covariance.
     """
     if not scored.any():
         return {}

@@ -30,8 +30,7 @@ class Column:
     name: str
     about: str
     unit: str = ""
-    kind: Kind = "number"
-    """A frame and the number of a landmark are counts."""
+    kind: Kind = "number"  # a frame and the number of a landmark are counts
 
     def __post_init__(self) -> None:
         if not self.about.strip():
@@ -60,15 +59,11 @@ def measured(metric: Metric) -> Column:
 class File:
     """A file of the result folder, or a kind of them."""
 
-    path: str
-    """Below the result folder; `<...>` stands for names."""
+    path: str  # below the result folder; `<...>` stands for names
     about: str
-    columns: tuple[Column, ...] = ()
-    """Of a CSV, in order."""
-    optional: tuple[str, ...] = ()
-    """Columns of some of these files only."""
-    when: str = ""
-    """Condition under which the file exists; empty: always."""
+    columns: tuple[Column, ...] = ()  # of a CSV, in order
+    optional: tuple[str, ...] = ()  # columns of some of these files only
+    when: str = ""  # condition under which the file exists; empty: always
 
     @property
     def name(self) -> str:
@@ -228,8 +223,8 @@ OTHERS = (
     File("tables/notes.tex", "Explanations of the LaTeX tables."),
     File(
         "figures/<name>.<type>",
-        "Figures: `png`, `pdf` (for a paper: `--formats pdf`, `--write-up`, `--font`), `svg` (small maps), `pgf`"
-        " (`--pgf`), `webm` (`--animate`); none with `--no-plots`.",
+        "Figures: `png`, `pdf` (`--formats pdf`, `--write-up` and other options for papers), `svg` (small maps),"
+        " `pgf` (`--pgf`), `webm` (`--animate`); none with `--no-plots`.",
     ),
     File("write-up.tex", "Answers, tables and figures for pdflatex, one page per log.", when="`--write-up`"),
     File("provenance.json", "Command, versions, seed, and the SHA-256 of every input."),

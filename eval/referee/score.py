@@ -1,4 +1,4 @@
-"""The referee: a run and the truth in, the rows of metrics.csv, association.csv and timing.csv out."""
+"""Scores of runs against the truth: the rows of metrics.csv, association.csv and timing.csv."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from itertools import cycle
 import numpy as np
 import pandas as pd
 
-from association.scans.constraints import SCAN, LaserRun
+from association.scans.constraints import SCAN, LaserRun, Loops
 from data import card
 from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.notice import Notice
-from data.result import DISCARD, MapEstimate, Run, Trajectory
+from data.result import DISCARD, Failure, MapEstimate, Run, Trajectory
 from data.se2 import Array
 from data.words import sentence
 from eval.referee import consistency, errors, result_files
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
 from eval.referee.consistency import gated, nis_bounds
 from eval.referee.errors import Along, along, rpe_columns
-from eval.referee.given_runs import GivenRun, log_of, match
+from eval.referee.given_runs import GivenRun, Match, log_of, match
 from eval.referee.intervals import SEED, difference_rows, run_intervals
 from eval.referee.laser import closure_counts, kept, relation_rows
 from eval.referee.lost import lost
@@ -34,7 +34,7 @@ SHOWN = (*RUN, "status", "rmse_position_m", "rmse_heading_deg", "nees_pose", "ni
 
 
 def trial_html(log: Log, task: str, runs: Sequence[Run]) -> str:
-    """A row for each run at its last phase, and a map."""
+    """A table of the runs at their last phases, and a map."""
     true = log.truth.pose
     paths = [] if true is None else [card.Path("true path", true[:, :2], card.BLACK)]
     rows = []
@@ -53,7 +53,7 @@ def trial_html(log: Log, task: str, runs: Sequence[Run]) -> str:
 
 
 def scores_html(tables: Mapping[str, pd.DataFrame]) -> str:
-    """The main columns of `metrics`, and how large each table is."""
+    """The main columns of `metrics`, and the number of rows of each table."""
     shown = tables["metrics"][list(SHOWN)].to_html(index=False, na_rep="", float_format="{:.3g}".format)
     return f"{shown}<small>{', '.join(f'{name}: {len(table)} rows' for name, table in tables.items())}</small>"
 
@@ -61,23 +61,24 @@ def scores_html(tables: Mapping[str, pd.DataFrame]) -> str:
 METRICS, ASSOCIATION = result_files.METRICS.names, result_files.DECISION_COUNTS.names
 CONSISTENCY = result_files.CONSISTENCY.names
 COUNTED = tuple(c for c in ASSOCIATION if c not in (*RUN, "share_within", "within_m", "majority_agreement"))
-"""Columns that `Confusion` has."""
+"""Columns that are attributes of `Confusion`."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """All runs of one log and task on identical inputs; `beside`: the log whose table they join, `about`: why."""
+    """All runs of one log and task on identical inputs."""
 
     log: Log
     task: str
     runs: tuple[Run, ...]
     variant_of: str | None = None
+    """Name of the log whose table these runs join."""
     about: str = ""
+    """Description of the variant."""
 
     def find(self, estimator: str, association: str = "known") -> Run | None:
         """The run of an estimator, or None."""
-        found = [r for r in self.runs if r.estimator == estimator and r.association == association]
-        return found[0] if found else None
+        return next((r for r in self.runs if (r.estimator, r.association) == (estimator, association)), None)
 
     def _repr_html_(self) -> str:
         return trial_html(self.log, self.task, self.runs)
@@ -95,7 +96,7 @@ def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
 
 
 def nis_of(run: Run, phase: str) -> tuple[float, int] | None:
-    """Sum of NIS and its degrees of freedom that belong to a phase, if the run has them."""
+    """Sum of NIS and its degrees of freedom in a phase; None where the run has none."""
     if phase == "online" and run.innovations is not None:
         formed = np.isfinite(run.innovations.nis)
         return float(run.innovations.nis[formed].sum()), int(run.innovations.dof[formed].sum())
@@ -105,29 +106,27 @@ def nis_of(run: Run, phase: str) -> tuple[float, int] | None:
 def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Along | None = None) -> dict[str, object]:
     """One row of metrics.csv.
 
-    `reference` is the batch smoother with labels on the same log, or None; `path` what `along` gives, if at hand.
+    `reference` is the batch smoother with labels on this log; `path` are the run's errors, if they are known already.
     """
     own, log = log, log_of(run, log)
     row: dict[str, object] = {
-        **_name_of(run, phase, log),
+        **_key(run, phase, log),
         "status": run.status,
         "frames": len(log.recorded),
         "observations": len(log.recorded.observations.frame),
     }
     if run.failure is not None:
         return row
-    row |= _used(run, phase)
+    row |= _counts(run, phase)
     path = path or along(run, phase, log)
     if log.truth.pose is not None and path is not None:
         row |= _path_columns(run.trajectory(phase), log.truth.pose, log.recorded.time, path)
-    if isinstance(run, GivenRun) and run.match is not None:
-        row |= {"matched": run.match.matched, "unmatched": run.match.unmatched}
     row |= _map_columns(run, phase, log)
     if phase == "final":
         row |= {"iterations": run.iterations, "last_step_sigma": run.last_step_sigma}
     if reference is not None and reference.final is not None and reference.flaw is None:
         batch = reference.final.pose
-        if log is not own:  # at the stamps of a result that was handed in
+        if log is not own:  # at the stamps of another program's result
             batch = match(log.recorded.time, own.recorded.time, batch).truth
         row["rms_from_batch_m"] = errors.rms(errors.position_distance(run.trajectory(phase).pose, batch))
     row |= _innovation_columns(run, phase, log)
@@ -137,41 +136,40 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
 
 
 def lost_of(run: Run, log: Log) -> Notice | None:
-    """Why and from where on a run is lost; None where it is not, or cannot be asked."""
-    # a laser run decides about no observation of its log; a result at other instants is asked about none
+    """Reason and first frame of a lost run; None if it is not lost, or has no decisions about this log."""
     if isinstance(run, LaserRun) or log_of(run, log) is not log:
         return None
     return lost(run, log.recorded, log.granted if run.association == "known" else None)
 
 
-def _name_of(run: Run, phase: str, log: Log) -> dict[str, object]:
+def _key(run: Run, phase: str, log: Log) -> dict[str, object]:
     return dict(zip(RUN, (log.name, run.task, run.estimator, run.association, phase), strict=True))
 
 
 def decided(run: Run, phase: str) -> tuple[IntArray, IntArray]:
-    """Decisions (M,) as they were in a phase, and the number (M,) of the landmark that each began, -1: none.
-
-    In the end a landmark that was retracted has never been.
-    """
+    """Decisions (M,) of a phase, and the number (M,) of the landmark that each initialized, -1: none."""
     return (run.decisions, run.created) if phase == "online" else (run.final_decisions, run.initialized)
 
 
-def _used(run: Run, phase: str) -> dict[str, object]:
-    """What was decided: pairings with landmarks, of laser logs loop closures; size of the map in SLAM."""
+def _counts(run: Run, phase: str) -> dict[str, object]:
+    """Numbers of observations (of laser logs: loop closures), landmarks, and matched poses."""
     row: dict[str, object] = {}
-    if isinstance(run, LaserRun) and run.loops is not None:
-        believed = kept(run.loops, run.weight, phase)
-        row = {"observations": len(believed), "accepted": int(believed.sum()), "rejected": int((~believed).sum())}
-    elif run.decides:
-        decisions, _ = decided(run, phase)
+    decisions, _ = decided(run, phase)
+    if run.decides:
         row = {"accepted": int((decisions >= 0).sum()), "rejected": int((decisions == DISCARD).sum())}
     if run.task == "slam" and run.association not in ("none", SCAN):
         row["landmarks"] = len(run.map) if run.map is not None else 0
+    match run:
+        case LaserRun(loops=Loops() as loops):
+            believed = kept(loops, run.weight, phase)
+            row |= {"observations": len(believed), "accepted": int(believed.sum()), "rejected": int((~believed).sum())}
+        case GivenRun(match=Match() as found):
+            row |= {"matched": found.matched, "unmatched": found.unmatched}
     return row
 
 
 def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) -> dict[str, object]:
-    """Errors of a path, what they say of its covariances, and what chance along the log leaves of both."""
+    """Errors, consistency and proper scores of a path, with bootstrap intervals."""
     pose, distance = estimate.pose, path.distance
     return {
         "rmse_position_m": errors.rms(distance),
@@ -181,7 +179,7 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
         "rmse_time_m": errors.time_weighted_rmse(pose, truth, time),
         "sse_position_m2": float(np.nansum(distance**2)),
         "nees_left_out": int((path.thin & np.isfinite(truth).all(axis=1)).sum()),
-        "nees_pose_median": consistency.median_or_nan(path.nees["pose"]),
+        "nees_pose_median": consistency.mean_or_nan(path.nees["pose"], np.median),
         **{f"nees_{quantity}": consistency.mean_or_nan(values) for quantity, values in path.nees.items()},
         "inside_3sigma": consistency.inside_3sigma(path.nees["position"]),
         **mean_scores(pose, estimate.covariance, truth, np.isfinite(path.nees["pose"])),
@@ -191,7 +189,7 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
 
 
 def _intervals(path: Along) -> dict[str, object]:
-    """What chance along the log leaves of RMSE and mean NEES; blank where the log is too short to tell."""
+    """Intervals of RMSE and mean NEES; blank where the log is too short."""
     rmse, nees = run_intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
     row: dict[str, object] = {"block_frames": next((i.block for i in (rmse, nees) if not i.why), None)}
     for name, found in (("rmse_position", rmse), ("nees_pose", nees)):
@@ -200,7 +198,7 @@ def _intervals(path: Along) -> dict[str, object]:
 
 
 def _map_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
-    """Errors of the last map's landmarks, each named by the observation that began it, or by most of its own."""
+    """Errors of the last map's landmarks, with true ids by their first observation, and by majority."""
     if run.map is None or not len(run.map):
         return {}
     off = _landmark_distance(run.map, errors.landmark_true_ids(errors.named(run), log.truth, run.map.number), log)
@@ -217,13 +215,13 @@ def _map_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
 
 
 def _landmark_distance(estimate: MapEstimate, true_id: IntArray, log: Log) -> Array:
-    """Distance [m] (L,) of each mapped landmark from the true one of an id (L,); NaN where that is unknown."""
+    """Distance [m] (L,) of mapped landmarks from the true ones `true_id` (L,); NaN where unknown."""
     distance: Array = np.hypot(*errors.landmark_errors(estimate.xy, true_id, log.truth, log.recorded.sensor).T)
     return distance
 
 
 def _innovation_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
-    """Size of innovations, or of a smoother's residuals, and how innovations are correlated from frame to frame."""
+    """NIS with its bounds, and the lag-1 correlation of innovations."""
     row: dict[str, object] = {}
     if phase == "online" and run.innovations is not None:
         frame = log.recorded.observations.frame
@@ -239,17 +237,23 @@ def _innovation_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
 
 
 def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
-    """One row of association.csv; None for a run that failed, and where there is nothing to compare with."""
-    if run.failure is not None:
-        return None
-    if isinstance(run, LaserRun):
-        closures = closure_counts(run, log, phase)
-        return None if closures is None else {**_name_of(run, phase, log), **closures}
+    """One row of association.csv; None for a run that failed, and without truth."""
+    match run:
+        case Run(failure=Failure()):
+            return None
+        case LaserRun():
+            columns = closure_counts(run, log, phase)
+        case _:
+            columns = _outcomes(run, phase, log)
+    return None if columns is None else {**_key(run, phase, log), **columns}
+
+
+def _outcomes(run: Run, phase: str, log: Log) -> dict[str, object] | None:
+    """Columns of association.csv for decisions about observations."""
     counts, own = confusion_of(run, log, phase), log.truth.landmark_of
     if counts is None or own is None:
         return None
     return {
-        **_name_of(run, phase, log),
         **{k: getattr(counts, k) for k in COUNTED},
         "share_within": _near(run, phase, log, own),
         "within_m": WITHIN,
@@ -258,9 +262,7 @@ def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
 
 
 def _near(run: Run, phase: str, log: Log, true_id: IntArray) -> float | None:
-    """Share of the pairings with a landmark that truly stands within `WITHIN` of the right one; None without truth, and
-    of walls.
-    """
+    """Share of pairings whose landmark is truly within `WITHIN` of the right one; None without truth, and of walls."""
     places = log.truth.landmarks
     if places is None or not log.recorded.sensor.sees_points:
         return None
@@ -275,31 +277,26 @@ def _near(run: Run, phase: str, log: Log, true_id: IntArray) -> float | None:
 
 def frame_of(rows: Sequence[Mapping[str, object]], columns: Sequence[str]) -> pd.DataFrame:
     """Rows as a table with exactly these columns; unknown is None, integers stay integers."""
-    plain = [{k: _blank(v) for k, v in row.items()} for row in rows]
+    plain = [{k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()} for row in rows]
     unknown = {k for row in plain for k in row} - set(columns)
     if unknown:
         raise AssertionError(f"columns {sorted(unknown)} are none of {', '.join(columns)}")
     return pd.DataFrame([[row.get(c) for c in columns] for row in plain], columns=list(columns), dtype=object)
 
 
-def _blank(value: object) -> object:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
-
-
 def _timing_row(run: Run, log: Log) -> dict[str, object]:
     frames, seconds = len(log.recorded), run.seconds
     speed = frames / seconds if seconds > 0 else None
-    name = {key: value for key, value in _name_of(run, "", log).items() if key != "phase"}
-    return {**name, "frames": frames, "seconds": seconds, "frames_per_second": speed}
+    key = _key(run, "", log)
+    del key["phase"]
+    return {**key, "frames": frames, "seconds": seconds, "frames_per_second": speed}
 
 
 @dataclass(frozen=True)
 class Scores:
-    """The tables of a set of trials; differences between filters and smoothers where there is truth, relations of laser
-    logs.
+    """The tables of a set of trials; docs/results-folder.md describes their columns.
 
-    Numbers are float64 (unknown: NaN), counts `Int64` (unknown: `pd.NA`), words `str`; docs/results-folder.md says what
-    every column holds.
+    Numbers are float64 (unknown: NaN), counts `Int64` (unknown: `pd.NA`), words `str`.
     """
 
     metrics: pd.DataFrame
@@ -313,7 +310,7 @@ class Scores:
 
 
 def score(trials: Sequence[Trial]) -> Scores:
-    """Referee every run of every trial."""
+    """Score every run of every trial."""
     metrics, association, timing, differences, relations = [], [], [], [], []
     for trial in trials:
         reference = trial.find("batch") or trial.find("batch", SCAN)

@@ -1,8 +1,8 @@
-"""Which estimate may be trusted, from what one log says about itself: statistics that need no truth.
+"""Consistency statistics of one log that need no truth.
 
-Filter and smoother work on the same data. If all is as stated, the filter's error is that of the smoother plus
-something that is not correlated with it, so their difference d = x_f - x_s has covariance P_f - P_s (McReynolds'
-filter-smoother consistency test; Wright, Woodburn, Truong and Chuba, Adv. Astronautical Sciences 130, 2008).
+If all models are right, the filter's error is the smoother's plus an uncorrelated part, so their difference
+d = x_f - x_s has covariance P_f - P_s (McReynolds' filter-smoother consistency test; Wright, Woodburn, Truong and
+Chuba, Adv. Astronautical Sciences 130, 2008).
 """
 
 from __future__ import annotations
@@ -24,20 +24,15 @@ from eval.referee import effects, residuals
 from eval.referee.consistency import gated, lag1_correlation
 from eval.referee.score import nis_of
 
-SHARE = 0.01
-"""A direction is compared if later data took at least this share of the filter's variance away: below it, d and
-P_f - P_s are both small differences of large numbers."""
-TOLERANCE = 1e-6
-"""P_f - P_s counts as semidefinite down to minus this share of P_f: rounding of the covariances, not more."""
-SINGULAR = 1e-11
-"""Smallest eigenvalue of a filter's covariance, of its size after scaling to a unit diagonal, that can be compared."""
+SHARE = 0.01  # least reduction of the filter's variance by later data, as a share, in a direction that is compared
+TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f
+SINGULAR = 1e-11  # smallest eigenvalue of the correlation matrix of a filter that is compared
 COORDINATES = ("x", "y", "theta")
-Key = tuple[str, str]
-"""Estimator and name of the statistic."""
+Key = tuple[str, str]  # estimator and statistic
 
 
 class Measured(NamedTuple):
-    """A statistic: its value, what theory expects (NaN: nothing), its standard error (NaN), the frame it is of (-1)."""
+    """A statistic with its expected value (NaN: unknown), standard error (NaN) and frame (-1)."""
 
     value: float
     expected: float = math.nan
@@ -47,26 +42,18 @@ class Measured(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Difference:
-    """An online trajectory against a smoothed one, by frame.
+    """An online trajectory against a smoothed one, by frame."""
 
-    Attributes:
-        d: (N, 3) online minus smoothed, world frame, heading wrapped.
-        sigma: (N, 3) square root of the diagonal of P_f - P_s; NaN where later data took too little away.
-        square: (N,) quadratic form over the directions compared; NaN where there is none.
-        dof: (N,) how many directions that are.
-        semidefinite: (N,) whether P_f - P_s is; `comparable` (N,): whether P_f is regular, so that one can tell.
-    """
-
-    d: Array
-    sigma: Array
-    square: Array
-    dof: Array
-    semidefinite: BoolArray
-    comparable: BoolArray
+    d: Array  # (N, 3) online minus smoothed, world frame, heading wrapped
+    sigma: Array  # (N, 3) root of the diagonal of P_f - P_s; NaN where the reduction is below `SHARE`
+    square: Array  # (N,) quadratic form over the compared directions; NaN without any
+    dof: Array  # (N,) number of compared directions
+    semidefinite: BoolArray  # (N,) whether P_f - P_s is
+    comparable: BoolArray  # (N,) whether P_f is regular
 
 
 def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
-    """Frame by frame, in the directions in which P_f - P_s exceeds `SHARE` of P_f."""
+    """Difference by frame, over the directions in which P_f - P_s exceeds `SHARE` of P_f."""
     d = se2.pose_error(online.pose, smoothed.pose)
     P, D = online.covariance, online.covariance - smoothed.covariance
     variance = np.einsum("nii->ni", P)
@@ -78,7 +65,7 @@ def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
     size, axes = np.linalg.eigh(correlation)
     sound = size[:, 0] > SINGULAR
     rows, root = rows[sound], axes[sound] / np.sqrt(size[sound])[:, None, :]
-    # in coordinates in which P_f is the identity, P_f - P_s has eigenvalues up to 1: shares of P_f
+    # where P_f is the identity, the eigenvalues of P_f - P_s are shares of P_f
     white = root / scale[sound, :, None]
     shares, turned = np.linalg.eigh(white.transpose(0, 2, 1) @ D[rows] @ white)
     w = np.einsum("nji,njk,nk->ni", turned, white.transpose(0, 2, 1), d[rows])
@@ -93,19 +80,19 @@ def difference(online: Trajectory, smoothed: Trajectory) -> Difference:
 
 
 def regular(covariance: Array) -> BoolArray:
-    """Which covariances (n, 3, 3) are in doubt about every direction."""
+    """Which covariances (n, 3, 3) are regular."""
     return np.asarray(np.linalg.eigvalsh(_correlation(covariance)[0])[:, 0] > SINGULAR)
 
 
 def _correlation(covariance: Array) -> tuple[Array, Array]:
-    """Covariances (n, 3, 3) with a unit diagonal, and the sigmas (n, 3) they were divided by (1 for variance 0)."""
+    """Correlation matrices (n, 3, 3) and sigmas (n, 3), 1 for variance 0."""
     variance = np.einsum("nii->ni", covariance)
     sigma = np.sqrt(np.where(variance > 0.0, variance, 1.0))
     return covariance / (sigma[:, :, None] * sigma[:, None, :]), sigma
 
 
 def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[str, Measured]:
-    """Mean and median of the quadratic form, share semidefinite, size of d per coordinate in claimed sigmas."""
+    """Mean and median of the quadratic form, share semidefinite, and d in stated sigmas."""
     result: dict[str, Measured] = {}
     here = np.isfinite(found.square)
     if here.any():
@@ -113,8 +100,7 @@ def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[
         result["mean"] = Measured(float(found.square[here].mean()), float(dof.mean()))
         result["median"] = Measured(float(np.median(found.square[here])), _median(dof))
     if found.comparable.any():
-        share = float(found.semidefinite[found.comparable].mean())
-        result["semidefinite"] = Measured(share, 1.0)
+        result["semidefinite"] = Measured(float(found.semidefinite[found.comparable].mean()), 1.0)
     in_sigmas = found.d / found.sigma
     for i, name in enumerate(COORDINATES):
         u = in_sigmas[np.isfinite(in_sigmas[:, i]), i]
@@ -128,7 +114,7 @@ def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[
 
 
 def _median(dof: Array) -> float:
-    """Median of chi-square variables whose degrees of freedom are those of the frames, mixed."""
+    """Median of a mixture of chi-square variables with the frames' degrees of freedom."""
     kinds, counts = np.unique(dof, return_counts=True)
     share = counts / counts.sum()
     return float(scipy.optimize.brentq(lambda x: float(share @ special.chdtr(kinds, x)) - 0.5, 1e-9, 10.0))
@@ -140,7 +126,7 @@ def _nis(run: Run, phase: str) -> dict[str, Measured]:
 
 
 def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measured]:
-    """Statistics of an estimator that works frame by frame; `smoother`: batch under the same decisions, if it ran."""
+    """Statistics of an online estimator; `smoother`: batch under the same decisions, if it ran."""
     result: dict[str, Measured] = {}
     i = run.innovations
     if i is not None:
@@ -157,21 +143,15 @@ def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measu
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """What a batch smoother's run says about a log.
+    """Statistics of a batch smoother's run."""
 
-    Attributes:
-        statistics: its cost, its residuals, and the slopes of the systematic errors that these ask for.
-        typical: by component, spread of the residuals without the readings that do not fit, in stated sigmas.
-        outlying: how many readings do not fit their landmark.
-    """
-
-    statistics: dict[str, Measured]
-    typical: dict[str, float]
-    outlying: int
+    statistics: dict[str, Measured]  # of its cost, residuals, and slopes of systematic errors
+    typical: dict[str, float]  # spread of the residuals without outliers by component, in stated sigmas
+    outlying: int  # number of outliers
 
 
 def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
-    """All that a batch smoother's run says, of the log less the systematic errors that it estimated."""
+    """Statistics of a batch smoother's run, corrected for the systematic errors that it estimated."""
     assert run.final is not None
     path = run.final.pose
     result = _nis(run, "final")

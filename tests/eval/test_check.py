@@ -36,7 +36,7 @@ def here(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("asked", "status", "words"),
     [
-        (["./student.py:good"], 0, "good=./student.py:good (way of association)\n  ok    exact observations: 360"),
+        (["./student.py:good"], 0, "good=./student.py:good (association method)\n  ok    exact observations: 360"),
         (["./student.py:good", "student:good"], 0, "all 8 checks passed\ngood=student:good"),
         (["./student.py:good", "./student.py:bad"], 1, "0 of 8 checks passed"),
         (["./student.py:bad"], 1, "  FAIL  gate: bad: what it returned is array("),

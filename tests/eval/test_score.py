@@ -79,9 +79,9 @@ def test_another_clock_is_an_error_that_names_both_spans(made, tmp_path, capsys)
 
 
 @pytest.mark.parametrize(("files", "wanted"), [
-    (["a"], "1 file; ESTIMATE TRUTH are needed"),
-    (["a", "b", "c"], "3 files; which are truths?"),
-    (["a", "b", "c", "--truth", "d", "e"], "3 estimates and 2 truths"),
+    (["a"], "1 file without --truth: type ESTIMATE TRUTH"),
+    (["a", "b", "c"], "3 files without --truth"),
+    (["a", "b", "c", "--truth", "d", "e"], "2 truths for 3 estimates"),
     (["a", "b", "--align", "sim3"], "--align 'sim3': unknown; known: none, first, se2"),
     (["/nowhere/a.tum", "/nowhere/b.tum"], "no such"),
 ])  # fmt: skip

@@ -179,7 +179,7 @@ def test_interrupt_and_end_of_file_at_a_pause_end_in_one_line_and_leave_whole_fi
     assert whole(tmp_path) == (first if at == 1 else first | {"step-000-map.png"} | more)
     said = err if status else out.rstrip().split("\n")[-1] + "\n"
     assert said.count("\n") == 1
-    assert "what was written so far is whole" in said
+    assert "files written so far are complete" in said
     assert "Traceback" not in out + err
 
 
@@ -237,7 +237,7 @@ def test_help_shows_examples_and_does_not_wait_for_the_numerical_libraries(capsy
     with pytest.raises(SystemExit, match="0"):
         main(["--help"])
     out = capsys.readouterr().out
-    assert "python -m eval.step --log corridor:0 --association jcbb" in out
+    assert "python -m eval.step corridor:0 --association jcbb" in out
     for flag in ("--association", "--estimator", "--task", "--gate", "--new-gate", "--in-view", "--maintain",
                  "--save", "--run-through", "--frames"):  # fmt: skip
         assert out.count(flag) >= 2, flag  # explained, and shown

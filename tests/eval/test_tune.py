@@ -33,7 +33,7 @@ def test_the_copy_holds_the_fitted_numbers_the_same_truth_and_a_warning(stated, 
         assert (out / name).read_bytes() == (stated / name).read_bytes()
     log, before = load_folder(out), load_folder(stated)
     assert log.name == "tuned"
-    assert log.notes[-1].endswith("do not report results on it; apply its numbers to another log with --use.")
+    assert log.notes[-1].endswith("do not report results on it; apply its values to another log with --use.")
     told = log.source["tuned"]
     assert told["fitted_to"] == "stated"
     factor = told["values"]["sigma_range"]
@@ -106,7 +106,7 @@ def test_a_folder_with_other_content_is_left_alone(stated, tmp_path, capsys):
     write_folder(simulate(SMALL, 1), tmp_path / "untuned")
     refused(stated, tmp_path / "untuned")
     refused(stated, stated)
-    assert "LOG itself" in capsys.readouterr().err
+    assert "is LOG itself" in capsys.readouterr().err
     assert (other / "thesis.tex").read_text() == "years of work"
 
 

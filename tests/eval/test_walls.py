@@ -23,7 +23,7 @@ from eval.figures.plane import chords
 from eval.plan.calibrate import every
 from eval.player.scene import scene
 from eval.referee import lost
-from eval.referee.plausibility import doubt
+from eval.referee.plausibility import implausibility
 from eval.referee.score import Trial, association_row, metrics_row
 from eval.replay.estimators import lack_with_walls
 from eval.replay.map_management import Parking
@@ -146,7 +146,7 @@ def test_a_wall_beyond_all_that_was_seen_is_doubted(log, run):
     xy = run.map.xy.copy()
     xy[0, 0] += 500.0
     far = replace(run, map=MapEstimate(run.map.number, xy, run.map.covariance, run.map.first_frame, run.map.times_seen))
-    found = doubt(far, log.inputs(labels=True)).notice
+    found = implausibility(far, log.inputs(labels=True)).notice
     assert (found.code, found.named["landmarks"]) == (Code.LANDMARKS_TOO_FAR, 1)
 
 

@@ -1,7 +1,7 @@
-"""The table of flags of `python -m eval.run_all`, one field a row, in parts by who reads them.
+"""The flags of `slamref run`, one field each, in parts by their readers.
 
-Parser, config files, checks, the command in the report, step mode and player read this table. Imports nothing heavy, so
-that `--help` and a mistyped flag answer at once.
+Parser, config files, checks, the command in the report, step mode and player read this table. It imports no numerical
+library, so that `--help` answers at once.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from data.command import Command
@@ -42,21 +43,18 @@ DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
 NOT_NEGATIVE = whole(0, "must not be negative")
 CONFIGS = Path(__file__).parents[2] / "configs"
-INCH = {"in": 1.0, "cm": 1.0 / 2.54, "mm": 1.0 / 25.4, "pt": 1.0 / 72.27}
-"""in. A unit of length; pt as TeX has it, 72.27 to the inch."""
-SMALLEST, LARGEST = 1.5, 20.0
-"""in. Widths of a figure between which axes, ticks and their labels have room."""
-TYPE = (4.0, 24.0)
-"""pt."""
+INCH = {"in": 1.0, "cm": 1.0 / 2.54, "mm": 1.0 / 25.4, "pt": 1.0 / 72.27}  # [in] of each unit; pt of TeX
+SMALLEST, LARGEST = 1.5, 20.0  # [in] width of a figure whose axes and labels have room
+TYPE = (4.0, 24.0)  # [pt] smallest and largest type
 
 
 def shipped() -> list[str]:
-    """Names of the configurations that come with the package."""
+    """Names of the configurations in the package."""
     return sorted(f.stem for f in CONFIGS.glob("*.toml"))
 
 
 def inches(length: str) -> float:
-    """A length as `3.4in`, `8.6cm`, `86mm` or `252pt`; NaN for what is none."""
+    """A length such as `3.4in`, `8.6cm`, `86mm` or `252pt` in inches; NaN if it is invalid."""
     found = re.fullmatch(r"\s*([0-9.]+)\s*(in|cm|mm|pt)\s*", length)
     try:
         return float(found[1]) * INCH[found[2]] if found else math.nan
@@ -65,7 +63,7 @@ def inches(length: str) -> float:
 
 
 def width(label: str, value: object) -> str:
-    """A length that a figure can be wide."""
+    """The width of a figure."""
     wide = inches(str(value))
     if not math.isfinite(wide):
         raise UsageError(f"{label} {value}: a length with its unit is needed, as in 3.4in, 8.6cm, 86mm or 252pt")
@@ -75,44 +73,46 @@ def width(label: str, value: object) -> str:
 
 
 def points(label: str, value: object) -> float:
-    """A size of type."""
+    """A size of type [pt]."""
     size = positive(label, value)
     if not TYPE[0] <= size <= TYPE[1]:
         raise UsageError(f"{label} {size:g}: between {TYPE[0]:g} and {TYPE[1]:g} points is needed")
     return size
 
 
+several = partial(row, (), texts, repeatable=True)  # a flag given once for each of its values
+file_row = partial(row, None, text("a file"), "FILE")
+switch_row = partial(row, False, switch, "")
+free_switch = partial(free_row, False, switch, "")
+
+
+def choice(default: str, others: Iterable[str], metavar: str, help: str, kind: partial[object] = row) -> str:
+    """A flag with one of several names, the default among them."""
+    return kind(default, one_of((default, *others)), metavar, help)
+
+
 @dataclass(frozen=True)
 class Selection:
-    """What is run on what."""
+    """Logs, tasks, estimators and association methods."""
 
-    log: tuple[str, ...] = row(
-        (),
-        texts,
+    log: tuple[str, ...] = several(
         "PATH|NAME",
-        "open log folder, CARMEN log (.log, .clf, also .gz), victoria-park, arena:SEED, circle:SEED, linear:SEED, or "
-        "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, corridor:0 in five "
-        "variants, a short visual:0)",
-        repeatable=True,
+        "open log folder, CARMEN log (.log, .clf, also .gz), or victoria-park, arena:SEED, circle:SEED, linear:SEED, "
+        "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, five corridors and "
+        "60 frames of visual:0)",
     )
-    data: tuple[str, ...] = row(
-        (),
-        texts,
+    data: tuple[str, ...] = several(
         "DIR",
-        "add every dataset found in DIR: open logs, UTIAS MRCLAM folders or zips; with --scenario only where the "
-        "recording of esde-replay is looked for",
-        repeatable=True,
+        "run every dataset in DIR: open logs, UTIAS MRCLAM folders or zips; with --scenario, find the recording of "
+        "esde-replay in DIR",
     )
-    scenario: tuple[str, ...] = row(
-        (),
-        texts,
+    scenario: tuple[str, ...] = several(
         "NAME|FILE|all",
-        f"Monte Carlo study of a world: {', '.join(scenarios())}, a TOML file, or all of those; "
-        f"{', '.join(VALIDATIONS)}: of the tests that need no truth, which all leaves out (repeatable)",
-        repeatable=True,
+        f"Monte Carlo study: {', '.join(scenarios())}, a TOML file, or all of these; {', '.join(VALIDATIONS)}: "
+        "validation of the tests without ground truth (repeatable)",
     )
     task: tuple[str, ...] = row(
-        (), names(TASKS), "LIST", "localization,slam (default: localization where there is a map, else slam)"
+        (), names(TASKS), "LIST", "localization, slam or both (default: localization where there is a map, else slam)"
     )
     estimator: tuple[str, ...] = row(
         DEFAULT_ESTIMATORS,
@@ -125,80 +125,57 @@ class Selection:
         own_or_foreign("association"),
         "LIST",
         f"of {', '.join(ASSOCIATIONS)}, or your own (default: known where the log has labels, scan where it has laser "
-        "scans alone, else jcbb-hindsight, of walls jcbb)",
+        "scans only, jcbb for walls, else jcbb-hindsight)",
     )
     lab: str | None = row(
         None,
         text("a lab"),
         "NAME|FOLDER",
-        "do a whole lab and answer its questions at the top of the report: corridor:SEED+KEY=VALUE (four conditions, "
-        "every method, with and without map maintenance), visual:SEED, or a folder of recorded runs or with images; "
-        "the lab's one gate (--new-gate as --gate) unless stated",
+        "do a whole lab and answer its questions: corridor:SEED+KEY=VALUE (four conditions, all methods), visual:SEED, "
+        "or a folder of recorded runs or images (--new-gate default: as --gate)",
     )
 
 
 @dataclass(frozen=True)
 class Reading:
-    """How files of results are read and matched with the truth; `score` has these flags, too."""
+    """How files of results are read and matched with the truth; `slamref score` has these flags, too."""
 
-    cov: tuple[str, ...] = row(
-        (),
-        texts,
-        "[NAME=]FILE",
-        "covariances of a TUM file, as smfeval writes them: stamp and the lower triangle of 6x6 a line (NAME= where "
-        "there are several results)",
-        repeatable=True,
+    cov: tuple[str, ...] = several(
+        "[NAME=]FILE", "covariances of a TUM file: per line a stamp and the lower triangle of 6x6 (repeatable)"
     )
-    times: tuple[str, ...] = row(
-        (),
-        texts,
-        "[NAME=]FILE",
-        "stamps [s] of KITTI poses, one a line (NAME= for one of several; truth= for the truth)",
-        repeatable=True,
+    times: tuple[str, ...] = several(
+        "[NAME=]FILE", "stamps [s] of KITTI poses, one per line; truth=FILE: of the truth (repeatable)"
     )
-    cov_frame: tuple[str, ...] = row(
-        (),
-        texts,
+    cov_frame: tuple[str, ...] = several(
         "[NAME=]FRAME",
-        "what covariances are of: world (errors added in the world's axes), local (right perturbation, the body's "
-        "axes) or left (default: as the format has it)",
-        repeatable=True,
+        "frame of the covariances: world, local (right perturbation, body axes) or left (repeatable; default: that of "
+        "the format)",
     )
-    axes: str = row(
-        "robot",
-        one_of(("robot", "camera")),
-        "AXES",
-        "of poses in space, robot (z up, default) or camera (z forward, y down, as KITTI's)",
+    axes: str = choice(
+        "robot", ("camera",), "AXES", "axes of poses in 3-D: robot (z up) or camera (z forward, y down; default: robot)"
     )
-    align: str = row(
+    align: str = choice(
         "none",
-        one_of(("none", "first", "se2")),
+        ("first", "se2"),
         "HOW",
-        "move each result onto the truth: none (default), first (the first matched pose) or se2 (best rigid fit); ours "
-        "are never moved",
+        "align each result with the truth: none, first (first matched pose) or se2 (best rigid fit; default: none)",
     )
     truth_gap: float = row(
-        1.0, positive, "S", "no truth is interpolated between two that are farther apart (default: 1 s)"
+        1.0, positive, "S", "largest gap [s] between two true poses that is interpolated (default: 1)"
     )
 
 
 @dataclass(frozen=True)
 class Results(Reading):
-    """Results that other programs made: what is scored, against which truth."""
+    """Results of other programs, and their truth."""
 
-    result: tuple[str, ...] = row(
-        (),
-        texts,
+    result: tuple[str, ...] = several(
         "NAME=FILE",
-        "a trajectory that another program made, scored beside ours: our CSV, TUM (with covariance), SQUARE, EuRoC, "
-        "KITTI, ROS bag (FILE:/TOPIC), or the folder of a run (repeatable; docs/results-files.md)",
-        repeatable=True,
+        "score a trajectory of another program: CSV, TUM (with covariance), SQUARE, EuRoC, KITTI, ROS bag "
+        "(FILE:/TOPIC), or the folder of a run (repeatable; docs/results-files.md)",
     )
-    truth: str | None = row(
-        None,
-        text("a file"),
-        "FILE",
-        "the true path, in any of these formats: of the one --log, or alone with --result",
+    truth: str | None = file_row(
+        "true path of the log, or of the results where there is no log, in any of these formats"
     )
 
 
@@ -206,28 +183,21 @@ class Results(Reading):
 class Opening:
     """How logs with images and laser logs are opened."""
 
-    camera_translation: str = row(
-        "cm", one_of(("cm", "mm", "m")), "UNIT", "of T in a lab folder's configuration: cm (default), mm, m"
+    camera_translation: str = choice(
+        "cm", ("mm", "m"), "UNIT", "unit of T in the configuration of a lab folder: cm, mm, m (default: cm)"
     )
-    camera_reading: str = row(
+    camera_reading: str = choice(
         "to-camera",
-        one_of(("to-camera", "to-body")),
+        ("to-body",),
         "WAY",
-        "R, T of a lab folder: to-camera, p_c = R p_b + T (default), or to-body, the other way round",
+        "meaning of R, T in a lab folder: to-camera, p_c = R p_b + T, or to-body, p_b = R p_c + T (default: to-camera)",
     )
-    corner_noise: str = row(
-        "lab",
-        one_of(("lab", "depth")),
-        "KIND",
-        "of picture corners: lab, 2 cm and 5 cm (default), or depth, along the ray and growing with its square",
+    corner_noise: str = choice(
+        "lab", ("depth",), "KIND", "noise of picture corners: lab, 2 cm and 5 cm, or depth, quadratic (default: lab)"
     )
-    trust_pickle: bool = row(False, switch, "", "read object arrays of a lab folder: they can run code")
-    relations: str | None = row(
-        None,
-        text("a file"),
-        "FILE",
-        "reference relations of the one laser --log (default: NAME.relations.csv beside it, or relations.csv in its "
-        "folder)",
+    trust_pickle: bool = switch_row("read object arrays of a lab folder, which can run code")
+    relations: str | None = file_row(
+        "reference relations of the only laser log (default: NAME.relations.csv, or relations.csv in its folder)"
     )
 
 
@@ -239,123 +209,109 @@ class Study:
         None,
         NOT_NEGATIVE,
         "N",
-        f"runs of the consistency study (default: 50, or what a scenario says; {QUICK_RUNS} with --quick; 0: none, the "
-        "default with --log)",
+        f"runs of the consistency study (default: 50, or as in the scenario; {QUICK_RUNS} with --quick, 0 with a log)",
     )
-    seed: int = row(0, NOT_NEGATIVE, "N", "first seed of the consistency study and of twins (default: 0)")
+    seed: int = row(0, NOT_NEGATIVE, "N", "first seed of studies and twins (default: 0)")
     twins: int | None = row(
         None,
         NOT_NEGATIVE,
         "N",
-        "draw every log N times again as it says of itself, for p values of what it says (default: 0; 100 with --full, "
-        "for ekf and batch)",
+        "diagnose each log without ground truth, from N bootstrap replicates (default: 0; with --full 100 for ekf and "
+        "batch)",
     )
-    full: bool = row(False, switch, "", "the default suite with every method; takes minutes")
+    full: bool = switch_row("run the default suite with every method; takes minutes")
 
 
 @dataclass(frozen=True)
 class Output:
-    """What is written, and how tables and pictures of the report are made."""
+    """Files, tables and figures of the report."""
 
-    quick: bool = row(
-        False, switch, "", "a short report in seconds: fewer frames and pictures, PNG only, too few runs for verdicts"
-    )
+    quick: bool = switch_row("write a short report in seconds: fewer frames and figures, PNG only, no verdicts")
     out: Path = free_row(
-        Path("results/report"),
-        folder,
-        "DIR",
-        "result folder, replaced as a whole when done (default: results/report)",
+        Path("results/report"), folder, "DIR", "result folder, replaced as a whole (default: results/report)"
     )
     formats: tuple[str, ...] = free_row(
-        FORMATS, names(KNOWN_FORMATS), "LIST", "of tables: csv,md,tex (default: all three); pdf: figures also as PDF"
+        FORMATS, names(KNOWN_FORMATS), "LIST", "table formats; pdf: figures also as PDF (default: csv,md,tex)"
     )
     columns: tuple[str, ...] = free_row(
-        (),
-        names(),
-        "LIST",
-        "columns of the LaTeX tables, in this order, by their names in metrics.csv, association.csv and "
-        "consistency.csv (default: as many as there is room for)",
+        (), names(), "LIST", "columns of the LaTeX tables, by their names in the CSV tables (default: all that fit)"
     )
-    table_width: str = free_row(
+    table_width: str = choice(
         "page",
-        one_of(("column", "page")),
+        ("column",),
         "WIDTH",
-        "of the LaTeX tables: column (252 pt) or page (516 pt, default) of an IEEE paper",
+        "width of the LaTeX tables: column (252 pt) or page (516 pt) of an IEEE paper (default: page)",
+        free_row,
     )
-    write_up: bool = free_row(
-        False, switch, "", "leave write-up.tex, which sets tables and figures, one page per log, for pdflatex"
+    write_up: bool = free_switch("write write-up.tex, with tables and figures on one page per log, for pdflatex")
+    lab_text: bool = free_switch(
+        "write lab.txt for each run: its steps as the lab's program prints them, numbers from 1"
     )
-    lab_text: bool = free_row(
-        False,
-        switch,
-        "",
-        "leave lab.txt with each run: its steps as the lab's program prints them, numbers from 1",
-    )
-    no_plots: bool = free_row(False, switch, "", "tables only")
-    open: bool = free_row(False, switch, "", "show the report in the browser when it is written")
-    ellipses: str = free_row(
+    no_plots: bool = free_switch("write tables without figures")
+    open: bool = free_switch("show the report in the browser")
+    ellipses: str = choice(
         "1",
-        one_of(FACTORS),
+        FACTORS[1:],
         "FACTOR",
-        f"ellipses in the plan of a camera log, so many times as large as they are: of {', '.join(FACTORS)} (default: "
-        "1; auto: as large as is needed, as --lab shows beside it)",
+        f"enlargement of the ellipses of a camera log: {', '.join(FACTORS)} (auto: until visible; default: 1)",
+        free_row,
     )
-    animate: bool = free_row(False, switch, "", "a film (WebM) per log, task, estimator and association")
+    animate: bool = free_switch("write a film (WebM) per log, task, estimator and association method")
     speed: float | None = free_row(
         None,
         positive,
         "FACTOR",
-        "of the films: seconds of the log in one of the film, frames where it has no stamps (default: real time, or "
-        "the round factor with which it lasts no longer than a minute)",
+        "speed of the films in log seconds (without stamps: frames) per second (default: real time, or faster, for at "
+        "most a minute)",
     )
 
     @property
     def kept(self) -> Path:
-        """The folder of the result folder: what is found again in the next run (of studies, twins, images) is there."""
+        """The parent of the result folder, where studies, twins and detections are cached for later runs."""
         return self.out.absolute().parent
 
     @property
     def ellipse_factor(self) -> int | None:
-        """By how much ellipses are enlarged, None for as is needed."""
+        """Enlargement of the ellipses; None: automatic."""
         return None if self.ellipses == "auto" else int(self.ellipses)
 
 
 @dataclass(frozen=True)
 class Drawing:
-    """How figures look in a paper."""
+    """Figures for a paper."""
 
     figure_width: str | None = free_row(
-        None, width, "LENGTH", "of all figures, as in 3.4in, 8.6cm, 252pt (default: 7in)"
+        None, width, "LENGTH", "width of all figures, as in 3.4in, 8.6cm, 252pt (default: 7in)"
     )
-    font: str | None = free_row(None, text("a font's name"), "NAME", "of all figures, as in Times")
-    font_size: float = free_row(8.0, points, "PT", "of titles and labels in figures; ticks have 1 pt less (default: 8)")
-    usetex: bool = free_row(False, switch, "", "LaTeX sets the text in figures (latex, dvipng)")
-    pgf: bool = free_row(False, switch, "", "figures as .pgf, too: the document's own fonts (pdflatex or xelatex)")
+    font: str | None = free_row(None, text("a font's name"), "NAME", "font of all figures, as in Times")
+    font_size: float = free_row(8.0, points, "PT", "size of titles and labels; ticks are 1 pt smaller (default: 8)")
+    usetex: bool = free_switch("let LaTeX set the text in figures (latex, dvipng)")
+    pgf: bool = free_switch("write figures also as .pgf, in the fonts of the document (pdflatex or xelatex)")
 
 
 @dataclass(frozen=True)
 class Execution:
-    """Where the work is done, and what is said meanwhile."""
+    """Processes and messages."""
 
     jobs: int = free_row(1, whole(1, "at least one process is needed"), "N", "processes (default: one per core)")
     scheduler: str | None = free_row(
         None,
         text("an address, as in tcp://host:8786,"),
         "ADDRESS",
-        "do the runs of studies and twins on a Dask cluster, as in tcp://host:8786",
+        "run studies and twins on a Dask cluster, as in tcp://host:8786",
     )
-    quiet: bool = free_row(False, switch, "", "print only errors", short="-q")
-    verbose: bool = free_row(False, switch, "", "print more", short="-v")
+    quiet: bool = free_switch("print errors only", short="-q")
+    verbose: bool = free_switch("print more", short="-v")
 
 
 @dataclass(frozen=True)
 class Options:
-    """What was asked for, a part for each who reads it; names of fields are the config file's keys (with `-` for `_`).
+    """All flags, in parts by their readers; field names are the keys of config files (with `-` for `_`).
 
     Attributes:
-        config: the files that must be read again for the same numbers: all, if one of them holds a variant.
-        stated: the other keys that those files state.
-        variants: what they hold in their tables [variant].
+        config: files to read again for the same numbers: all, if one of them holds a variant, else none.
+        stated: the other keys of these files.
+        variants: their tables [variant].
     """
 
     selection: Selection = Selection()
@@ -366,39 +322,32 @@ class Options:
     output: Output = Output()
     drawing: Drawing = Drawing()
     execution: Execution = Execution()
-    config: tuple[str, ...] = row(
-        (),
-        texts,
-        "FILE|NAME",
-        f"TOML file with the same keys, or a shipped one: {', '.join(shipped())}",
-        repeatable=True,
+    config: tuple[str, ...] = several(
+        "FILE|NAME", f"TOML file of flags, or a shipped one: {', '.join(shipped())} (repeatable)"
     )
     stated: tuple[str, ...] = ()
     variants: tuple[Variant, ...] = ()
 
 
 def parser(prog: str = PROG, positional: str = "log") -> Command:
-    """The flags; words without one are values of the flag `positional`, under the name `words`.
-
-    Only what was given is in the result, so that a config file can fill in the rest.
-    """
+    """The parser of the given flags only; positional words, under `words`, are values of the flag `positional`."""
     usage = f"{prog} [{positional.upper()} ...] [flags]"
     p = Command(prog, PROG, ABOUT[positional], EXAMPLES, usage=usage, add_help=False)
     groups = {part: p.add_argument_group(title) for part, title in GROUPS.items()}
     words = groups["selection"].add_argument("words", nargs="*", metavar=positional.upper())
     words.help = f"the same as --{positional}"
-    for flag in rows(Options).values():
-        add_flags(groups[flag.part], [flag])
+    for each in rows(Options).values():
+        add_flags(groups[each.part], [each])
     show = show_everyday(positional)
     groups[""].add_argument(
-        "-h", "--help", nargs=0, dest=argparse.SUPPRESS, action=show, help="the flags of everyday use"
+        "-h", "--help", nargs=0, dest=argparse.SUPPRESS, action=show, help="show the flags of everyday use"
     )
-    groups[""].add_argument("--help-all", action="help", help="all flags")
+    groups[""].add_argument("--help-all", action="help", help="show all flags")
     return p
 
 
 def add_flags(p: argparse._ActionsContainer, wanted: Iterable[Flag]) -> None:
-    """Rows of a table as flags of a parser."""
+    """Add rows of a table to a parser as flags."""
     for each in wanted:
         kind: dict[str, object] = {"action": "append" if each.repeatable else "store", "metavar": each.metavar}
         if not each.metavar:

@@ -71,7 +71,7 @@ def test_a_late_reading_is_one_from_where_the_robot_was(world):
     speed = np.gradient(np.column_stack([path[:, :2], np.unwrap(path[:, 2])]), inputs.time, axis=0)
     then = inputs.sensor.predict((path - late * speed)[o.frame], used.landmarks[used.number])
     rate = inputs.sensor.residual(then, o.z) / late
-    columns = {e.name: e.readings for e in effects(inputs, path, used)}
+    columns = {e.name: e.observations for e in effects(inputs, path, used)}
     shown = sum(columns[n] for n in ("z1_speed", "z2_speed", "z1_turn_rate", "z2_turn_rate") if n in columns)
     assert shown == pytest.approx(rate, abs=0.02 * np.abs(rate).max())  # less than a hundredth is left out
 

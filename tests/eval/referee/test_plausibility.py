@@ -13,7 +13,14 @@ from data.notice import Code, notice, stopped
 from data.result import DISCARD, Failure, MapEstimate, Trajectory
 from data.sensors import Line, RangeBearing
 from eval.compare import compare
-from eval.referee.plausibility import ABSURD, first_misfit, judged, sight, suspicions, with_plausibility
+from eval.referee.plausibility import (
+    ABSURD,
+    farthest_observed,
+    first_misfit,
+    judged,
+    suspicions,
+    with_plausibility,
+)
 from tests.eval.handmade import FRAMES, circle_log, run_with_error, true_path
 
 INPUTS = circle_log().recorded
@@ -85,7 +92,7 @@ def test_a_path_longer_than_was_driven_is_implausible():
 
 
 def test_a_landmark_where_the_sensor_cannot_have_seen_it_is_implausible():
-    seen = sight(INPUTS)
+    seen = farthest_observed(INPUTS)
     assert 16.0 < seen < 18.0  # twice the range of 8 m, and noise
     beyond = [4.0 + seen + 1.0, 0.0]  # of the first poses, which saw it
     assert with_plausibility(with_map(smoother(), beyond), INPUTS).implausible.notice.code is Code.LANDMARKS_UNSEEN

@@ -39,7 +39,7 @@ def noiseless(log):
 def test_without_noise_nothing_is_left(log):
     found = smoothed_residuals(noiseless(log), log.truth.pose, truly(log))
     assert np.nanmax(np.abs(found.odometry)) < 1e-9
-    assert np.nanmax(np.abs(found.readings)) < 1e-9
+    assert np.nanmax(np.abs(found.observations)) < 1e-9
     assert np.isnan(found.odometry[0]).all()
 
 
@@ -53,7 +53,7 @@ def test_residuals_are_what_was_added_in_stated_sigmas(log):
         observations=Observations(o.frame, o.z + np.sqrt(np.einsum("mii->mi", o.R)) * u, o.R),
     )  # fmt: skip
     found = smoothed_residuals(noisy, log.truth.pose, truly(log))
-    assert found.readings == pytest.approx(u, abs=1e-6)
+    assert found.observations == pytest.approx(u, abs=1e-6)
     assert found.odometry[1:] == pytest.approx(v[1:], abs=1e-6)
     assert found.squared == pytest.approx((u**2).sum(axis=1), abs=1e-6)
     said = summaries(found, noisy, truly(log))

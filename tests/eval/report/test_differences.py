@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from eval.referee.intervals import DIFFERENCES
+from eval.referee import result_files
 from eval.referee.score import METRICS, frame_of
 from eval.report.answer import answer, answer_facts
 from eval.report.comparison import difference_of, differences_table, missing_intervals
 from eval.report.rows import scored
 from eval.report.words import paragraph, say
 from tests.eval.report.test_answer import FILTER, SMOOTHER
+
+DIFFERENCES = result_files.DIFFERENCES.names
 
 ROW = {
     "log": "arena", "task": "slam", "association": "known", "a": "ekf", "b": "batch", "phase_a": "online",

@@ -11,7 +11,8 @@ from data import se2
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.result import DISCARD, NEW, MapEstimate, Run, Trajectory
 from data.sensors import RangeBearing, RelativePoint
-from eval.referee.ambiguity import registered, taken_for
+from eval.referee.ambiguity import registered
+from eval.referee.errors import observed
 
 PLACES = np.array([[4.0, 0.0], [0.0, 5.0], [-4.0, 1.0], [0.0, -5.0], [3.0, 4.0], [3.0, -4.0], [-3.0, 5.0]])
 L = len(PLACES)
@@ -131,10 +132,10 @@ def test_a_reading_is_of_no_landmark_where_that_is_not_in_the_map_or_the_pose_is
 
 def test_the_first_reading_is_taken_for_what_it_initialized_unless_that_was_taken_back():
     run, _, _ = world(RelativePoint(), 2)
-    assert taken_for(run).tolist() == list(range(L)) * 2
+    assert observed(run).tolist() == list(range(L)) * 2
     final = np.array(run.final_decisions)
     final[0], final[1] = DISCARD, 4
-    assert taken_for(replace(run, final_decisions=final)).tolist() == [DISCARD, 4, *range(2, L), *range(L)]
+    assert observed(replace(run, final_decisions=final)).tolist() == [DISCARD, 4, *range(2, L), *range(L)]
 
 
 def test_readings_of_another_log_and_runs_without_a_path_have_no_place():

@@ -126,7 +126,7 @@ def test_nees_of_honest_factors_is_one_and_that_of_sigmas_at_half_is_four():
     assert honest.lower < honest.mean < honest.upper
     assert honest.median == pytest.approx(0.79, abs=0.08)
     assert (honest.word, nees(0.25).word, nees(4.0).word) == (CONSISTENT, OVERCONFIDENT, CONSERVATIVE)
-    assert nees(0.25).scale == pytest.approx(4.0 * honest.mean)
+    assert nees(0.25).mean == pytest.approx(4.0 * honest.mean)
     assert factor_nees([]).word == ""
 
 
