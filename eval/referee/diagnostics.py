@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -114,15 +115,9 @@ def two_minima(batch: Run, other: Run) -> Notice | None:
         return None
     better, worse = (batch, other) if a < b else (other, batch)
     apart = position_distance(batch.final.pose, other.final.pose)
-    found = notice(
-        Code.TWO_MINIMA,
-        better=better.estimator,
-        worse=worse.estimator,
-        costs=(min(a, b), max(a, b)),
-        dof=batch.total_nis[1],
-        apart=rms(apart),
-        apart_most=float(np.nanmax(apart)),
-    )
+    names: dict[str, Any] = {"better": better.estimator, "worse": worse.estimator}
+    costs, most = (min(a, b), max(a, b)), float(np.nanmax(apart))
+    found = notice(Code.TWO_MINIMA, **names, costs=costs, dof=batch.total_nis[1], apart=rms(apart), apart_most=most)
     return found.about(association=batch.association)
 
 

@@ -92,7 +92,7 @@ def _length(series: Array) -> tuple[float, str]:
     if n < MIN_FRAMES:
         return math.nan, f"{n} frames with truth are too few, {MIN_FRAMES} are needed"
     if np.ptp(series) <= 1e-12 * np.abs(series).max():
-        return math.nan, "what is compared does not vary along the log"
+        return math.nan, "the compared values do not vary along the log"
     length, worth = block_length(series), independent_frames(series)
     if worth < MIN_INDEPENDENT:
         worth_of = f"{n} frames with truth are worth about {worth:.0f} independent ones"

@@ -1,4 +1,4 @@
-"""What is asked about a run: whether anything was used, and whether there are more landmarks than make sense."""
+"""Questions about a run: unused observations and too many landmarks."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
 
 
 @pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
-def test_a_map_as_it_should_be_is_not(association):
+def test_a_right_map_is_not_asked_about(association):
     inputs = arena().inputs(labels=association == "known").without_map()
     run = compare(inputs, "slam", ("ekf",), association)[0]
     assert questions_of_run(run, inputs) == []
