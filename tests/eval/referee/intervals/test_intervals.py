@@ -121,7 +121,7 @@ def test_frames_without_truth_are_left_out():
             rng().chisquare(2, MIN_FRAMES - 1),
             f"{MIN_FRAMES - 1} frames with truth are too few, {MIN_FRAMES} are needed",
         ),
-        (np.full(200, 0.3), "does not vary"),
+        (np.full(200, 0.3), "do not vary"),
         (np.linspace(0.0, 1.0, 200) ** 2, "worth about . independent ones, 20 are needed"),
         (squares(0.99, 200, 1, 7)[0], "independent ones"),
     ],
