@@ -19,20 +19,7 @@ from data.errors import UsageError
 from eval.plan.flags.help import ABOUT, EXAMPLES, GROUPS, PROG, show_everyday
 from eval.plan.flags.variant import Variant
 from eval.replay.external.spec import FORM, own_or_foreign
-from eval.replay.flag import (
-    Flag,
-    folder,
-    free_row,
-    names,
-    one_of,
-    positive,
-    row,
-    rows,
-    switch,
-    text,
-    texts,
-    whole,
-)
+from eval.replay.flag import Flag, folder, free_row, names, one_of, positive, row, rows, switch, text, texts, whole
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
 from eval.studies.shipped import VALIDATIONS, scenarios
 
