@@ -16,7 +16,7 @@ Results: `Trial`, `score`, `notices`, `Notice`, `sentence`.
 Your own estimators and association methods: `Samples`, and `check_estimator`, `check_association` (for tests),
 `estimator_findings`, `association_findings` (as lists).
 
-Units are m, rad and s. A pose is (x, y, theta) in the world frame, a covariance (3, 3) its error added to it.
+Units are m, rad and s. A pose is (x, y, theta) in the world frame; its covariance (3, 3) has the same coordinates.
 Names are loaded on first use. This module is also the command `slamref`; `slamref --help` lists its subcommands.
 """
 

@@ -9,10 +9,11 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from data.command import Command
 from data.errors import UsageError
@@ -73,7 +74,7 @@ switch_row = partial(row, False, switch, "")
 free_switch = partial(free_row, False, switch, "")
 
 
-def choice(default: str, others: Iterable[str], metavar: str, help: str, kind: partial[object] = row) -> str:
+def choice(default: str, others: Iterable[str], metavar: str, help: str, kind: Callable[..., Any] = row) -> Any:
     """A flag with one of several names, the default among them."""
     return kind(default, one_of((default, *others)), metavar, help)
 

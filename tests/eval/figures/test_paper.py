@@ -104,7 +104,7 @@ def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):
     monkeypatch.setattr(font_manager.fontManager, "ttflist", fonts)
     look, said = appearance.figure_style_of(read_options(["--font", "Times"]).drawing, Output())
     assert (look.fonts[0], look.mathematics) == ("STIXGeneral", "stix")
-    assert said.endswith("figures have STIXGeneral instead")
+    assert said.endswith("figures use STIXGeneral instead")
     assert appearance.figure_style_of(read_options([]).drawing, Output())[0] == FigureStyle()
 
 
@@ -112,7 +112,7 @@ def test_without_latex_the_flags_that_need_it_say_so_before_any_work(monkeypatch
     monkeypatch.setattr(appearance.shutil, "which", lambda _: None)
     with pytest.raises(UsageError, match=r"--usetex: needs LaTeX; program 'latex' is not on this machine"):
         appearance.require_latex(read_options(["--usetex"]).drawing)
-    with pytest.raises(UsageError, match=r"--pgf needs LaTeX, and there is none of pdflatex, "):
+    with pytest.raises(UsageError, match=r"--pgf: needs LaTeX; none of pdflatex, "):
         appearance.require_latex(read_options(["--pgf"]).drawing)
 
 
