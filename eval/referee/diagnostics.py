@@ -249,7 +249,15 @@ def _near_ranges(trial: Trial, rows: IntArray) -> tuple[float, ...]:
 
 
 def notices(trials: Sequence[Trial], scores: Scores | None = None) -> list[Notice]:
-    """All notices about logs and runs; `scores`: of these trials, if they are known already."""
+    """All notices about logs and runs: questions, failures, implausible values, lost runs, notes.
+
+    Args:
+        trials: of one or several logs.
+        scores: of these trials, if they are known already.
+
+    Example:
+        >>> [(n.estimator, n.code) for n in slamref.notices([trial])]
+    """
     scores = scores or score(trials)
     found: list[Notice] = []
     for log in {t.log.name: t.log for t in trials if t.variant_of is None}.values():

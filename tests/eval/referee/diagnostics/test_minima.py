@@ -29,7 +29,7 @@ def test_both_costs_the_better_one_and_the_distance_are_reported():
         "apart": pytest.approx(0.64),
         "apart_most": pytest.approx(0.64),
     }
-    assert "isam2 at a cost of 1627.340, batch at 1627.790 (100 degrees of freedom)" in sentence(found)
+    assert "isam2 ends at a cost of 1627.340, batch at 1627.790 (100 degrees of freedom)" in sentence(found)
 
 
 @pytest.mark.parametrize(("apart", "told"), [(0.0, False), (0.0105, False), (0.0125, True), (-0.0125, True)])

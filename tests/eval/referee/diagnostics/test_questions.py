@@ -51,7 +51,7 @@ def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
     assert question.code is Code.LANDMARKS
     assert question.named["landmarks"] == len(run.map)
     (section,) = warnings_section([question])
-    assert section.blocks[1].endswith("be better?")
+    assert section.blocks[1].endswith("another --association.")
 
 
 @pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
@@ -97,7 +97,7 @@ def test_questions_stand_in_inspect_on_the_terminal_in_the_log_and_in_the_report
     assert main(words) == 0
     said = capsys.readouterr().out
     assert "question (lost, prior): from the prior" in said
-    assert "observations used" in said
+    assert "observations are used" in said
     assert "question (lost, prior)" in (out / "run.log").read_text()
     report = (out / "report.md").read_text()
     row = next(line for line in report.splitlines() if line.startswith("| [lost, localization]"))
