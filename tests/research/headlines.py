@@ -1,6 +1,6 @@
 """How often the headline objects to sound logs, and prints a tick over a strong fault.
 
-`python -m tests.research.headlines N`: sound logs are the first N worlds of the variety's later part, with noise and view
+`python -m tests.research.headlines N`: sound logs are N worlds of the variety's later part, with noise and view
 as stated. A strong fault is an estimate to trust whose mean pose NEES exceeds 9, or one wrong pairing in ten: found
 among the runs of nearest neighbour, and with the sensor's noise stated four times too small.
 """
