@@ -109,6 +109,7 @@ def _step(wish: Wish) -> None:
     from eval.plan.warming import compile_if_needed
 
     compile_if_needed()
+    from eval.plan.experiment import check_possible_on
     from eval.plan.foreign import load_all
 
     asked, setup = wish.options.selection, wish.options.setup
@@ -116,8 +117,7 @@ def _step(wish: Wish) -> None:
     load_all(asked.estimator, asked.association)
     log = open_log(asked.log[0])
     task = task_of(log, asked.task)
-    if association == "known" and not log.has_labels:
-        raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
+    check_possible_on(log, (task,), (association,))
     if wish.frames is not None:
         log = shortened(log, wish.frames)
     from eval.referee.plausibility import with_plausibility
@@ -156,12 +156,8 @@ def _step(wish: Wish) -> None:
 
 def task_of(log: Log, asked: Sequence[str]) -> str:
     """The first of the given tasks; by default localization in a known map, but SLAM in a corridor."""
-    has_map = log.recorded.map is not None
-    if "localization" in asked and not has_map:
-        raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); only slam makes sense")
-    if asked:
-        return asked[0]
-    return "localization" if has_map and not log.name.startswith("corridor") else "slam"
+    known_map = log.recorded.map is not None and not log.name.startswith("corridor")
+    return asked[0] if asked else "localization" if known_map else "slam"
 
 
 if __name__ == "__main__":
