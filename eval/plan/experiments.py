@@ -191,8 +191,7 @@ def _cut(log: Log, options: Options) -> Log:
 
 
 ALL = DEFAULT_ESTIMATORS
-ROBUST = ("batch-cauchy", "gnc")
-"""Further estimators of a laser log, where one wrong loop closure bends the whole map."""
+ROBUST = ("batch-cauchy", "gnc")  # further estimators of a laser log, where one wrong loop closure bends the whole map
 DECIDING = ("ekf", "isam2", "batch")
 KNOWN = (Work("known", ALL),)
 WAYS = (*METHODS, HINDSIGHT)
