@@ -12,7 +12,7 @@ from data.command import Command
 from data.errors import UsageError
 from data.terminal import ended
 from eval.plan.flags.options import options_of
-from eval.plan.flags.table import Options, add_flags
+from eval.plan.flags.table import FIRST_FRAMES, Options, add_flags
 from eval.replay.flag import rows
 from eval.replay.settings import ASSOCIATIONS, STEPPING, steps
 
@@ -86,16 +86,8 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     estimator = options.selection.estimator[0]
     if not steps(estimator):
         raise UsageError(f"--estimator {estimator}: does not work step by step; {', '.join(STEPPING)} do")
-    return Wish(options, given["save"], given["run_through"], frames_of(given["frames"]), given["lab_text"])
-
-
-def frames_of(text: str | None) -> int | None:
-    """The value of `--frames`, a number from 1 up."""
-    if text is None:
-        return None
-    if not text.isascii() or not text.isdigit() or int(text) < 1:
-        raise UsageError(f"--frames {text}: a whole number from 1 up is needed")
-    return int(text)
+    frames = None if given["frames"] is None else FIRST_FRAMES("--frames", given["frames"])
+    return Wish(options, given["save"], given["run_through"], frames, given["lab_text"])
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
