@@ -1,10 +1,12 @@
-"""What an experiment is: a log and a task, and the estimators with each way of association."""
+"""An experiment: a log, a task, and the estimators of each association method."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from association.scans.constraints import SCAN
+from data.errors import UsageError
 from data.log import Log
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import FILTERS, Setup
@@ -12,15 +14,15 @@ from eval.replay.settings import FILTERS, Setup
 
 @dataclass(frozen=True)
 class Work:
-    """Estimators with one way of association."""
+    """Estimators with one association method."""
 
     association: str
     estimators: tuple[str, ...]
 
     def parts(self) -> tuple[Work, ...]:
-        """What can be done apart: iSAM2 takes longest, or a foreign one; batch goes with the front end it depends on.
+        """Parts to do in parallel: iSAM2 and foreign estimators (slow) alone, batch with its front end.
 
-        Scans are matched once for all.
+        Scans are matched once for all estimators.
         """
         if self.association == SCAN:
             return (self,)
@@ -34,7 +36,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One log and task with all that is done with it; `beside` names the log whose table it joins, `about` says why."""
+    """One log and task with all work on it; a variant joins the table of log `variant_of`, `about` describes it."""
 
     log: Log
     task: str
@@ -42,3 +44,11 @@ class Experiment:
     setup: Setup
     variant_of: str | None = None
     about: str = ""
+
+
+def check_possible_on(log: Log, tasks: Sequence[str], associations: Sequence[str]) -> None:
+    """Raise UsageError for localization without a map, or known association without labels."""
+    if "localization" in tasks and log.recorded.map is None:
+        raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); type --task slam")
+    if "known" in associations and not log.has_labels:
+        raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")

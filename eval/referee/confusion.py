@@ -69,11 +69,11 @@ def ground_truth(
     for i in rows[np.argsort(created[rows], kind="stable")].tolist():
         until = -1 if removed is None else int(removed[created[i]])
         copies[int(true_id[i])].append((int(created[i]), int(frame[i]), until))
-    for i, who in enumerate(true_id.tolist()):
-        if who < 0:
+    for i, identity in enumerate(true_id.tolist()):
+        if identity < 0:
             continue
         now = int(frame[i])
-        for number, since, until in copies.get(who, ()):
+        for number, since, until in copies.get(identity, ()):
             if since < now and (until < 0 or now <= until):
                 gt[i] = number
                 break

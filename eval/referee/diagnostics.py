@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -114,7 +115,7 @@ def two_minima(batch: Run, other: Run) -> Notice | None:
         return None
     better, worse = (batch, other) if a < b else (other, batch)
     apart = position_distance(batch.final.pose, other.final.pose)
-    names = {"better": better.estimator, "worse": worse.estimator}
+    names: dict[str, Any] = {"better": better.estimator, "worse": worse.estimator}
     costs, most = (min(a, b), max(a, b)), float(np.nanmax(apart))
     found = notice(Code.TWO_MINIMA, **names, costs=costs, dof=batch.total_nis[1], apart=rms(apart), apart_most=most)
     return found.about(association=batch.association)
@@ -248,7 +249,15 @@ def _near_ranges(trial: Trial, rows: IntArray) -> tuple[float, ...]:
 
 
 def notices(trials: Sequence[Trial], scores: Scores | None = None) -> list[Notice]:
-    """All notices about logs and runs; `scores`: of these trials, if they are known already."""
+    """All notices about logs and runs: questions, failures, implausible values, lost runs, notes.
+
+    Args:
+        trials: of one or several logs.
+        scores: of these trials, if they are known already.
+
+    Example:
+        >>> [(n.estimator, n.code) for n in slamref.notices([trial])]
+    """
     scores = scores or score(trials)
     found: list[Notice] = []
     for log in {t.log.name: t.log for t in trials if t.variant_of is None}.values():

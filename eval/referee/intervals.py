@@ -17,7 +17,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from eval.referee.consistency import LEVEL
-from eval.referee.errors import Along
+from eval.referee.errors import Along, align
 from eval.referee.given_runs import log_of
 
 REPLICATES = 1000
@@ -63,6 +63,23 @@ def run_differences(
     return _both(np.stack(squared_errors, axis=1), np.stack(nees, axis=1), rng)
 
 
+def aligned_difference(first: Array, second: Array, truth: Array) -> Interval:
+    """Difference in position RMSE [m] of two paths (N, 3), each after its best rigid fit onto the truth (N, 3).
+
+    A frame without truth (NaN) is left out. See `run_differences`.
+    """
+    squares = []
+    for path in (first, second):
+        known = np.isfinite(path).all(axis=1) & np.isfinite(truth).all(axis=1)
+        off = np.full(len(truth), np.nan)
+        if known.sum() > 1:
+            R, t = align(path[known, :2], truth[known, :2])
+            off[known] = ((path[known, :2] @ R.T + t - truth[known, :2]) ** 2).sum(axis=1)
+        squares.append(off)
+    blank = np.full(len(truth), np.nan)
+    return run_differences((squares[0], squares[1]), (blank, blank), np.random.default_rng(SEED))[0]
+
+
 def _both(squares: Array, nees: Array, rng: np.random.Generator) -> tuple[Interval, Interval]:
     """RMSE and mean NEES of a run (N, 1), or their differences between two (N, 2), in blocks of one mean length."""
     parts = [columns[np.isfinite(columns).all(axis=1)] for columns in (squares, nees)]
@@ -92,7 +109,7 @@ def _length(series: Array) -> tuple[float, str]:
     if n < MIN_FRAMES:
         return math.nan, f"{n} frames with truth are too few, {MIN_FRAMES} are needed"
     if np.ptp(series) <= 1e-12 * np.abs(series).max():
-        return math.nan, "what is compared does not vary along the log"
+        return math.nan, "the compared values do not vary along the log"
     length, worth = block_length(series), independent_frames(series)
     if worth < MIN_INDEPENDENT:
         worth_of = f"{n} frames with truth are worth about {worth:.0f} independent ones"

@@ -214,7 +214,7 @@ OF_LOGS = (
 )
 OTHERS = (
     File("report.<type>", "The report as `html` and `md`; `json` has its facts as numbers, names and codes."),
-    File("details/<page>.html", "What report.html leaves out, a page for each subject."),
+    File("details/<page>.html", "Details that report.html leaves out, one page per subject."),
     File("players/<log>.html", "All runs on a log, frame by frame, in a browser.", when="not with `--no-plots`"),
     File(
         "tables/<name>.<type>",

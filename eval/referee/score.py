@@ -66,7 +66,17 @@ COUNTED = tuple(c for c in ASSOCIATION if c not in (*RUN, "share_within", "withi
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """All runs of one log and task on identical inputs."""
+    """All runs of one log and task on identical inputs.
+
+    Attributes:
+        log, task: with the truth for the referee; `localization` or `slam`.
+        runs: results of `compare`.
+        variant_of, about: of a variant, the log whose table it joins, and a description.
+
+    Example:
+        >>> trial = slamref.Trial(log, "slam", tuple(runs))
+        >>> trial.find("ekf", "known").final_decisions.shape  # (M,) observations
+    """
 
     log: Log
     task: str
@@ -310,7 +320,16 @@ class Scores:
 
 
 def score(trials: Sequence[Trial]) -> Scores:
-    """Score every run of every trial."""
+    """Score every run of every trial.
+
+    Returns:
+        Tables (`pandas.DataFrame`) with a row per run and phase, columns as in docs/results-folder.md: `metrics` (RMSE
+        [m], [deg], NEES, NIS), `association` (TP, TN, FP, FN), `timing` [s], `differences` (paired), `relations`.
+
+    Example:
+        >>> scores = slamref.score([slamref.Trial(log, "slam", tuple(runs))])
+        >>> scores.metrics[["estimator", "phase", "rmse_position_m"]]
+    """
     metrics, association, timing, differences, relations = [], [], [], [], []
     for trial in trials:
         reference = trial.find("batch") or trial.find("batch", SCAN)
