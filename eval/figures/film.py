@@ -1,7 +1,6 @@
 """A film of one run: robot, rays to what it observes, landmarks as they were, ellipses, true ghost, fading paths.
 
-VP8 in WebM, drawn and written by OpenCV, for speed: browsers play it without further libraries; they refuse the MPEG-4
-that OpenCV puts into MP4 files. The same pictures make the same bytes.
+VP8 in WebM, which browsers play; the same pictures make the same bytes.
 """
 
 from __future__ import annotations
@@ -32,21 +31,14 @@ AS_THEN, AT_THE_END = "as then", "as at the end"
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Changes (C,) of landmarks, in the order of their frames.
+    """Changes (C,) of landmarks, in the order of their frames."""
 
-    Attributes:
-        frame, number: (C,) after which frame, of which landmark.
-        there: (C,) false where it left the map.
-        xy: (C, 2) m, covariance: (C, 2, 2) m^2, world frame.
-        when: of what instant this is, in words: `AS_THEN` or `AT_THE_END`.
-    """
-
-    frame: IntArray
+    frame: IntArray  # with number: (C,) after which frame, of which landmark
     number: IntArray
-    there: BoolArray
-    xy: Array
+    there: BoolArray  # (C,) false where it left the map
+    xy: Array  # (C, 2) m, covariance: (C, 2, 2) m^2, world frame
     covariance: Array
-    when: str = AS_THEN
+    when: str = AS_THEN  # of what instant this is, in words: `AS_THEN` or `AT_THE_END`
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -78,14 +70,10 @@ def at_the_end(run: Run) -> History:
     return History(m.first_frame[order], m.number[order], there, m.xy[order], m.covariance[order], AT_THE_END)
 
 
-FPS = 20
-"""Pictures a second."""
-LONGEST = 60.0
-"""s; a film whose speed nobody asked for lasts no longer."""
-STEPS = (1.0, 2.0, 5.0)
-"""Speeds that are chosen: these, and their multiples by powers of ten."""
-FRAMES_A_SECOND = 5.0
-"""The slowest speed that is chosen for a log whose time counts frames: each can be looked at."""
+FPS = 20  # pictures a second
+LONGEST = 60.0  # s; a film whose speed nobody asked for lasts no longer
+STEPS = (1.0, 2.0, 5.0)  # speeds that are chosen: these, and their multiples by powers of ten
+FRAMES_A_SECOND = 5.0  # the slowest speed that is chosen for a log whose time counts frames: each can be looked at
 
 
 @dataclass(frozen=True)
@@ -103,10 +91,7 @@ class Pace:
 
 
 def pace_of(inputs: Inputs, speed: float | None = None, fps: int = FPS, longest: float = LONGEST) -> Pace:
-    """The pace asked for, or the slowest of the round ones from real time on with which the film is short enough.
-
-    Each picture shows the newest frame at its instant; the last one shows the log's last frame.
-    """
+    """The pace asked for, or the slowest round one from real time on with which the film is short enough."""
     time = inputs.time - inputs.time[0]
     length = float(time[-1])
     if speed is None:
@@ -165,14 +150,14 @@ class Film:
 def _without(expected: bytes) -> Iterator[None]:
     """Keep one known line of a compiled library off the standard error stream; whatever else it says goes through."""
     real = os.dup(2)
-    with tempfile.TemporaryFile() as said:
-        os.dup2(said.fileno(), 2)
+    with tempfile.TemporaryFile() as caught:
+        os.dup2(caught.fileno(), 2)
         try:
             yield
         finally:
             os.dup2(real, 2)
-            said.seek(0)
-            for line in said.read().splitlines(keepends=True):
+            caught.seek(0)
+            for line in caught.read().splitlines(keepends=True):
                 if expected not in line:
                     os.write(real, line)
             os.close(real)
@@ -187,11 +172,9 @@ def _number_track(path: Path) -> None:
         file.write(head.replace(after[:8], (1).to_bytes(8, "big")) if after else head)
 
 
-LONGER_SIDE = 960
-"""px of the picture's longer side; the scene decides the shorter one."""
+LONGER_SIDE = 960  # px of the picture's longer side; the scene decides the shorter one
 SHORTER_SIDE = 480
-SHIFT = 4
-"""Bits of a pixel that OpenCV draws with."""
+SHIFT = 4  # bits of a pixel that OpenCV draws with
 
 Colour = tuple[int, int, int]
 
@@ -266,10 +249,8 @@ def scale_bar(image: Image, canvas: Canvas) -> None:
     write(image, f"{length:g} m", (left, base - 10), size=0.45)
 
 
-HEADER = 56
-"""px above the scene for names and time."""
-VISIBLE = 0.025
-"""Share of the picture's side that the robot's ellipse is enlarged to: it must show around the robot."""
+HEADER = 56  # px above the scene for names and time
+VISIBLE = 0.025  # share of the picture's side that the robot's ellipse is enlarged to: it must show around the robot
 TRAIL, BANDS, FADED = 5.0, 10, 0.35
 """s of the film in which a path fades, in how many tones, and the share of its colour that stays."""
 
@@ -400,12 +381,10 @@ def animate(
     history: History | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Film one run as WebM: its online phase unless told otherwise or it has none.
+    """Film one run as WebM: its online phase, or else the final one. Raises SlamrefError if it cannot be written.
 
-    `speed`: seconds of the log in a second of the film (frames, of a log without stamps); None: see
-    `eval.figures.film.pace_of`, with `max_seconds`. `history`: landmarks as they were; None: as they are at the
-    end of the run, from the frame on in which they were first seen, as in any other phase than `online`.
-    `progress(done, total)` is called after each picture. Raises SlamrefError if the file cannot be written.
+    `speed`: of a `Pace`; None: see `pace_of`, `max_seconds`. `history`: landmarks as they were; None, or another
+    phase than `online`: as at the end. `progress(done, total)` is called after each picture.
     """
     pace = pace_of(log.recorded, speed, fps, max_seconds)
     scene = _scene(log, run, phase or run.phases[0], pace, history)

@@ -63,22 +63,16 @@ def _label(s: Series) -> str:
 
 @dataclass(frozen=True, eq=False)
 class _Map:
-    """What is drawn on a map.
-
-    Attributes:
-        shown: all series; estimates: those with ellipses; maps: of these, with the maps they end with.
-        paths: (N, 2) by label, dead reckoning too. poses: means and covariances along the estimates' paths.
-        view: what part of the plane. factor: by how much ellipses are enlarged.
-    """
+    """What is drawn on a map."""
 
     log: Log
-    shown: list[Series]
-    estimates: list[Series]
-    maps: list[tuple[Series, MapEstimate]]
-    paths: dict[str, Array]
-    poses: list[tuple[Series, Array, Array]]
-    view: View
-    factor: int
+    shown: list[Series]  # all series
+    estimates: list[Series]  # those with ellipses
+    maps: list[tuple[Series, MapEstimate]]  # of these, with the maps they end with
+    paths: dict[str, Array]  # (N, 2) by label, dead reckoning too
+    poses: list[tuple[Series, Array, Array]]  # means and covariances along the estimates' paths
+    view: View  # what part of the plane
+    factor: int  # by how much ellipses are enlarged
 
 
 def _gathered(log: Log, runs: Sequence[Run], factor: int | None) -> _Map:
@@ -107,11 +101,10 @@ def map_figure(
     surveyed: Surveyed | None = None,
     factor: int | None = None,
 ) -> Figure:
-    """Paths, landmarks and 3 sigma ellipses of every run on one log; metres, equal aspect, `width` in inches.
+    """Paths, landmarks and 3σ ellipses of every run on one log; metres, equal aspect, `width` in inches.
 
-    Ellipses too small to see are enlarged, all by one factor that the legend states. A path that runs away does not
-    squash the picture: it is cut, and the title names it. `surveyed` draws in place of the true landmarks; `factor` is
-    by how much ellipses are enlarged (None: as is needed).
+    A path that runs away is cut, and the title names it. `surveyed` draws in place of the true landmarks; `factor`
+    enlarges ellipses (None: as is needed to see them; the legend states it).
     """
     made = _gathered(log, runs, factor)
     fig = Figure()
@@ -153,7 +146,7 @@ def _draw_true_landmarks(ax: Axes, m: _Map) -> list[Line2D]:
 
 def _draw_estimates(ax: Axes, m: _Map) -> list[Line2D | Patch]:
     """Maps and ellipses along the paths; landmarks whose place is ambiguous are marked."""
-    sees_points, doubtful = m.log.recorded.sensor.sees_points, False
+    sees_points, any_unclear = m.log.recorded.sensor.sees_points, False
     for i, (s, map_) in enumerate(m.maps):
         numbered = i == 0 and true_landmarks(m.log) is None and len(map_) <= MOST_IDS
         if not sees_points:
@@ -164,13 +157,13 @@ def _draw_estimates(ax: Axes, m: _Map) -> list[Line2D | Patch]:
         unclear = map_.xy[ambiguous(s.run, m.log.recorded) >= 0]
         if len(unclear):
             ax.plot(*unclear.T, **AMBIGUOUS, markersize=9.0, markeredgewidth=0.8, zorder=5.2)
-            doubtful = True
+            any_unclear = True
         if numbered:
             _landmark_ids(ax, map_.number, map_.xy, m.view)
     for s, mean, covariance in m.poses:
         draw_ellipses(ax, mean, covariance, s.colour, m.factor, 5.0)
     handles = _ellipse_handles(m)
-    if doubtful:
+    if any_unclear:
         handles.append(Line2D([], [], **AMBIGUOUS, label="ambiguous landmarks"))
     if m.maps and not sees_points:
         handles.append(Line2D([], [], color=GREY, linewidth=0.7, label="estimated landmarks"))

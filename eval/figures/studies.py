@@ -24,8 +24,7 @@ from eval.figures.style import DASHED, LONG_HANDLE, drawing, style_of
 from eval.referee.consistency import COVERAGE_LEVELS, coverage
 
 MOST_COLUMNS = 4
-LAST = 0.999
-"""The axis ends at this quantile of the chi-square law; what lies beyond is one bar of its own."""
+LAST = 0.999  # the axis ends at this quantile of the chi-square law; what lies beyond is one bar of its own
 EXPECTED_COLOUR = "#000000"
 BEYOND_HATCH = "/////"
 
@@ -34,8 +33,7 @@ BEYOND_HATCH = "/////"
 def run_end_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     """Histogram of the run-end NEES (N,) of each estimator against the chi-square density with `dof`.
 
-    The last, hatched bar holds every run beyond the axis, with their number above it: its height is their share per
-    bin width. Runs without a NEES (NaN) are counted in the panel.
+    The last, hatched bar holds every run beyond the axis. Runs without a NEES (NaN) are counted in the panel.
     """
     rows = max(math.ceil(len(nees) / across(MOST_COLUMNS)), 1)
     columns = max(math.ceil(len(nees) / rows), 1)
@@ -91,8 +89,8 @@ def _histogram(ax: Axes, name: str, values: Array, dof: int, edges: Array) -> No
     x = np.linspace(edges[0], end, 400)[1:]
     ax.plot(x, scipy.stats.chi2.pdf(x, dof), color=EXPECTED_COLOUR, linewidth=1.0)
     ax.set_xlim(0.0, end + 2.9 * width)
-    said = counted(len(known), "run") + (f"\n{len(values) - len(known)} without" if len(known) < len(values) else "")
-    ax.text(0.97, 0.95, said, transform=ax.transAxes, ha="right", va="top", fontsize=points(7))
+    text = counted(len(known), "run") + (f"\n{len(values) - len(known)} without" if len(known) < len(values) else "")
+    ax.text(0.97, 0.95, text, transform=ax.transAxes, ha="right", va="top", fontsize=points(7))
     ax.set_title(style.label, loc="left")
 
 
@@ -100,9 +98,7 @@ def _histogram(ax: Axes, name: str, values: Array, dof: int, edges: Array) -> No
 def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     """Share of run-end NEES (N,) inside the ellipse of each nominal level, with 95 % Clopper-Pearson bounds.
 
-    Levels stand side by side, not to scale, as 90, 95 and 99 % would otherwise lie on each other; the diagonal is the
-    staircase of bars that a consistent estimator's bounds should touch. Runs without a NEES (NaN) are left out, and the
-    legend says how many.
+    Levels stand side by side, not to scale. Runs without a NEES (NaN) are left out, and the legend says how many.
     """
     fig = Figure(figsize=(page_width(), 2.7 + 0.14 * math.ceil((len(nees) + 1) / MOST_COLUMNS)))
     ax = fig.add_subplot()
@@ -137,10 +133,8 @@ def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     return fig
 
 
-LOG_RATIO = 12.0
-"""A column's axes become logarithmic where its values span more than this factor."""
-SPREAD = 0.6
-"""Width over which the estimators of one rate are spread; 1 is the distance between rates."""
+LOG_RATIO = 12.0  # a column's axes become logarithmic where its values span more than this factor
+SPREAD = 0.6  # width over which the estimators of one rate are spread; 1 is the distance between rates
 POSE_DOF = 3
 
 
@@ -161,14 +155,11 @@ PANELS = (
 
 @drawing()
 def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
-    """Position RMSE (left) and pose NEES (right) against the share of wrong associations, one row of panels per task.
-
-    The rates studied stand side by side, not to scale, so that the estimators can be told apart at each of them.
+    """Position RMSE and pose NEES with their intervals against the share of wrong associations, a row per task.
 
     Args:
-        table: columns task, estimator, rate (0 to 1), rmse_position_m, rmse_lower, rmse_upper, nees_pose, nees_lower,
-            nees_upper; one row per task, estimator and rate. Bars are the intervals given; NaN values are gaps.
-        title: what was studied, e.g. scenario and number of runs.
+        table: one row per task, estimator and rate, with the columns of `PANELS`; NaN values are gaps.
+        title: what was studied.
     """
     tasks = list(dict.fromkeys(table["task"]))
     names = list(dict.fromkeys(table["estimator"]))
@@ -245,13 +236,9 @@ class Seen:
 
 @drawing()
 def power_figure(faults: Sequence[Seen], tests: tuple[str, str], level: float, title: str) -> Figure:
-    """A panel for each fault: share of the logs in which each test sees it, against its size; sizes are not to scale.
+    """A panel for each fault: share [%] of the logs in which each test sees it, against its size, not to scale.
 
-    Args:
-        faults: what was found; `error` is the standard error of `share`, drawn as a bar.
-        tests: what the two are called.
-        level: the first one's share [%] on logs without a fault, as it should be.
-        title: what was studied.
+    `level`: share [%] of the first test on logs without a fault, as it should be.
     """
     most = across(COLUMNS)
     rows = max(-(-len(faults) // most), 1)
@@ -282,30 +269,20 @@ SHADE = "#F2F2F2"
 
 @dataclass(frozen=True)
 class Known:
-    """A run on a recording of which some knowledge is given.
+    """A run on a recording of which some knowledge is given."""
 
-    Attributes:
-        label: what it is called; given: what it knows; estimator: whose colour it has.
-        tutorial: whether it is a tutorial's treatment.
-        rmse: position RMSE [m], None where it has none; original: that of the tutorial's own program, if known.
-        wrong: share of wrong decisions, None where none was made.
-    """
-
-    label: str
-    given: str
-    estimator: str
-    tutorial: bool
-    rmse: float | None
-    original: float | None
-    wrong: float | None
+    label: str  # what it is called
+    given: str  # what it knows
+    estimator: str  # whose colour it has
+    tutorial: bool  # whether it is a tutorial's treatment
+    rmse: float | None  # position RMSE [m], None where it has none
+    original: float | None  # that of the tutorial's own program, if known
+    wrong: float | None  # share of wrong decisions, None where none was made
 
 
 @drawing()
 def knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
-    """A row per run, in groups of what is given: position RMSE, logarithmic, and the share of wrong decisions.
-
-    Rows stand in the order given, those of a group together.
-    """
+    """A row per run, in groups of what is given: position RMSE, logarithmic, and the share of wrong decisions."""
     groups = list(dict.fromkeys(r.given for r in rows))
     place = np.array([i + 1.1 * (groups.index(r.given) + 1) for i, r in enumerate(rows)])
     fig = Figure(figsize=(page_width(), 1.1 + 0.19 * (float(place[-1]) + 1.0)))

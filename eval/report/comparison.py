@@ -1,7 +1,4 @@
-"""The tables of the report, made from the rows of metrics.csv, association.csv and consistency.csv, for reading.
-
-Which is better on this log: paired differences between filters and smoothers.
-"""
+"""The tables of the report, made from the rows of metrics.csv, association.csv and consistency.csv."""
 
 from __future__ import annotations
 
@@ -71,10 +68,8 @@ OUTLIERS: Mapping[str, str] = {
 }
 
 TableRow = dict[str, object]
-CLOSE = 0.1
-"""A mean that is closer to zero is a correlation, written with four decimals."""
-SAME = 0.05
-"""Relative difference below which two columns say the same."""
+CLOSE = 0.1  # a mean that is closer to zero is a correlation, written with four decimals
+SAME = 0.05  # relative difference below which two columns say the same
 
 
 def _selected(frame: pd.DataFrame, heads: Mapping[str, str]) -> pd.DataFrame:
@@ -113,11 +108,9 @@ def _spread(values: pd.Series, errors: pd.Series) -> pd.Series:
 
 
 def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned: bool = False) -> pd.DataFrame:
-    """Rows of metrics.csv as a table to read: heads with units, shares in percent, columns without anything dropped.
+    """Rows of metrics.csv as a table to read, without columns that say nothing.
 
-    `more`: columns of metrics.csv that are shown as well, whatever they hold. Without news are also a status that is
-    `ok` everywhere and a time-weighted RMSE that is the plain one in every row. `aligned`: in SLAM, where the frame is
-    the first pose's, the aligned RMSE stands beside the plain one.
+    `more`: columns that are shown as well. `aligned`: in SLAM with the aligned RMSE.
     """
     made = metrics.astype(object).assign(
         bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
@@ -169,10 +162,7 @@ def _same(values: pd.Series, others: pd.Series) -> bool:
 
 
 def association_table(association: pd.DataFrame) -> pd.DataFrame:
-    """Rows of association.csv as a table to read; estimators with the same outcomes share a row.
-
-    The final phase has rows only where something was revised, and the phase is named only then.
-    """
+    """Rows of association.csv to read; estimators with equal outcomes share a row; phases only where they differ."""
     rows = [{str(k): v for k, v in r.items()} for r in association.astype(object).to_dict("records")]
     outcomes = [c for c in association.columns if c not in ("log", "task", "estimator", "association", "phase")]
 
@@ -299,19 +289,15 @@ def missing_intervals(rows: pd.DataFrame) -> list[tuple[str, list[str], str]]:
 
 @dataclass(frozen=True)
 class Difference:
-    """RMSE of a filter less that of a smoother on the same frames [m], with its 95 % interval and p of no difference.
-
-    block_frames: over so many frames errors are correlated; own_map: both err with a map that they made themselves;
-    why: there is no interval (p is NaN then).
-    """
+    """RMSE of a filter minus that of a smoother on the same frames [m], with 95 % interval and p of no difference."""
 
     metres: float
     lower: float
     upper: float
     p: float
-    block_frames: float
-    own_map: bool
-    why: str
+    block_frames: float  # over so many frames errors are correlated
+    own_map: bool  # both have errors of a map that they made themselves
+    why: str  # there is no interval (p is NaN then)
 
     @property
     def chance(self) -> bool:

@@ -23,14 +23,12 @@ from eval.report.page.files import Drawn, written_table
 from eval.report.rows import Row, Scored, filters_in, value_of
 from eval.report.words import paragraph
 
-SAME = 0.02
-"""Relative difference of two RMSE values below which they are called equal."""
-USABLE = 0.9
-"""A association method is usable whose path has less than this share of dead reckoning's error."""
+SAME = 0.02  # relative difference of two RMSE values below which they are called equal
+USABLE = 0.9  # a association method is usable whose path has less than this share of dead reckoning's error
 
 
 @dataclass(frozen=True)
-class Way:
+class MethodOutcome:
     """How a run decided without labels: outcomes in its last phase, position RMSE [m] and size of its map (or NaN)."""
 
     association: str
@@ -62,32 +60,20 @@ class Way:
 
 @dataclass(frozen=True)
 class Deciding:
-    """How the association methods without labels did on one log and task.
+    """How the association methods without labels did on one log and task."""
 
-    Attributes:
-        first, worst: by their decisions alone; the same if there is one.
-        best: by its decisions, of those with a usable path (of all, where none has one).
-        usable: whether one has: not lost, and nearer to the truth than dead reckoning.
-        nearest: whose path is clearly nearer to the truth than that of the best, if one is.
-        measured: whether errors of paths are known; dead_reckoning: its RMSE [m], or NaN.
-        labelled: landmarks that the log's ids tell apart.
-    """
-
-    first: Way
-    worst: Way
-    best: Way
-    usable: bool
-    nearest: Way | None
-    measured: bool
-    dead_reckoning: float
-    labelled: int | None = None
+    first: MethodOutcome  # with worst: by their decisions alone; the same if there is one
+    worst: MethodOutcome
+    best: MethodOutcome  # by its decisions, of those with a usable path (of all, where none has one)
+    usable: bool  # whether one has: not lost, and nearer to the truth than dead reckoning
+    nearest: MethodOutcome | None  # whose path is clearly nearer to the truth than that of the best, if one is
+    measured: bool  # whether errors of paths are known
+    dead_reckoning: float  # its RMSE [m], or NaN
+    labelled: int | None = None  # landmarks that the log's ids tell apart
 
 
-def deciding(rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[Row]) -> list[Way]:
-    """The runs that decided for themselves, reached the end and are plausible, in their last phase.
-
-    `rows` are those of metrics.csv (`metrics`) typed; `outcomes` are rows of association.csv.
-    """
+def deciding(rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[Row]) -> list[MethodOutcome]:
+    """The plausible runs that decided without labels, in their last phase; `rows` are those of `metrics`, typed."""
     ended = {(r.estimator, r.association) for r in rows if r.status == "ok"}
     filters = filters_in(rows)
     by_phase = {(r.estimator, r.association, r.phase): r for r in reversed(rows)}
@@ -101,7 +87,7 @@ def deciding(rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[
         tp, tn, fp, fn = (int(value_of(r, c)) for c in ("tp", "tn", "fp", "fn"))
         row, size = by_phase.get((estimator, association, phase)), sizes.get((estimator, association), math.nan)
         rmse, lost = (math.nan, False) if row is None else (row.rmse, bool(row.lost_why))
-        own.append(Way(association, estimator, tp, tn, fp, fn, rmse, size, lost))
+        own.append(MethodOutcome(association, estimator, tp, tn, fp, fn, rmse, size, lost))
     # batch smoothers take the decisions of another run, which speaks for itself where it is there
     own = [w for w in own if steps(w.estimator)] or own
     return [w for w in own if math.isfinite(w.f1)]
@@ -130,8 +116,7 @@ def deciding_facts(
     )
 
 
-LATE = ("uncertain", "put off until the end", REASSOCIATED, UNREAD)
-"""Reasons that only say that the log was over."""
+LATE = ("uncertain", "put off until the end", REASSOCIATED, UNREAD)  # reasons that only say that the log was over
 COLUMNS = (
     *("deciding for", "undone", "replaced", "deferred, then paired", "landmarks merged", "retracted"),
     "final re-association",

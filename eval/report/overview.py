@@ -1,7 +1,4 @@
-"""The first screen: what was compared, what follows, and a row for each log and task that says whom to trust.
-
-The small picture of a log and task: true path, filter and smoother from above, as SVG, the same bytes each time.
-"""
+"""The first screen: what was compared, what follows, and a row for each log and task that says whom to trust."""
 
 from __future__ import annotations
 
@@ -32,11 +29,9 @@ HEADS = (
     *("best association", "worst", "failed runs"),
 )
 GIVEN = HEADS.index("handed in [m]")
-IN_DETAIL = (HEADS.index("worst"),)
-"""Columns of the details alone."""
+IN_DETAIL = (HEADS.index("worst"),)  # columns of the details alone
 NOTHING_KNOWN = "–"
-NAMED = 2
-"""Failed runs that are named."""
+NAMED = 2  # failed runs that are named
 
 
 def introduction(facts: Sequence[LogFacts]) -> str:
@@ -75,11 +70,11 @@ def claims(f: LogFacts) -> Mark | None:
     return Mark(row.nis_verdict, tone, f"NIS {number(row.nis)}")
 
 
-def attribution_sections(trials: Sequence[tuple[Trial, LogFacts]], said: Sequence[Trust]) -> list[Section]:
+def attribution_sections(trials: Sequence[tuple[Trial, LogFacts]], diagnoses: Sequence[Trust]) -> list[Section]:
     """What the logs without truth say of themselves, one paragraph each; none where all have one."""
     blocks: list[Block] = []
     for trial, f in trials:
-        for trust in of_trial(trial, said)[: not f.measured]:
+        for trust in of_trial(trial, diagnoses)[: not f.measured]:
             words = first_words(trust, terms=terms_of(trial.log.recorded), measured=False)
             text = paragraph("overview#attribution", f=f, mark=trust_mark(f), words=words)
             blocks += folded(text, f"More under “{HEADING}: {f.name}”", 900)
@@ -159,10 +154,8 @@ def _links(f: LogFacts, folder: Path) -> tuple[tuple[str, str], ...]:
     return (("play", place),) if (folder / place).exists() else ()
 
 
-WIDTH, HEIGHT, EDGE = 96.0, 60.0, 3.0
-"""px of the page."""
-POINTS = 90
-"""Of a path, at most: more than so small a picture can show."""
+WIDTH, HEIGHT, EDGE = 96.0, 60.0, 3.0  # px of the page
+POINTS = 90  # of a path, at most: more than so small a picture can show
 TRUTH, ONLINE, SMOOTHED = ("#b8b8b8", 3.0), ("#d55e00", 1.1), ("#0064a8", 1.1)
 """Colour and width of truth, filter and smoother: filters are warm, smoothers cool, as in all figures."""
 

@@ -11,10 +11,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.result import Run
-from eval import figures
-from eval.figures.association import bars
-from eval.figures.error import longest_sigma
-from eval.figures.growth import closing_frame, state_is_informative
+from eval.figures.association import bars, confusion_figure
+from eval.figures.claims import claims_figure, filter_smoother_figure, systematic_figure
+from eval.figures.consistency import nees_figure
+from eval.figures.error import difference_figure, error_figure, longest_sigma
+from eval.figures.growth import closing_frame, growth_figure, state_figure, state_is_informative
+from eval.figures.log import loop_state_figure
+from eval.figures.map import map_figure
 from eval.figures.plane import SIGMAS, longest_axis
 from eval.figures.style import save
 from eval.referee.score import Trial, confusion_of
@@ -46,15 +49,16 @@ Facts = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of picture: of which trials (and those beside them) there is one, the figure with its caption's facts."""
+    """A kind of picture: of which trials (with variants) there is one, the figure with its caption's facts."""
 
     applies: Callable[[Trial, Variants], bool]
     drawn: Callable[[Trial, Variants], tuple[Figure, Facts]]
     in_quick: bool = False
+    macro: str = ""  # of the caption, if it is not called as the kind
 
 
 def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> tuple[str, ...]:
-    """Which pictures a trial gets, with the trials that stand beside it."""
+    """Which pictures a trial gets, with its variants."""
     return tuple(name for name, kind in KINDS.items() if (kind.in_quick or not quick) and kind.applies(trial, variants))
 
 
@@ -65,7 +69,7 @@ def draw(folder: Path, trial: Trial, kind: str, variants: Variants = ()) -> Pict
         figure, caption, alt = laser_picture(trial, kind)
     else:
         figure, facts = KINDS[kind].drawn(trial, variants)
-        macro = f"pictures#{kind.replace('-', '_')}"
+        macro = f"pictures#{KINDS[kind].macro or kind.replace('-', '_')}"
         caption, alt = (paragraph(m, log=trial.log.name, task=trial.task, **facts) for m in (macro, f"{macro}_alt"))
     save(figure, folder / "figures", name)
     return Picture(name, caption, alt)
@@ -98,17 +102,17 @@ def _map(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     drawn, astray = for_map(trial), worst(trial)
     shown = astray is not None and len(drawn) < len(trial.runs) and any(same(r, astray) for r in drawn)
     facts = {"runs": drawn, "astray": astray if shown else None, "aligned": aligned_statement(trial)}
-    return figures.map_figure(trial.log, drawn), {**facts, "others": left_out(trial, drawn)}
+    return map_figure(trial.log, drawn), {**facts, "others": left_out(trial, drawn)}
 
 
 def _error(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = for_panels(finished(trial))
-    return figures.error_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    return error_figure(trial.log, shown), {"others": left_out(trial, shown)}
 
 
 def _nees(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = for_panels(_claiming(trial))
-    return figures.nees_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    return nees_figure(trial.log, shown), {"others": left_out(trial, shown)}
 
 
 def _has_difference(trial: Trial, _: Variants) -> bool:
@@ -120,17 +124,17 @@ def _difference(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     reference = trial.find("batch")
     assert reference is not None  # or there is no such picture
     rows = for_panels([r for r in finished(trial) if r is not reference], complete=(reference.association,))
-    return figures.difference_figure(trial.log, rows, reference), {"others": left_out(trial, [*rows, reference])}
+    return difference_figure(trial.log, rows, reference), {"others": left_out(trial, [*rows, reference])}
 
 
 def _claims(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = for_panels(_claiming(trial))
-    return figures.claims_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    return claims_figure(trial.log, shown), {"others": left_out(trial, shown)}
 
 
 def _loop_state(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = for_loop_states(trial)
-    return figures.loop_state_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    return loop_state_figure(trial.log, shown), {"others": left_out(trial, shown)}
 
 
 def _filter_smoother(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
@@ -140,7 +144,7 @@ def _filter_smoother(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     there = [r for r in plausible(trial) if r.online is not None and r.association == smoother.association]
     others = [r.estimator for r in there if not any(r is shown for shown in runs)]
     facts = {"smoother": smoother, "others": others, "share": SHARE}
-    return figures.filter_smoother_figure(trial.log, runs, smoother), facts
+    return filter_smoother_figure(trial.log, runs, smoother), facts
 
 
 def _calibrated(trial: Trial) -> list[Run]:
@@ -152,48 +156,39 @@ def _calibrated(trial: Trial) -> list[Run]:
 def _systematic(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     runs, systematic = _calibrated(trial), trial.log.recorded.systematic
     assert systematic is not None  # or nothing was estimated
-    return figures.systematic_figure(trial.log, systematic, runs), {"runs": runs}
+    return systematic_figure(trial.log, systematic, runs), {"runs": runs}
 
 
-@dataclass(frozen=True)
-class Growth:
-    """Standard deviation [m] along the least certain direction of a run's robot, and of its landmarks after the end.
-
-    at_most, at_end, before_closing (None: no loop is closed): of the robot. first, last, largest: of landmarks, the
-    largest that of the landmark `number`; None: no map.
-    """
-
-    estimator: str
-    at_most: float
-    at_end: float
-    before_closing: float | None
-    landmarks: tuple[float, float, float] | None = None
-    number: int = -1
-
-
-def _growing(trial: Trial, run: Run) -> Growth:
+def _growing(trial: Trial, run: Run) -> dict[str, object]:
+    """Standard deviations [m] along the least certain direction: of the robot online, and of the last landmarks."""
     closed, sigma = closing_frame(trial.log, run), longest_sigma(run.trajectory("online"))
-    before = float(sigma[closed - 1]) if closed is not None and closed > 0 else None
-    made = (run.estimator, float(np.nanmax(sigma)), float(sigma[-1]), before)
-    if run.map is None or not len(run.map):
-        return Growth(*made)
-    each = longest_axis(run.map.covariance) / SIGMAS
-    largest = int(each.argmax())
-    return Growth(*made, (float(each[0]), float(each[-1]), float(each[largest])), int(run.map.number[largest]))
+    made: dict[str, object] = {
+        "estimator": run.estimator,
+        "at_most": float(np.nanmax(sigma)),
+        "at_end": float(sigma[-1]),
+        "before_closing": float(sigma[closed - 1]) if closed is not None and closed > 0 else None,
+        "landmarks": None,  # of the first, the last, and the least certain one
+    }
+    if run.map is not None and len(run.map):
+        each = longest_axis(run.map.covariance) / SIGMAS
+        largest = int(each.argmax())
+        made["landmarks"] = (float(each[0]), float(each[-1]), float(each[largest]))
+        made["number"] = int(run.map.number[largest])
+    return made
 
 
 def _growth(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     runs = for_growth(trial)
     grown = [_growing(trial, r) for r in runs]
-    return figures.growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown}
+    return growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown}
 
 
 def _state(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
-    return figures.state_figure(trial, variants), {}
+    return state_figure(trial, variants), {}
 
 
 def _association(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
-    return figures.confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)), {}
+    return confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)), {}
 
 
 def _laser(name: str) -> Kind:
@@ -213,7 +208,7 @@ KINDS: Mapping[str, Kind] = {
     "nees": Kind(lambda trial, _: _measured(trial) and bool(_claiming(trial)), _nees),
     "difference": Kind(_has_difference, _difference, in_quick=True),
     "claims": Kind(lambda trial, _: _blind(trial) and bool(_claiming(trial)), _claims),
-    "fate": Kind(lambda trial, _: _blind(trial) and bool(for_loop_states(trial)), _loop_state),
+    "fate": Kind(lambda trial, _: _blind(trial) and bool(for_loop_states(trial)), _loop_state, macro="loop_state"),
     FILTER_SMOOTHER: Kind(
         lambda trial, _: trial.variant_of is None and for_filter_smoother(trial) is not None, _filter_smoother
     ),
@@ -225,5 +220,4 @@ KINDS: Mapping[str, Kind] = {
     ),
     "state": Kind(state_is_informative, _state),
     "association": Kind(has_outcomes, _association, in_quick=True),
-}
-"""By name, in the order of the report."""
+}  # by name, in the order of the report

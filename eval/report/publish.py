@@ -1,4 +1,4 @@
-"""Run files, films and pictures of all trials and the player of each log, written as jobs beside each other."""
+"""Run files, films and pictures of all trials and the player of each log, written as parallel jobs."""
 
 from __future__ import annotations
 
@@ -26,10 +26,8 @@ from eval.report.rows import stem, variants
 from eval.report.run_files import write_run
 from eval.report.words import paragraph
 
-RUN_FILES, PLAYER = -1, -2
-"""Places of jobs that are no pictures."""
-MISSING = {RUN_FILES: "files", PLAYER: "player"}
-"""What is missing without them; see `missing` in notices.j2."""
+RUN_FILES, PLAYER = -1, -2  # places of jobs that are no pictures
+MISSING = {RUN_FILES: "files", PLAYER: "player"}  # what is missing without them; see `missing` in notices.j2
 DRAWING, WRITING = 0.5, 1e-3
 """s of processor time for a figure, and for a frame of a log's files or player; measured, rounded up."""
 
@@ -43,7 +41,7 @@ def publish(
     execution: Execution,
     progress: Callable[[int, int], None],
 ) -> list[list[Picture]]:
-    """Write everything; returns the pictures of each trial. What there was no memory for is said to `lost`."""
+    """Write everything; returns the pictures of each trial. What there was no memory for is reported to `lost`."""
     jobs: list[Job[tuple[int, int]]] = []
     for i, trial in enumerate(trials):
         others = variants(trial, trials)
@@ -76,7 +74,7 @@ def publish(
 
 
 def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:
-    """Whether a trial is on the very recording or images of the one it stands beside, whose pictures show it."""
+    """Whether a variant is on the very recording or images of its trial, whose pictures show it."""
     log = trial.log
     return any(
         t.log.recorded is log.recorded or (t.log.evidence is not None and t.log.evidence is log.evidence)
@@ -110,10 +108,7 @@ def write_films(folder: Path, trial: Trial, speed: float | None = None) -> None:
 
 
 def history_of(run: Run) -> History | None:
-    """Landmarks as they were at each instant, where somebody wrote them down while the run was made.
-
-    Of a smoother only their places were, so that its landmarks are dots.
-    """
+    """Landmarks as they were at each instant, where the run was watched; of a smoother without covariances."""
     watched = run.watched
     if not isinstance(watched, Watched) or not len(watched.change_frame):
         return None

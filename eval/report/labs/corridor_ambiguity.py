@@ -15,14 +15,10 @@ from data.se2 import Array, between
 from eval.referee.score import Scores
 from eval.report.labs.corridor import BLIND, TURN, Judge, Judged, Lab
 
-STEPS = (-3, -2, -1, 0, 1, 2, 3)
-"""Multiples of the true step that are looked at."""
-NEAR = 0.15
-"""m. A peak of the likelihood is looked for so far about each of them: readings are noisy."""
-FLAT = 0.01
-"""A peak that rises less above the middle, in log-likelihood, is none."""
-GRID = 0.005
-"""m, between the step lengths tried there."""
+STEPS = (-3, -2, -1, 0, 1, 2, 3)  # multiples of the true step that are looked at
+NEAR = 0.15  # m. A peak of the likelihood is looked for so far about each of them: readings are noisy
+FLAT = 0.01  # a peak that rises less above the middle, in log-likelihood, is none
+GRID = 0.005  # m, between the step lengths tried there
 
 
 @dataclass(frozen=True)
@@ -49,10 +45,10 @@ class Pair:
 
 
 def fit(log: Log, frame: int, steps: Array) -> tuple[Array, IntArray]:
-    """Log-likelihood (K,) of a scan given the scan before, for straight moves of `steps` (K,) m, and readings that fit.
+    """Log-likelihood (K,) of a scan given the scan before, for straight moves of `steps` (K,) m, and number that fit.
 
-    Without names: each reading shows one of the points seen before, whichever, or with the same probability something
-    else, anywhere in view. It fits if one of those points is within 99 % by the noise of both readings.
+    Without labels: each shows one of the points seen before, or with the same probability something else. It fits
+    if one of those points is within 99 % by the noise of both.
     """
     sensor, o, start = log.recorded.sensor, log.recorded.observations, log.recorded.start
     before, now = (slice(start[k], start[k + 1]) for k in (frame - 1, frame))
@@ -101,26 +97,19 @@ def prior_likelihood(stated: Increment, step: float) -> float:
 
 @dataclass(frozen=True)
 class Ambiguity:
-    """What two scans in a row leave open on a log without odometry.
-
-    Attributes:
-        moves: straight moves; both: of them, those that could as well have been one of the same length backwards (just
-            as many readings fit); likelier: of these, backwards is even the likelier one.
-        pair: of these the one whose two likelihoods are nearest to each other, None if there is none.
-        stated: how many times as likely the log's own motion makes the true move there (NaN: it is `primed` itself).
-        primed: the log with a motion prior, blank if none was run; prior: as `stated`, by it; posterior: of each peak,
-            its log-likelihood and the prior's.
-    """
+    """What two scans in a row leave open on a log without odometry."""
 
     log: str
-    moves: int
+    moves: int  # straight moves
+    # both: of them, those that could as well have been one of the same length backwards (just as many readings fit)
     both: int
-    likelier: int
-    pair: Pair | None
+    likelier: int  # of these, backwards is even the likelier one
+    pair: Pair | None  # of these the one whose two likelihoods are nearest to each other, None if there is none
+    # stated: how many times as likely the log's own motion makes the true move there (NaN: it is `primed` itself)
     stated: float
-    primed: str
-    prior: float
-    posterior: tuple[float, ...]
+    primed: str  # the log with a motion prior, blank if none was run
+    prior: float  # as `stated`, by it
+    posterior: tuple[float, ...]  # of each peak, its log-likelihood and the prior's
 
     @property
     def decides(self) -> bool:
@@ -159,15 +148,13 @@ def _factor(log: Log, pair: Pair) -> float:
 
 @dataclass(frozen=True)
 class Primed:
-    """Runs on a log with a motion prior, each with the same on the log without, if it reached its end there.
-
-    notes: the log's own. relinearized: how many times as large the filter's error is as the iterated one's with the
-    same pairings; NaN: not known, or no larger.
-    """
+    """Runs on a log with a motion prior, each with the same on the log without, if it reached its end there."""
 
     log: str
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  # the log's own
     rows: tuple[tuple[Judged, Judged | None], ...]
+    # relinearized: how many times as large the filter's error is as the iterated one's with the same pairings; NaN: not
+    # known, or no larger
     relinearized: float
 
 

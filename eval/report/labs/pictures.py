@@ -1,7 +1,4 @@
-"""The pictures of the corridor lab's answers: maps, believed paths, errors, one frame from near, measured times.
-
-Each is made as a job of its own, with caption and alternative text. Measured times are never the same twice.
-"""
+"""The pictures of the corridor lab's answers: maps, estimated paths, errors, one frame in detail, measured times."""
 
 from __future__ import annotations
 
@@ -50,8 +47,7 @@ from eval.stepping.matching import closer_figure, methods_figure, wrong_of
 from eval.stepping.plane import BAD, FAINT
 from eval.stepping.problem import Matching, problems_of
 
-REPEATS = 15
-"""Runs measured; of each frame the fastest counts, as whatever else the machine does only adds time."""
+REPEATS = 15  # runs measured; of each frame the fastest counts, as whatever else the machine does only adds time
 
 
 class Times(NamedTuple):
@@ -64,10 +60,7 @@ class Times(NamedTuple):
 def update_times(
     log: Log, estimator: str, association: str, setups: Sequence[Setup], repeats: int = REPEATS
 ) -> list[Times]:
-    """What each frame's update takes in SLAM, and map maintenance after it, with each setup: the fastest of `repeats`.
-
-    Setups take turns, so that a busy machine slows all of them.
-    """
+    """Time of each frame's update in SLAM and of map maintenance, for each setup: the least of `repeats`, in turns."""
     inputs = log.inputs(labels=association == "known").without_map()
     measured = np.zeros((repeats, len(setups), 2, len(inputs)))
     for turn in measured:
@@ -198,10 +191,7 @@ def _error(s: Shown) -> Array:
 
 
 def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
-    """True points and path, believed path, landmarks at the end by what initialized them, and where removed ones stood.
-
-    Landmarks and paths that left the scene are cut: truth and points fill the picture.
-    """
+    """True points and path, estimated path, landmarks at the end by what initialized them, and removed ones."""
     known, truth, run = true_landmarks(s.log), s.log.truth.pose, s.run
     colour = colour_of_method(run.association)
     if known is not None:
@@ -230,8 +220,8 @@ def removed_places(s: Shown) -> Array:
     run, o = s.run, s.log.recorded.observations
     if run.removed is None or not np.any(run.removed >= 0):
         return np.empty((0, 2))
-    gone: IntArray = np.flatnonzero(run.removed >= 0)
-    rows = np.flatnonzero(np.isin(run.created, gone))
+    removed: IntArray = np.flatnonzero(run.removed >= 0)
+    rows = np.flatnonzero(np.isin(run.created, removed))
     pose = run.trajectory("online").pose[o.frame[rows]]
     return np.asarray(s.log.recorded.sensor.inverse(pose, o.z[rows])[0])
 
@@ -250,11 +240,9 @@ def _map_handles() -> list[Line2D]:
     ]
 
 
-Drawn = tuple[Figure, str, str]
-"""Figure, caption (Markdown), and what it shows in a sentence."""
+Drawn = tuple[Figure, str, str]  # figure, caption (Markdown), and what it shows in a sentence
 TIME_HEADS = ("run", "median [ms]", "largest [ms]", "whole run [ms]", "removing landmarks [ms]")
-UPDATE_TIME = "update-time"
-"""The one picture that is never the same twice."""
+UPDATE_TIME = "update-time"  # the one picture that is never the same twice
 
 
 def stem(kind: str) -> str:
@@ -409,5 +397,4 @@ NEEDED: dict[str, Callable[[Lab], bool]] = {
     "paths": lambda lab: BLIND_PEOPLE in lab.trials and BLIND in lab.trials and bool(_online(lab.trials[BLIND])),
     "maintenance": lambda lab: maintained_pair(lab) is not None,
     UPDATE_TIME: lambda lab: maintained_pair(lab) is not None,
-}
-"""What each picture needs: runs that reached their end."""
+}  # what each picture needs: runs that reached their end

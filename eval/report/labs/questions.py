@@ -22,10 +22,8 @@ from eval.report.labs.corridor import (
     true_against_stated,
 )
 
-WORSE = 1.5
-"""An error this many times another one is called worse, below it comparable."""
-USABLE = 0.5
-"""m. A path with a larger RMSE has lost its way in the corridor."""
+WORSE = 1.5  # an error this many times another one is called worse, below it comparable
+USABLE = 0.5  # m. A path with a larger RMSE is lost in the corridor
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ class Lack:
 
 @dataclass(frozen=True)
 class NearestNeighbour:
-    """NN beside known association, without people."""
+    """NN against known association, without people."""
 
     nn: Judged | None
     known: Judged | None
@@ -98,7 +96,7 @@ class People:
 
 @dataclass(frozen=True)
 class Joint:
-    """JCBB beside NN, SINGLES and known association on the same log: with people, or else without."""
+    """JCBB against NN, SINGLES and known association on the same log: with people, or else without."""
 
     jcbb: Judged | None
     nn: Judged | None
@@ -125,25 +123,19 @@ class Joint:
 
 @dataclass(frozen=True)
 class Blind:
-    """What happens when the wheels are not read.
+    """What happens when the wheels are not read."""
 
-    Attributes:
-        known, jcbb: filters with these; smoother: batch with known association, if its result is plausible.
-        motion: true against stated motions; reach: m from the start in truth, at most.
-        runs: with each of `METHODS` that reached its end.
-    """
-
-    known: Judged | None
+    known: Judged | None  # with jcbb: filters with these
     jcbb: Judged | None
-    smoother: Judged | None
-    motion: Motion | None
-    reach: float
-    runs: tuple[Judged, ...]
+    smoother: Judged | None  # batch with known association, if its result is plausible
+    motion: Motion | None  # true against stated motions
+    reach: float  # m from the start in truth, at most
+    runs: tuple[Judged, ...]  # with each of `METHODS` that reached its end
     lack: Lack | None
 
     @property
     def usable(self) -> tuple[str, ...]:
-        """Associations that find the way."""
+        """Association methods with a usable path."""
         return tuple(r.association for r in self.runs if r.rmse < USABLE)
 
     @property
@@ -153,12 +145,12 @@ class Blind:
 
     @property
     def others(self) -> tuple[Judged, ...]:
-        """Those that the paragraph has not told of yet."""
+        """Those that the paragraph has not named yet."""
         return tuple(r for r in self.runs if r.association in ("nn", "singles", "jcbb-hindsight"))
 
     @property
     def suffices(self) -> bool:
-        """Whether a smoother finds the way where the filter with the same pairings is worse."""
+        """Whether a smoother's path is usable where the filter with the same pairings is worse."""
         a, b = self.known, self.smoother
         return a is not None and b is not None and b.errors["final"] < a.rmse / WORSE
 

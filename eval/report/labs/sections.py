@@ -1,7 +1,4 @@
-"""The corridor lab in the report: the answers of a lab that is handed in, or the questions that its runs answer.
-
-The six questions and their order are those of the assignment; each is answered from the facts in `corridor`.
-"""
+"""The corridor lab in the report: the answers of a lab that is handed in, or the questions that its runs answer."""
 
 from __future__ import annotations
 
@@ -30,16 +27,12 @@ LAB = ("nn", "singles", "jcbb-first")
 
 
 class Question(NamedTuple):
-    """A question of the assignment.
+    """A question of the assignment."""
 
-    name: of its facts in `Answers` and of its macros; heading: in a lab that is handed in, `short`: in the section of
-    other reports (blank: not asked there); shown: conditions (people, odometry, maintained) of its table, and methods.
-    """
-
-    name: str
-    heading: str
+    name: str  # of its facts in `Answers` and of its macros
+    heading: str  # in a lab that is handed in, `short`: in the section of other reports (blank: not asked there)
     short: str
-    shown: tuple[tuple[bool, bool, bool], ...]
+    shown: tuple[tuple[bool, bool, bool], ...]  # conditions (people, odometry, maintained) of its table, and methods
     methods: tuple[str, ...]
     pictures: tuple[str, ...]
 
@@ -135,10 +128,7 @@ def _condition(r: Judged) -> str:
 
 
 def lab_sections(trials: Sequence[Trial], scores: Scores, *, answered_above: bool = False) -> list[Section]:
-    """The section with its questions; nothing where no corridor was run with what at least one of them needs.
-
-    `answered_above`: the questions stand elsewhere, and only what goes beyond them is said here.
-    """
+    """The section with its questions, or (`answered_above`) only further ones; nothing without a corridor."""
     lab = find_lab(trials)
     if lab is None:
         return []

@@ -23,8 +23,7 @@ TITLES = {
     "published": "Ours beside published numbers", "trust": "Consistency without ground truth",
 }  # fmt: skip
 """Of a LaTeX table, by a part of its name."""
-LONGEST = 80
-"""Characters of the first sentence of a caption that stands in a paper."""
+LONGEST = 80  # characters of the first sentence of a caption that stands in a paper
 
 
 class Paper(NamedTuple):
@@ -61,10 +60,9 @@ def write_table(
     for_paper: pd.DataFrame | None = None,
     fine_print: str = "",
 ) -> list[Path]:
-    """Write `folder/stem.csv|.md|.tex`. The caption heads the Markdown table; of the LaTeX one it is in `notes.tex`.
+    """Write `folder/stem.csv|.md|.tex`; the caption of LaTeX stands in `notes.tex`. ValueError: an unknown format.
 
-    `for_paper`: the same rows with more columns to choose from; `fine_print`: what else the note says. Raises
-    ValueError for an unknown format.
+    `for_paper`: the same rows with more columns to choose from; `fine_print`: what else the note says.
     """
     unknown = sorted(set(formats) - set(FORMATS))
     if unknown:
@@ -133,8 +131,7 @@ def written_table(
 ) -> Table:
     """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one.
 
-    `for_paper`: the same rows with more columns to choose from; `fine`: what the caption leaves to the section on
-    reading (and to the notes of the LaTeX tables); `apart`: places of the rows that the report shows beneath.
+    `for_paper`: the same rows with more columns to choose from; `fine`, `apart`: as of a `Table`.
     """
     paper = Paper(wanted.table_width, wanted.columns)
     text = "" if fine is None else fine.text
