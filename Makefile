@@ -8,7 +8,7 @@ LOCK_ARGS ?=
 BIN := .venv/bin
 PACKAGES := association data ekf eval graph
 
-# A caller of a compiled kernel does not notice a change in another file, so all kernels are compiled anew when one changes.
+# Kernels are compiled again where their source changed, or that of a module they use (eval/plan/stale_kernels.py).
 KERNELS := $(shell grep -lsr --include=*.py numba $(wildcard $(PACKAGES))) $(wildcard eval/warm.py eval/plan/warming.py)
 
 export MPLBACKEND := Agg
@@ -79,6 +79,5 @@ clean: ## remove .venv and every cache; results/ stays
 	@touch $@
 
 .venv/.warm: .venv/.installed $(KERNELS)
-	@find $(wildcard $(PACKAGES)) -name '*.nb[ic]' -delete
 	$(BIN)/python -m eval.warm
 	@touch $@

@@ -1,10 +1,23 @@
-"""slamref from Python, loaded when asked for, and the command `slamref`, which calls the commands of `eval` and `data`.
+"""Referee for 2-D SLAM: errors, consistency and data association of filters and smoothers on identical logs.
 
-import slamref
+Five steps, from a log to a table and its warnings:
 
-log = slamref.open_log("arena:0")
-runs = slamref.compare(log.inputs(labels=True), "slam", ("ekf", "isam2", "batch"))
-print(slamref.score([slamref.Trial(log, "slam", tuple(runs))]).metrics)
+    import slamref
+
+    log = slamref.open_log("arena:0")                                        # or the path of a log folder
+    runs = slamref.compare(log.inputs(labels=True), "slam", ("ekf", "isam2", "batch"))
+    trial = slamref.Trial(log, "slam", tuple(runs))
+    print(slamref.score([trial]).metrics)                                    # RMSE, NEES, NIS, ...
+    print([slamref.sentence(n) for n in slamref.notices([trial])])           # warnings
+
+Logs and runs: `open_log`, `compare`, `make_estimator` (one estimator, step by step).
+Data association: `Expectation` (candidates and covariances), `decide`, and the decisions `NEW` and `DISCARD`.
+Results: `Trial`, `score`, `notices`, `Notice`, `sentence`.
+Your own estimators and association methods: `Samples`, and `check_estimator`, `check_association` (for tests),
+`estimator_findings`, `association_findings` (as lists).
+
+Units are m, rad and s. A pose is (x, y, theta) in the world frame; its covariance (3, 3) has the same coordinates.
+Names are loaded on first use. This module is also the command `slamref`; `slamref --help` lists its subcommands.
 """
 
 from __future__ import annotations
@@ -101,7 +114,7 @@ slamref --help lists all commands.
 
 
 def __getattr__(name: str) -> Any:
-    """A public name, loaded now."""
+    """A public name, loaded on first use."""
     if name == "__version__":
         from importlib.metadata import version
 
@@ -116,8 +129,8 @@ def __dir__() -> list[str]:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """The command `slamref`: hands on to a subcommand and returns its exit status; 2 if there is no such one."""
-    # a package `data` or `eval` of somebody else, in the working directory or on PYTHONPATH, must not hide ours
+    """The command `slamref`: call a subcommand and return its exit status; 2 for an unknown one."""
+    # other packages `data` or `eval`, in the working directory or on PYTHONPATH, must not hide ours
     sys.path.insert(0, str(Path(__file__).parent))
     from data.command import completed
     from data.terminal import ended
@@ -133,19 +146,12 @@ def _command(words: list[str]) -> int:
         status: int = getattr(import_module(module), function)(rest, f"slamref {name}")
         return status
     if name in ("", "-h", "--help", "--version"):
-        lines = [f"  {command:<11}{about}" for command, (_, about) in COMMANDS.items()]
-        usage = [
-            "usage: slamref COMMAND ...",
-            "",
-            *lines,
-            "",
-            "slamref COMMAND --help shows its flags, with examples.",
-            "",
-        ]
+        lines = "".join(f"  {command:<11}{about}\n" for command, (_, about) in COMMANDS.items())
+        usage = f"usage: slamref COMMAND ...\n\n{lines}\nslamref COMMAND --help shows its flags, with examples.\n"
         version = f"slamref {__getattr__('__version__')}\n" if name == "--version" else ""
-        sys.stdout.write(version or ("\n".join(usage) if name else FIRST))
+        sys.stdout.write(version or (usage if name else FIRST))
         return 0
-    sys.stderr.write(f"slamref: {name}: no such command; there are {', '.join(COMMANDS)}\n")
+    sys.stderr.write(f"slamref: {name}: no such command; type one of {', '.join(COMMANDS)}\n")
     return 2
 
 

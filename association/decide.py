@@ -51,14 +51,28 @@ def decide(
     known_map: bool = False,
     budget: int = BUDGET,
 ) -> Decided:
-    """Decisions of a frame: pair by `method`, then decide which unpaired observations found a landmark.
+    """Decide about the observations of a frame: pair them by `method`, then choose which start a landmark.
 
-    `method` is one of `METHODS`, or a function like those of `PLAIN`; `gate` the chi-square probability of its tests,
-    None for no gate. Outside `new_gate` an observation is new; None: only without candidates (`ml-ratio` decides that
-    itself). In a known map nothing is new, and unpaired observations are discarded. A search may visit `budget` nodes.
+    Args:
+        method: one of `METHODS`, or a function of (expectation, gate) to decisions (m,).
+        expectation: n candidates and m observations.
+        gate: chi-square probability of the tests; None: no gate.
+        new_gate: an observation outside this gate of every candidate is new; None: only without candidates (`ml-ratio`
+            has its own test).
+        known_map: nothing is new, and unpaired observations are discarded.
+        budget: most nodes of a search (`jcbb`).
 
-    Raises UsageError for an unknown method, ValueError for a gate that is no probability, and SingularInnovationError
-    if an innovation covariance is not positive definite.
+    Returns:
+        Decisions (m,): landmark number, `NEW` or `DISCARD`; `complete` is False for an exhausted search.
+
+    Raises:
+        UsageError: unknown method.
+        ValueError: a gate that is no probability.
+        SingularInnovationError: an innovation covariance is not positive definite.
+
+    Example:
+        >>> e = slamref.Expectation.from_arrays([[1.0, 0.1]], [[1.0, 0.0]], 0.1 * np.eye(2), 0.1 * np.eye(2)[None])
+        >>> slamref.decide("jcbb", e, 0.99, 0.99999).decisions  # array([0])
     """
     complete = True
     if method == "ml-ratio" and known_map:

@@ -76,7 +76,14 @@ def _distances(
 
 @dataclass(frozen=True)
 class Expectation:
-    """Candidates and observations of a frame (or of a window of frames)."""
+    """Candidates (n) and observations (m) of a frame or a window of frames: the input of every association method.
+
+    Measurements have 2 components, for instance range [m] and bearing [rad]. Example: `Expectation.from_arrays`.
+
+    Example:
+        >>> e = slamref.Expectation.from_arrays([[1.0, 0.1]], [[1.0, 0.0]], 0.1 * np.eye(2), 0.1 * np.eye(2)[None])
+        >>> e.individual_distances()  # (m, n) squared Mahalanobis distances, array([[0.05]])
+    """
 
     number: IntArray  # (n,) landmark number of each candidate
     z_hat: Array  # (n, 2) expected measurement
@@ -102,8 +109,8 @@ class Expectation:
         frame: IntArray | None = None,
         observed_frame: IntArray | None = None,
     ) -> Expectation:
-        """A problem stated with plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2). `number` (n,)
-        defaults to 0, 1, ...; `frame` (n,) and `observed_frame` (m,) to one frame for all.
+        """A problem from plain arrays: z (m, 2), z_hat (n, 2), joint_HPHt (2n, 2n), R (m, 2, 2). `number` (n,)
+        defaults to 0, 1, ...; `frame` (n,) and `observed_frame` (m,) to one frame. ValueError for a wrong shape.
         """
         z, z_hat = np.asarray(z, float).reshape(-1, 2), np.asarray(z_hat, float).reshape(-1, 2)
         full = np.asarray(joint_HPHt, float)

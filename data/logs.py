@@ -35,9 +35,23 @@ class Reading:
 
 
 def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None) -> Log:
-    """A log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`), folder, or CARMEN file.
+    """Open a log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`), folder, or CARMEN file.
 
-    Raises UsageError for an unknown name, DataError for invalid contents.
+    Args:
+        name: name or path.
+        reading: options of logs with images, and of laser logs.
+        say: called with messages, for instance about progress of a detection.
+
+    Returns:
+        The log: `log.inputs(labels=True)` for estimators, `log.truth` for the referee.
+
+    Raises:
+        UsageError: unknown name, or options that do not fit the log.
+        DataError: invalid contents, with file and line.
+
+    Example:
+        >>> log = slamref.open_log("arena:0")
+        >>> log.recorded.increments.mean.shape  # (N, 3): frames of dx, dy [m], dtheta [rad]
     """
     path = Path(name)
     if os.path.isfile(path):  # unlike Path.is_file, also false for a name the system refuses

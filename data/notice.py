@@ -104,9 +104,18 @@ class Code(StrEnum):
 
 @dataclass(frozen=True)
 class Notice:
-    """A finding (code and values), its severity, and the log, task, run and frame it concerns.
+    """A finding about a log or a run: code, values, severity, and what it concerns.
 
-    values: pairs of name and value, sorted by name. Blank names and a `frame` of None: not specific.
+    Attributes:
+        code: kind of finding.
+        values: pairs of name and value, sorted by name (`named`: as a mapping).
+        severity: fact, warning, or reason not to use the result.
+        log, task, estimator, association: names; blank: not specific.
+        frame: first frame concerned; None: not specific.
+
+    Example:
+        >>> [n.code for n in slamref.notices([trial]) if n.severity != "info"]
+        >>> slamref.sentence(slamref.notices([trial])[0])  # in words
     """
 
     code: Code

@@ -14,9 +14,9 @@ from data.notice import Notice
 from data.se2 import Array
 
 NEW = -1
-"""Decision: the observation initializes a new landmark (SLAM)."""
+"""Decision about an observation: it initializes a new landmark (SLAM)."""
 DISCARD = -2
-"""Decision: the observation is rejected."""
+"""Decision about an observation: it is rejected, and neither updates nor initializes a landmark."""
 
 
 class PoseEstimate(NamedTuple):

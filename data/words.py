@@ -53,7 +53,12 @@ def environment(package: str) -> Environment:
 
 
 def sentence(notice: Notice) -> str:
-    """A notice in words, without its subject and a full stop."""
+    """A notice in words, without its log or run and without a full stop.
+
+    Example:
+        >>> for n in slamref.notices([trial]):
+        ...     print(n.log, n.estimator, slamref.sentence(n))
+    """
     macro = getattr(environment("data").get_template(NOTICES).module, notice.code.replace("-", "_"))
     return str(macro(notice, **notice.named)).strip()
 

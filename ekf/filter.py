@@ -242,7 +242,7 @@ class Filter:
         pose: Array | None,
     ) -> Updated:
         """`_correct` with the paired observations, without new landmarks."""
-        paired, m = np.flatnonzero(decisions >= 0), len(decisions)
+        paired, m = (decisions >= 0).nonzero()[0], len(decisions)
         used, white, created = np.zeros(m, np.bool_), np.full((m, 2), np.nan), np.full(m, -1, np.int64)
         used[paired], stats, white[paired] = self._correct(observations, paired, at, known, threshold, pose)
         return Updated(used, created, float(stats[0]), int(stats[2]), float(stats[1]), white)

@@ -83,9 +83,9 @@ class EkfLocalizer(Filter):
         """One update with every observation whose decision is a landmark id and whose d^2 is below `threshold`.
         Linearized first at the prediction, or at a pose `at` (3,). A filter always forms its innovations.
         """
-        paired = np.flatnonzero(decisions >= 0)
+        paired = (decisions >= 0).nonzero()[0]
         rows = self.map.rows(decisions[paired])
-        if np.any(rows < 0):
+        if len(rows) and rows.min() < 0:
             raise ValueError(f"decisions {decisions[paired].tolist()} name a landmark the map does not have")
         known = self.map.xy[rows]
         given = np.full(len(paired), -1, np.int64)

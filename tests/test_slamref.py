@@ -93,7 +93,7 @@ def test_the_command_says_its_version():
 def test_an_unknown_subcommand_is_one_line_and_exit_2():
     done = command("walk", "--log", "arena:0")
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr.startswith("slamref: walk: no such command; there are run, lab, ")
+    assert done.stderr.startswith("slamref: walk: no such command; type one of run, lab, ")
     assert done.stderr.count("\n") == 1
 
 

@@ -27,9 +27,19 @@ OWN = {**PLAIN, "jcbb": jcbb, "jcbb-first": jcbb_first}
 
 
 def estimator_findings(estimator: str | Callable[..., Any]) -> list[Finding]:
-    """Every check of an estimator, for each task that it does: (check, passed, sentence).
+    """Run every check of an estimator, for each of its tasks.
 
-    `estimator`: a class as in docs/extending.md, a text as after `--estimator`, or a name of ours.
+    Args:
+        estimator: class (docs/extending.md), text `FILE.py:NAME`, or built-in name.
+
+    Returns:
+        Findings (check, passed, sentence).
+
+    Raises:
+        UsageError: it cannot be loaded, or works on whole logs only.
+
+    Example:
+        >>> [f.line for f in slamref.estimator_findings("ekf")]
     """
     text = _text(estimator, "estimator")
     if not is_foreign(text) and text not in STEPPING:
@@ -46,9 +56,19 @@ def estimator_findings(estimator: str | Callable[..., Any]) -> list[Finding]:
 
 
 def association_findings(association: str | Callable[..., Any]) -> list[Finding]:
-    """Every check of an association method: (check, passed, sentence).
+    """Run every check of an association method.
 
-    `association`: a function as in docs/extending.md, a text as after `--association`, or a name of ours.
+    Args:
+        association: function (docs/extending.md), text `FILE.py:NAME`, or built-in name.
+
+    Returns:
+        Findings (check, passed, sentence).
+
+    Raises:
+        UsageError: it cannot be loaded, or decides over several frames.
+
+    Example:
+        >>> [f.line for f in slamref.association_findings("jcbb")]
     """
     text = _text(association, "association")
     if is_foreign(text):
@@ -64,12 +84,28 @@ def association_findings(association: str | Callable[..., Any]) -> list[Finding]
 
 
 def check_estimator(estimator: str | Callable[..., Any]) -> None:
-    """Raises `CheckError`, an AssertionError with a sentence for each failed check."""
+    """Assert that an estimator passes every check, for a test of your own.
+
+    Raises:
+        CheckError: an AssertionError with a sentence for each failed check.
+
+    Example:
+        >>> def test_mine():
+        ...     slamref.check_estimator(MyFilter)
+    """
     _judge(estimator, estimator_findings(estimator))
 
 
 def check_association(association: str | Callable[..., Any]) -> None:
-    """Raises `CheckError`, an AssertionError with a sentence for each failed check."""
+    """Assert that an association method passes every check, for a test of your own.
+
+    Raises:
+        CheckError: an AssertionError with a sentence for each failed check.
+
+    Example:
+        >>> def test_mine():
+        ...     slamref.check_association(my_method)
+    """
     _judge(association, association_findings(association))
 
 

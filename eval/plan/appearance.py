@@ -1,4 +1,4 @@
-"""From the flags to how figures look, with what this machine has: its fonts, and LaTeX if there is one."""
+"""The figure style for given flags, with the fonts and LaTeX of this machine."""
 
 from __future__ import annotations
 
@@ -10,32 +10,32 @@ from eval.plan.flags.table import Drawing, Output, inches
 
 TIMES = ("times", "times new roman", "times roman")
 LIKE_TIMES = ("Times New Roman", "Times", "Nimbus Roman", "TeX Gyre Termes", "Liberation Serif", "STIXGeneral")
-"""The last one comes with matplotlib."""
+"""Substitutes in order of preference; matplotlib contains the last one."""
 USUAL = "DejaVu Sans"
 NEEDED = ("latex", "dvipng")
 SYSTEMS = ("pdflatex", "xelatex", "lualatex")
 
 
 def require_latex(drawing: Drawing) -> None:
-    """Raise UsageError, before any work, where LaTeX is asked for and is not here."""
+    """Raise UsageError if LaTeX is needed and missing."""
     if drawing.usetex:
         for program in NEEDED:
             if shutil.which(program) is None:
-                raise UsageError(f"--usetex needs LaTeX, and there is no program {program!r} on this machine")
+                raise UsageError(f"--usetex: needs LaTeX; program {program!r} is not on this machine")
     if drawing.pgf and _system() is None:
-        raise UsageError(f"--pgf needs LaTeX, and there is none of {', '.join(SYSTEMS)} on this machine")
+        raise UsageError(f"--pgf: needs LaTeX; none of {', '.join(SYSTEMS)} is on this machine")
 
 
 def figure_style_of(drawing: Drawing, output: Output) -> tuple[FigureStyle, str]:
-    """How figures look, and a sentence about a font that is not here (empty: all is as asked).
+    """The figure style, and a message about a missing font (empty: none is missing).
 
-    PDF files are written for a paper: where one of its flags, a write-up or `--formats` asks for them.
+    A flag of `Drawing`, `--write-up`, or `--formats pdf` adds PDF files.
     """
-    fonts, mathematics, said = _fonts(drawing.font)
+    fonts, mathematics, message = _fonts(drawing.font)
     width = None if drawing.figure_width is None else inches(drawing.figure_width)
     pgf = _system() if drawing.pgf else None
     pdf = output.write_up or "pdf" in output.formats or drawing != Drawing()
-    return FigureStyle(width, fonts, mathematics, drawing.font_size, drawing.usetex, pgf, pdf), said
+    return FigureStyle(width, fonts, mathematics, drawing.font_size, drawing.usetex, pgf, pdf), message
 
 
 def _system() -> str | None:
@@ -45,7 +45,7 @@ def _system() -> str | None:
 def _fonts(name: str | None) -> tuple[tuple[str, ...], str | None, str]:
     if name is None:
         return (), None, ""
-    from matplotlib import font_manager  # slow to load, and needed for a font alone
+    from matplotlib import font_manager  # slow to load
 
     known = {f.name.lower(): f.name for f in font_manager.fontManager.ttflist}
     times = name.lower() in TIMES
@@ -53,5 +53,5 @@ def _fonts(name: str | None) -> tuple[tuple[str, ...], str | None, str]:
     if wanted is not None:
         return (wanted, USUAL), "stix" if times else None, ""
     like = next((f for f in LIKE_TIMES if f.lower() in known), USUAL) if times else USUAL
-    said = f"--font {name}: not on this machine; figures have {like} instead"
-    return tuple(dict.fromkeys((like, USUAL))), "stix" if times else None, said
+    message = f"--font {name}: not on this machine; figures use {like} instead"
+    return tuple(dict.fromkeys((like, USUAL))), "stix" if times else None, message

@@ -1,9 +1,7 @@
-"""Systematic errors that are estimated along: which ones, and what the battery says before and after.
+"""Choice of the systematic errors to estimate (`--calibrate`), and the battery of tests before and after.
 
-Without names from a person, a log names its errors under plain estimators, by the score test of its residuals; no twins
-are needed. An error of `data.inputs.ERRORS` is named if the data ask for it beyond what chance makes the largest of all
-hypotheses ask for (Bonferroni). Hypotheses that are none of these errors, as delays, stand beside them and may explain
-it all.
+Without names from the user, a score test of the residuals of plain estimators selects errors of `data.inputs.ERRORS`:
+those that are significant among all hypotheses (Bonferroni). Other hypotheses, such as delays, compete with them.
 """
 
 from __future__ import annotations
@@ -44,11 +42,11 @@ from eval.studies.trusted import FEWEST, Trust, judged
 from eval.studies.twins import Source, inputs_of, source_of, twin
 
 WANDERS = 3.0
-"""Standard errors by which successive stretches must err alike: 1 in 700 logs that do not drift has as much."""
+"""Standard errors of the correlation of neighbouring stretches; 1 in 700 logs without drift exceeds it."""
 FEWEST_DISTINGUISHED = 10
-"""Stretches, below which their correlation is nobody's witness."""
+"""Fewest stretches for a correlation."""
 WRONGLY = 0.01
-"""Of logs without errors, the share at most in which an error is named."""
+"""Largest share of logs without errors in which an error is named."""
 OF_MOTION = {
     "odometry_x_scale": "scale",
     "odometry_theta_curvature": "curvature",
@@ -57,55 +55,54 @@ OF_MOTION = {
     "odometry_y_distance": "bearing",
     "z1_range": "range",
 }
-"""By the hypothesis' name `<component>_<regressor>`. Odometry askew to the way driven is a sensor that is."""
+"""Errors by hypothesis, `<component>_<regressor>`; oblique odometry is a bearing bias of the sensor."""
 ACTING = ("scale", "curvature", "left", "right")
-"""Errors that do more to an increment than one of the battery's effects."""
+"""Errors of the odometry, modelled exactly as they act."""
 TURNED = 2.0
-"""Mean square of a log's turns to one side, in variances of their noise, if there are any: of noise alone it is 1."""
+"""Least mean square of the turns to one side, in noise variances, if the robot turned; 1 for noise alone."""
 OF_SENSOR = {"range", "bearing"}
-"""Errors that points tell, walls not."""
+"""Errors that are observable with points, not with walls."""
 LESS_WELL = ("odometry_x_distance", "odometry_theta_distance", "odometry_theta_turn")
-"""Of the battery's effects, those whose place is taken by errors that act as `data.motion.systematic` has it."""
+"""Effects of the battery that the exact errors of `data.motion.systematic` replace."""
 
 
 def names_of(inputs: Inputs, smoother: Run) -> tuple[str, ...]:
-    """Errors of a log, in their order, that a plain batch smoother's residuals name; none where they name none."""
+    """Errors, ordered as `ERRORS`, that are significant in the residuals of a plain batch smoother."""
     if smoother.flaw is not None or smoother.final is None:
         return ()
     path, used = smoother.final.pose, residuals.used_by(smoother, inputs)
     scored = effects.score_of(inputs, path, used, hypotheses(inputs, path, used))
     threshold = -float(special.ndtri(0.5 * WRONGLY / max(len(scored.names), 1)))
-    # a noise that is larger than stated makes every score larger
+    # larger noise than stated enlarges every score
     spread = residuals.typical(residuals.smoothed_residuals(inputs, path, used))
     found = systematic_errors(scored, spread, threshold, len(ERRORS))
-    # in SLAM a filter's heading would become too uncertain to linearize about: the smoother gains by it, filters lose
+    # no drift in SLAM: a smoother gains by it, but a filter's heading becomes too uncertain for linearization
     wandering = inputs.map is not None and wanders(inputs, path)
     return tuple(n for n in named(found, wandering=wandering, inputs=inputs) if turned(inputs, n))
 
 
 def hypotheses(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
-    """The battery's effects, with the odometry's errors exactly as they act (left and right turns apart)."""
+    """Effects of the battery, with the exact errors of odometry (left and right turns separate)."""
     found = [e for e in effects.effects(inputs, path, used) if e.name not in LESS_WELL]
-    way = se2.between(path[:-1], path[1:])
+    step = se2.between(path[:-1], path[1:])
     column = np.zeros((len(path), 3, len(ERRORS)))
-    # of the way as smoothed: as measured, its noise is that of the residuals
-    column[1:] = stated_all(way, np.zeros((len(way), len(ERRORS))), way[:, 2] > 0.0)[2]
+    # of the smoothed steps: the noise of measured ones is correlated with the residuals
+    column[1:] = stated_all(step, np.zeros((len(step), len(ERRORS))), step[:, 2] > 0.0)[2]
     own = [(name, column[:, :, list(ERRORS).index(error)]) for name, error in OF_MOTION.items() if error in ACTING]
     return [Effect(name, motion=c) for name, c in own if c.any()] + found
 
 
 def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple[str, ...]:
-    """Errors, in their order, for what was found; none where nothing was found that has a name here.
+    """Errors, ordered as `ERRORS`, for findings of the battery.
 
-    Of errors that the log cannot tell apart, the one chosen, or if that has no name here the first that has.
-    `wandering`: whether the odometry's curvature comes and goes. In SLAM nobody can tell the scale of the odometry from
-    that of the ranges; the odometry's is taken, as sensors are mostly the better rulers. A wheelbase that is off spoils
+    Of indistinguishable hypotheses the first that is such an error counts. `wandering` adds the drift. In SLAM the
+    scales of odometry and ranges are indistinguishable, and the odometry's is estimated. A wrong wheelbase affects
     turns to both sides, so one of them names both.
     """
     bearing = "z2_constant" if isinstance(inputs.sensor, RangeBearing) else "z2_range"
     of = {**OF_MOTION, bearing: "bearing"}
-    said = [next((n for n in (f.name, *f.other) if n in of), "") for f in found if f.kind == "systematic"]
-    names = {of[f] for f in said if f} | ({"drift"} if wandering else set())
+    known = [next((n for n in (f.name, *f.other) if n in of), "") for f in found if f.kind == "systematic"]
+    names = {of[f] for f in known if f} | ({"drift"} if wandering else set())
     names |= {"left", "right"} if names & {"left", "right"} else set()
     if inputs.map is None and "range" in names:
         names = names - {"range"} | {"scale"}
@@ -115,18 +112,15 @@ def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple
 
 
 def every(inputs: Inputs) -> tuple[str, ...]:
-    """All errors that a log may have; in SLAM without the ranges' scale, of which only the odometry's share is seen.
-
-    Of turns, only to sides to which the robot turned; with walls, of the odometry only.
-    """
+    """All observable errors of a log: no range scale in SLAM, no sensor errors for walls, no turns that never occur."""
     left_out = OF_SENSOR if not inputs.sensor.sees_points else {"range"} if inputs.map is None else set()
     return tuple(name for name in ERRORS if name not in left_out and turned(inputs, name))
 
 
 def turned(inputs: Inputs, name: str) -> bool:
-    """Whether the robot turned to the side that an error is of (True for others), by more than noise makes of straight.
+    """Whether the robot turned, by more than noise, to the side of an error of turns; True for other errors.
 
-    The sign of noise chooses the side, so that an error of -1 would explain all of it: nothing is to be asked of it.
+    Otherwise the sign of the noise selects the side, and an error of -1 would explain it all.
     """
     if name not in ("left", "right"):
         return True
@@ -136,10 +130,10 @@ def turned(inputs: Inputs, name: str) -> bool:
 
 
 def wanders(inputs: Inputs, path: Array) -> bool:
-    """Whether the heading's residuals at a smoothed path (N, 3) say that a curvature comes and goes.
+    """Whether the curvature of the odometry drifts, by its heading residuals at a smoothed path (N, 3).
 
-    In stretches as long as the knots of the drift are apart, each says how much the odometry curves more than it does
-    on the whole, in sigmas; neighbours say it alike if that is more than noise.
+    Each stretch, as long as the spacing of the drift's knots, has an excess curvature in sigmas; the test is the
+    correlation of neighbouring stretches.
     """
     off = inputs.increments.mean[1:] - se2.between(path[:-1], path[1:])
     variance = inputs.increments.covariance[1:, 2, 2]
@@ -149,26 +143,26 @@ def wanders(inputs: Inputs, path: Array) -> bool:
     stretch = (np.cumsum(np.abs(distance)) / (BETWEEN_KNOTS * Systematic.length)).astype(np.int64)
     score = np.bincount(stretch, weight * se2.wrap_angle(off[:, 2]))
     information = np.bincount(stretch, weight * distance)
-    told = information > 0.0
-    if told.sum() < FEWEST_DISTINGUISHED or not score.any():
+    moved = information > 0.0
+    if moved.sum() < FEWEST_DISTINGUISHED or not score.any():
         return False
-    score, information = score[told], information[told]
-    left = (score - score.sum() / information.sum() * information) / np.sqrt(information)
-    alike = float(left[1:] @ left[:-1]) / float(left @ left)
-    return alike * math.sqrt(len(left)) > WANDERS
+    score, information = score[moved], information[moved]
+    excess = (score - score.sum() / information.sum() * information) / np.sqrt(information)
+    correlation = float(excess[1:] @ excess[:-1]) / float(excess @ excess)
+    return correlation * math.sqrt(len(excess)) > WANDERS
 
 
 FRONT = ("ekf", "batch")
-"""What decides where labels are withheld, and the smoother whose residuals are looked at."""
+"""The front end without labels, and the smoother of the residuals."""
 
 
 def with_systematic(log: Log, systematic: Systematic | None) -> Log:
-    """The log whose estimators estimate these errors along (None: none)."""
+    """The log with systematic errors to estimate, or None."""
     return replace(log, recorded=replace(log.recorded, systematic=systematic))
 
 
 def plainly(log: Log, task: str, association: str, setup: Setup) -> tuple[tuple[Run, ...], tuple[str, ...]]:
-    """A log under plain estimators, and the errors that it names."""
+    """Runs of plain estimators on a log, and the errors that their residuals name."""
     with threadpool_limits(1):
         inputs = inputs_of(with_systematic(log, None), task, association)
         runs = compare(inputs, task, FRONT, association, setup)
@@ -177,10 +171,10 @@ def plainly(log: Log, task: str, association: str, setup: Setup) -> tuple[tuple[
 
 
 def examined(log: Log, task: str, association: str, setup: Setup, runs: Sequence[Run]) -> Trust:
-    """The battery of a log, less the errors that its estimators estimate along; `runs`: those there are already.
+    """The battery of tests on a log minus its estimated errors; `runs`: available runs.
 
-    Residuals of batch and as many twins as a verdict needs, of batch alone under its own decisions. Twins have no
-    errors, and estimate them all the same with the same priors.
+    It compares residuals of batch with those of as many twins as a verdict needs. Twins have no errors, and estimate
+    them with the same priors.
     """
     with threadpool_limits(1):
         inputs = inputs_of(log, task, association)
@@ -200,7 +194,7 @@ def examined(log: Log, task: str, association: str, setup: Setup, runs: Sequence
 
 
 def _twin(source: Source, seed: int) -> Sample:
-    """What a twin's smoother says, under the twin's own labels."""
+    """The sample of a twin, by its smoother with its own labels."""
     log = twin(source, seed)
     inputs = inputs_of(log, source.task, source.association)
     (smoother,) = compare(inputs, source.task, ("batch",), source.association, source.setup)
@@ -208,20 +202,19 @@ def _twin(source: Source, seed: int) -> Sample:
 
 
 ASKED, NAMED, ALL = "asked", "named", "all"
-"""Why these errors: a person named them, the log did, or nobody, so that all are looked for with tight priors."""
-SCANNED = "--calibrate: log {!r} is a laser log, whose scans are matched; it has no landmarks to calibrate by"
+"""Origin of the errors: the user, the residuals of the log, or neither (then all, with tight priors)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """A log and task whose systematic errors are estimated along.
+    """A log and task whose systematic errors are estimated.
 
     Attributes:
-        log, task, association: which, and the way of association whose decisions the battery is about.
-        systematic: the errors, and how well they are known before.
+        association: method whose decisions the battery tests.
+        systematic: the errors and their priors.
         why: `ASKED`, `NAMED` or `ALL`.
-        plain: runs of plain estimators, as far as the log was asked for names.
-        before, after: the battery under plain estimators and under these (None: not enough memory).
+        plain: runs of plain estimators, if they named the errors.
+        before, after: battery of plain and of calibrating estimators (None: out of memory).
     """
 
     log: str
@@ -235,23 +228,22 @@ class Calibration:
 
 
 def check_calibrated(log: Log, asked: tuple[str, ...], associations: Sequence[str]) -> None:
-    """Refuse to calibrate by scans, and the sensor by walls; `asked`: as `Setup.calibrate`."""
+    """Refuse to calibrate by scans, and the sensor by walls; `asked` as `Setup.calibrate`."""
     if asked and SCAN in associations:
-        raise UsageError(f"--calibrate and --association {SCAN} exclude each other: errors are told by landmarks")
+        raise UsageError(
+            f"--calibrate and --association {SCAN} exclude each other: errors are estimated from landmarks"
+        )
     if asked and log.recorded.scans is not None and not len(log.recorded.observations.frame):
-        raise UsageError(SCANNED.format(log.name))
+        raise UsageError(f"--calibrate: log {log.name!r} is a laser log; it has no landmarks to calibrate by")
     named = asked and asked != (AUTO,)
     if named and not log.recorded.sensor.sees_points and systematic(asked).of_sensor:
-        raise UsageError(f"--calibrate: log {log.name!r} has walls; range and bearing are errors of points")
+        raise UsageError(f"--calibrate: log {log.name!r} has walls; range and bearing need points")
 
 
 def settle(
     experiments: Sequence[Experiment], execution: Execution, lost: Unfinished
 ) -> tuple[tuple[Experiment, ...], tuple[Calibration, ...]]:
-    """The experiments on logs whose errors are estimated along, and which errors those are.
-
-    Logs without landmarks stay as they are, and all do without `--calibrate`.
-    """
+    """The experiments, with errors to estimate where `--calibrate` is given and landmarks exist, and these errors."""
     wanted = [i for i, e in enumerate(experiments) if e.setup.calibrate and len(e.log.recorded.observations.frame)]
     if not wanted:
         return tuple(experiments), ()
@@ -281,7 +273,7 @@ def examine(
     execution: Execution,
     lost: Unfinished,
 ) -> tuple[Calibration, ...]:
-    """The same with what the battery says of each log, and of the log less its errors."""
+    """The calibrations with the battery before and after."""
     place = {(e.log.name, e.task): i for i, e in enumerate(experiments) if e.variant_of is None}
     jobs: list[Job[tuple[int, str]]] = []
     for k, c in enumerate(calibrations):
@@ -291,11 +283,12 @@ def examine(
         plain = with_systematic(e.log, None), c.task, c.association, _plain(e.setup), c.plain
         jobs.append(Job((k, "before"), examined, plain))
         jobs.append(Job((k, "after"), examined, (e.log, c.task, c.association, e.setup, ready)))
-    at = [place[c.log, c.task] for c in calibrations]
-    missing = _missing(experiments, lost)
-    found = dict(work(jobs, execution, lost=lambda owner, why: missing(at[owner[0]], why)))
-    both = [(found.get((k, "before")), found.get((k, "after"))) for k in range(len(calibrations))]
-    return tuple(replace(c, before=b, after=a, plain=()) for c, (b, a) in zip(calibrations, both, strict=True))
+    missing = _missing([experiments[place[c.log, c.task]] for c in calibrations], lost)
+    found = dict(work(jobs, execution, lost=lambda owner, why: missing(owner[0], why)))
+    return tuple(
+        replace(c, before=found.get((k, "before")), after=found.get((k, "after")), plain=())
+        for k, c in enumerate(calibrations)
+    )
 
 
 def _plain(setup: Setup) -> Setup:

@@ -1,7 +1,4 @@
-"""What a run consists of (logs, tasks, estimators, ways of association, studies), done in parallel.
-
-The numbers are the same for any number of processes, and on a cluster.
-"""
+"""Execution of a plan in parallel; the numbers are the same for any number of processes, and on a cluster."""
 
 from __future__ import annotations
 
@@ -36,7 +33,7 @@ from eval.studies.validation import Examined, Validation
 
 @dataclass(frozen=True)
 class Part:
-    """Whose a job is: a part of the work of the experiment with this number."""
+    """Owner of a job: a part of the work of the experiment with this number."""
 
     experiment: int
     work: Work
@@ -44,21 +41,21 @@ class Part:
 
 @dataclass(frozen=True)
 class Tutorial:
-    """Whose a job is: the pair of a log and a published tutorial with this number."""
+    """Owner of a job: the pair of log and published tutorial with this number."""
 
     number: int
 
 
 @dataclass(frozen=True)
 class Recorded:
-    """Whose a job is: the scenario that replays a recording, with this number."""
+    """Owner of a job: the scenario of a recording, with this number."""
 
     number: int
 
 
 @dataclass(frozen=True)
 class Seeded:
-    """Whose a job is: a run of the study with this number."""
+    """Owner of a job: a run of the study with this number."""
 
     study: int
     seed: int
@@ -69,16 +66,16 @@ Owner = Part | Tutorial | Recorded | Seeded
 
 @dataclass(frozen=True)
 class Outcome:
-    """Everything done.
+    """All results.
 
     Attributes:
-        trials, studies: logs, and scenarios.
-        published: the rows of published.csv.
-        skipped: what could not be done, a sentence each.
-        trust: what each log says about itself, with each way of association.
-        validations: studies of the battery, each with what came out for every log.
-        calibrations: logs whose systematic errors were estimated along.
-        missing: what had not enough memory; everything else is whole.
+        trials, studies: of logs, and of scenarios.
+        published: rows of published.csv.
+        skipped: messages about work that could not be done.
+        trust: consistency of each log without ground truth, per association method.
+        validations: studies of the battery, with their results.
+        calibrations: logs with estimated systematic errors.
+        missing: results missing for lack of memory.
     """
 
     trials: tuple[Trial, ...]
@@ -92,10 +89,10 @@ class Outcome:
 
 
 def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) -> Outcome:
-    """Run everything as independent jobs: those with iSAM2 first (they take longest), each seed by itself.
+    """Run everything as independent jobs: those with iSAM2 first (they take longest), one per seed.
 
-    A run of a study is kept on disk as soon as it is done, and taken from there if it was done before. What has not
-    enough memory is tried again an estimator at a time, and then missing; the rest is as it would be.
+    Runs of studies are cached on disk. Jobs that run out of memory are repeated one estimator at a time; if that fails,
+    too, their results are missing.
     """
     execution, watched = options.execution, not options.output.no_plots
     lost = Unfinished(execution.jobs)
@@ -123,8 +120,7 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     def more(count: int, of: int) -> None:
         progress(len(jobs) + count, len(jobs) + of)
 
-    # before the variants, which share a log's name with its trial
-    said = trusted(experiments, trials, options, lost, more)
+    trust = trusted(experiments, trials, options, lost, more)
     tested = validated(plan.validations, options, lost, more)
     for missing, why in lost.jobs.items():
         match missing:
@@ -149,15 +145,15 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
             *(row for study in studies for row in published_rows(study)),
         ),
         skipped=plan.skipped,
-        trust=said,
+        trust=trust,
         validations=tested,
         calibrations=calibrations,
-        missing=tuple(lost.said),
+        missing=tuple(lost.messages),
     )
 
 
 def _estimations(experiments: Sequence[Experiment], *, watched: bool) -> list[Job[Part]]:
-    """All work on logs, that of iSAM2 first."""
+    """All work on logs, iSAM2 first."""
     parts = [Part(i, part) for i, e in enumerate(experiments) for w in e.work for part in w.parts()]
     parts.sort(key=lambda part: "isam2" not in part.work.estimators)
     return [
@@ -167,9 +163,9 @@ def _estimations(experiments: Sequence[Experiment], *, watched: bool) -> list[Jo
 
 
 def seconds_of(log: Log, work: Work) -> float:
-    """Processor time that a part of the work takes, about; of laser logs unknown.
+    """Approximate processor time of a part of the work; infinite (unknown) for laser logs.
 
-    Measured are 0.2 ms for an observation and estimator with labels, up to 2 ms without.
+    Measured: 0.2 ms per observation and estimator with labels, up to 2 ms without.
     """
     if log.recorded.scans is not None:
         return math.inf
@@ -183,7 +179,7 @@ def _tutorial(log: Log, variant: Variant) -> Trial:
 
 
 def _finished(jobs: Sequence[Job[Owner]], execution: Execution, lost: Unfinished) -> Iterator[tuple[Owner, Any]]:
-    """Results as they come; with a cluster it does the runs of studies first."""
+    """Results when they are done; a cluster does the runs of studies, which come first."""
     if not execution.scheduler:
         return work(jobs, execution, lost=lost)
     far = [job for job in jobs if isinstance(job.owner, Seeded)]
@@ -199,34 +195,32 @@ def _trials(
     *,
     watched: bool,
 ) -> list[Trial]:
-    """The runs of every experiment; parts that had not enough memory are tried again, an estimator at a time."""
+    """The runs of every experiment; parts that ran out of memory are repeated one estimator at a time."""
     alone = [
         Job((part, name), estimate_one, (experiments[part.experiment], part.work, name, watched))
         for part in lost.jobs
         if isinstance(part, Part)
         for name in part.work.estimators
     ]
-    gone = Unfinished(execution.jobs)
-    again = list(work(alone, execution, lost=gone, apart=True))
+    failed = Unfinished(execution.jobs)
+    again = list(work(alone, execution, lost=failed, apart=True))
     trials = []
     for i, e in enumerate(experiments):
         groups = [runs for owner, runs in done.items() if isinstance(owner, Part) and owner.experiment == i]
         groups += [runs for (part, _), runs in again if part.experiment == i]
         runs = {(r.association, r.estimator): r for group in groups for r in group}
-        for (part, name), why in gone.jobs.items():
+        for (part, name), why in failed.jobs.items():
             if part.experiment == i:
                 run = incomplete(name, part.work.association, e.task, e.log.recorded, why)
                 runs[run.association, run.estimator] = run
-                run_of = MISSING_RUN.about(
-                    log=e.log.name, task=e.task, estimator=name, association=part.work.association
-                )
-                lost.say("run", why, run_of)
+                about = MISSING_RUN.about(log=e.log.name, task=e.task, estimator=name)
+                lost.say("run", why, about.about(association=part.work.association))
         trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work)), e.variant_of, e.about))
     return trials
 
 
 def _studies(asked: Sequence[tuple[Scenario, int]], done: Mapping[Owner, Any]) -> tuple[Study, ...]:
-    """The studies of which there are runs."""
+    """The studies that have runs."""
     found = []
     for i, (scenario, _) in enumerate(asked):
         seeds = sorted(owner.seed for owner in done if isinstance(owner, Seeded) and owner.study == i)

@@ -1,4 +1,4 @@
-"""What an experiment is: a log and a task, and the estimators with each way of association."""
+"""An experiment: a log, a task, and the estimators of each association method."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from eval.replay.settings import FILTERS, Setup
 
 @dataclass(frozen=True)
 class Work:
-    """Estimators with one way of association."""
+    """Estimators with one association method."""
 
     association: str
     estimators: tuple[str, ...]
 
     def parts(self) -> tuple[Work, ...]:
-        """What can be done apart: iSAM2 takes longest, or a foreign one; batch goes with the front end it depends on.
+        """Parts to do in parallel: iSAM2 and foreign estimators (slow) alone, batch with its front end.
 
-        Scans are matched once for all.
+        Scans are matched once for all estimators.
         """
         if self.association == SCAN:
             return (self,)
@@ -34,7 +34,7 @@ class Work:
 
 @dataclass(frozen=True)
 class Experiment:
-    """One log and task with all that is done with it; `beside` names the log whose table it joins, `about` says why."""
+    """One log and task with all work on it; a variant joins the table of log `variant_of`, `about` describes it."""
 
     log: Log
     task: str

@@ -1,4 +1,4 @@
-"""Which experiments a run consists of: the logs asked for, or the default suite, short, ordinary or full."""
+"""The plan of a run: given logs and scenarios, or the default suite (quick, normal or full)."""
 
 from __future__ import annotations
 
@@ -21,15 +21,14 @@ from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.plan.variants import has_depth_noise, maintained, sparser, with_depth_noise
 from eval.replay.estimators import FOR_WALLS, NO_HINDSIGHT_OF_WALLS
 from eval.replay.laser.backends import NAMES as BACK_ENDS
-from eval.replay.settings import HINDSIGHT, Setup
+from eval.replay.settings import HINDSIGHT
 from eval.studies.scenario import Scenario, load_scenario
 from eval.studies.shipped import scenarios
 from eval.studies.trusted import FEWEST
 from eval.studies.validation import Validation, load_validation
 
 DEFAULT_RUNS = 50
-QUICK_FRAMES = 1000
-"""Frames of a log that a quick report looks at."""
+QUICK_FRAMES = 1000  # of each log, in a quick report
 
 
 @dataclass(frozen=True)
@@ -37,12 +36,11 @@ class Plan:
     """Everything to do.
 
     Attributes:
-        experiments: logs.
-        studies: scenarios to simulate, each with its number of runs.
-        stored: scenarios that replay a recording, each with its file.
-        skipped: what was asked for and cannot be done here, a sentence each.
+        studies: scenarios to simulate, with their numbers of runs.
+        stored: scenarios that replay a recording, with their files.
+        skipped: messages about work that cannot be done.
         validations: studies of the battery.
-        given: results that were handed in, with the truth they are scored against.
+        given: results of other programs and their truth.
     """
 
     experiments: tuple[Experiment, ...]
@@ -54,7 +52,7 @@ class Plan:
 
 
 def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
-    """Open the logs and settle what is done; raises UsageError for what makes no sense together."""
+    """Open the logs and plan the run; UsageError for an invalid combination."""
     s = options.selection
     load_all(s.estimator, s.association)
     introduce_all((*s.estimator, *s.association), options.results.result)
@@ -65,7 +63,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         return _scenarios(options)
     relations = options.opening.relations
     if relations is not None and len(s.log) != 1:
-        raise UsageError(f"--relations {relations}: belongs to one log; give it with one --log")
+        raise UsageError(f"--relations {relations}: belongs to one log; name one log")
     given = asked_results(options.results, s.log, s.data)
     alone = given.file is not None and not s.log
     if alone:
@@ -81,7 +79,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     for log in asked:
         check_calibrated(log, options.setup.calibrate, s.association)
         experiments += [
-            Experiment(_cut(log, options), task, _work(log, s), _setup(log, options)) for task in _tasks(log, s)
+            Experiment(_cut(log, options), task, _work(log, s), options.setup.settled(log.labels_are_sensed))
+            for task in _tasks(log, s)
         ]
     if not options.output.quick:
         experiments += [sparse for e in experiments for sparse in sparser(e)]
@@ -89,7 +88,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             experiments += with_depth_noise([e for e in experiments if has_depth_noise(e.log)])
     _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
     if options.setup.manages_map and not any(e.task == "slam" for e in experiments):
-        raise UsageError("--maintain, --forget-after, --deactivate-after: for slam; a known map is kept as it is")
+        raise UsageError("--maintain, --forget-after, --deactivate-after: for slam only; type --task slam")
     check_possible(experiments)
     runs = options.study.runs
     if runs is None:
@@ -98,15 +97,15 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
 
 
 def _found(folder: str, say: Callable[[str], None]) -> list[Log]:
-    """The logs of a folder; raises UsageError if there are none."""
+    """The logs of a folder; UsageError if there are none."""
     found = [load() for load in find_logs(Path(folder), say)]
     if not found:
-        raise UsageError(f"--data {folder}: no dataset found")
+        raise UsageError(f"--data {folder}: no dataset found; `slamref run FOLDER` runs one open log")
     return found
 
 
 def _check_names(logs: Sequence[tuple[int, str]]) -> None:
-    """Raises UsageError for two logs (a number and a name each) whose folders would have the same name."""
+    """Raise UsageError for two logs (identity and name) whose folders would have the same name."""
     names = [name for _, name in logs]
     for name in names:
         same = [n for n in names if folder_name(n) == folder_name(name)]
@@ -118,7 +117,7 @@ def _check_names(logs: Sequence[tuple[int, str]]) -> None:
 
 
 def _scenarios(options: Options) -> Plan:
-    """Studies of the scenarios asked for; `--data` is where recordings are looked for."""
+    """Studies of the given scenarios; recordings are searched in `--data`."""
     asked, estimators = options.selection, options.selection.estimator
     if options.study.runs == 0:
         raise UsageError("--runs 0: a scenario needs at least one run")
@@ -152,7 +151,7 @@ def _scenarios(options: Options) -> Plan:
 
 
 def _asked(study: Validation, options: Options) -> Validation:
-    """A study of the battery with as many logs as asked for; `--quick`: few logs and twins, the largest faults."""
+    """A study of the battery with the given number of logs; `--quick`: few logs and twins, the largest faults."""
     quick = options.output.quick
     if options.selection.estimator != ALL:
         raise UsageError(f"--estimator: scenario {study.name} states its own")
@@ -164,18 +163,18 @@ def _asked(study: Validation, options: Options) -> Validation:
 
 
 def _tasks(log: Log, asked: Selection) -> Sequence[str]:
-    """The tasks asked for a log that somebody named."""
+    """The tasks of a given log."""
     has_map = log.recorded.map is not None
     if "localization" in asked.task and not has_map:
-        raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); only slam makes sense")
+        raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); type --task slam")
     return asked.task or (("localization",) if has_map else ("slam",))
 
 
 def _work(log: Log, asked: Selection) -> tuple[Work, ...]:
-    """Every estimator with every way of association asked for."""
-    scans, seen = log.recorded.scans is not None, len(log.recorded.observations.frame) > 0
+    """Every estimator with every given association method."""
+    scans, points = log.recorded.scans is not None, len(log.recorded.observations.frame) > 0
     walls = not log.recorded.sensor.sees_points
-    alone = SCAN if scans and not seen else FOR_WALLS if walls else HINDSIGHT
+    alone = SCAN if scans and not points else FOR_WALLS if walls else HINDSIGHT
     associations = asked.association or (("known",) if log.has_labels else (alone,))
     if SCAN in associations and not scans:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
@@ -183,16 +182,11 @@ def _work(log: Log, asked: Selection) -> tuple[Work, ...]:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
     if HINDSIGHT in associations and walls:
         raise UsageError(f"--association {HINDSIGHT}: log {log.name!r} has walls; {NO_HINDSIGHT_OF_WALLS}")
-    strange = [e for e in asked.estimator if e not in BACK_ENDS]
-    if SCAN in associations and strange:
-        raise UsageError(f"--estimator {strange[0]}: log {log.name!r} is a laser log; of these, {', '.join(BACK_ENDS)}")
+    other = [e for e in asked.estimator if e not in BACK_ENDS]
+    if SCAN in associations and other:
+        raise UsageError(f"--estimator {other[0]}: not for laser log {log.name!r}; name some of {', '.join(BACK_ENDS)}")
     scanned = (*ALL, *ROBUST) if asked.estimator == ALL else asked.estimator
     return tuple(Work(a, scanned if a == SCAN else asked.estimator) for a in associations)
-
-
-def _setup(log: Log, options: Options) -> Setup:
-    """The setup asked for, what it leaves to the log settled."""
-    return options.setup.settled(log.labels_are_sensed)
 
 
 def _cut(log: Log, options: Options) -> Log:
@@ -201,22 +195,21 @@ def _cut(log: Log, options: Options) -> Log:
 
 ALL = DEFAULT_ESTIMATORS
 ROBUST = ("batch-cauchy", "gnc")
-"""What a laser log gets besides: one wrong loop closure bends the whole map."""
+"""Further estimators of a laser log, where one wrong loop closure bends the whole map."""
 DECIDING = ("ekf", "isam2", "batch")
 KNOWN = (Work("known", ALL),)
 WAYS = (*METHODS, HINDSIGHT)
 HELPED = {"jcbb": DECIDING, HINDSIGHT: ("ekf", "batch")}
 LAB = (*KNOWN, *(Work(m, HELPED.get(m, ("ekf",))) for m in WAYS))
-"""The corridor lab: every method with the filter, joint compatibility with smoothers as well."""
+"""Corridors: every method with the filter, some with smoothers, too."""
 PARK = (*KNOWN, Work(HINDSIGHT, HELPED[HINDSIGHT]), Work("jcbb", ("ekf",)))
 EVERYTHING = (*KNOWN, *(Work(m, DECIDING) for m in WAYS))
 VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
-SHORT_GALLERY = 60
-"""Frames of the rendered log in the default report; the whole log is `--log visual:0`."""
+SHORT_GALLERY = 60  # frames of visual:0 in the default report
 CORRIDORS = ("corridor:0", "corridor:0:people", "corridor:0:no-odometry", "corridor:0:people+no-odometry")
 PRIMED = "corridor:0:no-odometry+forward"
 PRIMED_WORK = (Work("known", ("ekf", "ekf-iterated", "isam2")), Work(HINDSIGHT, ("ekf-iterated",)))
-"""The corridor with a motion prior instead of odometry: with labels, and with decisions in hindsight."""
+"""The corridor with a motion prior instead of odometry."""
 
 
 def reading_of(options: Options) -> Reading:
@@ -228,7 +221,7 @@ def reading_of(options: Options) -> Reading:
 
 
 def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
-    """The suite of a run without `--log`. Estimators or associations asked for replace its selection."""
+    """The default suite; given estimators or association methods replace its own."""
     s, quick, full = options.selection, options.output.quick, options.study.full
     asked = bool(s.association) or s.estimator != ALL
     park: tuple[Work, ...] = KNOWN if quick else PARK
@@ -249,7 +242,8 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     experiments = []
     for name, task, work in rows:
         log = logs[name]
-        experiments.append(Experiment(log, task, _work(log, s) if asked else work, _setup(log, options)))
+        setup = options.setup.settled(log.labels_are_sensed)
+        experiments.append(Experiment(log, task, _work(log, s) if asked else work, setup))
         if not asked and ":people" in name and not quick and not options.setup.manages_map:
             kept = lab if full else (Work("jcbb", ("ekf",)),)
             experiments.append(maintained(experiments[-1], kept))

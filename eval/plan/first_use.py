@@ -1,8 +1,7 @@
-"""The first runs after an installation: a small log is replayed interpreted at once, while a child process compiles.
+"""First runs after an installation: a small log is replayed by interpreted kernels while a child process compiles.
 
-Kernels are compiled by numba and kept beside the modules, or in the user's cache where those cannot be written to. A
-mark beside them names the versions for which all are there. Loads nothing of numba: whether it compiles is decided when
-it is loaded (`NUMBA_DISABLE_JIT`).
+Numba keeps compiled kernels beside the modules, or in the user's cache. A mark beside them names the versions for which
+all are compiled. This module does not import numba, which decides on import whether to compile (`NUMBA_DISABLE_JIT`).
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from eval.plan.flags.table import Options
 ROOT = Path(__file__).parents[2]
 INTERPRETED = "NUMBA_DISABLE_JIT"
 SMALL = 16_000
-"""Observations, times estimators, methods and tasks, that are replayed interpreted: 20 s at most, measured 0.3 to
-1.2 ms each; compiling what one run needs takes longer."""
+"""Most observations, times estimators, methods and tasks, for interpreted kernels: 20 s at the measured 0.3 to 1.2 ms
+each; compiling takes longer."""
 WORLDS = {"arena": 2000, "linear": 1400, "corridor": 600}
-"""Observations of simulated logs, at most, as they are by default or with fewer frames."""
+"""Most observations of simulated logs, by default or with fewer frames."""
 FEWER = re.compile(r"frames=(\d{1,2}|1\d\d|200)|people|no-odometry|no-people|odometry")
-"""Keys of a simulated log that do not make it larger."""
+"""Keys that do not enlarge a simulated log."""
 LINES = 200_000
-"""Bytes of a small log's observations.csv, of at least 50 bytes a line."""
+"""Most bytes in observations.csv of a small log, with at least 50 bytes a line."""
 NOTICE = "first run: interpreted; compiling in the background, later runs are faster"
 
 
@@ -48,7 +47,7 @@ def mark_name() -> str:
 
 
 def _caches() -> Iterator[Path]:
-    """Folders in which numba may keep what it compiled of `ekf`."""
+    """Folders in which numba may keep the kernels of `ekf`."""
     if own := os.environ.get("NUMBA_CACHE_DIR"):
         yield from Path(own).glob("*")
         return
@@ -59,16 +58,16 @@ def _caches() -> Iterator[Path]:
 
 
 def is_compiled() -> bool:
-    """Whether a mark says that all kernels are there."""
+    """Whether a mark shows that all kernels are compiled."""
     name = mark_name()
     return any((place / name).exists() and any(place.glob("*.nbi")) for place in _caches())
 
 
 def start(options: Options) -> str:
-    """Called before numba is loaded: on a first run of a small log, interpret it and compile in a child process.
+    """On a first run of a small log, choose interpreted kernels and compile in a child process; before numba is loaded.
 
     Returns:
-        A line for the person; empty where nothing is said, and kernels are compiled as they are needed.
+        A message for the user; empty if kernels are compiled when needed.
     """
     if "numba" in sys.modules or INTERPRETED in os.environ or is_compiled() or not is_small(options):
         return ""
@@ -78,12 +77,12 @@ def start(options: Options) -> str:
 
 
 def kernels() -> str:
-    """How kernels run in this process."""
+    """`interpreted` or `compiled`: the kernels of this process."""
     return "interpreted" if os.environ.get(INTERPRETED, "0") not in ("", "0") else "compiled"
 
 
 def is_small(options: Options) -> bool:
-    """Whether all logs are known to be small, by their names and files, and nothing else is asked for."""
+    """Whether all logs are small, by their names and files, and nothing else is to be done."""
     chosen, study = options.selection, options.study
     more = chosen.data or chosen.scenario or chosen.lab or study.twins or study.runs or study.full
     if not chosen.log or more or options.variants or options.setup.calibrate or options.results.result:
@@ -93,7 +92,7 @@ def is_small(options: Options) -> bool:
 
 
 def observations(name: str) -> float:
-    """Observations of a log, at most; infinite where its name and size do not tell."""
+    """Upper bound of the observations of a log; infinite if its name and files do not give one."""
     world, _, keys = name.partition(":")
     if world in WORLDS and not Path(name).exists():
         further = [k for k in re.split(r"[:+]", keys.partition(":")[2]) if k]
@@ -108,20 +107,20 @@ _children: list[subprocess.Popen[bytes]] = []
 
 
 def compile_in_background() -> None:
-    """Start a process of low priority that compiles all kernels, unless one is at it; it outlives this one."""
+    """Start a process of low priority that compiles all kernels, unless one does; it outlives this one."""
     environment = {k: v for k, v in os.environ.items() if k != INTERPRETED}
     command = [sys.executable, "-m", "eval.warm", "--background"]
     none = subprocess.DEVNULL
     try:
         child = subprocess.Popen(command, cwd=ROOT, env=environment, stdin=none, stdout=none, stderr=none)
-    except OSError:  # no room for another process: later runs are as slow as this one
+    except OSError:  # no further process is possible: later runs are as slow as this one
         return
     _children.append(child)
 
 
 @contextmanager
 def stopping() -> Iterator[None]:
-    """Ctrl-C within ends the child, too."""
+    """End the child, too, at Ctrl-C."""
     try:
         yield
     except KeyboardInterrupt:
@@ -132,10 +131,7 @@ def stopping() -> Iterator[None]:
 
 @contextmanager
 def alone(folder: Path, wait: bool) -> Iterator[bool]:
-    """Whether this process is the only one that compiles into a folder; `wait` until it is.
-
-    Where the folder cannot be written to, nobody else can be asked.
-    """
+    """Whether this process alone compiles into a folder, or `wait` until it does; True if the folder is read-only."""
     file = _locked(folder, wait)
     try:
         yield file is not None

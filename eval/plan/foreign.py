@@ -1,4 +1,4 @@
-"""Foreign estimators and ways of association in a plan: loaded before any work, and what of it makes no sense."""
+"""Foreign estimators and association methods of a plan: loaded and checked before any work."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from eval.studies.scenario import Scenario
 
 
 def load_all(estimators: Sequence[str], associations: Sequence[str]) -> None:
-    """Raises UsageError for what cannot be loaded, or is no estimator or no way of association."""
+    """Raise UsageError for text that cannot be loaded, or is no estimator or association method."""
     for text in estimators:
         if is_foreign(text):
             tasks_of(load(text))
@@ -29,36 +29,30 @@ def load_all(estimators: Sequence[str], associations: Sequence[str]) -> None:
 
 
 def introduce_all(texts: Iterable[str], results: Sequence[str] = ()) -> None:
-    """All names of a run that are not ours get looks of their own; `results`: as NAME=FILE.
+    """Give every foreign name its own line style; `results` as NAME=FILE.
 
-    Raises UsageError for a result that has the name of a foreign estimator.
+    Raises UsageError for a result with the name of a foreign estimator.
     """
     named = {name_of(text): text for text in texts if is_foreign(text)}
     handed_in = [text.partition("=")[0] for text in results]
     for name in handed_in:
         if name in named:
-            raise UsageError(f"--result {name}: {shown(named[name])} has that name, too; give one of them another")
+            raise UsageError(f"--result {name}: {shown(named[name])} has that name, too; rename one")
     introduce([*named, *handed_in])
 
 
 def check_possible(experiments: Iterable[Experiment]) -> None:
-    """Raises UsageError for a foreign estimator that can do nothing of what is asked; what it can do is done."""
-    asked = [
-        (text, e.task, w.association, e.setup)
-        for e in experiments
-        for w in e.work
-        for text in w.estimators
-        if is_foreign(text)
-    ]
-    _check(asked)
+    """Raise UsageError for a foreign estimator that can do none of its work; otherwise it does a part."""
+    work = ((text, e, w.association) for e in experiments for w in e.work for text in w.estimators)
+    _check([(text, e.task, association, e.setup) for text, e, association in work if is_foreign(text)])
 
 
 def check_scenario(scenario: Scenario) -> list[str]:
-    """The same for a study, all of whose members are loaded first; returns what is left out, a sentence each."""
+    """The same for a study, after loading its members; returns messages about work that is left out."""
     names = tuple(m.name for m in scenario.members)
     load_all(names, scenario.association)
-    ways = [(task, a) for task in scenario.task for a in scenario.association]
-    asked = [(n, task, a, scenario.setup) for n in names if is_foreign(n) for task, a in ways]
+    pairs = [(task, a) for task in scenario.task for a in scenario.association]
+    asked = [(n, task, a, scenario.setup) for n in names if is_foreign(n) for task, a in pairs]
     _check(asked)
     lacks = [(task, a, lack(n, task, a, setup)) for n, task, a, setup in asked]
     return [f"{scenario.name}, {task}, {name_of(a)}: left out, {why}" for task, a, why in lacks if why is not None]
@@ -72,7 +66,7 @@ def _check(asked: Sequence[tuple[str, str, str, Setup]]) -> None:
 
 
 def sources_of(texts: Iterable[str]) -> dict[str, object]:
-    """For provenance.json: where each foreign name came from, with the digest of all files behind it."""
+    """For provenance.json: place of each foreign name, and the digest of its files."""
     found: dict[str, object] = {}
     for text in texts:
         if is_foreign(text):

@@ -1,7 +1,7 @@
-"""What a lab consists of: the corridor in four conditions with every method, or a camera log in a known map.
+"""Experiments of a lab: the corridor in four conditions with every method, or a camera log in a known map.
 
-The corridor lab's own methods are NN, SINGLES and JCBB (`jcbb-first`: its ties as in the lab's program); beside them
-stand `known`, `jcbb` (the least joint distance breaks ties) and `jcbb-hindsight`.
+The corridor lab asks for NN, SINGLES and JCBB (`jcbb-first` breaks ties as the lab's program does). `known`, `jcbb`
+(the least joint distance breaks ties) and `jcbb-hindsight` are added.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ CONDITIONS = {
     (False, False): "no-odometry",
     (True, False): "people+no-odometry",
 }
-"""(people, odometry) of the lab's four logs, and how the name of a simulated one says so."""
+"""(people, odometry) of the lab's four logs, and the keys in the name of a simulated one."""
 WITH_PEOPLE = ("crowd", "sv_people", "sa_people")
 METHODS = ("nn", "singles", "jcbb-first", "jcbb")
-"""Without and with map maintenance."""
+"""Run without and with map maintenance."""
 VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 
 
 def lab_experiments(
     lab: str, estimators: tuple[str, ...], setup: Setup, reading: Reading, say: Callable[[str], None]
 ) -> list[Experiment]:
-    """Every run of a lab. Raises UsageError for a name that is no lab, and for a folder that lacks a condition."""
+    """All experiments of a lab; UsageError for an unknown name, or a folder that lacks a condition."""
     if lab.startswith("corridor:"):
         logs: Sequence[Log] = [open_log(name, reading, say) for name in corridor_names(lab)]
         return _corridor(estimators, setup, logs)
@@ -45,7 +45,7 @@ def lab_experiments(
         return _visual(estimators, setup, open_log(_with_colon(lab), reading, say))
     folder = Path(lab)
     if not folder.is_dir():
-        raise UsageError(f"--lab {lab}: no such folder, and neither corridor:SEED+KEY=VALUE nor visual:SEED")
+        raise UsageError(f"--lab {lab}: no such folder; a folder, corridor:SEED+KEY=VALUE or visual:SEED is needed")
     from data.formats.lab.folder import is_lab
 
     if is_lab(folder) and not (folder / "log.toml").exists():
@@ -54,30 +54,30 @@ def lab_experiments(
 
 
 def _with_colon(name: str) -> str:
-    """`world:3+key=value` as the names of logs have it, `world:3:key=value`."""
+    """`world:3+key=value` as the name of a log, `world:3:key=value`."""
     world, _, rest = name.partition(":")
     seed, plus, keys = rest.partition("+")
     return f"{world}:{seed}:{keys}" if plus and ":" not in seed else name
 
 
 def corridor_names(lab: str) -> list[str]:
-    """Names of the four logs of `corridor:SEED[+KEY=VALUE...]`: each has the constants that are of any effect in it."""
+    """Names of the four logs of `corridor:SEED[+KEY=VALUE...]`, each with the constants that affect it."""
     _, _, rest = _with_colon(lab).partition(":")
     seed, _, keys = rest.partition(":")
     parts = [part for part in keys.split("+") if part.strip()]
     for part in parts:
         if "=" not in part:
-            raise UsageError(f"--lab {lab}: {part} is a condition; the lab has all four, with people and without them")
+            raise UsageError(f"--lab {lab}: {part} is a condition; the lab has all four, so leave it out")
     names = []
     for (people, odometry), switches in CONDITIONS.items():
         kept = [p for p in parts if _matters(p.partition("=")[0].strip().replace("-", "_"), people, odometry)]
-        said = "+".join([*([switches] if switches else []), *kept])
-        names.append(f"corridor:{seed}" + (f":{said}" if said else ""))
+        keyed = "+".join([*([switches] if switches else []), *kept])
+        names.append(f"corridor:{seed}" + (f":{keyed}" if keyed else ""))
     return names
 
 
 def _matters(key: str, people: bool, odometry: bool) -> bool:
-    """Whether a constant has an effect in a condition; one that is not known has, and is refused there."""
+    """Whether a constant affects a condition; unknown ones do, and are refused later."""
     if key in WITH_PEOPLE:
         return people
     if key.endswith("_blind"):
@@ -86,7 +86,7 @@ def _matters(key: str, people: bool, odometry: bool) -> bool:
 
 
 def switched_on(log: Log) -> tuple[bool, bool]:
-    """Whether people were seen, and whether the wheels were read (no motion, or always the same, is stated if not)."""
+    """Whether people were observed, and whether there is odometry (else all increments are equal)."""
     people = log.truth.landmark_of is not None and bool(np.any(log.truth.landmark_of == CLUTTER))
     made, mean = log.source.get("corridor"), log.recorded.increments.mean[1:]
     if isinstance(made, Mapping) and "odometry" in made:
@@ -97,18 +97,21 @@ def switched_on(log: Log) -> tuple[bool, bool]:
 def _recorded(folder: Path, say: Callable[[str], None]) -> dict[tuple[bool, bool], Log]:
     """The recorded logs of a folder by condition, in the order of `CONDITIONS`."""
     if (folder / "log.toml").exists():
-        raise UsageError(f"--lab {folder}: one log; the lab's folder holds one for each condition (--log takes one)")
+        raise UsageError(
+            f"--lab {folder}: one log; the lab's folder holds one for each condition (`slamref run {folder}`)"
+        )
     found: dict[tuple[bool, bool], Log] = {}
     for load in find_logs(folder, say):
         log = load()
         truth = log.truth
         if truth.landmark_of is None or truth.known_poses < len(log.recorded):
-            say(f"skipped {log.name}: the lab's questions are about true poses and true ids, which it does not have")
+            say(f"skipped {log.name}: no true poses or true ids, which the lab needs")
             continue
-        if switched_on(log) in found:
-            say(f"skipped {log.name}: {found[switched_on(log)].name} has the same condition")
-            continue
-        found[switched_on(log)] = log
+        condition = switched_on(log)
+        if condition in found:
+            say(f"skipped {log.name}: {found[condition].name} has the same condition")
+        else:
+            found[condition] = log
     missing = [
         f"{'with' if people else 'without'} people and {'with' if odometry else 'without'} odometry"
         for people, odometry in CONDITIONS
@@ -122,7 +125,7 @@ def _recorded(folder: Path, say: Callable[[str], None]) -> dict[tuple[bool, bool
 def _corridor(asked: tuple[str, ...], setup: Setup, logs: Sequence[Log]) -> list[Experiment]:
     own = asked != DEFAULT_ESTIMATORS
     if own and not {"ekf", "isam2"} & set(asked):
-        raise UsageError(f"--estimator {','.join(asked)}: the lab is answered from ekf, or else isam2")
+        raise UsageError(f"--estimator {','.join(asked)}: the lab is answered from ekf, or else isam2; add one")
     known = asked if own else ("ekf", "batch")
     estimators = asked if own else ("ekf",)
     plain = replace(setup, maintain=False)

@@ -1,4 +1,4 @@
-"""Where a result came from: the command, the versions, and a digest of everything the estimators were given."""
+"""Provenance of a result: command, versions, and a digest of all inputs."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-
 
 
 def command_of(options: Options) -> str:
-    """The command that makes the same numbers again (output folder and number of processes do not matter to them).
+    """The command that reproduces the numbers; output folder and number of processes do not affect them.
 
-    Beside a config file that has to be read again stands whatever it states, so that flags which won still win.
+    A config file that must be read again is followed by all its keys, so that flags override it as before.
     """
     words = PROG.split()
     for row in rows(Options).values():
         value = row.of(options)
-        by_lab = row.name == "new_gate" and options.selection.lab is not None  # a lab's default is another one
+        by_lab = row.name == "new_gate" and options.selection.lab is not None  # its default differs in a lab
         if row.numbers and (value != row.default or row.name in options.stated or by_lab):
             if row.name in ("estimator", "association"):
                 value = tuple(shown(text) for text in value)
@@ -49,8 +49,8 @@ def provenance(
 ) -> str:
     """The text of provenance.json.
 
-    `foreign`: names of estimators and ways of association, some perhaps not ours; `results`: of each that was handed in
-    the sha256 by file.
+    `foreign`: names of estimators and association methods, foreign or built in; `results`: sha256 of each result by
+    file.
     """
     content: dict[str, object] = {
         "command": list(command),
@@ -78,14 +78,12 @@ def _plain(log: Log) -> dict[str, object]:
 
 
 def input_digest(log: Log) -> str:
-    """sha256 over everything the estimators and the referee were given, whatever file it came from."""
+    """sha256 of all inputs of estimators and referee, for any file format."""
     digest = hashlib.sha256()
     r, t = log.recorded, log.truth
     arrays: list[np.ndarray] = [r.prior.mean, r.prior.covariance, r.time, r.increments.mean, r.increments.covariance]
     arrays += [r.observations.frame, r.observations.z, r.observations.R]
-    for extra in (log.label, t.pose, t.landmark_of):
-        if extra is not None:
-            arrays.append(extra)
+    arrays += [extra for extra in (log.label, t.pose, t.landmark_of) if extra is not None]
     for landmarks in (r.map, t.landmarks):
         if landmarks is not None:
             arrays += [landmarks.id, landmarks.xy]

@@ -1,4 +1,4 @@
-"""Results that were handed in: read before any work is done, and scored beside the runs of their log."""
+"""Results of other programs (`--result`, `--truth`): read before any work, and scored with the runs of their log."""
 
 from __future__ import annotations
 
@@ -22,17 +22,15 @@ from eval.referee.score import Trial
 from eval.replay.flag import rows
 from eval.replay.settings import ESTIMATORS
 
-TRUTH = "truth"
-"""Name of the truth in `--times truth=FILE` and the like."""
+TRUTH = "truth"  # its name, as in `--times truth=FILE`
 PHASES = ("online", "final")
 PLAIN = Reading()
-"""Nothing was said."""
 NAME = re.compile(r"[\w][\w.+-]*")
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A result that was read: its paths by phase, and what stood beside them."""
+    """A result: its paths by phase, and its map and decisions, if any."""
 
     name: str
     paths: dict[str, GivenPath]
@@ -40,40 +38,40 @@ class Result:
 
 
 def read_results(asked: Sequence[str], reading: Reading) -> tuple[Result, ...]:
-    """The results `NAME=FILE`; raises UsageError for a name that will not do, DataError for a file."""
+    """The results `NAME=FILE`; UsageError for an invalid name, DataError for an invalid file."""
     named: dict[str, str] = {}
     for text in asked:
         name, equals, file = text.partition("=")
         if not equals or not file:
             raise UsageError(f"--result {text}: NAME=FILE is needed, as in mine=est.tum")
         if not NAME.fullmatch(name) or name == TRUTH:
-            raise UsageError(f"--result {text}: {name!r} is no name; letters, digits and . _ + - are, but not {TRUTH}")
+            raise UsageError(f"--result {text}: {name!r} is no name; use letters, digits and . _ + -, not {TRUTH}")
         if name in ESTIMATORS:
             raise UsageError(f"--result {text}: {name} is one of our estimators; give it another name")
         if name in named:
-            raise UsageError(f"--result {text}: two results are named {name}")
+            raise UsageError(f"--result {text}: two results are named {name}; rename one")
         named[name] = file
     return tuple(_result(name, file, manner_of(name, list(named), reading)) for name, file in named.items())
 
 
 def _result(name: str, file: str, manner: Manner) -> Result:
-    """A file (`online.csv` and the like are online, all others final), or the folder of a run with both."""
+    """A result from a file, or from the folder of a run with both phases."""
     path = Path(file)
     if path.is_dir() and not is_bag(path):
         there = {phase: path / f"{phase}.csv" for phase in PHASES if (path / f"{phase}.csv").is_file()}
         if not there:
-            raise DataError.at(path, "a folder without online.csv and final.csv; a file, or the folder of a run")
+            raise DataError.at(path, "a folder without online.csv and final.csv; name a file, or the folder of a run")
         return Result(name, {p: read_path(str(f), manner) for p, f in there.items()}, companions(path))
     return Result(name, {phase_of(path): read_path(file, manner)}, companions(path.parent))
 
 
 def phase_of(path: Path) -> str:
-    """Online by its name alone; what is not said to be online is final."""
+    """Online for the file name `online`, else final."""
     return "online" if path.stem == "online" else "final"
 
 
 def manner_of(name: str, names: Sequence[str], reading: Reading) -> Manner:
-    """How a result (or the truth) is read: `NAME=` goes before what holds for all, which must then be meant for one."""
+    """How a result or the truth is read; a value with `NAME=` overrides one for all."""
     cov = _of("--cov", reading.cov, name, names, alone=True)
     times = _of("--times", reading.times, name, names, alone=False)
     frame = _of("--cov-frame", reading.cov_frame, name, names, alone=False)
@@ -83,7 +81,7 @@ def manner_of(name: str, names: Sequence[str], reading: Reading) -> Manner:
 
 
 def _of(flag: str, values: Sequence[str], name: str, names: Sequence[str], *, alone: bool) -> str | None:
-    """The value for a name; `alone`: without a name it is that of the only result, and never the truth's."""
+    """The value of a flag for a name; `alone`: a value without a name is for the only result, never for the truth."""
     own, common = [], []
     for text in values:
         who, equals, value = text.partition("=")
@@ -93,34 +91,34 @@ def _of(flag: str, values: Sequence[str], name: str, names: Sequence[str], *, al
         else:
             common.append(text)
     if len(own) > 1 or len(common) > 1:
-        raise UsageError(f"{flag} {(own if len(own) > 1 else common)[1]}: given twice for the same; NAME=... for each")
-    if alone and common and len(names) != 1:
-        who = (
-            f"NAME={common[0]} is needed, NAME one of {', '.join(names)}" if names else "--result NAME=FILE is missing"
+        raise UsageError(
+            f"{flag} {(own if len(own) > 1 else common)[1]}: given twice for one result; write NAME=... for each"
         )
-        raise UsageError(f"{flag} {common[0]}: of which result? {who}")
+    if alone and common and len(names) != 1:
+        one = f"NAME={common[0]} with NAME one of {', '.join(names)}" if names else "--result NAME=FILE"
+        raise UsageError(f"{flag} {common[0]}: of which result? {one} is needed")
     if own or (alone and name == TRUTH):
         return own[0] if own else None
     return common[0] if common else None
 
 
 def true_path(file: str, names: Sequence[str], reading: Reading) -> GivenPath:
-    """The truth of a file; a covariance that it has is left alone."""
+    """The true path in a file, without its covariance."""
     manner = manner_of(TRUTH, names, reading)
     return replace(read_path(file, replace(manner, frame=None)), covariance=None, frame="")
 
 
 def truth_of(log: Log, path: GivenPath | None) -> TruePath | None:
-    """The truth at its own stamps: of the file that was given, else of the log; None: there is none."""
+    """The truth at its own stamps: that of a file, else of the log, else None."""
     if path is not None:
         return TruePath(path.time, path.pose)
     return None if log.truth.pose is None else TruePath(log.recorded.time, log.truth.pose)
 
 
 def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading: Reading) -> Iterator[GivenRun]:
-    """The runs of a result on a log: one, or one a phase where these have different stamps.
+    """The runs of a result on a log: one, or one per phase if their stamps differ.
 
-    Raises DataError where nothing matches the truth, and where decisions are not about this log's observations.
+    Raises DataError if no pose matches the truth, or the decisions belong to other observations.
     """
     kept = _kept(result, log)
     paths = list(result.paths.items())
@@ -130,17 +128,17 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
     for group in groups:
         run = given_run(result.name, task, group, log, truth, align=reading.align, gap=reading.truth_gap, kept=kept)
         if truth is not None and run.match is not None and not run.match.matched:
-            why = "; the log has no stamps, t is the number of a frame" if log.recorded.time_is_index else ""
+            why = "; the log has no stamps, so t is the index of a frame" if log.recorded.time_is_index else ""
             raise DataError(unmatched(next(iter(group.values())), truth) + why)
         yield run
 
 
 def unmatched(path: GivenPath, truth: TruePath) -> str:
-    """The sentence about a result without any match."""
+    """The message about a result without any match."""
     known = truth.time[np.isfinite(truth.pose).all(axis=1)]
     of = f"truth is known from {_span(known)}" if len(known) else "no true pose is known"
-    said = f"{path.file}: none of its {len(path)} stamps, {_span(path.time)}, has a truth: {of}"
-    return said + "; both clocks must be the same (no offset is guessed), and truths at most --truth-gap apart"
+    found = f"{path.file}: none of its {len(path)} stamps, {_span(path.time)}, has a truth: {of}"
+    return f"{found}; both need the same clock (no offset is estimated), and true poses at most --truth-gap apart"
 
 
 def _span(time: Array) -> str:
@@ -148,7 +146,7 @@ def _span(time: Array) -> str:
 
 
 def _kept(result: Result, log: Log) -> Kept:
-    """Map and decisions, if the latter are about the observations of the log."""
+    """Map and decisions of a result, after a check that these are about the observations of the log."""
     b = result.companions
     if b.decisions is None or not len(log.recorded.observations.frame):
         return Kept(b.landmarks)
@@ -161,22 +159,18 @@ def _kept(result: Result, log: Log) -> Kept:
     off = np.flatnonzero((decisions[:m, 0] != frame) | (decisions[:m, 1] != within))
     if len(off):
         k = int(off[0])
-        what = (
-            f"frame {decisions[k, 0]}, observation {decisions[k, 1]}; frame {frame[k]}, observation {within[k]} of log "
-            f"{log.name!r} is needed there"
-        )
-        raise DataError.at(str(b.file), what, line=k + 2)
+        found, needed = (f"frame {i}, observation {j}" for i, j in (decisions[k, :2], (frame[k], within[k])))
+        raise DataError.at(str(b.file), f"{found}; {needed} of log {log.name!r} is needed", line=k + 2)
     return Kept(b.landmarks, decisions[:m, 2], decisions[:m, 3])
 
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """Results to be scored, and the truth.
+    """Results to score, and their truth.
 
     Attributes:
-        results: as they were read.
-        file: the truth that was given; None: the log's own.
-        truth: at its own stamps, settled with the log; None: there is none.
+        file: given truth; None: that of the log.
+        truth: at its own stamps, known with the log; None: unknown.
         reading: flags.
     """
 
@@ -186,7 +180,7 @@ class Asked:
     reading: Reading = PLAIN
 
     def settled(self, log: Log) -> tuple[Log, Asked]:
-        """The log with the truth that was given, if one was, and the truth that results are scored against."""
+        """The log with the given truth, if any, and the results with their truth."""
         truth = truth_of(log, self.file)
         if self.file is None:
             return log, replace(self, truth=truth)
@@ -201,19 +195,19 @@ NOTHING = Asked()
 
 
 def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str]) -> Asked:
-    """What `--result` and `--truth` ask for, read; raises UsageError for what makes no sense together."""
+    """The results and truth of the flags; UsageError for an invalid combination."""
     for row in rows(Reading).values():
         if getattr(reading, row.name) != row.default and not (reading.result or reading.truth):
-            raise UsageError(f"{row.option}: for results; --result NAME=FILE is missing")
+            raise UsageError(f"{row.option}: for results only; type --result NAME=FILE, too")
     if not reading.result and reading.truth is None:
         return NOTHING
     flag = f"--result {reading.result[0]}" if reading.result else f"--truth {reading.truth}"
     if len(logs) > 1 or folders:
-        raise UsageError(f"{flag}: belongs to one log; give it with one --log")
+        raise UsageError(f"{flag}: belongs to one log; name one log")
     if not logs and reading.truth is None:
-        raise UsageError(f"{flag}: on which log? one --log is needed, or --truth FILE alone")
+        raise UsageError(f"{flag}: on which log? name one, or type --truth FILE")
     if not logs and not reading.result:
-        raise UsageError(f"{flag}: nothing to score; --result NAME=FILE is needed, or the --log it is the truth of")
+        raise UsageError(f"{flag}: nothing to score; type --result NAME=FILE, or name the log of this truth")
     results = read_results(reading.result, reading)
     names = [r.name for r in results]
     file = None if reading.truth is None else true_path(reading.truth, names, reading)
@@ -222,7 +216,7 @@ def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str])
 
 
 def truth_alone(asked: Asked) -> Log:
-    """The log that is a truth and nothing else; its name is the file's, or the folder's of a file named `truth`."""
+    """A log of the truth alone, named after its file, or after the folder of a file named `truth`."""
     assert asked.file is not None  # the caller asks for it only then
     path = Path(asked.file.file.partition(":/")[0])
     name = path.absolute().parent.name if path.stem in ("truth", "groundtruth", "data") else path.stem
@@ -230,7 +224,7 @@ def truth_alone(asked: Asked) -> Log:
 
 
 def with_results(trials: Sequence[Trial], asked: Asked) -> tuple[Trial, ...]:
-    """The trials, with the results among the runs of their log: of SLAM where a map is handed in, else of the first."""
+    """The trials with the results: results with a map join that of SLAM, others the first."""
     made = list(trials)
     hosts = [i for i, t in enumerate(made) if t.variant_of is None]
     for result in asked.results:

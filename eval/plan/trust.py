@@ -1,4 +1,4 @@
-"""What every log says about itself, with each way of association: statistics, twins, a calibration tried at once."""
+"""Consistency of every log without ground truth, per association method: statistics, twins, and a trial calibration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from eval.compare import compare
 from eval.plan.experiment import Experiment
 from eval.plan.flags.table import Options, Study
 from eval.plan.unfinished import MISSING_RUN, Unfinished
-from eval.plan.work import Job, work
+from eval.plan.work import Job, cached, work
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.replay.external.spec import is_foreign, name_of
@@ -24,18 +24,17 @@ from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
 from eval.studies.trusted import FEWEST, Trust, judged
 from eval.studies.twins import Source, calibrated, digest_of, inputs_of, source_of
 
-FULL_TWINS = 100
-"""Twins of a log in the suite of `--full`."""
+FULL_TWINS = 100  # twins of each log with `--full`
 AFTERWARDS = 39
-"""Twins at most of a log that was calibrated at once: the family-wise p value then reaches 2.5 %."""
+"""Most twins of a log after its trial calibration; the family-wise p value can then reach 2.5 %."""
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """All runs of a log and task with one way of association; `twins` of how many estimators (none: no twins).
+    """All runs of a log and task with one association method; `twins`: estimators to run on twins (none: no twins).
 
-    `association` and `twins` are as given to `compare`, the names in `runs` as in tables.
+    `association` and `twins` are spelled as for `compare`, names in `runs` as in tables.
     """
 
     log: Log
@@ -45,49 +44,40 @@ class Group:
     runs: tuple[Run, ...]
     twins: tuple[str, ...]
 
+    def lacks(self, lost: Unfinished, why: Notice, seed: int | None = None) -> None:
+        """Report to `lost` that a result is missing."""
+        about = MISSING_RUN.about(log=self.log.name, task=self.task, association=name_of(self.association))
+        lost.say("trust", why, about, seed=seed)
+
 
 def trusted(
     experiments: Sequence[Experiment], trials: Sequence[Trial], options: Options, lost: Unfinished, progress: Progress
 ) -> tuple[Trust, ...]:
-    """What each log says about itself, in the order of `experiments` and of their ways of association.
+    """Consistency of each log, in the order of `experiments` and their association methods.
 
-    A log of which that needs too much memory is left out, and `lost` told.
+    Logs that run out of memory are left out, and reported to `lost`.
     """
     groups = [g for e, t in zip(experiments, trials, strict=True) for g in _groups(e, t, options.study)]
-    jobs = [Job(i, said_by, (g,)) for i, g in enumerate(groups)]
-    found = dict(work(jobs, options.execution, lost=_missing(groups, lost)))
-    groups, said = [groups[i] for i in sorted(found)], [found[i] for i in sorted(found)]
+    jobs = [Job(i, statistics_of, (g,)) for i, g in enumerate(groups)]
+    found = dict(work(jobs, options.execution, lost=lambda i, why: groups[i].lacks(lost, why)))
+    real = [(groups[i], *found[i]) for i in sorted(found)]
     count = _count(options.study)
-    done = _with_twins([(g, *s) for g, s in zip(groups, said, strict=True)], count, options, lost, progress)
+    done = _with_twins(real, count, options, lost, progress)
     if not count:
         return done
     blames = [(i, t.blame) for i, t in enumerate(done) if t.blame is not None and t.blame.cause == NOISE]
     wrong = [i for i, blame in blames if any(f.cause == NOISE for f in blame.findings)]
-    jobs = [Job(i, calibrated_group, (groups[i], said[i][1], _named(done[i]))) for i in wrong]
-    tried = work(jobs, options.execution, lost=_missing(groups, lost))
+    jobs = [Job(i, calibrated_group, (real[i][0], real[i][2], _named(done[i]))) for i in wrong]
+    tried = work(jobs, options.execution, lost=lambda i, why: real[i][0].lacks(lost, why))
     better = {i: result for i, result in tried if result is not None}
     again = [better[i][0] for i in sorted(better)]
     after = _with_twins(again, min(AFTERWARDS, count), options, lost, progress)
-    put_right = {i: replace(done[i], after=t, done=better[i][1]) for i, t in zip(sorted(better), after, strict=True)}
-    return tuple(put_right.get(i, t) for i, t in enumerate(done))
-
-
-def _missing(groups: Sequence[Group], lost: Unfinished) -> Callable[[int, Notice], None]:
-    """Says of which log something is missing; jobs are known by the place of their group."""
-
-    def missing(i: int, why: Notice) -> None:
-        _say(groups[i], why, lost)
-
-    return missing
-
-
-def _say(group: Group, why: Notice, lost: Unfinished, seed: int | None = None) -> None:
-    about = MISSING_RUN.about(log=group.log.name, task=group.task, association=name_of(group.association))
-    lost.say("trust", why, about, seed=seed)
+    improved = {i: replace(done[i], after=t, done=better[i][1]) for i, t in zip(sorted(better), after, strict=True)}
+    return tuple(improved.get(i, t) for i, t in enumerate(done))
 
 
 def _count(study: Study) -> int:
-    """Twins of each log."""
+    """Number of twins of each log."""
     return (FULL_TWINS if study.full else 0) if study.twins is None else study.twins
 
 
@@ -106,8 +96,8 @@ def _groups(e: Experiment, trial: Trial, study: Study) -> list[Group]:
     return [g for g in groups if any(steps(r.estimator) for r in g.runs)]
 
 
-def said_by(group: Group) -> tuple[Sample, Run | None]:
-    """What a log says about itself, and the smoother; without one where no batch was asked for and no twins are."""
+def statistics_of(group: Group) -> tuple[Sample, Run | None]:
+    """Statistics of a log, and its smoother; None without batch and twins."""
     inputs = inputs_of(group.log, group.task, group.association)
     smoother = None
     if group.twins or any(r.estimator == "batch" for r in group.runs):
@@ -116,12 +106,12 @@ def said_by(group: Group) -> tuple[Sample, Run | None]:
 
 
 def _with_twins(
-    said: Sequence[tuple[Group, Sample, Run | None]], count: int, options: Options, lost: Unfinished, progress: Progress
+    real: Sequence[tuple[Group, Sample, Run | None]], count: int, options: Options, lost: Unfinished, progress: Progress
 ) -> tuple[Trust, ...]:
-    """Every log beside its twins, which are kept on disk as soon as done, and taken from there if they were."""
+    """Every log compared with its twins, whose statistics are cached on disk."""
     sources: dict[int, tuple[Source, Path]] = {}
     none: dict[int, Notice] = {}
-    for i, (group, _, smoother) in enumerate(said):
+    for i, (group, _, smoother) in enumerate(real):
         if group.twins and smoother is not None:
             try:
                 source = source_of(group.log, smoother, group.twins, group.setup, group.association)
@@ -129,32 +119,24 @@ def _with_twins(
                 none[i] = notice(Code.NO_TWINS, why=str(fault))
                 continue
             sources[i] = source, store.kept_folder(options.output.kept, f"{group.log.name}-twins", digest_of(source))
-    kept: dict[tuple[int, int], Sample] = {}
     seeds = range(options.study.seed, options.study.seed + count)
-    jobs: list[Job[tuple[int, int]]] = []
-    for i, (source, folder) in sources.items():
-        for seed in seeds:
-            found = sampled.load(folder / f"{seed}.json")
-            if found is None:
-                jobs.append(Job((i, seed), one_twin, (source, seed)))
-            else:
-                kept[i, seed] = found
+    jobs = [
+        (Job((i, seed), one_twin, (source, seed)), folder / f"{seed}.json")
+        for i, (source, folder) in sources.items()
+        for seed in seeds
+    ]
 
-    def twin_missing(owner: tuple[int, int], why: Notice) -> None:
-        _say(said[owner[0]][0], why, lost, owner[1])
+    def missing(owner: tuple[int, int], why: Notice) -> None:
+        real[owner[0]][0].lacks(lost, why, owner[1])
 
-    drawn = work(jobs, options.execution, far=True, lost=twin_missing)
-    for done, ((i, seed), sample) in enumerate(drawn, start=1):
-        sampled.save(sources[i][1] / f"{seed}.json", sample)
-        kept[i, seed] = sample
-        progress(done, len(jobs))
-    asked = []
-    for i, (group, real, smoother) in enumerate(said):
+    kept = cached(jobs, sampled.load, sampled.save, options.execution, missing, progress)
+    judgements = []
+    for i, (group, sample, smoother) in enumerate(real):
         own = [kept[i, seed] for seed in seeds if (i, seed) in kept]
-        arguments = (group.log, group.task, name_of(group.association), real, own, smoother)
-        asked.append(Job(i, judged, arguments))
-    result = dict(work(asked, options.execution))
-    return tuple(_noted(result[i], none.get(i), g, count) for i, (g, _, _) in enumerate(said))
+        arguments = (group.log, group.task, name_of(group.association), sample, own, smoother)
+        judgements.append(Job(i, judged, arguments))
+    result = dict(work(judgements, options.execution))
+    return tuple(_noted(result[i], none.get(i), g, count) for i, (g, _, _) in enumerate(real))
 
 
 def _noted(trust: Trust, why: Notice | None, group: Group, count: int) -> Trust:
@@ -164,18 +146,18 @@ def _noted(trust: Trust, why: Notice | None, group: Group, count: int) -> Trust:
 
 
 def _named(trust: Trust) -> tuple[str, ...]:
-    """The systematic errors that were found."""
+    """Names of the systematic errors that were found."""
     return tuple(f.name for f in trust.blame.findings if f.kind == "systematic") if trust.blame is not None else ()
 
 
 def calibrated_group(
     group: Group, smoother: Run, names: Sequence[str]
 ) -> tuple[tuple[Group, Sample, Run | None], dict[str, float]] | None:
-    """The group on the log as calibrated at once, with what was done; None where nothing could be."""
+    """The group on the calibrated log, and the calibration; None if there is none."""
     log, done = calibrated(group.log, group.task, group.association, smoother, group.setup, names)
     if not done:
         return None
     inputs = inputs_of(log, group.task, group.association)
     runs = compare(inputs, group.task, tuple(dict.fromkeys([*group.twins, "batch"])), group.association, group.setup)
     again = replace(group, log=log, runs=tuple(runs))
-    return (again, *said_by(again)), done
+    return (again, *statistics_of(again)), done

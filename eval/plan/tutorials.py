@@ -1,7 +1,4 @@
-"""The classic UTIAS tutorials' treatment of a recording, as one more row beside ours.
-
-What their programs do otherwise than the algorithms they teach is here and nowhere else: these are faults.
-"""
+"""Treatment of a recording by classic UTIAS tutorials, as a further row; their programs' faults are reproduced here."""
 
 from __future__ import annotations
 
@@ -34,17 +31,17 @@ from eval.replay.run import driven
 from eval.replay.settings import Setup
 
 FARTHEST = 10.0
-"""Squared distance that the ratio test's running minimum begins with."""
+"""Initial squared distance of the running minimum."""
 
 
 class GainFromBefore(EkfLocalizer):
-    """EKF localization whose gain takes the covariance from before the prediction: K = P- H' S^-1.
+    """EKF localization whose gain has the covariance from before the prediction, K = P- H' S^-1.
 
-    S is formed from the predicted covariance, as it should be, and (I - K H) P applied without symmetry.
+    S is correctly formed from the predicted covariance; (I - K H) P is not made symmetric.
     """
 
     def predict(self, increment: Increment) -> None:
-        """Move by an increment, and remember the covariance from before."""
+        """Move by an increment, and keep the covariance from before."""
         self._version += 1
         self._before = self._P[:3, :3].copy()
         wx, wy, F, B = carried(self._mean[2], increment.mean)
@@ -78,18 +75,15 @@ class GainFromBefore(EkfLocalizer):
 
 
 class RunningMinimum(FrontEnd):
-    """The ratio test whose second best is the running minimum's predecessor, not the second best of all candidates.
-
-    It depends on the order of the map: a second best that comes after the best is never seen.
-    """
+    """Ratio test against the previous running minimum instead of the second best candidate; map order matters."""
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
-        """Decisions with the running minimum, or for comparison by another method."""
+        """Decisions with the running minimum, or with another method for comparison."""
         return super().decide(expectation, method) if method is not None else Decided(running(expectation), True)
 
 
 def running(expectation: Expectation) -> IntArray:
-    """Decisions (m,): the landmarks in the order of their creation, then "new" at `ALPHA`."""
+    """Decisions (m,) over the landmarks in order of creation, then "new" at `ALPHA`."""
     e = expectation.by_age()
     d2 = np.column_stack([e.individual_distances(), np.full(len(e.z), ALPHA)])
     number = np.append(e.number, NEW)
@@ -108,32 +102,31 @@ ABOUT = "the same recording with a classic tutorial's numbers"
 
 
 def is_tutorial(trial: Trial) -> bool:
-    """Whether a trial is a variant of another one's recording."""
+    """Whether a trial is a tutorial's variant of a recording."""
     return trial.about == ABOUT
 
 
 def variant_log(log: Log, variant: Variant) -> Log:
-    """The recording behind a log, converted with the variant's numbers; raises UsageError if it is not from MRCLAM."""
+    """The recording behind a log, converted with the settings of a variant; UsageError if it is not from MRCLAM."""
     s = log.source
     if s.get("kind") != "mrclam":
         raise UsageError(
             f"{variant.name}: log {log.name!r} does not come from a UTIAS MRCLAM recording; "
-            "make one with python -m data.convert mrclam"
+            "type `slamref convert mrclam` to make one"
         )
     source = Path(str(s["path"]))
     if not source.exists():
         raise UsageError(
-            f"{variant.name}: the recording behind log {log.name!r} is not at {source} any more; convert again"
+            f"{variant.name}: the recording of log {log.name!r} is not at {source} any more; convert again"
         )
-    window = {k: s.get(k) for k in ("start", "stop")}
     landmarks = s.get("landmarks")
     calibration = replace(
         Calibration().with_sigma(*variant.sigma),
         motion=VelocityModel(VelocityNoise(variant.noise, alphas=variant.alphas), variant.model),
     )
     treatment = Treatment(
-        start=_later(_seconds(window["start"]), variant.start),
-        stop=_seconds(window["stop"]),
+        start=_later(_seconds(s.get("start")), variant.start),
+        stop=_seconds(s.get("stop")),
         landmarks=None if landmarks is None else Path(str(landmarks)),
         exclude_truth=_pairs(s.get("exclude_truth")),
         grid=Grid(variant.grid, variant.own_odometry, variant.gapless, variant.skip_led_by),
@@ -152,7 +145,7 @@ def variant_log(log: Log, variant: Variant) -> Log:
 
 
 def tutorial_run(log: Log, variant: Variant) -> Run:
-    """The EKF with the variant's update and its way of association."""
+    """The run of the EKF with a variant's update and association method."""
     known = variant.association == "known"
     inputs = log.inputs(labels=known)
     if variant.task == "slam":
@@ -168,12 +161,12 @@ def tutorial_run(log: Log, variant: Variant) -> Run:
             assert inputs.map is not None
             front.estimator = GainFromBefore(inputs.prior, inputs.sensor, inputs.map, options)
         run = driven("ekf", front, inputs, variant.task, each=variant.each)
-    told = (notice(Code.NOTE, Severity.INFO, text=text) for text in variant.notes)
-    return replace(with_plausibility(run, inputs), notes=(*run.notes, *told))
+    notes = (notice(Code.NOTE, Severity.INFO, text=text) for text in variant.notes)
+    return replace(with_plausibility(run, inputs), notes=(*run.notes, *notes))
 
 
 def _original(source: Mapping[str, object], variant: Variant) -> dict[str, object]:
-    """The original program's numbers, if the log is the whole recording that it was run on."""
+    """Results of the original program, if the log is the whole of its recording."""
     whole = source.get("start") is None and source.get("stop") is None
     here = f"{source.get('dataset')}, robot {source.get('robot')}"
     if variant.original is None or not whole or here != variant.original_log:
@@ -182,13 +175,13 @@ def _original(source: Mapping[str, object], variant: Variant) -> dict[str, objec
 
 
 def original_of(trial: Trial) -> tuple[float, float] | None:
-    """Sum of squared position errors [m^2] and RMSE [m] of the original program on a tutorial's recording, if known."""
+    """Sum of squared position errors [m^2] and position RMSE [m] of the original program, if known."""
     given = trial.log.source.get("original")
     return (float(given[0]), float(given[1])) if isinstance(given, list) else None
 
 
 def _later(asked: float | None, variant: float | None) -> float | None:
-    """The later of two beginnings, each of which may be left open."""
+    """The later of two start times, either of which may be None."""
     return max((s for s in (asked, variant) if s is not None), default=None)
 
 

@@ -1,4 +1,4 @@
-"""Experiments on the same log done otherwise, as rows beside it: sparser graphs, other noise, map maintenance."""
+"""Variants of an experiment, as further rows of its log: sparser graphs, other noise, map maintenance."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from data.log import Log
 from eval.plan.experiment import Experiment, Work
 
 SPARSE = 0.2
-"""Least information of a key pose in the row beside: on the Intel log three of five key poses go for 2 % of error."""
+"""Least information of a key pose in a variant: removes three of five key poses of the Intel log, for 2 % of error."""
 
 
 def sparser(experiment: Experiment) -> list[Experiment]:
-    """A laser log with fewer key poses as rows beside: without those that tell little, and further apart."""
+    """Variants of a laser log with fewer key poses: without those of little information, and further apart."""
     name, setup = experiment.log.name, experiment.setup
     work = tuple(Work(SCAN, ("isam2",)) for w in experiment.work if w.association == SCAN)
     if not work:
@@ -41,13 +41,13 @@ def sparser(experiment: Experiment) -> list[Experiment]:
 
 
 def has_depth_noise(log: Log) -> bool:
-    """Whether a camera log has pictures in it, and their corners a known noise in depth."""
+    """Whether a camera log has detected pictures whose corners have a known depth noise."""
     found = None if log.evidence is None else log.evidence.found
     return found is not None and len(found.frame) > 0 and math.isfinite(found.depth_noise)
 
 
 def with_depth_noise(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """The same detections with covariances that follow from the noise of their depth, as rows beside."""
+    """Variants with the same detections, whose covariances follow from their depth noise."""
     from data.visual.observations import with_noise
 
     about = "the same detections, each corner's covariance from the noise of its depth (`--corner-noise depth`)"
@@ -68,7 +68,7 @@ def with_depth_noise(experiments: Sequence[Experiment]) -> list[Experiment]:
 
 
 def maintained(experiment: Experiment, work: tuple[Work, ...]) -> Experiment:
-    """The same with map maintenance, as rows beside."""
+    """The variant with map maintenance."""
     name = experiment.log.name
     deciding = tuple(w for w in work if w.association != "known")
     log, setup = replace(experiment.log, name=f"{name}:maintain"), replace(experiment.setup, maintain=True)

@@ -1,4 +1,4 @@
-"""Compile every kernel by using it once, with progress; see `first_use` for where what is compiled is kept."""
+"""Compile every kernel by using it once, with progress; `first_use` describes the cache."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from data.worlds.arena import Arena, simulate
 from data.worlds.registry import named_log
 from eval.compare import compare
 from eval.plan.first_use import alone, mark_name
+from eval.plan.stale_kernels import forget_stale, note_sources
 from eval.replay.estimators import make_estimator
 from eval.replay.hindsight.placement import candidates
 from eval.replay.hindsight.relocalize import Scan, relocalize
@@ -32,7 +33,7 @@ SENSORS = ("range_bearing", "relative_point")
 
 
 def _small(sensor: str) -> Log:
-    """A small arena, by way of a folder, since arrays that were read differ in layout from simulated ones."""
+    """A small arena, written and read, since the memory layout of its arrays selects kernels."""
     log = simulate(Arena(frames=12, landmarks=6, sensor=sensor), 0, name="warm")
     with tempfile.TemporaryDirectory() as folder:
         write_folder(log, Path(folder) / "warm")
@@ -71,7 +72,7 @@ def _laser() -> None:
     inputs = named_log("floorplan:0:frames=600").recorded
     compare(inputs, "slam", ("dead-reckoning", "ekf", "isam2", "fixed-lag", *BATCH), SCAN)
     compare(inputs, "slam", ("ekf",), "jcbb")
-    # a search that a short drive does not need
+    # a search that a short drive does not reach
     corner = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     best_pose(corner, pyramid(corner, 2.0), np.zeros(3), np.array([0.2, 0.2, 0.1]), 0.4)
     assert inputs.scans is not None
@@ -88,11 +89,11 @@ PARTS: dict[str, Callable[[], None]] = {
     "place recognition": _place,
     "laser": _laser,
 }
-"""What is compiled, in order."""
+"""Parts to compile, in order."""
 
 
 def mark() -> Path | None:
-    """The file that stands for compiled kernels; None where numba keeps nothing, or compiles nothing."""
+    """The file that marks the kernels as compiled; None if numba compiles or caches nothing."""
     from ekf.kernels import predict
 
     stats = getattr(predict, "stats", None)  # a plain function where compilation is switched off
@@ -100,7 +101,7 @@ def mark() -> Path | None:
 
 
 def compile_if_needed(quiet: bool = False) -> None:
-    """On the first use, compile everything and say so on stderr; afterwards nothing at all."""
+    """On the first use, compile everything and report it on stderr."""
     place = mark()
     if place is None or _is_there(place):
         return
@@ -116,17 +117,19 @@ def _is_there(place: Path) -> bool:
 
 
 def compile_all(quiet: bool = False, background: bool = False) -> None:
-    """Compile every kernel, with a bar on a terminal and a line for each part elsewhere, and leave the mark.
+    """Compile every kernel and write the mark; progress is a bar on a terminal, else a line per part.
 
-    While another process compiles, wait for it; in the `background`, leave it all to that one.
+    If another process is compiling, wait for it; in the `background`, do nothing.
     """
     place = mark()
     if place is None:
         return
     with alone(place.parent, wait=not background) as first:
         if first and not (background and _is_there(place)):
+            forget_stale()
             _compile(quiet)
-            with suppress(OSError):  # without the mark, the next run looks again
+            note_sources()
+            with suppress(OSError):  # without the mark, the next run checks again
                 place.touch()
 
 

@@ -1,7 +1,6 @@
-"""Independent jobs done in parallel, or on a cluster; results come with their owners as they are done.
+"""Independent jobs in parallel, or on a Dask cluster (extra `distributed`), with the same numbers.
 
-A job that runs out of memory ends alone, whether it is told so (`MemoryError`) or its process is killed: all others
-are finished. On a Dask cluster it is the same function on other machines, and the same numbers (extra `distributed`).
+A job that runs out of memory, by `MemoryError` or because its process is killed, ends alone; all others are finished.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from threadpoolctl import threadpool_limits
@@ -21,25 +21,17 @@ from eval.figures.figure_style import FigureStyle, current, figure_style
 from eval.plan.flags.table import Execution
 from eval.replay.external.spec import introduce, introduced
 
-CONNECT = 10
-"""s, to reach the scheduler."""
-NEVER = 10**6
-"""s (eleven days; much more overflows) that a worker waits for the next job, or it would have to be started again."""
+CONNECT = 10  # [s] to reach the scheduler
+NEVER = 10**6  # [s] that an idle worker lives, eleven days; much more overflows
+START = 3.0  # [s] processor time to start a process; measured 2.7
 Owner = TypeVar("Owner")
 OwnerT = TypeVar("OwnerT", covariant=True)
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
 
 
-START = 3.0
-"""s of processor time until a process has loaded what it needs; measured 2.7."""
-
-
 @dataclass(frozen=True)
 class Job(Generic[OwnerT]):
-    """A call that any process can do, and whom its result belongs to.
-
-    `seconds`: processor time that it takes, about; unknown: as long as you like.
-    """
+    """A call that any process can do, and the owner of its result; `seconds`: approximate processor time, if known."""
 
     owner: OwnerT
     function: Callable[..., Any]
@@ -48,11 +40,11 @@ class Job(Generic[OwnerT]):
 
 
 KILLED = notice(Code.OUT_OF_MEMORY, Severity.ERROR, killed=True)
-"""In place of a result, as every notice is: why there is none."""
+"""A notice in place of a result says why there is none."""
 
 
 class OutOfMemoryError(SlamrefError):
-    """A job had not enough memory, and nobody can do without its result."""
+    """A job ran out of memory, and its result is needed."""
 
 
 def work(
@@ -63,14 +55,13 @@ def work(
     lost: Callable[[Owner, Notice], None] | None = None,
     apart: bool = False,
 ) -> Iterator[tuple[Owner, Any]]:
-    """Results with their owners as they come; `far`: on the cluster, if there is one (`--scheduler`).
+    """Results with their owners, when they are done; short jobs are done in this process.
 
-    `apart`: one after the other, in a process of their own, which has all the memory. `lost` hears of each job that had
-    not enough memory, with the reason; without it, that raises `OutOfMemoryError`. Jobs that take less time than it
-    takes to start processes for them are done here.
+    `far`: on the cluster, if there is one (`--scheduler`). `lost` is called for each job that ran out of memory; None
+    raises `OutOfMemoryError` instead. `apart`: one after the other, each in a process with all the memory.
     """
-    names, look = introduced(), current()
-    calls: dict[int, Call] = {i: (_done, (names, look, job.function, job.arguments)) for i, job in enumerate(jobs)}
+    names, style = introduced(), current()
+    calls: dict[int, Call] = {i: (_done, (names, style, job.function, job.arguments)) for i, job in enumerate(jobs)}
     if far and execution.scheduler is not None:
         results = on_cluster(execution.scheduler, list(calls.values())) if calls else iter(())
     else:
@@ -86,14 +77,30 @@ def work(
             lost(owner, result)
 
 
-def _done(names: tuple[str, ...], look: FigureStyle, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-    """In a worker: what a call gives, or that it had not enough memory.
+def cached(
+    jobs: Sequence[tuple[Job[Owner], Path]],
+    load: Callable[[Path], Any],
+    save: Callable[[Path, Any], None],
+    execution: Execution,
+    lost: Callable[[Owner, Notice], None],
+    progress: Callable[[int, int], None],
+) -> dict[Owner, Any]:
+    """Results by owner, each saved in its file when it is done; files of earlier runs are loaded instead."""
+    found = {job.owner: kept for job, path in jobs if (kept := load(path)) is not None}
+    missing = {job.owner: (job, path) for job, path in jobs if job.owner not in found}
+    results = work([job for job, _ in missing.values()], execution, far=True, lost=lost)
+    for done, (owner, result) in enumerate(results, start=1):
+        save(missing[owner][1], result)
+        found[owner] = result
+        progress(done, len(missing))
+    return found
 
-    Foreign names and the look of figures are as in the process that asked.
-    """
+
+def _done(names: tuple[str, ...], style: FigureStyle, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+    """In a worker, with foreign names and figure style of the caller: the result, or a notice of a lack of memory."""
     introduce(names)
-    # sums over two threads round otherwise than over one: the same bytes for any number of processes and cores
-    with threadpool_limits(1), figure_style(look):
+    # one thread: sums over several round differently, and bytes must not depend on the number of cores
+    with threadpool_limits(1), figure_style(style):
         try:
             return function(*arguments)
         except MemoryError as fault:
@@ -101,10 +108,7 @@ def _done(names: tuple[str, ...], look: FigureStyle, function: Callable[..., Any
 
 
 def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:
-    """On this machine. After a process was killed, nobody knows over which job: the rest is done one by one.
-
-    Then each has all the memory, and only the one that needs more is lost.
-    """
+    """On this machine; after a process is killed, over an unknown job, one by one with all the memory."""
     waiting = dict(calls)
     if min(processes, len(waiting)) < 2:
         yield from ((i, function(*arguments)) for i, (function, arguments) in calls.items())
@@ -130,7 +134,7 @@ def _numbered(i: int, function: Callable[..., Any], arguments: tuple[Any, ...]) 
 
 
 def _one_at_a_time(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:
-    """Calls in a process that nothing else runs in; a new one for the next after it was killed."""
+    """Calls one by one in a process, which is replaced after it is killed."""
     from joblib.externals.loky import ProcessPoolExecutor  # type: ignore[import-untyped]
 
     pool = None
@@ -146,11 +150,10 @@ def _one_at_a_time(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[
 
 
 def _keep_workers() -> None:
-    """In a worker: it stays until the end, however much memory its jobs took.
+    """In a worker: keep it until the end, however much memory its jobs took.
 
-    A worker that has grown by 300 MB since its first job is taken by loky for one that leaks, stopped and replaced,
-    which it warns of. Ours grow because one log is larger than another, and allocators keep what they got: a new
-    process would grow as much, after compiling everything once more. There is no public switch.
+    Loky takes a worker that grew by 300 MB for one that leaks, and replaces it with a warning. Ours grow with the size
+    of the logs; a new one would grow as much, after loading all kernels again. There is no public switch.
     """
     from joblib.externals.loky import process_executor
 
@@ -158,13 +161,12 @@ def _keep_workers() -> None:
 
 
 def on_cluster(address: str, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:
-    """Results of calls with their index, as they come; what a lost worker had in hand is done again by another.
+    """Results of calls with their index, when they are done; calls of a lost worker are repeated by another.
 
-    A call that takes one worker after the other down with it gives `KILLED`.
-
-    Raises UsageError if the scheduler cannot be reached, has no workers, or runs another version of this program.
+    A call that ends several workers gives `KILLED`. Raises UsageError if the scheduler cannot be reached, has no
+    workers, or runs another version of slamref.
     """
-    from eval.studies.store import code_digest  # all estimators with it, which a worker that starts has no need of
+    from eval.studies.store import code_digest  # slow to load
 
     try:
         from distributed import Client, KilledWorker, as_completed

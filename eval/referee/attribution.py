@@ -52,13 +52,9 @@ def component_of(name: str) -> str:
 def systematic_errors(
     scored: Scored, factors: Mapping[str, float], threshold: float, most: int = MOST
 ) -> list[Finding]:
-    """Systematic errors by forward selection, with their joint sizes.
+    """At most `most` systematic errors by forward selection, with their joint sizes.
 
-    Args:
-        scored: scores of all candidates.
-        factors: of each component's stated sigma, which divide its scores.
-        threshold: sigmas.
-        most: largest number of errors.
+    Scores are divided by the `factors` of their component's stated sigma; the threshold is in sigmas.
     """
     weight = np.array([1.0 / max(1.0, factors.get(component_of(n), 1.0)) for n in scored.names])
     chosen, gains = list[int](), list[float]()
@@ -89,12 +85,8 @@ def _like(scored: Scored, i: int) -> tuple[str, ...]:
 
 def factors_of(typical: Mapping[str, float], twins: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Factor of the stated sigma of each component: its typical residual over that of the twins."""
-    result = {}
-    for name, value in typical.items():
-        usual = _median([t[name] for t in twins if name in t])
-        if usual > 0.0:
-            result[name] = value / usual
-    return result
+    usual = {name: _median([t[name] for t in twins if name in t]) for name in typical}
+    return {name: value / usual[name] for name, value in typical.items() if usual[name] > 0.0}
 
 
 def noise_errors(factors: Mapping[str, float], twins: Sequence[Mapping[str, float]], threshold: float) -> list[Finding]:

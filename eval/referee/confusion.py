@@ -7,6 +7,7 @@ FP: H a landmark other than GT. FN: H none although GT is a landmark. They sum t
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,18 +64,16 @@ def ground_truth(
     if known is not None:
         return np.where(np.isin(true_id, known.id), true_id, NO_LANDMARK)
     gt: IntArray = np.full(len(true_id), NO_LANDMARK, np.int64)
-    copies: dict[int, list[tuple[int, int, int]]] = {}
-    for i in np.flatnonzero(created >= 0).tolist():
-        number = int(created[i])
-        until = -1 if removed is None else int(removed[number])
-        copies.setdefault(int(true_id[i]), []).append((number, int(frame[i]), until))
-    for each in copies.values():
-        each.sort()
-    for i, who in enumerate(true_id.tolist()):
-        if who < 0:
+    copies = defaultdict[int, list[tuple[int, int, int]]](list)
+    rows = np.flatnonzero(created >= 0)
+    for i in rows[np.argsort(created[rows], kind="stable")].tolist():
+        until = -1 if removed is None else int(removed[created[i]])
+        copies[int(true_id[i])].append((int(created[i]), int(frame[i]), until))
+    for i, identity in enumerate(true_id.tolist()):
+        if identity < 0:
             continue
         now = int(frame[i])
-        for number, since, until in copies.get(who, ()):
+        for number, since, until in copies.get(identity, ()):
             if since < now and (until < 0 or now <= until):
                 gt[i] = number
                 break
@@ -107,10 +106,7 @@ def confuse(
     return Confusion(
         outcome,
         gt,
-        tp=counts["tp"],
-        tn=counts["tn"],
-        fp=counts["fp"],
-        fn=counts["fn"],
+        **counts,
         wrong=int((fp & has).sum()),
         spurious=int((fp & ~has).sum()),
         duplicate=int((fn & (decisions == NEW)).sum()),

@@ -8,8 +8,9 @@ with Applications to Tracking and Navigation, section 5.4. docs/verdicts.md has 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy import special
@@ -111,22 +112,15 @@ def nearly_singular(covariance: Array, floor: float) -> BoolArray:
     return thin
 
 
-def mean_or_nan(values: Array) -> float:
-    """Mean of the finite values; NaN if there are none."""
+def mean_or_nan(values: Array, of: Callable[[Array], Any] = np.mean) -> float:
+    """Mean (or another statistic) of the finite values; NaN if there are none."""
     finite = values[np.isfinite(values)]
-    return float(finite.mean()) if len(finite) else math.nan
-
-
-def median_or_nan(values: Array) -> float:
-    """Median of the finite values; NaN if there are none."""
-    finite = values[np.isfinite(values)]
-    return float(np.median(finite)) if len(finite) else math.nan
+    return float(of(finite)) if len(finite) else math.nan
 
 
 def inside_3sigma(position_nees: Array) -> float:
     """Share of frames whose position error is inside the 3 sigma ellipse (expected: `INSIDE_3SIGMA`)."""
-    finite = position_nees[np.isfinite(position_nees)]
-    return float(np.mean(finite <= 9.0)) if len(finite) else math.nan
+    return mean_or_nan(position_nees, lambda finite: np.mean(finite <= 9.0))
 
 
 @dataclass(frozen=True)

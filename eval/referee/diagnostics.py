@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -114,15 +115,10 @@ def two_minima(batch: Run, other: Run) -> Notice | None:
         return None
     better, worse = (batch, other) if a < b else (other, batch)
     apart = position_distance(batch.final.pose, other.final.pose)
-    return notice(
-        Code.TWO_MINIMA,
-        better=better.estimator,
-        worse=worse.estimator,
-        costs=(min(a, b), max(a, b)),
-        dof=batch.total_nis[1],
-        apart=rms(apart),
-        apart_most=float(np.nanmax(apart)),
-    ).about(association=batch.association)
+    names: dict[str, Any] = {"better": better.estimator, "worse": worse.estimator}
+    costs, most = (min(a, b), max(a, b)), float(np.nanmax(apart))
+    found = notice(Code.TWO_MINIMA, **names, costs=costs, dof=batch.total_nis[1], apart=rms(apart), apart_most=most)
+    return found.about(association=batch.association)
 
 
 WRONG, AGREE = 0.05, 0.99  # least share of FP in the pairings, and least `majority_agreement` beside it
@@ -139,14 +135,8 @@ def naming(run: Run, scores: Scores, log: str) -> Notice | None:
     off = abs(stated - by_majority) > OTHER * stated
     if not wrong and not off:
         return None
-    return _of(
-        run,
-        Code.NAMING,
-        false_share=fp / (tp + fp) if wrong else None,
-        agree=agree if wrong else None,
-        rmse=stated if off else None,
-        rmse_majority=by_majority if off else None,
-    )
+    shares: dict[str, Value] = {"false_share": fp / (tp + fp) if wrong else None, "agree": agree if wrong else None}
+    return _of(run, Code.NAMING, **shares, rmse=stated if off else None, rmse_majority=by_majority if off else None)
 
 
 def _numbers(table: pd.DataFrame, key: tuple[str, ...], columns: Sequence[str]) -> list[float]:
@@ -187,34 +177,28 @@ def _difference(run: Run, trial: Trial) -> Sign | None:
     """The first frame in which an online path under the run's decisions is far from its final path."""
     if run.final is None:
         return None
-    others = (r for r in trial.runs if r.online is not None and r.association == run.association)
-    online = run if run.online is not None else next((r for r in others if _same_decisions(r, run)), None)
+    others = [r for r in trial.runs if r.online is not None and r.association == run.association]
+    same = (r for r in others if np.array_equal(r.final_decisions, run.final_decisions))
+    online = run if run.online is not None else next((r for r in same if r.estimator != "dead-reckoning"), None)
     if online is None or online.online is None or online.failure is not None:
         return None
     variance = np.einsum("nii->ni", online.online.covariance)
     d = np.abs(se2.pose_error(online.online.pose, run.final.pose))
     in_sigmas = np.max(d / np.sqrt(np.where(variance > 0.0, variance, np.inf)), axis=1)
-    far = in_sigmas > JUMP
-    if not far.any():
-        return None
-    k = int(np.argmax(far))
-    return k, "path", online.estimator, float(in_sigmas[k])
-
-
-def _same_decisions(a: Run, b: Run) -> bool:
-    return a.estimator != "dead-reckoning" and np.array_equal(a.final_decisions, b.final_decisions)
+    return _first(in_sigmas, JUMP, "path", online)
 
 
 def _innovations(run: Run) -> Sign | None:
     """The first frame whose innovations are ten times as large as stated."""
     if run.innovations is None:
         return None
-    nis, dof = run.innovations.nis, run.innovations.dof
-    wild = np.isfinite(nis) & (nis > ABSURD * np.maximum(dof, 1))
-    if not wild.any():
-        return None
-    k = int(np.argmax(wild))
-    return k, "innovation", run.estimator, float(nis[k]) / max(int(dof[k]), 1)
+    per_dof = run.innovations.nis / np.maximum(run.innovations.dof, 1)
+    return _first(np.where(np.isfinite(per_dof), per_dof, 0.0), ABSURD, "innovation", run)
+
+
+def _first(size: Array, limit: float, kind: str, run: Run) -> Sign | None:
+    k = int(np.argmax(size > limit))
+    return (k, kind, run.estimator, float(size[k])) if size[k] > limit else None
 
 
 def _misfit(run: Run, squared: Array) -> Array:
@@ -265,9 +249,14 @@ def _near_ranges(trial: Trial, rows: IntArray) -> tuple[float, ...]:
 
 
 def notices(trials: Sequence[Trial], scores: Scores | None = None) -> list[Notice]:
-    """All notices about logs and runs: questions, notes, failures, lost runs and diagnostics.
+    """All notices about logs and runs: questions, failures, implausible values, lost runs, notes.
 
-    `scores`: of these trials, if they are known already.
+    Args:
+        trials: of one or several logs.
+        scores: of these trials, if they are known already.
+
+    Example:
+        >>> [(n.estimator, n.code) for n in slamref.notices([trial])]
     """
     scores = scores or score(trials)
     found: list[Notice] = []
@@ -298,18 +287,13 @@ def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:
 
 def notices_table(found: Sequence[Notice]) -> pd.DataFrame:
     """The rows of notices.csv."""
-    return NOTICES.table(
-        [
-            {
-                **{name: getattr(n, name) for name in ("log", "task", "estimator", "association", "frame")},
-                "code": n.code.value,
-                "severity": n.severity.value,
-                "values": json.dumps({name: _plain(value) for name, value in n.values}, ensure_ascii=False),
-                "text": " ".join(sentence(n).split()),
-            }
-            for n in found
-        ]
-    )
+    rows = []
+    for n in found:
+        values = json.dumps({name: _plain(value) for name, value in n.values}, ensure_ascii=False)
+        row = {name: getattr(n, name) for name in ("log", "task", "estimator", "association", "frame")}
+        row |= {"code": n.code.value, "severity": n.severity.value, "values": values}
+        rows.append(row | {"text": " ".join(sentence(n).split())})
+    return NOTICES.table(rows)
 
 
 def _plain(value: Value) -> object:

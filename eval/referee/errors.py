@@ -148,12 +148,12 @@ def pairs_by_way(xy: Array, distance: float) -> tuple[IntArray, IntArray]:
     n = len(xy)
     if n < 2:
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
     i = np.arange(n - 1)
-    high = np.clip(np.searchsorted(way, way[i] + distance), i + 1, n - 1)
+    high = np.clip(np.searchsorted(driven, driven[i] + distance), i + 1, n - 1)
     # of poses at the same place the first
-    low = np.maximum(np.searchsorted(way, way[np.maximum(high - 1, 0)]), i + 1)
-    off_low, off_high = (np.abs(way[j] - way[i] - distance) for j in (low, high))
+    low = np.maximum(np.searchsorted(driven, driven[np.maximum(high - 1, 0)]), i + 1)
+    off_low, off_high = (np.abs(driven[j] - driven[i] - distance) for j in (low, high))
     j = np.where(off_low <= off_high, low, high)
     kept = np.minimum(off_low, off_high) <= TOLERANCE * distance
     return i[kept], j[kept]

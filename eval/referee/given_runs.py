@@ -58,7 +58,7 @@ def moved(T: Array, path: Trajectory) -> Trajectory:
 def moved_map(T: Array, m: MapEstimate) -> MapEstimate:
     """The map moved by T."""
     R = se2.rotation(float(T[2]))
-    return MapEstimate(m.number, se2.transform_points(T, m.xy), R @ m.covariance @ R.T, m.first_frame, m.times_seen)
+    return replace(m, xy=se2.transform_points(T, m.xy), covariance=R @ m.covariance @ R.T)
 
 
 def moved_walls(T: Array, m: MapEstimate) -> MapEstimate:
@@ -68,7 +68,7 @@ def moved_walls(T: Array, m: MapEstimate) -> MapEstimate:
     walls = np.stack([m.xy[:, 0] + c * T[0] + s * T[1], se2.wrap_angle(alpha)], axis=1)
     J = np.tile(np.eye(2), (len(walls), 1, 1))
     J[:, 0, 1] = c * T[1] - s * T[0]
-    return MapEstimate(m.number, walls, J @ m.covariance @ J.transpose(0, 2, 1), m.first_frame, m.times_seen)
+    return replace(m, xy=walls, covariance=J @ m.covariance @ J.transpose(0, 2, 1))
 
 
 SAME = 1e-6  # s, largest difference of equal stamps (files hold microseconds; as in `smfeval`)
@@ -116,10 +116,9 @@ def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Mat
     within = ~same & (truth_time[before] < time) & (time < truth_time[after])
     within &= truth_time[after] - truth_time[before] <= gap + SAME
     found[within] = _between(truth_time, truth, before[within], after[within], time[within])
-    matched = np.asarray(np.isfinite(found).all(axis=1))
-    between = int((within & matched).sum())
-    error = _sagitta(truth_time, truth, gap) if between else math.nan
-    return Match(found, int(matched.sum()), n - int(matched.sum()), between, error)
+    known = np.asarray(np.isfinite(found).all(axis=1))
+    matched, between = int(known.sum()), int((within & known).sum())
+    return Match(found, matched, n - matched, between, _sagitta(truth_time, truth, gap) if between else math.nan)
 
 
 def _between(time: Array, pose: Array, a: IntArray, b: IntArray, at: Array) -> Array:
@@ -225,7 +224,8 @@ def given_run(
         found = match(time, truth.time, truth.pose, 0.0 if log.recorded.time_is_index else gap)
     same = len(time) == len(own) and bool((np.abs(time - own) <= SAME).all())
     T = None if found is None else alignment(last.pose, found.truth, align)
-    made, landmarks = {phase: _trajectory(path) for phase, path in paths.items()}, kept.landmarks
+    unknown, landmarks = np.full((len(time), 3, 3), np.nan), kept.landmarks
+    made = {k: Trajectory(p.pose, unknown if p.covariance is None else p.covariance) for k, p in paths.items()}
     if T is not None:
         made = {phase: moved(T, path) for phase, path in made.items()}
         move = moved_map if log.recorded.sensor.sees_points else moved_walls
@@ -288,11 +288,6 @@ def begun_by(final: IntArray, created: IntArray) -> IntArray:
     later = (numbers >= 0) & np.isin(numbers, created[created >= 0]) & ~np.isin(numbers, begun)
     begun[first[later]] = numbers[later]
     return begun
-
-
-def _trajectory(path: GivenPath) -> Trajectory:
-    P = np.full((len(path), 3, 3), np.nan) if path.covariance is None else path.covariance
-    return Trajectory(path.pose, P)
 
 
 def _at(log: Log, time: Array, truth: Array | None) -> Log:

@@ -17,7 +17,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array
 from eval.referee.consistency import LEVEL
-from eval.referee.errors import Along
+from eval.referee.errors import Along, align
 from eval.referee.given_runs import log_of
 
 REPLICATES = 1000
@@ -45,10 +45,7 @@ class Interval:
 def run_intervals(squared_error: Array, nees: Array, rng: np.random.Generator) -> tuple[Interval, Interval]:
     """Intervals of position RMSE [m] and mean pose NEES of one run, in blocks of the longer estimated mean length.
 
-    Args:
-        squared_error: (N,) squared position errors [m²]; NaN is left out.
-        nees: (N,) pose NEES; NaN is left out.
-        rng: of the blocks.
+    `squared_error` (N,) [m²] of the positions and `nees` (N,) of the poses; NaN is left out.
     """
     return _both(squared_error[:, None], nees[:, None], rng)
 
@@ -58,16 +55,29 @@ def run_differences(
 ) -> tuple[Interval, Interval]:
     """Differences, first run minus second, in position RMSE [m] and in mean pose NEES, with p of "no difference".
 
-    Args:
-        squared_errors: of both runs in the same frames, (N,) each [m²]; a frame in which one is NaN is left out.
-        nees: of both runs, (N,) each; likewise.
-        rng: of the blocks, which both runs share, so that common errors cancel.
-
-    p is about the mean squares and the mean NEES. With T the difference of the two means and T* a resampled one,
-    p = (1 + #{|T* - T| >= |T|}) / (1 + replicates) (Davison & Hinkley, Bootstrap Methods and their Application, 1997,
-    section 4.4). The block length is estimated on the differences by frame.
+    Values (N,) of both runs are of the same frames; a frame with NaN is left out. Both share the blocks, so that common
+    errors cancel. p is about the mean squares and the mean NEES: with T the difference of the two means and T* a
+    resampled one, p = (1 + #{|T* - T| >= |T|}) / (1 + replicates) (Davison & Hinkley, Bootstrap
+    Methods and their Application, 1997, section 4.4). The block length is estimated on the differences by frame.
     """
     return _both(np.stack(squared_errors, axis=1), np.stack(nees, axis=1), rng)
+
+
+def aligned_difference(first: Array, second: Array, truth: Array) -> Interval:
+    """Difference in position RMSE [m] of two paths (N, 3), each after its best rigid fit onto the truth (N, 3).
+
+    A frame without truth (NaN) is left out. See `run_differences`.
+    """
+    squares = []
+    for path in (first, second):
+        known = np.isfinite(path).all(axis=1) & np.isfinite(truth).all(axis=1)
+        off = np.full(len(truth), np.nan)
+        if known.sum() > 1:
+            R, t = align(path[known, :2], truth[known, :2])
+            off[known] = ((path[known, :2] @ R.T + t - truth[known, :2]) ** 2).sum(axis=1)
+        squares.append(off)
+    blank = np.full(len(truth), np.nan)
+    return run_differences((squares[0], squares[1]), (blank, blank), np.random.default_rng(SEED))[0]
 
 
 def _both(squares: Array, nees: Array, rng: np.random.Generator) -> tuple[Interval, Interval]:
@@ -99,13 +109,11 @@ def _length(series: Array) -> tuple[float, str]:
     if n < MIN_FRAMES:
         return math.nan, f"{n} frames with truth are too few, {MIN_FRAMES} are needed"
     if np.ptp(series) <= 1e-12 * np.abs(series).max():
-        return math.nan, "what is compared does not vary along the log"
+        return math.nan, "the compared values do not vary along the log"
     length, worth = block_length(series), independent_frames(series)
     if worth < MIN_INDEPENDENT:
-        return length, (
-            f"errors are so correlated that {n} frames with truth are worth about {worth:.0f} independent ones,"
-            f" {MIN_INDEPENDENT:.0f} are needed"
-        )
+        worth_of = f"{n} frames with truth are worth about {worth:.0f} independent ones"
+        return length, f"errors are so correlated that {worth_of}, {MIN_INDEPENDENT:.0f} are needed"
     if length > LONGEST * n:
         return length, f"errors are correlated over about {length:.0f} frames, more than a tenth of the {n} with truth"
     return length, ""
@@ -197,19 +205,12 @@ def difference_rows(
 ) -> list[dict[str, object]]:
     """Rows of filters (online) against smoothers (final) under the same association method, see `run_differences`.
 
-    Args:
-        log: of the runs.
-        task: of the runs.
-        runs: all runs of the trial; one without a final path is a filter.
-        errors: along the log, by index in `runs` and phase, where there are errors; implausible runs are left out.
+    `errors` are by index in `runs` and phase. A run without a final path is a filter; implausible runs are left out.
     """
     rows: list[dict[str, object]] = []
     for (a, ours), (b, theirs) in _pairs(runs, {k: v for k, v in errors.items() if log_of(runs[k[0]], log) is log}):
-        rmse, nees = run_differences(
-            (ours.distance**2, theirs.distance**2),
-            (ours.nees["pose"], theirs.nees["pose"]),
-            np.random.default_rng(SEED),
-        )
+        squares, values = (ours.distance**2, theirs.distance**2), (ours.nees["pose"], theirs.nees["pose"])
+        rmse, nees = run_differences(squares, values, np.random.default_rng(SEED))
         row: dict[str, object] = {"log": log.name, "task": task, "association": a.association}
         row |= {"a": a.estimator, "b": b.estimator, "phase_a": "online", "phase_b": "final"}
         row |= {"rmse_position_m": rmse.value, "nees_pose": nees.value}

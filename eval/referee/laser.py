@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, astuple, dataclass, replace
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -64,16 +65,8 @@ def relation_errors(
 ) -> RelationErrors | None:
     """Errors of a path (N, 3) of all frames; None where the relations have no stamps, or no exact subset.
 
-    Args:
-        path: (N, 3).
-        relations: K reference relations.
-        time: (N,) s, stamps of the frames if the relations have none of their own.
-        tie: one of `TIES`.
-        subset: one of `SUBSETS`; exact: relations with known rows.
-        order: one of `ORDERS`.
-
-    Raises:
-        ValueError: for an unknown name.
+    `time` (N,) [s] stamps the frames if the relations do not. The exact subset has relations with known rows. Raises
+    ValueError for names that are not in `TIES`, `SUBSETS` or `ORDERS`.
     """
     for value, known in ((tie, TIES), (subset, SUBSETS), (order, ORDERS)):
         if value not in known:
@@ -199,26 +192,16 @@ def closure_errors(loops: Loops, truth: Array) -> Array:
 
 def knowable(loops: Loops, truth: Array, points: Sequence[Array]) -> BoolArray:
     """Which loop closures (L,) join key poses whose scans (P, 2) overlap at the true poses (K, 3)."""
-    trees: dict[int, scipy.spatial.cKDTree] = {}
-    found = np.zeros(len(loops), np.bool_)
-    for i, (a, b) in enumerate(zip(loops.key1.tolist(), loops.key2.tolist(), strict=True)):
-        if a not in trees:
-            trees[a] = scipy.spatial.cKDTree(points[a])
-        found[i] = fits(points[a], points[b], between(truth[a], truth[b]), trees[a])
-    return found
+    tree = cache(lambda key: scipy.spatial.cKDTree(points[key]))
+    pairs = zip(loops.key1.tolist(), loops.key2.tolist(), strict=True)
+    return np.array([fits(points[a], points[b], between(truth[a], truth[b]), tree(a)) for a, b in pairs], np.bool_)
 
 
 def scan_points_of(scans: Scans, frames: IntArray) -> list[Array]:
     """Points (P, 2) of each frame's scan in the body frame; empty without a scan."""
     beams = beams_of(scans.scanner, scans.ranges.shape[1])
-    points = []
-    for frame in frames.tolist():
-        ranges = scans.of(frame)
-        if ranges is None:
-            points.append(np.empty((0, 2)))
-            continue
-        points.append((beams.origin + ranges[:, None] * beams.direction)[ranges > 0.0])
-    return points
+    every = (scans.of(frame) for frame in frames.tolist())
+    return [np.empty((0, 2)) if r is None else (beams.origin + r[:, None] * beams.direction)[r > 0.0] for r in every]
 
 
 def count_closures(
@@ -228,14 +211,10 @@ def count_closures(
     points: Sequence[Array] | None = None,
     believed: BoolArray | None = None,
 ) -> ClosureCounts:
-    """Outcomes against true key poses (K, 3).
+    """Outcomes of loop closures against true key poses (K, 3).
 
-    Args:
-        loops: L tested loop closures.
-        truth: (K, 3).
-        possible: (K,) of `revisits`, which are counted then.
-        points: scans; loop closures that did not join the graph are then right only if `knowable`.
-        believed: (L,) default: those that joined the graph.
+    `possible` (K,): revisits, which are counted then; `points`: scans, with which loop closures outside the graph must
+    be `knowable`; `believed` (L,): default those that joined the graph.
     """
     right, joined = right_closures(loops, truth), loops.believed >= 0
     if points is not None:
@@ -256,20 +235,16 @@ def revisits(truth: Array, points: list[Array]) -> BoolArray:
 
     The two must be within `REACH`, more than `DRIVEN` apart along the path, and their scans must overlap.
     """
-    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, 0:2], axis=0).T))])
-    tree = scipy.spatial.cKDTree(truth[:, :2])
-    trees: dict[int, scipy.spatial.cKDTree] = {}
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, 0:2], axis=0).T))])
+    places = scipy.spatial.cKDTree(truth[:, :2])
+    tree = cache(lambda key: scipy.spatial.cKDTree(points[key]))
     possible = np.zeros(len(truth), np.bool_)
     for k in range(len(truth)):
-        around = np.array(tree.query_ball_point(truth[k, :2], REACH), np.int64)
-        past = around[way[k] - way[around] > DRIVEN]
+        around = np.array(places.query_ball_point(truth[k, :2], REACH), np.int64)
+        past = around[driven[k] - driven[around] > DRIVEN]
         # the nearest first, which is the likeliest to overlap
-        distance = np.hypot(*(truth[past, :2] - truth[k, :2]).T)
-        for i in past[np.argsort(distance, kind="stable")]:
-            tree_i = trees.setdefault(int(i), scipy.spatial.cKDTree(points[i]))
-            if fits(points[i], points[k], between(truth[i], truth[k]), tree_i):
-                possible[k] = True
-                break
+        nearest = past[np.argsort(np.hypot(*(truth[past, :2] - truth[k, :2]).T), kind="stable")]
+        possible[k] = any(fits(points[i], points[k], between(truth[i], truth[k]), tree(i)) for i in nearest.tolist())
     return possible
 
 
@@ -285,7 +260,7 @@ def fits(first: Array, second: Array, relative: Array, tree: scipy.spatial.cKDTr
     return float(np.mean(scipy.spatial.cKDTree(moved).query(first, distance_upper_bound=FIT)[0] <= FIT)) >= OVERLAP
 
 
-DOF = 3
+DOF = 3  # of a relative pose
 
 
 @dataclass(frozen=True)

@@ -214,7 +214,7 @@ OF_LOGS = (
 )
 OTHERS = (
     File("report.<type>", "The report as `html` and `md`; `json` has its facts as numbers, names and codes."),
-    File("details/<page>.html", "What report.html leaves out, a page for each subject."),
+    File("details/<page>.html", "Details that report.html leaves out, one page per subject."),
     File("players/<log>.html", "All runs on a log, frame by frame, in a browser.", when="not with `--no-plots`"),
     File(
         "tables/<name>.<type>",
@@ -223,8 +223,8 @@ OTHERS = (
     File("tables/notes.tex", "Explanations of the LaTeX tables."),
     File(
         "figures/<name>.<type>",
-        "Figures: `png`, `pdf` (for a paper: `--formats pdf`, `--write-up`, `--font` and the like), `svg` (small maps), `pgf` (`--pgf`), `webm` (`--animate`); none"
-        " with `--no-plots`.",
+        "Figures: `png`, `pdf` (`--formats pdf`, `--write-up` and other options for papers), `svg` (small maps),"
+        " `pgf` (`--pgf`), `webm` (`--animate`); none with `--no-plots`.",
     ),
     File("write-up.tex", "Answers, tables and figures for pdflatex, one page per log.", when="`--write-up`"),
     File("provenance.json", "Command, versions, seed, and the SHA-256 of every input."),

@@ -66,7 +66,17 @@ COUNTED = tuple(c for c in ASSOCIATION if c not in (*RUN, "share_within", "withi
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """All runs of one log and task on identical inputs."""
+    """All runs of one log and task on identical inputs.
+
+    Attributes:
+        log, task: with the truth for the referee; `localization` or `slam`.
+        runs: results of `compare`.
+        variant_of, about: of a variant, the log whose table it joins, and a description.
+
+    Example:
+        >>> trial = slamref.Trial(log, "slam", tuple(runs))
+        >>> trial.find("ekf", "known").final_decisions.shape  # (M,) observations
+    """
 
     log: Log
     task: str
@@ -106,12 +116,7 @@ def nis_of(run: Run, phase: str) -> tuple[float, int] | None:
 def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Along | None = None) -> dict[str, object]:
     """One row of metrics.csv.
 
-    Args:
-        run: any run, also one that failed.
-        phase: `online` or `final`.
-        log: the log of the trial.
-        reference: the batch smoother with labels on this log.
-        path: errors of the run in this phase (`along`), if they are known already.
+    `reference` is the batch smoother with labels on this log; `path` are the run's errors, if they are known already.
     """
     own, log = log, log_of(run, log)
     row: dict[str, object] = {
@@ -184,7 +189,7 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
         "rmse_time_m": errors.time_weighted_rmse(pose, truth, time),
         "sse_position_m2": float(np.nansum(distance**2)),
         "nees_left_out": int((path.thin & np.isfinite(truth).all(axis=1)).sum()),
-        "nees_pose_median": consistency.median_or_nan(path.nees["pose"]),
+        "nees_pose_median": consistency.mean_or_nan(path.nees["pose"], np.median),
         **{f"nees_{quantity}": consistency.mean_or_nan(values) for quantity, values in path.nees.items()},
         "inside_3sigma": consistency.inside_3sigma(path.nees["position"]),
         **mean_scores(pose, estimate.covariance, truth, np.isfinite(path.nees["pose"])),
@@ -282,15 +287,11 @@ def _near(run: Run, phase: str, log: Log, true_id: IntArray) -> float | None:
 
 def frame_of(rows: Sequence[Mapping[str, object]], columns: Sequence[str]) -> pd.DataFrame:
     """Rows as a table with exactly these columns; unknown is None, integers stay integers."""
-    plain = [{k: _blank(v) for k, v in row.items()} for row in rows]
+    plain = [{k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()} for row in rows]
     unknown = {k for row in plain for k in row} - set(columns)
     if unknown:
         raise AssertionError(f"columns {sorted(unknown)} are none of {', '.join(columns)}")
     return pd.DataFrame([[row.get(c) for c in columns] for row in plain], columns=list(columns), dtype=object)
-
-
-def _blank(value: object) -> object:
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _timing_row(run: Run, log: Log) -> dict[str, object]:
@@ -319,7 +320,16 @@ class Scores:
 
 
 def score(trials: Sequence[Trial]) -> Scores:
-    """Score every run of every trial."""
+    """Score every run of every trial.
+
+    Returns:
+        Tables (`pandas.DataFrame`) with a row per run and phase, columns as in docs/results-folder.md: `metrics` (RMSE
+        [m], [deg], NEES, NIS), `association` (TP, TN, FP, FN), `timing` [s], `differences` (paired), `relations`.
+
+    Example:
+        >>> scores = slamref.score([slamref.Trial(log, "slam", tuple(runs))])
+        >>> scores.metrics[["estimator", "phase", "rmse_position_m"]]
+    """
     metrics, association, timing, differences, relations = [], [], [], [], []
     for trial in trials:
         reference = trial.find("batch") or trial.find("batch", SCAN)

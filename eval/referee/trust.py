@@ -24,8 +24,7 @@ from eval.referee import effects, residuals
 from eval.referee.consistency import gated, lag1_correlation
 from eval.referee.score import nis_of
 
-SHARE = 0.01
-"""Least reduction of the filter's variance by later data, as a share of it, in a direction that is compared."""
+SHARE = 0.01  # least reduction of the filter's variance by later data, as a share, in a direction that is compared
 TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f
 SINGULAR = 1e-11  # smallest eigenvalue of the correlation matrix of a filter that is compared
 COORDINATES = ("x", "y", "theta")
@@ -101,8 +100,7 @@ def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[
         result["mean"] = Measured(float(found.square[here].mean()), float(dof.mean()))
         result["median"] = Measured(float(np.median(found.square[here])), _median(dof))
     if found.comparable.any():
-        share = float(found.semidefinite[found.comparable].mean())
-        result["semidefinite"] = Measured(share, 1.0)
+        result["semidefinite"] = Measured(float(found.semidefinite[found.comparable].mean()), 1.0)
     in_sigmas = found.d / found.sigma
     for i, name in enumerate(COORDINATES):
         u = in_sigmas[np.isfinite(in_sigmas[:, i]), i]

@@ -204,10 +204,23 @@ def needed(capability: C | None, verbs: str, why: str) -> C:
 def make_estimator(
     name: str, given: Given, options: FilterOptions | None = None, *, lag: float = Setup.lag
 ) -> Estimator:
-    """A fresh step-by-step estimator: with a map it localizes, without it does SLAM. `given` may be whole `Inputs`.
+    """Make a step-by-step estimator, for localization if a map is given, else for SLAM.
 
-    `name`: ours, or the settled text of a foreign one (`eval.replay.external`). `options` replace those of a filter's
-    name; `lag` [s] is that of `fixed-lag`, in frames while no frame is stamped.
+    Args:
+        name: `ekf`, `isam2`, ..., or the text `FILE.py:NAME` of a foreign one.
+        given: prior, sensor and map, for instance `Inputs`.
+        options: of a filter, instead of those of its name.
+        lag: of `fixed-lag` [s], in frames for logs without stamps.
+
+    Returns:
+        An estimator with `predict`, `expect`, `update`, `estimate`, `landmarks` and `finish` (`Estimator`).
+
+    Raises:
+        UsageError: the name works on whole logs only (batch), or is unknown.
+
+    Example:
+        >>> ekf = slamref.make_estimator("ekf", log.inputs(labels=False).without_map())
+        >>> ekf.estimate().covariance.shape  # (3, 3)
     """
     if is_foreign(name):
         return foreign_estimator(name, given, options)

@@ -44,13 +44,13 @@ class KnownAssociation:
         if frame.label is None:
             raise ValueError("known association was not granted to these inputs")
         if self.map is not None:
-            return np.where(np.isin(frame.label, self.map.id), frame.label, DISCARD)
+            return np.where(self.map.rows(frame.label) >= 0, frame.label, DISCARD)
         return pair_by_label(frame.label, self._number_of)
 
     def initialized(self, frame: Frame, created: IntArray) -> None:
         """Note landmarks (m,) that the frame's observations initialized, -1 for none."""
         assert frame.label is not None  # or `decide` raised
-        for i in np.flatnonzero(created >= 0):
+        for i in (created >= 0).nonzero()[0].tolist():
             label, number = int(frame.label[i]), int(created[i])
             self._number_of[label], self._label_of[number] = number, label
 
@@ -181,9 +181,16 @@ class FrontEnd:
             at=pairing.at,
             innovations=self.asks_for_innovations,
         )
-        if self.known is not None:
+        if self.known is not None and self.slam:
             self.known.initialized(frame, done.created)
-        numbers = np.where(done.used, pairing.decisions, done.created)
+        if self.faces is not None or self.map_management is not None or self.parking is not None:
+            self._see(frame, np.where(done.used, pairing.decisions, done.created))
+        if formed is not None and (self.estimator.smooths or math.isnan(done.nis)):
+            done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
+        return done._replace(moments=self._moments(pairing.S, done.dof))
+
+    def _see(self, frame: Frame, numbers: IntArray) -> None:
+        """Note which landmarks (m,) the frame observed, -1 or less for none."""
         seen = np.flatnonzero(numbers >= 0)
         if self.faces is not None:
             self.faces.see(self.estimator.estimate().mean, numbers[seen], frame.observations.z[seen])
@@ -191,9 +198,6 @@ class FrontEnd:
             self.map_management.see(numbers[seen])
         if self.parking is not None:
             self.parking.see(FrameObservations(frame.observations.z[seen], frame.observations.R[seen]), numbers[seen])
-        if formed is not None and (self.estimator.smooths or math.isnan(done.nis)):
-            done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
-        return done._replace(moments=self._moments(pairing.S, done.dof))
 
     def _moments(self, S: Array | None, dof: int) -> tuple[float, float] | None:
         """Expected mean and variance of a frame's NIS; None where innovations are chi-square, or it is not known."""

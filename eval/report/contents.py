@@ -64,7 +64,7 @@ def write_results(
 ) -> Written:
     """Fill the result folder."""
     trials, output = outcome.trials, options.output
-    lost = Unfinished(options.execution.jobs, said=list(outcome.missing))
+    lost = Unfinished(options.execution.jobs, messages=list(outcome.missing))
     found = notices(trials, scores)
     found += [n.about(log=t.log, task=t.task, association=t.association) for t in outcome.trust for n in t.notices]
     _write_tables(folder, outcome, scores, judged)
@@ -77,8 +77,8 @@ def write_results(
     first = [*answers, *attribution_sections(main, outcome.trust)]
     sections = warnings_section(found)
     sections += _sections(folder, options, outcome, judged, scores, facts, published, answered=bool(answers))
-    if trials or lost.said:
-        sections.append(_failure_section(trials, lost.said))
+    if trials or lost.messages:
+        sections.append(_failure_section(trials, lost.messages))
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
     declared = _declared(judged)
     blocks: list[Block] = [introduction(facts)]
@@ -92,11 +92,11 @@ def write_results(
     if output.write_up:
         write_up(folder, trials, scores, answers, sections)
     write_report(folder, Report(TITLE, command_of(options), tuple(blocks), tuple(sections), tuple(first)))
-    first_screen = {"conclusion": conclusion(facts), "logs": facts, "declared": declared, "missing": lost.said}
+    first_screen = {"conclusion": conclusion(facts), "logs": facts, "declared": declared, "missing": lost.messages}
     write_facts(folder, first_screen, [*first, *sections])
     _write_provenance(folder, options, outcome, arguments)
-    result_files.NOTICES.write(notices_table([*found, *lost.said]), folder)
-    return Written(tuple(lost.said), tuple(s.answer for s in answers if s.answer))
+    result_files.NOTICES.write(notices_table([*found, *lost.messages]), folder)
+    return Written(tuple(lost.messages), tuple(s.answer for s in answers if s.answer))
 
 
 def _write_tables(folder: Path, outcome: Outcome, scores: Scores, judged: Sequence[Judged]) -> None:

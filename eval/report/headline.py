@@ -7,6 +7,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from eval.referee.consistency import OVERCONFIDENT
+from eval.referee.headline import NEES_LIMIT
 from eval.referee.score import Scores, Trial
 from eval.report.overview_facts import LogFacts
 from eval.report.page.blocks import Mark
@@ -141,6 +143,8 @@ def _number(value: float) -> str:
 def _verdict(row: Row) -> str:
     if row["status"] != "ok":
         return str(row["status"])
+    if value_of(row, "nees_pose") > NEES_LIMIT:  # whatever NIS says
+        return OVERCONFIDENT
     values = [value_of(row, c) for c in ("nis", "nis_lower", "nis_upper")]
     return nis_verdict(*values) if all(math.isfinite(v) for v in values) else ""
 

@@ -13,8 +13,9 @@ from data.result import Run
 from data.se2 import Array
 from eval.referee.attribution import NOTHING
 from eval.referee.consistency import CONSISTENT, OVERCONFIDENT
+from eval.referee.headline import Verdict
 from eval.referee.score import Trial
-from eval.report.overview_facts import LogFacts, Verdict, conclusion
+from eval.report.overview_facts import LogFacts, conclusion
 from eval.report.page.blocks import Block, Cell, Mark, Overview, OverviewRow, Section, Sketch, Value, folded
 from eval.report.page.tables import number
 from eval.report.rows import Scored, stem
@@ -52,9 +53,9 @@ def gauge_statement(f: LogFacts) -> str:
 def trust_mark(f: LogFacts) -> Mark:
     """The estimator to trust for the path; of a log without truth what is to blame."""
     sound = f.verdict in (Verdict.SMOOTHER, Verdict.EITHER) and all(f.trusted)
-    if sound or (f.verdict == Verdict.CAUSE and f.cause == NOTHING):
+    if (sound and not f.objections) or (f.verdict == Verdict.CAUSE and f.cause == NOTHING):
         tone = "good"
-    elif f.verdict in (Verdict.SMOOTHER, Verdict.FILTER, Verdict.CAUSE):
+    elif f.verdict in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER, Verdict.CAUSE):
         tone = "fair"
     else:
         tone = "bad" if f.verdict == Verdict.NEITHER else "none"

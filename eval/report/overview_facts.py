@@ -9,28 +9,19 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, Finding, component_of
+from eval.referee.consistency import OVERCONFIDENT
 from eval.referee.diagnostics import unused
+from eval.referee.headline import Claim, Objected, Preference, Verdict, headline, usable
+from eval.referee.intervals import aligned_difference
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import INCREMENTAL
-from eval.report.answer import LINEARIZATION, chosen_association, nearer, pick
+from eval.report.answer import LINEARIZATION, chosen_association, pick
+from eval.report.comparison import difference_of
 from eval.report.deciding import SAME, Deciding, MethodOutcome, deciding_facts
-from eval.report.rows import Scored, filters_in, rows_of, scored, smoothers_in, value_of
+from eval.report.rows import Row, Scored, filters_in, rows_of, scored, smoothers_in, value_of
 from eval.report.trust import of_trial
 from eval.report.trust_facts import STANDS_OUT
 from eval.studies.trusted import Blame, Trust
-
-
-class Verdict(StrEnum):
-    """The estimator to trust for the path, or why none is named."""
-
-    SMOOTHER = "smoother"
-    EITHER = "either"
-    FILTER = "filter"
-    NEITHER = "neither"
-    ONLY = "only one ran"
-    NOTHING = "nothing ran"
-    CAUSE = "cause"
-    UNKNOWN = "unknown"
 
 
 class Online(StrEnum):
@@ -81,6 +72,7 @@ class LogFacts:
     cause: str | None  # the violated assumption by the diagnosis
     twins: int | None  # number of replicates; None: unknown
     verdict: Verdict
+    objections: tuple[Objected, ...]
     gauge: Gauge | None
 
     @property
@@ -102,14 +94,25 @@ def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> LogFacts:
         [r for r in rows_of(table) if all(r[k] == v for k, v in here.items())]
         for table in (scores.metrics, scores.association)
     )
+    rows = [scored(r) for r in metrics]
+    own = [r for r in rows if r.association == chosen_association(rows)]
+    pair = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
     return log_facts(
         trial,
-        [scored(r) for r in metrics],
+        rows,
         relations=_relations(scores) if trial.log.truth.relations is not None else {},
         decided=deciding_facts([scored(r) for r in metrics], metrics, outcomes),
         trust=next(iter(of_trial(trial, trust)), None),
         idle=frozenset((r.estimator, r.association) for r in trial.runs if unused(r) is not None),
+        wrong={(str(r["estimator"]), str(r["association"]), str(r["phase"])): _wrong_share(r) for r in outcomes},
+        p=_p_of_difference(trial, scores, *pair),
     )
+
+
+def _wrong_share(row: Row) -> float:
+    """Share of a run's pairings that are wrong; NaN where none was made."""
+    wrong, right = value_of(row, "fp"), value_of(row, "tp")
+    return wrong / (wrong + right) if wrong + right > 0.0 else math.nan
 
 
 def log_facts(
@@ -120,6 +123,8 @@ def log_facts(
     decided: Deciding | None = None,
     trust: Trust | None = None,
     idle: frozenset[tuple[str, str]] = frozenset(),
+    wrong: Mapping[tuple[str, str, str], float] = {},
+    p: float = math.nan,
 ) -> LogFacts:
     """The facts of a trial from its rows of metrics.csv.
 
@@ -130,9 +135,6 @@ def log_facts(
     own = [r for r in rows if r.association == chosen]
     filtered, smoothed = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
     newest = pick([r for r in own if r.ok], INCREMENTAL, "online")
-
-    def sound(row: Scored | None) -> bool:
-        return row is not None and row.ok and (row.estimator, row.association) not in idle
 
     errors = [math.nan if r is None else r.rmse for r in (filtered, smoothed)]
     related = not any(map(math.isfinite, errors)) and truth.relations is not None
@@ -147,7 +149,23 @@ def log_facts(
     apart = math.nan if trust is None or filtered is None else trust.real.apart.get(filtered.estimator, math.nan)
     if filtered is not None and not math.isfinite(apart):
         apart = filtered.from_batch
-    measured, trusted = truth.known_poses > 0 or truth.relations is not None, (sound(filtered), sound(smoothed))
+    measured, slam = truth.known_poses > 0 or truth.relations is not None, trial.task == "slam"
+
+    def claim(row: Scored | None, error: float = math.nan) -> Claim | None:
+        if row is None:
+            return None
+        unused = (row.estimator, row.association) in idle
+        share = wrong.get((row.estimator, row.association, row.phase), math.nan)
+        return _claim(row, error, share, idle=unused, slam=slam)
+
+    a, b = claim(filtered, errors[0]), claim(smoothed, errors[1])
+    trusted = usable(a, measured), usable(b, measured)
+    compared = errors
+    if slam and not related and filtered is not None and smoothed is not None:
+        aligned = [filtered.aligned, smoothed.aligned]
+        compared = aligned if all(map(math.isfinite, aligned)) else errors
+    preference = Preference(compared[0], compared[1], p)
+    decided_by = headline(a, b, preference, measured=measured, caused=trust is not None)
     return LogFacts(
         log=log,
         task=trial.task,
@@ -155,7 +173,9 @@ def log_facts(
         filtered=filtered,
         smoothed=smoothed,
         trusted=trusted,
-        unused=tuple(r.estimator for r in (filtered, smoothed) if r is not None and r.ok and not sound(r)),
+        unused=tuple(
+            r.estimator for r in (filtered, smoothed) if r is not None and (r.estimator, r.association) in idle and r.ok
+        ),
         newest=newest,
         online=Online.UNKNOWN if related or newest is None else _online(errors[0], newest.rmse),
         measured=measured,
@@ -165,39 +185,55 @@ def log_facts(
         best=decided.best if decided else None,
         worst=decided.worst if decided else None,
         runs=len(last),
-        failed=tuple(key for key, r in last.items() if not sound(r)),
+        failed=tuple(key for key, r in last.items() if not usable(claim(r), measured)),
         given=tuple(sorted(names)),
         given_best=min(handed, key=lambda r: r.rmse, default=None),
         cause=None if trust is None else cause_word(trust),
         twins=None if trust is None or trust.blame is None else len(trust.twins),
-        verdict=_verdict(
-            filtered, smoothed, trusted, (errors[0], errors[1]), measured=measured, caused=trust is not None
-        ),
+        verdict=decided_by.verdict,
+        objections=decided_by.objections,
         gauge=_gauge(filtered, smoothed) if trial.task == "slam" else None,
     )
 
 
-def _verdict(
-    filtered: Scored | None,
-    smoothed: Scored | None,
-    trusted: tuple[bool, bool],
-    errors: Sequence[float],
-    *,
-    measured: bool,
-    caused: bool,
-) -> Verdict:
-    """The estimator to trust for the path; of a log without truth the cause is named instead."""
-    if filtered is None and smoothed is None:
-        return Verdict.NOTHING
-    if trusted[1] and not trusted[0]:
-        return Verdict.SMOOTHER
-    if trusted[0] and not trusted[1]:
-        return Verdict.ONLY if smoothed is None else Verdict.FILTER
-    if not trusted[0]:
-        return Verdict.NEITHER
-    if not measured:
-        return Verdict.CAUSE if caused else Verdict.UNKNOWN
-    return Verdict(nearer(*errors).value)
+def _claim(row: Scored | None, error: float, wrong: float, *, idle: bool, slam: bool) -> Claim | None:
+    """What a row of metrics.csv claims; in SLAM an interval of one log says nothing of the frame's error."""
+    if row is None:
+        return None
+    lost = row.lost_frame if row.lost_why else math.nan
+    return Claim(
+        row.estimator,
+        row.status,
+        0.0 if row.lost_why and not math.isfinite(lost) else lost,
+        idle,
+        error,
+        row.nees,
+        math.nan if slam else row.nees_lower,
+        wrong,
+        row.nis / row.nis_expected if math.isfinite(row.nis_expected) else row.nis,
+        row.nis_verdict == OVERCONFIDENT,
+    )
+
+
+def _p_of_difference(trial: Trial, scores: Scores, filtered: Scored | None, smoothed: Scored | None) -> float:
+    """P of no difference between the RMSEs of filter and smoother, in SLAM after alignment; NaN: not known."""
+    if filtered is None or smoothed is None:
+        return math.nan
+    if trial.task != "slam":
+        found = difference_of(rows_of(scores.differences), filtered, smoothed)
+        return math.nan if found is None else found.p
+    runs = [
+        next((r for r in trial.runs if (r.estimator, r.association) == (s.estimator, s.association)), None)
+        for s in (filtered, smoothed)
+    ]
+    paths = [
+        None if run is None or run.flaw is not None or run.handed_in else run.trajectory(s.phase).pose
+        for run, s in zip(runs, (filtered, smoothed), strict=True)
+    ]
+    truth = trial.log.truth.pose
+    if truth is None or paths[0] is None or paths[1] is None:
+        return math.nan
+    return aligned_difference(paths[0], paths[1], truth).p
 
 
 def _online(filtered: float, online: float) -> Online:

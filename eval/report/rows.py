@@ -58,6 +58,7 @@ class Scored:
     nees: float
     nees_median: float
     nees_left_out: float
+    nees_lower: float
     nis: float
     nis_lower: float
     nis_upper: float
@@ -89,6 +90,7 @@ NUMBERS = {
     "from_batch": "rms_from_batch_m",
     "nees": "nees_pose",
     "nees_median": "nees_pose_median",
+    "nees_lower": "nees_pose_lower",
 } | {name: name for name in (
     "nees_left_out", "nis", "nis_lower", "nis_upper", "nis_expected", "rejected", "lost_frame",
 )}  # fmt: skip

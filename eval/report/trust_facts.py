@@ -106,7 +106,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Decided:
-    """Estimators that decide alike: wrong pairings, missed ones, all decisions, share of right ones; means of the replicates."""
+    """Estimators that decide alike: wrong pairings, missed ones, all decisions, share of right ones (means)."""
 
     estimators: tuple[str, ...]
     wrong: float

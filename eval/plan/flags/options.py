@@ -1,7 +1,4 @@
-"""What a person asked of `python -m eval.run_all`: flags and config files as one checked `Options`.
-
-Imports nothing heavy, so that `--help` and a mistyped flag answer at once.
-"""
+"""Flags and config files of `slamref run` as one checked `Options`."""
 
 from __future__ import annotations
 
@@ -25,10 +22,9 @@ NOT_WITH_LAB = (*NOT_WITH_SCENARIO, "data", "scenario", "full", "runs", "calibra
 
 
 def read_options(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = "log") -> Options:
-    """Options from the command line and its config files; words without a flag are values of `positional`.
+    """Options from the command line and its config files; UsageError for invalid ones.
 
-    Raises:
-        UsageError: for what makes no sense.
+    Positional words are values of the flag `positional`.
     """
     given = vars(parser(prog, positional).read(argv))
     words = given.pop("words")
@@ -42,7 +38,7 @@ def read_options(argv: Sequence[str] | None = None, prog: str = PROG, positional
 
 
 def options_of(given: Mapping[str, object]) -> Options:
-    """Options from values by name, as on the command line; raises UsageError for what makes no sense."""
+    """Options from values by name; UsageError for invalid ones."""
     configs = TABLE["config"].read("--config", given.get("config", []))
     merged: dict[str, object] = {}
     variants: list[Variant] = []
@@ -66,7 +62,7 @@ def options_of(given: Mapping[str, object]) -> Options:
 
 
 def _label(row: Flag) -> str:
-    """What a value is called in messages, wherever it came from; only a file gives a switch a value."""
+    """The name of a value in messages; only a file gives a value to a switch."""
     return f"--{row.name.replace('_', '-')}" + ("" if row.metavar else " =")
 
 
@@ -94,7 +90,7 @@ def _names(value: object) -> list[object]:
 
 
 def _corridor(name: str, table: object) -> str:
-    """The log's name that a table of constants stands for: `seed`, and keys and values as in the name."""
+    """The name of the simulated log of a table [corridor]: its `seed`, keys and values."""
     if not isinstance(table, dict):
         raise UsageError(f"--config {name}: [corridor] is a table, with seed, people, odometry, range, ...")
     constants = {k: {True: "on", False: "off"}[v] if isinstance(v, bool) else v for k, v in table.items()}
@@ -116,7 +112,7 @@ def _variant(name: str, table: object) -> Variant:
 
 
 def _check(options: Options) -> None:
-    """What makes no sense together; each value alone was checked when it was read."""
+    """Check combinations; each value was checked when it was read."""
     s, setup, out = options.selection, options.setup, options.output
     check_gates(setup.gate, setup.new_gate)
     if setup.deactivate_after is not None:
@@ -126,17 +122,15 @@ def _check(options: Options) -> None:
                 f"{setup.forget_after:g}, or nothing is ever parked"
             )
         if "ekf-invariant" in s.estimator:
-            raise UsageError(
-                "--deactivate-after: ekf-invariant moves all landmarks together, parked ones would stay behind"
-            )
+            raise UsageError("--deactivate-after: not for ekf-invariant, which moves all landmarks together")
         if "ekf-fej" in s.estimator:
-            raise UsageError("--deactivate-after: ekf-fej keeps first estimates, a parked landmark would lose its own")
+            raise UsageError("--deactivate-after: not for ekf-fej, whose parked landmarks would lose first estimates")
     if out.quick and options.study.full:
         raise UsageError("--quick and --full exclude each other")
     if options.study.full and (s.log or s.scenario):
-        raise UsageError("--full is the default suite in full; it takes no --log and no --scenario")
+        raise UsageError("--full: for the default suite; name no log and no --scenario")
     if s.lab is not None and (stated := _stated(options, NOT_WITH_LAB)):
-        raise UsageError(f"{stated} and --lab exclude each other: a lab states what is run on what, and how")
+        raise UsageError(f"{stated} and --lab exclude each other: a lab states what is run")
     if s.scenario:
         if stated := _stated(options, NOT_WITH_SCENARIO):
             raise UsageError(f"{stated} and --scenario exclude each other: a scenario states its own")
@@ -144,16 +138,16 @@ def _check(options: Options) -> None:
             if row.of(setup) != row.default:
                 raise UsageError(f"{row.option} and --scenario exclude each other: [setup] in its file")
     if out.write_up and "tex" not in out.formats:
-        raise UsageError(f"--write-up sets the tables in LaTeX, which --formats {','.join(out.formats)} leaves out")
+        raise UsageError(f"--write-up: needs LaTeX tables; add tex to --formats {','.join(out.formats)}")
     if options.execution.quiet and options.execution.verbose:
         raise UsageError("-q and -v exclude each other")
     if out.animate and out.no_plots:
-        raise UsageError("--animate makes pictures and --no-plots forbids them")
+        raise UsageError("--animate and --no-plots exclude each other")
     if out.speed is not None and not out.animate:
-        raise UsageError(f"--speed {out.speed:g}: is about films, which --animate makes")
+        raise UsageError(f"--speed {out.speed:g}: the speed of films; type --animate, too")
 
 
 def _stated(options: Options, names: Sequence[str]) -> str:
-    """The first of these flags that was given (a config file with a variant is one, too); empty if none was."""
+    """The first given flag of these, or `--config` for a config file with a variant; empty: none."""
     stated = [TABLE[name].option for name in names if TABLE[name].of(options)]
     return next(iter([*stated, *(["--config"] if options.variants else [])]), "")

@@ -9,30 +9,18 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from data.command import Command
 from data.errors import UsageError
 from eval.plan.flags.help import ABOUT, EXAMPLES, GROUPS, PROG, show_everyday
 from eval.plan.flags.variant import Variant
 from eval.replay.external.spec import FORM, own_or_foreign
-from eval.replay.flag import (
-    Flag,
-    folder,
-    free_row,
-    names,
-    one_of,
-    positive,
-    row,
-    rows,
-    switch,
-    text,
-    texts,
-    whole,
-)
+from eval.replay.flag import Flag, folder, free_row, names, one_of, positive, row, rows, switch, text, texts, whole
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
 from eval.studies.shipped import VALIDATIONS, scenarios
 
@@ -86,7 +74,7 @@ switch_row = partial(row, False, switch, "")
 free_switch = partial(free_row, False, switch, "")
 
 
-def choice(default: str, others: Iterable[str], metavar: str, help: str, kind: partial[object] = row) -> str:
+def choice(default: str, others: Iterable[str], metavar: str, help: str, kind: Callable[..., Any] = row) -> Any:
     """A flag with one of several names, the default among them."""
     return kind(default, one_of((default, *others)), metavar, help)
 

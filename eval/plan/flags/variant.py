@@ -1,53 +1,40 @@
-"""The table [variant] of a config file: how a published tutorial treats a recording."""
+"""The table [variant] of a config file: settings of a published tutorial."""
 
 from __future__ import annotations
 
 from dataclasses import MISSING, dataclass
 
 from data.errors import UsageError
-from eval.replay.flag import (
-    numbers,
-    one_of,
-    positive,
-    positive_or_none,
-    probability,
-    row,
-    switch,
-    text,
-    texts,
-    whole,
-)
+from eval.replay.flag import numbers, one_of, positive, positive_or_none, probability, row, switch, text, texts, whole
 from eval.replay.settings import ASSOCIATIONS, TASKS
 
 
 def alphas_of(label: str, value: object) -> tuple[float, ...]:
-    """Four numbers, or six."""
+    """Four or six numbers."""
     found: tuple[float, ...] = numbers(6 if isinstance(value, (list, tuple)) and len(value) == 6 else 4)(label, value)
     return found
 
 
 @dataclass(frozen=True)
 class Variant:
-    """The same recording through other numbers, as one more row: how a published tutorial treats it.
+    """A further row of a recording, with the settings of a published tutorial.
 
     Attributes:
-        name: appended to the log's name.
-        task: the one task it is about.
-        grid: s, instants to which odometry and readings are brought.
-        model: motion model; noise: the convention of its alphas (see `data.motion.velocity.VelocityNoise`).
+        name: appended to the name of the log.
+        grid: [s] spacing of the times to which odometry and observations are shifted.
+        model: motion model; noise: convention of its alphas (`data.motion.velocity.VelocityNoise`).
         sigma: of range [m] and bearing [rad].
         prior_variance: of x, y [m^2] and heading [rad^2].
         each: one update per observation instead of one per frame.
-        new_variance: m^2, variance of a new landmark, uncorrelated; None: exact augmentation.
+        new_variance: [m^2] of a new landmark, uncorrelated; None: exact augmentation.
         new_variance_per_square: the same as a share of the squared range.
-        association: how it pairs; gate, new_gate: probabilities, None for no gate.
-        start: s after the first ground-truth row; the log begins no earlier.
+        association: method; gate, new_gate: probabilities, None for no gate.
+        start: [s] earliest start of the log after the first true pose.
         own_odometry, gapless, skip_led_by: see `data.formats.mrclam.load.Grid`.
-        filled_prior: all nine entries of the prior's covariance are its variance, not the three on the diagonal.
+        filled_prior: all nine entries of the prior's covariance equal its variance.
         gain_before_prediction, running_minimum: faults of the programs, see `eval.plan.tutorials`.
-        original: what the original program gives on `original_log`: sum of squared errors of position [m^2], and
-            position RMSE [m].
-        notes: what the original does otherwise than the algorithm it teaches, and what of it is not reproduced.
+        original: sum of squared position errors [m^2] and position RMSE [m] of the original program on `original_log`.
+        notes: differences of the original from the algorithm it teaches, and what is not reproduced.
     """
 
     name: str = row(MISSING, text("a name"))
@@ -81,4 +68,4 @@ class Variant:
         if self.gain_before_prediction and (self.task, self.association) != ("localization", "known"):
             raise UsageError(f"{self.name}: gain_before_prediction is for localization with labels")
         if self.running_minimum and self.association != "ml-ratio":
-            raise UsageError(f"{self.name}: running_minimum is of the association ml-ratio")
+            raise UsageError(f"{self.name}: running_minimum is for association ml-ratio")

@@ -23,7 +23,16 @@ from eval.replay.external.load import kind_of
 
 
 class Samples(NamedTuple):
-    """Poses (n, 3), world frame, and their weights (n,), which need not sum to one (None: all equal)."""
+    """Pose samples of your own estimator, such as a particle filter, as the return value of its `estimate`.
+
+    Attributes:
+        poses: (n, 3) x, y [m], theta [rad] in the world frame, n > 1.
+        weights: (n,), not normalized; None: equal.
+
+    Example:
+        >>> samples = slamref.Samples(np.array([[0.0, 0.0, 0.1], [0.2, 0.0, -0.1]]))
+        >>> samples.estimate().mean  # array([0.1, 0. , 0. ])
+    """
 
     poses: Array
     weights: Array | None = None

@@ -101,20 +101,20 @@ def test_lengths_have_units():
 def test_a_font_that_is_not_here_is_replaced_and_that_is_said(monkeypatch):
     look, said = appearance.figure_style_of(read_options(["--font", "Nowhere Grotesk"]).drawing, Output())
     assert look.fonts == ("DejaVu Sans",)
-    assert said == "--font Nowhere Grotesk: not on this machine; figures have DejaVu Sans instead"
+    assert said == "--font Nowhere Grotesk: not on this machine; figures use DejaVu Sans instead"
     fonts = [f for f in font_manager.fontManager.ttflist if f.name in ("STIXGeneral", "DejaVu Sans")]
     monkeypatch.setattr(font_manager.fontManager, "ttflist", fonts)
     look, said = appearance.figure_style_of(read_options(["--font", "Times"]).drawing, Output())
     assert (look.fonts[0], look.mathematics) == ("STIXGeneral", "stix")
-    assert said.endswith("figures have STIXGeneral instead")
+    assert said.endswith("figures use STIXGeneral instead")
     assert appearance.figure_style_of(read_options([]).drawing, Output())[0] == FigureStyle()
 
 
 def test_without_latex_the_flags_that_need_it_say_so_before_any_work(monkeypatch):
     monkeypatch.setattr(appearance.shutil, "which", lambda _: None)
-    with pytest.raises(UsageError, match=r"--usetex needs LaTeX, and there is no program 'latex' on this machine"):
+    with pytest.raises(UsageError, match=r"--usetex: needs LaTeX; program 'latex' is not on this machine"):
         appearance.require_latex(read_options(["--usetex"]).drawing)
-    with pytest.raises(UsageError, match=r"--pgf needs LaTeX, and there is none of pdflatex, "):
+    with pytest.raises(UsageError, match=r"--pgf: needs LaTeX; none of pdflatex, "):
         appearance.require_latex(read_options(["--pgf"]).drawing)
 
 

@@ -41,7 +41,7 @@ def test_a_lab_is_four_logs_with_the_constants_that_have_an_effect(lab, names):
 
 @pytest.mark.parametrize(("lab", "words"), [
     ("corridor:3+people", "people is a condition; the lab has all four"), ("corridor:x", "the seed is a whole number"),
-    ("corridor:3+sigma=1", "'sigma=1' is not known"), ("nowhere", "no such folder, and neither corridor:SEED"),
+    ("corridor:3+sigma=1", "'sigma=1' is not known"), ("nowhere", "no such folder; a folder, corridor:SEED"),
 ])  # fmt: skip
 def test_what_is_no_lab_is_said_in_a_line(lab, words):
     with pytest.raises(UsageError, match=words):

@@ -54,7 +54,7 @@ def test_estimators_are_tried_one_by_one_and_all_the_rest_is_kept(isam2_needs_mo
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 3
     assert lines[0].startswith("slamref: arena:0, slam, known: isam2: no run: it ran out of memory")
-    assert lines[0].endswith("(Unable to allocate 9.2 GiB); a shorter log, or a machine with more memory would help")
+    assert lines[0].endswith("(Unable to allocate 9.2 GiB); use a shorter log, or a machine with more memory")
     rows = [r.split(",") for r in (out / "metrics.csv").read_text().splitlines()]
     # with jcbb, batch takes its decisions from isam2
     assert [(r[3], r[2], r[4], r[5]) for r in rows[1:]] == [

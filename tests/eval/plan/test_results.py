@@ -111,14 +111,14 @@ def test_every_log_has_its_truth_as_tum_and_a_truth_may_be_alone(first, tmp_path
 
 @pytest.mark.parametrize(("command", "wanted"), [
     (["--log", LOG, "--log", "arena:0", "--result", "a=b.tum"], "--result a=b.tum: belongs to one log"),
-    (["--result", "a=b.tum"], "on which log? one --log is needed, or --truth FILE alone"),
+    (["--result", "a=b.tum"], "on which log? name one, or type --truth FILE"),
     (["--truth", "b.tum"], "nothing to score"),
     (["--log", LOG, "--result", "b.tum"], "NAME=FILE is needed"),
     (["--log", LOG, "--result", "ekf=b.tum"], "ekf is one of our estimators"),
     (["--log", LOG, "--result", "a=b.tum", "--result", "a=c.tum"], "two results are named a"),
     (["--log", LOG, "--result", "a/b=b.tum"], "'a/b' is no name"),
-    (["--log", LOG, "--align", "se2"], "--align: for results; --result NAME=FILE is missing"),
-    (["--log", LOG, "--result", "a=x", "--result", "b=y", "--cov", "c"], "of which result? NAME=c is needed"),
+    (["--log", LOG, "--align", "se2"], "--align: for results only; type --result NAME=FILE"),
+    (["--log", LOG, "--result", "a=x", "--result", "b=y", "--cov", "c"], "of which result? NAME=c"),
     (["--log", LOG, "--result", "a=x", "--cov-frame", "body"], "--cov-frame body: unknown; known: world, local, left"),
     (["--scenario", "arena", "--truth", "b.tum"], "--truth and --scenario exclude each other"),
     (["--log", LOG, "--result", "a=/nowhere.tum"], "/nowhere.tum: no such file"),
@@ -141,7 +141,7 @@ def test_a_log_without_stamps_interpolates_nothing(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("t,x,y,theta\n0.5,0,0,0\n")
     command = ["--log", "corridor:0", "--task", "slam", "--estimator", "ekf", "--result", f"a={tmp_path / 'a.csv'}"]
     assert main([*command, "--out", str(tmp_path / "out")]) == 2
-    assert "t is the number of a frame" in capsys.readouterr().err
+    assert "t is the index of a frame" in capsys.readouterr().err
 
 
 def test_a_log_without_truth_says_so_and_has_the_distance_from_batch(tmp_path):

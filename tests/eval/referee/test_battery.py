@@ -1,4 +1,4 @@
-"""P values by rank: exact by construction, and over a battery as small as the twins allow."""
+"""P values by rank: exact, and family-wise as small as the twins allow."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def test_the_family_rejects_one_in_twenty_where_real_and_twins_are_alike():
     assert abs(rejected / 1000 - 0.05) < 0.02
 
 
-def test_what_never_varies_or_is_unknown_speaks_neither_for_nor_against():
+def test_constant_and_unknown_statistics_do_not_count():
     rng = np.random.default_rng(2)
     twins = np.column_stack([rng.normal(size=39), np.full(39, 0.25), rng.normal(size=39)])
     p = family_p(np.array([0.1, 0.25, np.nan]), twins)
@@ -75,7 +75,7 @@ def test_what_never_varies_or_is_unknown_speaks_neither_for_nor_against():
     assert np.isnan(p[2])
 
 
-def test_a_share_that_twins_never_leave_convicts_a_log_that_does():
+def test_a_share_that_is_constant_in_twins_rejects_a_log_that_differs():
     twins = np.column_stack([np.ones(39), np.random.default_rng(4).normal(size=39)])
     assert family_p(np.array([0.3, 0.0]), twins)[0] == pytest.approx(1 / 40)
 

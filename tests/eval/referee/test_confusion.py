@@ -1,4 +1,4 @@
-"""TP, TN, FP, FN as the referee defines them, on cases small enough to settle by hand."""
+"""TP, TN, FP and FN, counted by hand."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_a_landmark_is_in_the_map_from_the_frame_after_its_creation():
     assert gt.tolist() == [-1, -1, 0]
 
 
-def test_in_localization_the_map_itself_says_what_is_right():
+def test_in_localization_the_map_is_the_ground_truth():
     known = LandmarkMap(np.array([5, 6]), np.zeros((2, 2)))
     c = confuse(np.zeros(4, int), np.array([5, 6, 7, -1]), np.array([5, DISCARD, 6, DISCARD]), np.full(4, -1), known)
     assert c.ground_truth.tolist() == [5, 6, -1, -1]
@@ -88,7 +88,7 @@ def test_outcomes_always_sum_to_the_observations(rows):
     assert c.duplicate + c.missed + c.deferred == c.fn
 
 
-def test_what_was_discarded_and_paired_in_the_end_was_put_off():
+def test_discarded_and_finally_paired_is_deferred():
     known = LandmarkMap(np.array([3, 5]), np.zeros((2, 2)))
     frame, true_id = np.arange(5), np.array([3, 3, 3, 5, 3])
     decisions, final = np.array([3, DISCARD, DISCARD, DISCARD, 5]), np.array([3, 3, DISCARD, 3, 3])
@@ -100,7 +100,7 @@ def test_what_was_discarded_and_paired_in_the_end_was_put_off():
     assert (settled.missed, settled.deferred) == (1, 0)
 
 
-def test_a_pairing_is_near_enough_if_the_landmark_taken_stands_by_the_right_one():
+def test_a_pairing_is_near_if_its_landmark_is_near_the_right_one():
     places = LandmarkMap(np.array([3, 5, 9]), np.array([[0.0, 0.0], [0.0, 0.25], [4.0, 0.0]]))
     own = np.array([3, 3, 3, 9, -1, 3, 9])
     taken = np.array([3, 5, 9, 7, 3, -1, -2])
@@ -112,7 +112,7 @@ def test_a_pairing_is_near_enough_if_the_landmark_taken_stands_by_the_right_one(
     assert share_within(decisions[:2], own[:2], taken[:2], LandmarkMap(np.empty(0, int), np.empty((0, 2)))) == 0.0
 
 
-def test_the_referee_states_the_share_and_its_distance_beside_the_counts():
+def test_the_row_has_the_share_and_its_distance():
     log = simulate(Arena(frames=40), 1)
     inputs = log.inputs(labels=True)
     runs = [filter_known(inputs, "localization"), filter_known(inputs.without_map(), "slam")]
@@ -128,14 +128,14 @@ def test_the_referee_states_the_share_and_its_distance_beside_the_counts():
     assert association_row(runs[1], "online", nowhere)["share_within"] is None
 
 
-def test_a_landmark_initialized_by_a_neighbour_is_wrong_and_still_all_agree():
+def test_a_landmark_initialized_by_a_neighbour_is_wrong_and_its_pairings_agree():
     decisions, true_id = np.array([NEW, 0, 0, 0]), np.array([9, 7, 7, 7])
     created = np.array([0, -1, -1, -1])
     assert confuse(np.arange(4), true_id, decisions, created, None).fp == 3
     assert majority_agreement(decisions, true_id) == 1.0
 
 
-def test_clutter_agrees_with_nothing_and_without_pairings_nothing_is_said():
+def test_clutter_agrees_with_nothing_and_no_pairings_give_nan():
     assert majority_agreement(np.array([0, 0, 0, 1]), np.array([-1, -1, 7, 7])) == 0.5
     assert np.isnan(majority_agreement(np.array([NEW, DISCARD]), np.array([1, 1])))
 

@@ -1,4 +1,4 @@
-"""Verdicts accept what is right and reject what is broken; every bound here has been given a chance to fail."""
+"""Verdicts accept right covariances and reject wrong ones."""
 
 from __future__ import annotations
 

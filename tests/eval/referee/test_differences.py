@@ -1,4 +1,4 @@
-"""Filters against smoothers on one log: which pairs there are, what their rows hold, and where they are silent."""
+"""Filters against smoothers on one log: pairs, values and missing intervals."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def scores():
     return score([Trial(log, "localization", tuple(runs))])
 
 
-def test_every_filter_meets_every_smoother_in_its_last_word(scores):
+def test_every_filter_is_compared_with_every_smoothers_final_path(scores):
     rows = scores.differences.to_dict("records")
     assert [(r["a"], r["b"]) for r in rows] == [
         (a, b) for a in ("ekf", "ekf-iterated") for b in ("isam2", "batch")

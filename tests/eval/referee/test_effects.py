@@ -1,4 +1,4 @@
-"""Systematic errors: what is put into a log is found with its size, and comes out again."""
+"""Systematic errors are estimated with their size and removed."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_every_error_is_found_with_its_size_and_comes_out_again(world):
         assert healed.increments.mean == pytest.approx(inputs.increments.mean, abs=1e-12)
 
 
-def test_errors_that_look_alike_are_told_apart_together(world):
+def test_similar_errors_are_distinguished_jointly(world):
     inputs, path, used = world
     spoilt = without(inputs, path, used, {"odometry_theta_distance": -1e-3, "odometry_theta_turn": -2e-3})
     said = scored(spoilt, path, used)
@@ -65,7 +65,7 @@ def test_names_say_component_and_regressor(world):
     )
 
 
-def test_a_late_reading_is_one_from_where_the_robot_was(world):
+def test_a_late_observation_is_from_an_earlier_pose(world):
     inputs, path, used = world
     o, late = inputs.observations, 1e-5
     speed = np.gradient(np.column_stack([path[:, :2], np.unwrap(path[:, 2])]), inputs.time, axis=0)
@@ -76,5 +76,5 @@ def test_a_late_reading_is_one_from_where_the_robot_was(world):
     assert shown == pytest.approx(rate, abs=0.02 * np.abs(rate).max())  # less than a hundredth is left out
 
 
-def test_what_turning_does_not_change_has_no_slope_against_it():
+def test_a_component_that_turning_does_not_change_has_no_slope():
     assert "z1_turn_rate" not in [e.name for e in effects(*exactly("arena:2"))]

@@ -1,4 +1,4 @@
-"""RMSE, alignment and landmark errors have the values they have on paper."""
+"""RMSE, alignment and landmark errors, computed by hand."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of metrics.csv: implausible runs show numbers and are no yardstick; optimizers; landmarks named by majority."""
+"""Rows of metrics.csv: implausible runs, optimizers, true ids of landmarks by majority."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_how_the_optimization_ended_stands_in_the_final_row_of_a_smoother():
     assert table["iterations"].fillna(-1).tolist() == [-1, 7]
 
 
-def test_landmarks_named_by_majority_are_measured_to_what_most_observations_show():
+def test_landmarks_named_by_majority_have_the_most_frequent_true_id():
     first_wrong = np.array([7, 3, 3, 3])
     log = circle_log()
     log = replace(log, truth=replace(log.truth, landmark_of=first_wrong))

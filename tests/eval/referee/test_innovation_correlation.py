@@ -1,4 +1,4 @@
-"""The column innovation_lag1: a correlation whatever noise is stated, while the verdict of studies keeps the claim."""
+"""The column innovation_lag1 does not depend on the stated noise; the verdict of studies does."""
 
 from __future__ import annotations
 

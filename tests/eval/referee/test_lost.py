@@ -1,4 +1,4 @@
-"""An estimator that is lost is called lost, without truth; a healthy one is not, whatever its noise is stated at."""
+"""Lost estimators are detected without truth; healthy ones are not, whatever their stated noise."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ def found(log: Log, task: str, association: str, estimator: str = "ekf"):
 
 @pytest.mark.parametrize("association", ["known", "jcbb"])
 @pytest.mark.parametrize("way", wrecks.LOCALIZATION, ids=lambda f: f.__name__)
-def test_who_localizes_in_a_wrong_world_is_lost(way, association):
+def test_localization_in_a_wrong_world_is_lost(way, association):
     assert found(way(world("arena:0")), "localization", association) is not None
 
 
 @pytest.mark.parametrize("association", ["known", pytest.param("jcbb", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("way", wrecks.SLAM, ids=lambda f: f.__name__)
-def test_who_maps_with_wrong_readings_is_lost(way, association):
+def test_slam_with_wrong_observations_is_lost(way, association):
     assert found(way(world("arena:0")), "slam", association) is not None
 
 
 @pytest.mark.parametrize("way", [wrecks.map_rotated, wrecks.bearings_mirrored], ids=lambda f: f.__name__)
-def test_a_smoother_of_pairings_that_are_not_there_is_lost_with_them(way):
+def test_a_smoother_of_wrong_pairings_is_lost(way):
     assert found(way(world("arena:0")), "localization", "jcbb", "batch") is not None
 
 
@@ -50,7 +50,7 @@ def test_a_kidnapped_robot_is_lost_from_there_on():
 @pytest.mark.parametrize("factor", [0.7, 1.0, 1.5])
 @pytest.mark.parametrize("association", ["known", "jcbb", "nn"])
 @pytest.mark.parametrize("task", ["localization", "slam"])
-def test_a_healthy_one_is_not_lost_whatever_its_noise_is_stated_at(task, association, factor):
+def test_a_healthy_run_is_not_lost_whatever_its_stated_noise(task, association, factor):
     assert found(wrecks.stated(world("arena:1"), factor), task, association) is None
 
 
@@ -60,5 +60,5 @@ def test_new_places_and_people_in_the_way_are_no_reason_to_be_lost(name, associa
     assert found(world(name), "slam", association) is None
 
 
-def test_a_park_with_hidden_trees_is_none_either():
+def test_a_park_with_occluded_trees_is_not_lost():
     assert found(world("victoria-park"), "slam", "known") is None

@@ -1,4 +1,4 @@
-"""When a run counts as lost, on stretches and innovations written by hand: just enough, and just not enough."""
+"""Limits of the tests of lost estimators, for runs written by hand."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def used_but(*unused):
     return decisions
 
 
-def test_who_uses_nothing_in_ten_frames_with_thirty_observations_is_lost_from_their_first_on():
+def test_no_pairing_in_ten_frames_with_thirty_observations_is_lost_from_their_first_on():
     found = lost(localizing(used_but(range(15, 25))), INPUTS)
     assert (found.code, found.frame) == (Code.UNPAIRED, 15)
     assert found.named == {"did": 0, "could": 30.0, "last": 24}
@@ -56,7 +56,7 @@ def test_a_tenth_of_the_observations_is_enough_not_to_be_lost(used, is_lost):
     assert (lost(localizing(decisions), INPUTS) is not None) == is_lost
 
 
-def test_readings_that_the_sensor_calls_no_landmark_of_the_map_are_not_asked_for():
+def test_observations_labelled_as_no_landmark_of_the_map_do_not_count():
     run = localizing(used_but(range(15, 25)))
     label = np.full(M, 3)
     assert lost(run, INPUTS, label) is not None
@@ -64,7 +64,7 @@ def test_readings_that_the_sensor_calls_no_landmark_of_the_map_are_not_asked_for
     assert lost(run, INPUTS, label) is None
 
 
-def test_dead_reckoning_and_who_failed_are_not_lost_as_well():
+def test_dead_reckoning_and_failed_runs_are_not_lost():
     run = localizing(used_but(range(FRAMES)))
     assert lost(run, INPUTS) is not None
     assert lost(replace(run, association="none"), INPUTS) is None
@@ -113,7 +113,7 @@ def test_a_landmark_is_expected_twenty_frames_after_it_was_made_if_it_was_seen_t
     assert not done.any()
 
 
-def test_who_maps_everything_anew_and_uses_nothing_after_ten_frames_is_lost_there():
+def test_slam_without_pairings_after_ten_frames_is_lost_there():
     inputs = observing(known_map=False)
     decisions = np.full(M, NEW)
     assert lost(slam(decisions), inputs).frame == 10

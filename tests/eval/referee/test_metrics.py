@@ -1,4 +1,4 @@
-"""Metrics are listed once: the files' columns are the contract's, and every name of a column agrees with its unit."""
+"""Metrics are listed once; columns are those of the files, and names agree with units."""
 
 from __future__ import annotations
 

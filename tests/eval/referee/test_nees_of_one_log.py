@@ -1,4 +1,4 @@
-"""The mean NEES of one log can be one frame: its median stands beside it, frames without a covariance are left out."""
+"""One frame can dominate the mean NEES of a log; median, and frames without a regular covariance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Smoothed residuals: zero without noise, the noise's own otherwise; a wrong pairing is one that fits elsewhere."""
+"""Smoothed residuals: zero without noise, else the noise; wrong pairings fit another landmark."""
 
 from __future__ import annotations
 
@@ -56,11 +56,11 @@ def test_residuals_are_what_was_added_in_stated_sigmas(log):
     assert found.observations == pytest.approx(u, abs=1e-6)
     assert found.odometry[1:] == pytest.approx(v[1:], abs=1e-6)
     assert found.squared == pytest.approx((u**2).sum(axis=1), abs=1e-6)
-    said = summaries(found, noisy, truly(log))
-    assert said["residual_z1_mean"] == pytest.approx(u[:, 0].mean())
-    assert said["residual_odometry_theta_spread"] == pytest.approx(v[1:, 2].std())
-    assert said["residual_z2_largest"] == pytest.approx(np.abs(u[:, 1]).max())
-    assert abs(said["residual_odometry_x_lag1"]) < 0.25  # white: 1 / sqrt(200) is one sigma
+    statistics = summaries(found, noisy, truly(log))
+    assert statistics["residual_z1_mean"] == pytest.approx(u[:, 0].mean())
+    assert statistics["residual_odometry_theta_spread"] == pytest.approx(v[1:, 2].std())
+    assert statistics["residual_z2_largest"] == pytest.approx(np.abs(u[:, 1]).max())
+    assert abs(statistics["residual_odometry_x_lag1"]) < 0.25  # white: 1 / sqrt(200) is one sigma
     assert typical(found)["z1"] == pytest.approx(1.0, abs=0.1)
 
 
@@ -70,11 +70,11 @@ def test_lasting_errors_are_correlated_from_frame_to_frame(log):
     o = inputs.observations
     z = o.z + np.sqrt(o.R[:, 0, 0])[:, None] * slow[o.frame][:, None] * np.array([1.0, 0.0])
     late = replace(inputs, observations=replace(o, z=z))
-    said = summaries(smoothed_residuals(late, log.truth.pose, truly(log)), late, truly(log))
-    assert said["residual_z1_lag1"] > 0.95
+    statistics = summaries(smoothed_residuals(late, log.truth.pose, truly(log)), late, truly(log))
+    assert statistics["residual_z1_lag1"] > 0.95
 
 
-def test_the_smoother_tells_what_it_used(log):
+def test_the_pairings_are_those_of_the_smoother(log):
     inputs = log.inputs(labels=True)
     for task, given in (("localization", inputs), ("slam", inputs.without_map())):
         (batch,) = compare(given, task, ["batch"])

@@ -1,4 +1,4 @@
-"""The filter-smoother test: its answer is known on paper, and in a linear world it is exact."""
+"""The filter-smoother test: computed by hand, and exact in a linear world."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def test_headings_are_subtracted_the_short_way_round():
     assert found.d[0, 2] == pytest.approx(-0.2)
 
 
-def test_a_direction_that_later_data_told_nothing_of_is_not_compared():
+def test_a_direction_without_later_information_is_not_compared():
     nearly = np.diag([1.0, 1.0, 1.0 - 0.5 * trust.SHARE])
     found = difference(path([1.0, 0.0, 5.0], covariance=np.diag([2.0, 2.0, 1.0])), path([0, 0, 0], covariance=nearly))
     assert found.dof.tolist() == [2]

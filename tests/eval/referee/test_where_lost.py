@@ -1,4 +1,4 @@
-"""Where exactly an estimator is called lost: runs written by hand, counted on paper."""
+"""First frame of a lost estimator, for runs written by hand."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def test_fewer_than_thirty_at_the_end_are_not_judged():
     assert lost(run(until(FRAMES - 29)), inputs()).frame == FRAMES - 31  # 2 and 28, or so
 
 
-def test_what_is_known_to_be_no_landmark_is_not_missed():
+def test_observations_labelled_as_no_landmark_do_not_count():
     assert lost(run(until(50)), inputs(), label=np.where(until(50), 0, 77)) is None
 
 
@@ -75,7 +75,7 @@ def test_a_mapper_is_judged_after_its_first_frames_over_all():
     assert lost(run(until(18), "slam"), slam) is not None
 
 
-def test_a_map_that_a_mapper_must_not_know_changes_nothing():
+def test_a_map_changes_nothing_in_slam():
     assert lost(run(until(50), "slam"), inputs()) is None
 
 
@@ -119,7 +119,7 @@ CHANCE = (1.8 * 0.9 * 100 + 1.0, 100)
         (50, None, GATED, False),
     ],
 )
-def test_pairings_of_few_observations_that_fill_the_gate_are_of_chance(share, total, gated, is_lost):
+def test_few_pairings_that_fill_the_gate_are_by_chance(share, total, gated, is_lost):
     used = np.arange(FRAMES) % 100 < 100
     used[np.arange(FRAMES) % 2 == 1] = share == 100
     assert (lost(run(used, total_nis=total, gated=gated), inputs()) is not None) == is_lost

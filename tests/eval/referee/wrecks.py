@@ -1,4 +1,4 @@
-"""Ways of getting lost: healthy logs made wrong, each as users get them wrong."""
+"""Healthy logs with typical faults of users."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def odometry_in_millimetres(log: Log) -> Log:
 
 
 def kidnapped(log: Log) -> Log:
-    """Half-way the robot is where it will be sixty frames later, and nobody tells it."""
+    """A kidnapped robot: half-way it jumps sixty frames ahead, without odometry."""
     r, t = log.recorded, log.truth
     n, jump = len(r), 60
     stay = np.arange(n // 2)

@@ -110,5 +110,5 @@ def test_scans_and_relations_are_part_of_the_digest(small):
 
 @pytest.mark.parametrize("logs", [[], ["--log", "arena:0", "--log", "arena:1"]])
 def test_relations_belong_to_one_log(logs):
-    with pytest.raises(UsageError, match=r"--relations r.csv: belongs to one log; give it with one --log"):
+    with pytest.raises(UsageError, match=r"--relations r.csv: belongs to one log; name one log"):
         make_plan(read_options([*logs, "--relations", "r.csv"]), print)

@@ -1,4 +1,4 @@
-"""A landmark is ambiguous where it cannot be told from a neighbour, and only there."""
+"""Landmarks that may be the same as a neighbour are ambiguous; others are not."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ def found(m, number, frame, sigma=0.1):
     return neighbours(m, np.full(len(m), sigma**2), np.array(number), np.array(frame)).tolist()
 
 
-def test_two_that_stand_nearer_than_a_reading_tells_and_were_never_seen_together_are_ambiguous():
+def test_two_inside_the_noise_without_a_common_frame_are_ambiguous():
     assert found(map_of([[0.0, 0.0], [0.18, 0.0]]), [0, 1, 0], [0, 1, 2]) == [1, 0]
 
 
-def test_one_frame_that_saw_both_tells_them_apart():
+def test_a_common_frame_makes_them_distinct():
     assert found(map_of([[0.0, 0.0], [0.18, 0.0]]), [0, 1, 0], [0, 0, 2]) == [NONE, NONE]
 
 
-@pytest.mark.parametrize(("apart", "told"), [(0.309, False), (0.317, True)])
-def test_the_gate_is_that_of_both_covariances_and_a_reading_together(apart, told):
+@pytest.mark.parametrize(("apart", "distinct"), [(0.309, False), (0.317, True)])
+def test_the_gate_is_that_of_both_covariances_and_an_observation(apart, distinct):
     # sqrt(9.21 (2 * 0.02^2 + 0.1^2)) = 0.315; without the covariances 0.303
-    assert (found(map_of([[0.0, 0.0], [apart, 0.0]]), [0, 1], [0, 1]) == [NONE, NONE]) is told
+    assert (found(map_of([[0.0, 0.0], [apart, 0.0]]), [0, 1], [0, 1]) == [NONE, NONE]) is distinct
 
 
 def test_of_several_the_nearest_is_named_by_its_number():
@@ -42,19 +42,19 @@ def test_of_several_the_nearest_is_named_by_its_number():
     assert found(m, [3, 5, 9], [0, 1, 2]) == [9, 9, 3] or found(m, [3, 5, 9], [0, 1, 2]) == [9, 9, 5]
 
 
-def test_a_landmark_that_is_badly_known_may_be_any_near_it():
+def test_a_landmark_of_large_covariance_may_be_any_near_it():
     m = map_of([[0.0, 0.0], [2.0, 0.0], [9.0, 0.0]])
     wide = replace(m, covariance=m.covariance * np.array([1.0, 2500.0, 1.0])[:, None, None])
     assert found(m, [0, 1, 2], [0, 1, 2]) == [NONE] * 3
     assert found(wide, [0, 1, 2], [0, 1, 2]) == [1, 0, NONE]
 
 
-def test_the_noise_of_a_landmark_is_the_mean_of_its_own_readings():
+def test_the_noise_of_a_landmark_is_the_mean_of_its_own_observations():
     m = map_of([[0.0, 0.0], [5.0, 0.0]], number=[2, 4])
     assert variance_of(m, np.array([2, 2, 7]), np.array([1.0, 3.0, 9.0])).tolist() == [2.0, 0.0]
 
 
-def test_labels_leave_nothing_ambiguous_and_a_run_on_other_readings_says_nothing():
+def test_nothing_is_ambiguous_with_labels_or_for_other_inputs():
     log = simulate(Arena(frames=60), 0)
     (run,) = compare(log.inputs(labels=True), "slam", ["ekf"])
     assert (ambiguous(run, log.recorded) == NONE).all()

@@ -1,4 +1,4 @@
-"""A landmark may be two where its readings say so: two points in their scatter, or another one beside it."""
+"""A landmark may be two by the scatter of its observations, or by a second observation in the same frame."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from tests.research.variety.worlds import Crowding, Drawn, Misstated, Readings, 
 SIGMA = 0.1
 
 
-def readings(rng, landmarks=40, frames=60, apart=0.0, share=0.0, both=0.0, clutter=0.2):
-    """Landmarks 10 m apart, each read in every frame, and clutter beside it.
+def observations(rng, landmarks=40, frames=60, apart=0.0, share=0.0, both=0.0, clutter=0.2):
+    """Landmarks 10 m apart, each observed in every frame, with clutter nearby.
 
-    apart: of a second point, in sigmas; share: of the readings that are of the second; both: of frames that read both.
+    apart: of a second point, in sigmas; share: of observations of the second; both: of frames with both.
     """
     place = np.stack([10.0 * np.arange(landmarks), np.zeros(landmarks)], axis=1)
     rows, frame, xy = [], [], []
@@ -48,30 +48,30 @@ def marked(r, place, frame, at=None):
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_none_of_many_that_stand_alone_is_called_two_however_much_clutter_there_is(seed):
+def test_single_landmarks_are_not_called_two_in_any_clutter(seed):
     rng = np.random.default_rng(seed)
-    assert marked(*readings(rng, landmarks=200, frames=30, clutter=0.1 * seed)) == 0.0
+    assert marked(*observations(rng, landmarks=200, frames=30, clutter=0.1 * seed)) == 0.0
 
 
 @pytest.mark.parametrize(("apart", "least", "most"), [(0.5, 0.0, 0.0), (2.0, 0.0, 0.6), (3.5, 0.9, 1.0)])
-def test_the_scatter_of_what_is_taken_for_it_tells_two_that_are_far_enough_apart(apart, least, most):
-    r = readings(np.random.default_rng(0), frames=120, apart=apart, share=0.5, clutter=0.0)
+def test_the_scatter_shows_two_that_are_far_enough_apart(apart, least, most):
+    r = observations(np.random.default_rng(0), frames=120, apart=apart, share=0.5, clutter=0.0)
     assert least <= marked(*r) <= most
 
 
-def test_one_beside_it_in_the_same_frames_tells_however_near_it_is():
-    assert marked(*readings(np.random.default_rng(1), apart=0.5, both=0.5)) > 0.9
+def test_second_observations_in_the_same_frames_show_two_at_any_distance():
+    assert marked(*observations(np.random.default_rng(1), apart=0.5, both=0.5)) > 0.9
 
 
-def test_what_is_read_from_one_place_is_one_piece_of_evidence():
-    r, place, frame = readings(np.random.default_rng(1), apart=0.5, both=0.5)
+def test_observations_from_one_place_are_one_piece_of_evidence():
+    r, place, frame = observations(np.random.default_rng(1), apart=0.5, both=0.5)
     assert marked(r, place, frame, at=np.zeros(60, np.int64)) == 0.0
     assert marked(r, place, frame, at=np.arange(60) // 20) == 0.0
 
 
 def test_errors_that_last_while_the_robot_stays_are_one_piece_of_evidence():
     rng = np.random.default_rng(2)
-    r, place, frame = readings(rng, landmarks=20, frames=240, clutter=0.0)
+    r, place, frame = observations(rng, landmarks=20, frames=240, clutter=0.0)
     at = np.arange(240) // 12  # four times round, through the same five places
     lasting = SIGMA * rng.standard_normal((len(place), 5, 2))
     r = r._replace(xy=place[r.row] + lasting[r.row, at[frame] % 5] + 0.1 * (r.xy - place[r.row]))
@@ -80,8 +80,8 @@ def test_errors_that_last_while_the_robot_stays_are_one_piece_of_evidence():
 
 
 @pytest.mark.parametrize("share", [0.05, 0.2])
-def test_of_one_point_a_ratio_is_as_rare_as_it_is_large(share):
-    r, place, frame = readings(np.random.default_rng(3), landmarks=400, frames=20, clutter=0.5)
+def test_large_ratios_of_single_points_are_as_rare_as_stated(share):
+    r, place, frame = observations(np.random.default_rng(3), landmarks=400, frames=20, clutter=0.5)
     evidence = log_evidence(r, place, frame, np.arange(20))
     assert np.mean(evidence > math.log(1.0 / share)) <= share
     assert np.median(evidence[np.isfinite(evidence)]) < 0.0  # by the same half as it was learned from, it is not
@@ -96,7 +96,7 @@ def log():
     return log_of(Drawn(5, name, readings, Crowding(paired=0.5, spacing=1.5), Misstated(1.0, 2.0, 2.0)))
 
 
-def test_neighbours_taken_for_one_are_marked_in_the_file_and_said(log):
+def test_merged_neighbours_are_marked_in_the_file_and_in_a_notice(log):
     (run,) = compare(log.inputs(), "slam", ["ekf"], "jcbb")
     two = doubles(run, log.recorded)
     own = ambiguous(run, log.recorded) == run.map.number
@@ -117,7 +117,7 @@ def test_with_labels_none_is_called_two(log):
         assert not doubles(run, log.recorded).any()
 
 
-def test_the_noise_is_taken_from_the_readings(log):
+def test_the_noise_is_estimated_from_the_observations(log):
     (run,) = compare(log.inputs(labels=True), "slam", ["isam2"])
     r = registered(run, log.recorded)
     off = r.xy[r.row >= 0] - run.map.xy[r.row[r.row >= 0]]
@@ -125,7 +125,7 @@ def test_the_noise_is_taken_from_the_readings(log):
     assert 1.6 < square.mean() < 2.4  # stated at twice, it would be 0.5
 
 
-def test_runs_on_other_readings_and_without_a_map_say_nothing(log):
+def test_other_inputs_and_runs_without_a_map_mark_nothing(log):
     (run,) = compare(log.inputs(labels=True), "slam", ["ekf"])
     assert registered(replace(run, map=None), log.recorded) is None
     assert registered(replace(run, walls=True), log.recorded) is None

@@ -1,4 +1,4 @@
-"""How many pairs that were taken for one landmark are called two, and how many landmarks that stand alone."""
+"""Detection rate and false-rejection rate of landmarks that are two."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.research.variety.worlds import Crowding, Drawn, Misstated, Readings, 
 
 pytestmark = pytest.mark.slow
 ALONE, READ = 20, 6
-"""Landmarks of the arena before some get neighbours; readings of both of a pair that counts."""
+"""Landmarks of the arena without their neighbours; observations of both landmarks of a counted pair."""
 
 
 def world(index, distance, stated, detection, clutter):
@@ -28,7 +28,7 @@ def world(index, distance, stated, detection, clutter):
 
 
 def taken_for_one(log, rng, *, together):
-    """Inputs whose labels have one landmark for each pair: of two in a frame one is left over, or not there at all."""
+    """Inputs whose labels have one landmark for each pair; of two in a frame one is unlabelled or left out."""
     o, who, xy = log.recorded.observations, log.truth.landmark_of, log.truth.landmarks.xy
     label, partner = who.copy(), {}
     for q in range(ALONE, len(xy)):
@@ -63,7 +63,7 @@ def marked(distance, detections, *, together=True, seeds=2):
 
 
 @pytest.mark.parametrize("distance", [0.25, 1.0, 3.0])
-def test_where_a_frame_reads_both_nearly_all_are_marked_and_none_that_stands_alone(distance):
+def test_pairs_in_common_frames_are_marked_and_single_landmarks_are_not(distance):
     pairs, two, alone, wrong = marked(distance, (1.0, 0.8))
     assert two > 0.95 * pairs > 50
     assert wrong <= 0.01 * alone
@@ -72,6 +72,6 @@ def test_where_a_frame_reads_both_nearly_all_are_marked_and_none_that_stands_alo
 
 
 @pytest.mark.parametrize(("distance", "most"), [(1.0, 0.02), (2.0, 0.05), (3.0, 0.15)])
-def test_where_none_does_the_scatter_tells_next_to_nothing(distance, most):
+def test_without_common_frames_hardly_any_pair_is_marked(distance, most):
     pairs, two, *_ = marked(distance, (1.0, 0.5), together=False)
     assert two <= most * pairs

@@ -1,4 +1,4 @@
-"""Readings of a finished run laid onto its map: where the others of the frame put each, and how exact that is."""
+"""Observations registered to the map by the other pairings of their frame, and their covariances."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ STATED = 0.02
 
 
 def world(sensor, frames, *, noise=(0.0, 0.0), off=0.01, wild=None, seed=0):
-    """A run on frames that read every landmark: its path is off by so much, and its landmarks are right.
+    """A run whose frames observe every landmark: its path has this error, its landmarks none.
 
-    noise: of readings along the line of sight and across it [m], stated as `STATED`; wild: row of a reading 1 m off.
+    noise: of observations along and across the line of sight [m], stated as `STATED`; wild: row of one that is 1 m off.
     """
     rng = np.random.default_rng(seed)
     truth = np.stack([0.1 * np.arange(frames), 0.2 * np.sin(np.arange(frames)), 0.3 * np.arange(frames)], axis=1)
@@ -65,7 +65,7 @@ def test_a_path_that_is_off_does_not_matter(sensor):
 
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize("off", [0.0, 0.3])
-def test_a_reading_that_is_wrong_hardly_pulls_the_others(sensor, off):
+def test_a_wrong_observation_hardly_pulls_the_others(sensor, off):
     """By least squares alone they would be off by 0.15 m."""
     run, inputs, truth = world(sensor, 20, noise=(STATED / 2, STATED / 2), off=off, wild=2 * L + 3)
     r = registered(run, inputs)
@@ -76,23 +76,23 @@ def test_a_reading_that_is_wrong_hardly_pulls_the_others(sensor, off):
 
 @pytest.mark.parametrize("sensor", SENSORS)
 @pytest.mark.parametrize("times", [(0.5, 0.5), (2.0, 2.0), (1.6, 0.8), (0.8, 1.6)])
-def test_covariances_are_what_errors_are_along_the_line_of_sight_and_across_it(sensor, times):
+def test_covariances_are_those_of_the_errors_along_and_across_the_line_of_sight(sensor, times):
     run, inputs, truth = world(sensor, 150, noise=tuple(STATED * np.array(times)))
     r = registered(run, inputs)
     off = r.xy - PLACES[r.row]
     sight = PLACES[r.row] - truth[inputs.observations.frame, :2]
     u = sight / np.hypot(*sight.T)[:, None]
     for axis, expected in zip((u, np.stack([-u[:, 1], u[:, 0]], axis=1)), times, strict=True):
-        error, said, stated = (
+        error, estimated, stated = (
             np.einsum("mi,mi->m", off, axis) ** 2,
             np.einsum("mi,mij,mj->m", axis, r.covariance, axis),
             np.einsum("mi,mij,mj->m", axis, r.stated, axis),
         )
-        assert np.mean(error / said) == pytest.approx(1.0, rel=0.15)
-        assert np.median(said / stated) == pytest.approx(expected**2, rel=0.3)
+        assert np.mean(error / estimated) == pytest.approx(1.0, rel=0.15)
+        assert np.median(estimated / stated) == pytest.approx(expected**2, rel=0.3)
 
 
-def test_as_stated_it_is_the_readings_noise_and_that_of_a_pose_from_the_others():
+def test_the_stated_covariance_is_that_of_observation_and_pose():
     """Where everything fits, each of the others counts one and a half times, for Student's tails."""
     run, inputs, _ = world(RelativePoint(), 5, off=0.0)
     run = replace(run, online=Trajectory(run.online.pose, np.tile(0.01**2 * np.eye(3), (5, 1, 1))))
@@ -105,7 +105,7 @@ def test_as_stated_it_is_the_readings_noise_and_that_of_a_pose_from_the_others()
         assert r.stated[3 * L + k] == pytest.approx(STATED**2 * np.eye(2) + J[k] @ P @ J[k].T, rel=1e-4, abs=1e-9)
 
 
-def test_a_pose_without_a_covariance_is_taken_for_unknown():
+def test_a_pose_without_a_covariance_is_unknown():
     run, inputs, _ = world(RelativePoint(), 6)
     covariance = np.array(run.online.covariance)
     covariance[2:4] = np.nan
@@ -114,7 +114,7 @@ def test_a_pose_without_a_covariance_is_taken_for_unknown():
     assert np.isfinite(r.covariance).all()
 
 
-def test_a_reading_is_of_no_landmark_where_that_is_not_in_the_map_or_the_pose_is_not_known():
+def test_an_observation_has_no_row_without_a_mapped_landmark_or_a_pose():
     run, inputs, _ = world(RelativePoint(), 6)
     pose, xy, final = np.array(run.online.pose), np.array(PLACES), np.array(run.final_decisions)
     pose[4], xy[2], final[5 * L + 1] = np.nan, np.nan, DISCARD
@@ -130,7 +130,7 @@ def test_a_reading_is_of_no_landmark_where_that_is_not_in_the_map_or_the_pose_is
     assert r.xy[5 * L + 1] == pytest.approx(PLACES[1], abs=5e-4), "laid onto the map all the same"
 
 
-def test_the_first_reading_is_taken_for_what_it_initialized_unless_that_was_taken_back():
+def test_an_observation_shows_the_landmark_it_initialized_unless_that_was_retracted():
     run, _, _ = world(RelativePoint(), 2)
     assert observed(run).tolist() == list(range(L)) * 2
     final = np.array(run.final_decisions)
@@ -138,7 +138,7 @@ def test_the_first_reading_is_taken_for_what_it_initialized_unless_that_was_take
     assert observed(replace(run, final_decisions=final)).tolist() == [DISCARD, 4, *range(2, L), *range(L)]
 
 
-def test_readings_of_another_log_and_runs_without_a_path_have_no_place():
+def test_other_inputs_and_runs_without_a_path_are_not_registered():
     run, inputs, _ = world(RelativePoint(), 3)
     assert registered(replace(run, online=None), inputs) is None
     assert registered(run, world(RelativePoint(), 4)[1]) is None
@@ -146,7 +146,7 @@ def test_readings_of_another_log_and_runs_without_a_path_have_no_place():
     assert registered(replace(run, map=nothing), inputs) is None
 
 
-def test_the_last_word_on_the_path_counts():
+def test_the_final_path_counts():
     run, inputs, _ = world(RelativePoint(), 3)
     wrong = Trajectory(np.full((3, 3), np.nan), run.online.covariance)
     assert np.isfinite(registered(replace(run, online=wrong, final=run.online), inputs).xy).all()

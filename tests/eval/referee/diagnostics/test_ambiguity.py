@@ -1,4 +1,4 @@
-"""The report says how many landmarks cannot be told from a neighbour, and nothing where all can."""
+"""The report counts ambiguous landmarks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def legend(fig):
     return [text.get_text() for each in fig.legends for text in each.get_texts()]
 
 
-def test_what_is_ambiguous_is_said_written_and_marked(trial, tmp_path):
+def test_ambiguous_landmarks_are_reported_written_and_marked(trial, tmp_path):
     (found,) = ambiguity_of(trial.runs[0], LOG.recorded)
     assert (found.code, found.named) == (Code.AMBIGUOUS, {"ambiguous": 2, "landmarks": 109})
     assert "ambiguous landmarks" in legend(map_figure(LOG, trial.runs))
@@ -37,7 +37,7 @@ def test_what_is_ambiguous_is_said_written_and_marked(trial, tmp_path):
     assert all(named[other] == number for number, other in named.items())
 
 
-def test_where_all_can_be_told_apart_nothing_is_said():
+def test_without_ambiguous_landmarks_there_is_no_notice():
     runs = tuple(compare(LOG.inputs(labels=True), "slam", ["ekf"]))
     assert ambiguity_of(runs[0], LOG.recorded) == []
     assert "ambiguous landmarks" not in legend(map_figure(LOG, runs))

@@ -1,4 +1,4 @@
-"""Two minima of one problem are told apart from rounding, and from different problems."""
+"""Two minima of one problem differ from rounding, and from different problems."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def ended(estimator, cost, error=0.0, dof=100):
     return replace(run, total_nis=(cost, dof))
 
 
-def test_both_costs_the_better_one_and_the_distance_are_told():
+def test_both_costs_the_better_one_and_the_distance_are_reported():
     found = two_minima(ended("batch", 1627.79, 0.64), ended("isam2", 1627.34))
     assert found.named == {
         "better": "isam2",
@@ -29,11 +29,11 @@ def test_both_costs_the_better_one_and_the_distance_are_told():
         "apart": pytest.approx(0.64),
         "apart_most": pytest.approx(0.64),
     }
-    assert "isam2 at a cost of 1627.340, batch at 1627.790 (100 degrees of freedom)" in sentence(found)
+    assert "isam2 ends at a cost of 1627.340, batch at 1627.790 (100 degrees of freedom)" in sentence(found)
 
 
 @pytest.mark.parametrize(("apart", "told"), [(0.0, False), (0.0105, False), (0.0125, True), (-0.0125, True)])
-def test_what_converged_optimizers_may_differ_by_is_one_minimum(apart, told):
+def test_a_difference_of_converged_optimizers_is_one_minimum(apart, told):
     assert (two_minima(ended("batch", 1000.0), ended("isam2", 1000.0 + apart)) is not None) == told
 
 

@@ -1,4 +1,4 @@
-"""Where the first observation of a landmark showed a neighbour, it is said that the rest agree."""
+"""Landmarks with the true id of a neighbour, whose other observations agree."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ def said(fp, agree, plain=0.1, by_majority=0.1):
     return naming(run_with_error(np.zeros(3)), scores, "circle")
 
 
-def test_both_shares_are_told_where_they_differ_notably():
+def test_both_shares_are_reported_where_they_differ():
     found = said(200, 0.999).named
     assert (found["false_share"], found["agree"], found["rmse"]) == (pytest.approx(0.2), 0.999, None)
     assert said(200, 0.98) is None
     assert said(50, 1.0) is None
 
 
-def test_both_landmark_errors_are_told_where_they_differ():
+def test_both_landmark_errors_are_reported_where_they_differ():
     found = said(0, 1.0, 2.5, 0.12).named
     assert (found["false_share"], found["rmse"], found["rmse_majority"]) == (None, 2.5, 0.12)
     assert said(0, 1.0, 0.1, 0.102) is None

@@ -1,4 +1,4 @@
-"""All that was found, in one list and one table: of logs, of runs that stopped, are implausible or lost."""
+"""Notices of logs and of failed, implausible and lost runs, as a list and as a table."""
 
 from __future__ import annotations
 

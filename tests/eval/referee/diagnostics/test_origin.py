@@ -1,4 +1,4 @@
-"""Where an implausible run went wrong: the frame that jumps, the pairing there, and readings next to the robot."""
+"""First misfit of an implausible run: frame, pairing, and observations next to the robot."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def seen(run):
     return found.frame, found.named["sign"], found.named["online"], pytest.approx(found.named["size"])
 
 
-def test_nothing_is_told_of_a_run_without_doubt():
+def test_a_plausible_run_has_no_origin():
     assert told(run_with_error(np.zeros(3))) is None
 
 
@@ -52,12 +52,12 @@ def test_the_frame_and_the_pairing_of_the_first_jump_are_named():
     assert sentence(found).startswith("it probably began in frame 2, where NIS per degree of freedom jumps to 450")
 
 
-def test_a_wrong_pairing_is_called_so():
+def test_a_wrong_pairing_is_reported():
     log = replace(LOG, truth=replace(LOG.truth, landmark_of=np.array([3, 3, 7, 3])))
     assert told(innovative(2), log).named["right"] is False
 
 
-def test_a_reading_next_to_the_robot_is_named_as_a_known_cause():
+def test_an_observation_next_to_the_robot_is_named_as_a_known_cause():
     o = LOG.recorded.observations
     z = np.array(o.z)
     z[2, 0] = 0.25  # sigma is 0.1 m
@@ -65,7 +65,7 @@ def test_a_reading_next_to_the_robot_is_named_as_a_known_cause():
     assert told(innovative(2), log).named["beside"] == (0.25,)
 
 
-def test_the_difference_of_filter_and_smoother_tells_the_frame_where_there_are_no_innovations():
+def test_without_innovations_the_frame_is_that_of_the_filter_smoother_difference():
     off = np.zeros((FRAMES, 3))
     off[3:, 0] = 1.5  # of 0.1 m claimed
     run = run_with_error(np.zeros(3), estimator="isam2", phases=("online", "final"))

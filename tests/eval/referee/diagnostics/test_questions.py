@@ -1,4 +1,4 @@
-"""What is asked about a run: whether anything was used, and whether there are more landmarks than make sense."""
+"""Questions about a run: unused observations and too many landmarks."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
     assert question.code is Code.LANDMARKS
     assert question.named["landmarks"] == len(run.map)
     (section,) = warnings_section([question])
-    assert section.blocks[1].endswith("be better?")
+    assert section.blocks[1].endswith("another --association.")
 
 
 @pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
-def test_a_map_as_it_should_be_is_not(association):
+def test_a_right_map_is_not_asked_about(association):
     inputs = arena().inputs(labels=association == "known").without_map()
     run = compare(inputs, "slam", ("ekf",), association)[0]
     assert questions_of_run(run, inputs) == []
@@ -97,7 +97,7 @@ def test_questions_stand_in_inspect_on_the_terminal_in_the_log_and_in_the_report
     assert main(words) == 0
     said = capsys.readouterr().out
     assert "question (lost, prior): from the prior" in said
-    assert "observations used" in said
+    assert "observations are used" in said
     assert "question (lost, prior)" in (out / "run.log").read_text()
     report = (out / "report.md").read_text()
     row = next(line for line in report.splitlines() if line.startswith("| [lost, localization]"))

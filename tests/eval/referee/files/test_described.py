@@ -1,4 +1,4 @@
-"""No column can be written that is not described; the tables of Python have types; the page is what the table says."""
+"""Every written column is described; tables in Python have types; the page follows the table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Alignment moves poses, covariances and maps together: what does not depend on the frame stays as it was."""
+"""Alignment moves poses, covariances and maps together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run that was handed in is taken for: who created which landmark, and on whose frames it stands."""
+"""Landmark numbers and frames of other programs' runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The truth at other stamps: exact where stamps agree, interpolated between near ones, unknown elsewhere."""
+"""The truth at other stamps: exact at equal stamps, interpolated in short gaps, unknown elsewhere."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_between_two_truths_the_heading_goes_the_shorter_way():
 
 
 @pytest.mark.parametrize("stamp", [-0.01, 4.51, 2.0, 3.2, 3.5, 3.7])
-def test_before_after_in_a_gap_and_beside_an_unknown_truth_nothing_is_made_up(stamp):
+def test_outside_in_a_gap_and_next_to_an_unknown_truth_it_is_unknown(stamp):
     found = match(np.array([stamp]), TIME, TRUTH)
     assert np.isnan(found.truth).all()
     assert (found.matched, found.unmatched) == (0, 1)

@@ -1,4 +1,4 @@
-"""Relative errors: answers known on paper, and the pairs of a search through all poses."""
+"""Relative errors computed by hand, and pairs by exhaustive search."""
 
 from __future__ import annotations
 

@@ -121,13 +121,13 @@ def test_frames_without_truth_are_left_out():
             rng().chisquare(2, MIN_FRAMES - 1),
             f"{MIN_FRAMES - 1} frames with truth are too few, {MIN_FRAMES} are needed",
         ),
-        (np.full(200, 0.3), "does not vary"),
+        (np.full(200, 0.3), "do not vary"),
         (np.linspace(0.0, 1.0, 200) ** 2, "worth about . independent ones, 20 are needed"),
         (squares(0.99, 200, 1, 7)[0], "independent ones"),
     ],
     ids=["no truth", "short", "constant", "drift", "correlated"],
 )
-def test_where_chance_cannot_be_told_there_is_a_reason_and_no_interval(values, why):
+def test_a_missing_interval_has_a_reason(values, why):
     for found in run_intervals(values, values, rng()):
         assert re.search(why, found.why)
         assert math.isnan(found.lower)
@@ -143,7 +143,7 @@ def test_a_run_without_nees_still_has_an_interval_of_its_rmse():
     assert math.isnan(nees.value)
 
 
-def test_both_intervals_have_the_longer_of_the_blocks_that_can_be_had():
+def test_both_intervals_have_the_longer_block():
     smooth, white, drift = squares(0.9, 1000, 1, 1)[0], squares(0.0, 1000, 1, 2)[0], np.linspace(0.0, 1.0, 1000)
     for pair in ((smooth, white), (white, smooth)):
         assert [i.block for i in run_intervals(*pair, rng())] == [block_length(smooth)] * 2

@@ -1,4 +1,4 @@
-"""Loop closures counted as right and wrong, and NEES of factors: cases small enough to count by hand."""
+"""Outcomes of loop closures and NEES of relative poses, counted by hand."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_four_kinds():
     assert math.isnan(counts.recall)
 
 
-def test_one_not_believed_is_missed_only_where_the_two_scans_show_the_same():
+def test_a_rejected_closure_is_missed_only_where_the_scans_overlap():
     near = [0.1, 0.0, 0.0]
     wall = np.stack([np.linspace(-3.0, 3.0, 60), np.full(60, 2.0)], 1)
     elsewhere = wall + [0.0, 5.0]
@@ -74,7 +74,7 @@ def square_room(pose):
     return transform_points(inverse(pose), np.concatenate(walls) + 2.0)
 
 
-def test_a_revisit_is_near_long_past_and_seen_alike():
+def test_a_revisit_is_near_later_and_overlaps():
     seen = [square_room(pose) for pose in TRUTH]
     assert revisits(TRUTH, seen).tolist() == [False, False, False, False, True]
     seen[4] = seen[4] + 0.5  # walls that stand elsewhere
@@ -86,7 +86,7 @@ def test_a_revisit_is_near_long_past_and_seen_alike():
     assert not revisits(turned, [square_room(pose) for pose in turned]).any()
 
 
-def test_views_overlap_only_if_each_shows_what_the_other_does():
+def test_scans_overlap_only_if_each_matches_the_other():
     wall = np.stack([np.linspace(0, 5, 101), np.ones(101)], 1)
     both = np.concatenate([wall, wall + [0.0, 3.0], wall - [0.0, 4.0]])
     assert fits(wall, wall, np.zeros(3))

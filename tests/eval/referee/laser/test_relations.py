@@ -1,4 +1,4 @@
-"""Errors of reference relations, worked out on paper."""
+"""Errors against reference relations, computed by hand."""
 
 from __future__ import annotations
 

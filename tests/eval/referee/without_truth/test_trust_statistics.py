@@ -1,4 +1,4 @@
-"""Statistics of filter and smoother, with what theory expects of each; frames that cannot be compared count nowhere."""
+"""Statistics of filter and smoother with their expected values; frames that cannot be compared."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ def linear():
     return inputs, *compare(inputs, "localization", ("ekf", "isam2", "batch"))
 
 
-def test_every_statistic_of_the_difference_has_its_expectation_beside_it():
+def test_every_statistic_of_the_difference_has_its_expected_value():
     online = path([[3.0, 0.5, -0.5], [-1.0, 2.0, 0.1]], 2 * I3)
-    said = filter_smoother(difference(online, path(np.zeros((2, 3)))), "there")
-    assert said["there_mean"] == (pytest.approx((9.5 + 5.01) / 2), 3.0, pytest.approx(math.nan, nan_ok=True), -1)
-    assert said["there_median"].expected == pytest.approx(stats.chi2(3).median(), abs=1e-6)
-    assert said["there_semidefinite"][:2] == (1.0, 1.0)
-    assert said["there_rms_x"][:2] == (pytest.approx(math.sqrt(5.0)), 1.0)
+    found = filter_smoother(difference(online, path(np.zeros((2, 3)))), "there")
+    assert found["there_mean"] == (pytest.approx((9.5 + 5.01) / 2), 3.0, pytest.approx(math.nan, nan_ok=True), -1)
+    assert found["there_median"].expected == pytest.approx(stats.chi2(3).median(), abs=1e-6)
+    assert found["there_semidefinite"][:2] == (1.0, 1.0)
+    assert found["there_rms_x"][:2] == (pytest.approx(math.sqrt(5.0)), 1.0)
     # three sigma exactly are inside
-    assert said["there_inside_x"][:2] == (1.0, pytest.approx(0.9973, abs=1e-4))
-    assert said["there_largest"].value == 3.0
-    assert math.isnan(said["there_largest"].expected)
-    assert said["there_largest"].frame == 0
+    assert found["there_inside_x"][:2] == (1.0, pytest.approx(0.9973, abs=1e-4))
+    assert found["there_largest"].value == 3.0
+    assert math.isnan(found["there_largest"].expected)
+    assert found["there_largest"].frame == 0
 
 
 def test_frames_without_an_estimate_or_a_variance_are_in_no_statistic():
@@ -81,7 +81,7 @@ def test_a_smoother_that_is_less_sure_than_the_filter_in_one_direction_counts_as
         (np.array([[1.0, 1.0 - 1e-9, 0.0], [1.0 - 1e-9, 1.0, 0.0], [0.0, 0.0, 1.0]]), True),
     ],
 )
-def test_a_covariance_is_regular_if_it_is_in_doubt_about_every_direction_in_any_unit(covariance, is_regular):
+def test_a_covariance_is_regular_in_any_unit(covariance, is_regular):
     assert regular(covariance[None]).tolist() == [is_regular]
 
 
@@ -95,8 +95,8 @@ def test_a_singular_filter_is_not_compared_even_where_its_variances_are_positive
 def test_an_online_estimator_is_measured_against_the_smoother_and_against_its_own_end(linear):
     inputs, ekf, isam2, batch = linear
     assert ekf.final is None
-    said = trust.of_online(ekf, batch, inputs)
-    assert not any(name.startswith("own_smoother") for name in said)
+    found = trust.of_online(ekf, batch, inputs)
+    assert not any(name.startswith("own_smoother") for name in found)
     both = trust.of_online(isam2, batch, inputs)
     own = {k: v for k, v in both.items() if k.startswith("own_smoother_")}
     assert own["own_smoother_mean"].value == pytest.approx(
@@ -107,7 +107,7 @@ def test_an_online_estimator_is_measured_against_the_smoother_and_against_its_ow
     )
 
 
-def test_without_a_smoother_or_innovations_nothing_is_said_of_them(linear):
+def test_without_a_smoother_or_innovations_their_statistics_are_missing(linear):
     inputs, ekf, _, batch = linear
     alone = trust.of_online(ekf, None, inputs)
     assert set(alone) == {"nis", "innovation_lag1"}
@@ -130,13 +130,13 @@ def test_nis_is_that_per_degree_of_freedom_and_is_expected_to_be_what_passes_the
 
 def test_a_smoother_says_its_cost_its_residuals_and_their_slopes_with_what_is_expected(linear):
     inputs, _, _, batch = linear
-    said = trust.of_smoother(batch, inputs)
-    for name, m in said.statistics.items():
+    found = trust.of_smoother(batch, inputs)
+    for name, m in found.statistics.items():
         if name.endswith("_mean") or name.startswith("slope_"):
             assert m.expected == 0.0, name
         elif name.startswith("residual_"):
             assert math.isnan(m.expected), name
         assert (m.se > 0.0) == name.startswith("slope_"), name
-    assert "nis" in said.statistics
-    assert set(said.typical) >= {"odometry_x", "z1"}
-    assert said.outlying == 0
+    assert "nis" in found.statistics
+    assert set(found.typical) >= {"odometry_x", "z1"}
+    assert found.outlying == 0

@@ -35,8 +35,10 @@ def facts(filtered=EKF, smoothed=BATCH, log=LOG, trust=None, newest=None, unused
     ("filtered", "smoothed", "word", "tone"),
     [
         (EKF, BATCH, "smoother", "good"),
-        (EKF, BATCH | {"rmse_position_m": 0.401}, "either", "good"),
-        (EKF | {"rmse_position_m": 0.01}, BATCH, "filter", "fair"),
+        (EKF, BATCH | {"rmse_aligned_m": 0.111}, "either", "good"),
+        (EKF | {"rmse_aligned_m": 0.01}, BATCH, "filter", "fair"),
+        (EKF, BATCH | {"nees_pose": 9.5}, "smoother", "fair"),
+        (EKF | {"lost_why": "0 used", "lost_frame": 7, "nees_pose": 1.1}, BATCH, "smoother", "good"),
         (EKF | {"status": "implausible"}, BATCH, "smoother", "fair"),
         (EKF, BATCH | {"status": "diverged"}, "filter", "fair"),
         (EKF | {"lost_why": "0 used", "lost_frame": 7}, BATCH | {"status": "diverged"}, "neither", "bad"),

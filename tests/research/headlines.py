@@ -1,0 +1,82 @@
+"""How often the headline objects to sound logs, and prints a tick over a strong fault.
+
+`python -m tests.research.headlines N`: sound logs are N worlds of the variety's later part, with noise and view
+as stated. A strong fault is an estimate to trust whose mean pose NEES exceeds 9, or one wrong pairing in ten: found
+among the runs of nearest neighbour, and with the sensor's noise stated four times too small.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from dataclasses import replace
+
+from data.log import Log
+from eval.compare import compare
+from eval.referee.headline import Objection, Verdict
+from eval.referee.score import Trial, score
+from eval.report.overview import trust_mark
+from eval.report.overview_facts import LogFacts, facts_of
+from tests.research.variety.worlds import LATER, draw, indices, log_of
+
+MOST = 4000
+"""Observations of a log that is small."""
+CASES = tuple((task, association) for task in ("localization", "slam") for association in ("known", "jcbb"))
+
+
+def facts(log: Log, task: str, association: str) -> LogFacts:
+    """What the first screen knows of filter and smoother."""
+    inputs = log.inputs(labels=association == "known")
+    inputs = inputs.without_map() if task == "slam" else inputs
+    runs = compare(inputs, task, ("ekf", "batch"), association)
+    trial = Trial(log, task, tuple(runs))
+    return facts_of(trial, score([trial]), ())
+
+
+def understated(log: Log) -> Log:
+    """The same log with noise of the sensor stated four times too small."""
+    o = log.recorded.observations
+    return replace(log, recorded=replace(log.recorded, observations=replace(o, R=o.R / 16.0)))
+
+
+def is_strong(f: LogFacts) -> bool:
+    """Whether an estimate that the headline prefers has a strong fault."""
+    rows = [f.smoothed] if f.verdict is Verdict.SMOOTHER else [f.filtered, f.smoothed]
+    wrong = [o.value for o in f.objections if o.objection is Objection.ASSOCIATION]
+    return any(r is not None and r.nees > 9.0 for r in rows) or any(w > 0.1 for w in wrong)
+
+
+def main(argv: list[str]) -> int:
+    """Count over the first N worlds and print the shares."""
+    worlds = int(argv[0]) if argv else 60
+    counts: dict[tuple[str, str], Counter[str]] = {case: Counter() for case in CASES}
+    strong = Counter[str]()
+    for index in indices(LATER, 400)[:worlds]:
+        log = log_of(draw(index, exact=True))
+        if len(log.recorded.observations.frame) > MOST:
+            continue
+        for task, association in CASES:
+            if task == "localization" and log.recorded.map is None:
+                continue
+            f, c = facts(log, task, association), counts[task, association]
+            c["n"] += 1
+            c["objects"] += bool(f.objections)
+            c["filter"] += f.verdict is Verdict.FILTER
+            for o in f.objections[:1]:
+                c[o.objection.value] += 1
+        for case in (("slam", "nn"), ("localization", "known")):
+            bad = understated(log) if case[1] == "known" else log
+            if case[0] == "localization" and log.recorded.map is None:
+                continue
+            f = facts(bad, *case)
+            if is_strong(f):
+                strong["n"] += 1
+                strong["tick"] += trust_mark(f).tone == "good"
+    for (task, association), c in counts.items():
+        print(task, association, dict(c), flush=True)
+    print("strong faults", dict(strong))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
