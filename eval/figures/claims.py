@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter
 from data.inputs import ERRORS, Systematic
 from data.log import Log
 from data.result import Run, Systematics
-from data.se2 import Array, BoolArray
+from data.se2 import Array
 from eval.figures.error import (
     COORDINATES,
     common_reach,
@@ -140,13 +140,16 @@ def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figu
         for d, style in zip(found, styles, strict=True):
             bound = 3.0 * factor * d.sigma[:, i]
             draw_band(ax, time, bound, style.colour, -1.0)
-            alone = _alone(bound)
+            # values between two that are unknown: a band cannot show them
+            known = np.isfinite(np.concatenate([[np.nan], bound, [np.nan]]))
+            alone = known[1:-1] & ~known[:-2] & ~known[2:]
             ax.vlines(time[alone], -bound[alone], bound[alone], color=style.colour, alpha=0.4, linewidth=0.8)
         for d, style in zip(found, styles, strict=True):
             curve = factor * d.d[:, i]
             keep = thinned(curve)
             ax.plot(time[keep], curve[keep], color=style.colour, linestyle=style.line, linewidth=0.8)
-        limit = common_reach([_need(d, i, factor) for d in found])
+        needs = [max(float(np.nanmax(np.abs(d.d[:, i]), initial=0.0)), reach([3.0 * d.sigma[:, i]])) for d in found]
+        limit = common_reach([factor * need for need in needs])
         ax.set(ylim=(-limit, limit), ylabel=f"{name} [{unit}]")
         ax.yaxis.set_major_locator(ticks(6))
     handles = [_excursion(axes, time, d, style) for d, style in zip(found, styles, strict=True)]
@@ -157,18 +160,6 @@ def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figu
     band = Patch(facecolor="#D0D0D0", edgecolor="#606060", linewidth=0.5, label="±3σ that the difference may have")
     fig.legend(handles=[*handles, band], loc="outside lower center", ncols=2, numpoints=1)
     return fig
-
-
-def _alone(bound: Array) -> BoolArray:
-    """Which values (N,) are known between two that are not: a band cannot show them."""
-    known = np.isfinite(np.concatenate([[np.nan], bound, [np.nan]]))
-    result: BoolArray = known[1:-1] & ~known[:-2] & ~known[2:]
-    return result
-
-
-def _need(d: Difference, i: int, factor: float) -> float:
-    """Half height that a run's curve and band need."""
-    return factor * max(float(np.nanmax(np.abs(d.d[:, i]), initial=0.0)), reach([3.0 * d.sigma[:, i]]))
 
 
 def _excursion(axes: Sequence[Axes], time: Array, d: Difference, style: Style) -> Line2D:
@@ -244,9 +235,5 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
 
 def _phases(run: Run) -> list[tuple[Systematics, Line, str]]:
     both = run.errors_online is not None and run.errors_final is not None
-    found: list[tuple[Systematics, Line, str]] = []
-    if run.errors_online is not None:
-        found.append((run.errors_online, DASHED if both else SOLID, "online"))
-    if run.errors_final is not None:
-        found.append((run.errors_final, SOLID, "final"))
-    return found
+    found = ((run.errors_online, DASHED if both else SOLID, "online"), (run.errors_final, SOLID, "final"))
+    return [(errors, line, when) for errors, line, when in found if errors is not None]

@@ -104,8 +104,9 @@ def anees_figure(
     few = max(len(time) // MARKERS, 1)
     for i, (name, values) in enumerate(average.items()):
         style, first = style_of(name), few * i // len(average)
-        mean, outside = mean_or_nan(values), _share_outside(values, lower, upper)
-        measured = f": mean {number(mean)}, {100.0 * outside:.0f} % outside" if np.isfinite(mean) else ""
+        mean, known = mean_or_nan(values), values[np.isfinite(values)]
+        outside = float(np.mean((known < lower) | (known > upper))) if len(known) else np.nan
+        measured = f": mean {number(mean)}, {100.0 * outside:.0f} % outside" if len(known) else ""
         label = style.label + measured
         handles += ax.plot(time, values, markevery=(first, few), markersize=3.0, label=label, zorder=2, **style.look)
     _scale([ax], list(average.values()), lower, upper)
@@ -117,8 +118,3 @@ def anees_figure(
     handles += _handles(dof, f"95 % band {lower:.2f} to {upper:.2f}: 5 % outside by design")
     fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=LONG_HANDLE)
     return fig
-
-
-def _share_outside(values: Array, lower: float, upper: float) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.mean((finite < lower) | (finite > upper))) if len(finite) else float("nan")

@@ -138,7 +138,12 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     axes = fig.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
     own = [log_of(s.run, log) for s in shown]
     times = [o.recorded.time for o in own]
-    errors = [_error(s, o) for s, o in zip(shown, own, strict=True)]
+    errors = [
+        np.full((len(o.recorded.time), 3), np.nan)
+        if (truth := o.truth.pose) is None
+        else pose_error(s.trajectory.pose, truth)
+        for s, o in zip(shown, own, strict=True)
+    ]
     bounds = [3.0 * sigmas(s.trajectory) for s in shown]
     for i, (name, unit, factor) in enumerate(COORDINATES):
         needs = [factor * reach([e[:, i], b[:, i]]) for e, b in zip(errors, bounds, strict=True)]
@@ -165,12 +170,6 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     known = [Line2D([], [], color="black", linewidth=0.7, label="error")] if log.truth.known_poses else []
     fig.legend(handles=[*known, *handles], loc="outside lower center", ncols=2)
     return fig
-
-
-def _error(s: Series, log: Log) -> Array:
-    """Error (N, 3) of a series at its own frames; NaN without truth."""
-    truth = log.truth.pose
-    return np.full((len(log.recorded.time), 3), np.nan) if truth is None else pose_error(s.trajectory.pose, truth)
 
 
 @drawing()

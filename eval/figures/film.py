@@ -13,7 +13,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from types import TracebackType
 
 import cv2
 import numpy as np
@@ -96,16 +95,12 @@ def pace_of(inputs: Inputs, speed: float | None = None, fps: int = FPS, longest:
     length = float(time[-1])
     if speed is None:
         speed = FRAMES_A_SECOND if inputs.time_is_index else 1.0
-        speed = _round_up(max(speed, length / longest))
+        least = max(speed, length / longest)
+        power = 10.0 ** math.floor(math.log10(least))
+        speed = next(s * power for s in (*STEPS, 10.0) if s * power >= least * (1.0 - 1e-12))
     pictures = max(math.ceil(length / speed * fps - 1e-9), 0) + 1
     instant = np.minimum(np.arange(pictures) * (speed / fps), length)
     return Pace(speed, np.searchsorted(time, instant + 1e-9, side="right").astype(np.int64) - 1, inputs.time_is_index)
-
-
-def _round_up(speed: float) -> float:
-    """The smallest of 1, 2, 5, 10, ... that is no less."""
-    power = 10.0 ** math.floor(math.log10(speed))
-    return next(step * power for step in (*STEPS, 10.0) if step * power >= speed * (1.0 - 1e-12))
 
 
 Image = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
@@ -118,32 +113,24 @@ TRACK_UID = bytes.fromhex("73c588")
 """Ahead of the track's number of 8 bytes in the file's head (RFC 9559), which the muxer draws at random."""
 
 
-class Film:
-    """A film that is being written; a context manager, as the file is whole only when it was closed."""
-
-    def __init__(self, path: Path, fps: float, width: int, height: int) -> None:
-        """Begin a film of so many pictures a second. Raises SlamrefError if the file cannot be written."""
-        self._path = path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with _without(EXPECTED):
-            fourcc = cv2.VideoWriter.fourcc(*CODEC)
-            self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), (width, height))
-        if not self._writer.isOpened():
-            raise SlamrefError(f"{path}: cannot be written as a WebM film (VP8, {width} x {height} pixels)")
-
-    def add(self, image: Image) -> None:
-        """The next picture (height, width, 3), blue, green, red."""
-        self._writer.write(image)
-
-    def __enter__(self) -> Film:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._writer.release()
-        if kind is None:
-            _number_track(self._path)
+@contextmanager
+def _film(path: Path, fps: float, width: int, height: int) -> Iterator[cv2.VideoWriter]:
+    """A film that is being written, whole when it was closed. SlamrefError: the file cannot be written."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _without(EXPECTED):
+        writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*CODEC), float(fps), (width, height))
+    if not writer.isOpened():
+        raise SlamrefError(f"{path}: cannot be written as a WebM film (VP8, {width} x {height} pixels)")
+    try:
+        yield writer
+    finally:
+        writer.release()
+    # give the track the number 1 instead of a random one, in its own element and in the tags that refer to it
+    with path.open("r+b") as file:
+        head = file.read(1 << 16)
+        _, _, after = head.partition(TRACK_UID)
+        file.seek(0)
+        file.write(head.replace(after[:8], (1).to_bytes(8, "big")) if after else head)
 
 
 @contextmanager
@@ -161,15 +148,6 @@ def _without(expected: bytes) -> Iterator[None]:
                 if expected not in line:
                     os.write(real, line)
             os.close(real)
-
-
-def _number_track(path: Path) -> None:
-    """Give the track the number 1 instead of a random one, in its own element and in the tags that refer to it."""
-    with path.open("r+b") as file:
-        head = file.read(1 << 16)
-        _, _, after = head.partition(TRACK_UID)
-        file.seek(0)
-        file.write(head.replace(after[:8], (1).to_bytes(8, "big")) if after else head)
 
 
 LONGER_SIDE = 960  # px of the picture's longer side; the scene decides the shorter one
@@ -223,12 +201,6 @@ def canvas_of(view: View) -> Canvas:
     width, height = (max(SHORTER_SIDE, 2 * round(scale * side / 2)) for side in (w, h))
     middle = 0.5 * (view.low + view.high)
     return Canvas(middle - 0.5 * np.array([width, height]) / scale, scale, width, height)
-
-
-def blend(colour: Colour, share: float) -> Colour:
-    """A colour of which only this share is left, the rest white."""
-    b, g, r = (round(255 - share * (255 - part)) for part in colour)
-    return b, g, r
 
 
 def write(image: Image, text: str, at: tuple[int, int], colour: Colour = BLACK, size: float = 0.5) -> None:
@@ -306,8 +278,14 @@ def _draw_paths(image: Image, scene: _Scene, begin: int, end: int, share: float)
     """True and estimated path between two frames, in what is left of their colours."""
     for poses, colour in ((scene.log.truth.pose, BLACK), (scene.shown.trajectory.pose, scene.colour)):
         if poses is not None:
-            for part in _unbroken(poses[begin : end + 1, :2]):
-                scene.canvas.line(image, part, blend(colour, share), 2 if share > FADED else 1)
+            b, g, r = (round(255 - share * (255 - part)) for part in colour)
+            faded = (b, g, r)
+            points = poses[begin : end + 1, :2]
+            finite = np.asarray(np.isfinite(points).all(axis=1))
+            cuts = np.flatnonzero(np.diff(finite)) + 1
+            for part, known in zip(np.split(points, cuts), finite[np.r_[0, cuts]], strict=True):
+                if known and len(part) > 1:
+                    scene.canvas.line(image, part, faded, 2 if share > FADED else 1)
 
 
 def _draw_landmarks(image: Image, scene: _Scene, standing: IntArray) -> None:
@@ -391,7 +369,7 @@ def animate(
     canvas, shown = scene.canvas, pace.frame
     step = max(round(fps * TRAIL / BANDS), 1)
     background, drawn = _backdrop(scene), 0
-    with Film(path, fps, canvas.width, canvas.height + HEADER) as film:
+    with _film(path, fps, canvas.width, canvas.height + HEADER) as film:
         for p, (k, standing) in enumerate(zip(shown.tolist(), scene.landmarks.after(shown), strict=True)):
             edges = [int(shown[max(p - step * band, 0)]) for band in range(BANDS, -1, -1)]
             _draw_paths(background, scene, drawn, edges[0], FADED)
@@ -402,13 +380,6 @@ def animate(
                     _draw_paths(image, scene, begin, end, FADED + (1.0 - FADED) * band / BANDS)
             _draw_landmarks(image, scene, standing)
             _draw_robot(image, scene, k)
-            film.add(np.vstack([_header(scene, k), image]))
+            film.write(np.vstack([_header(scene, k), image]))
             if progress is not None:
                 progress(p + 1, len(shown))
-
-
-def _unbroken(points: Array) -> list[Array]:
-    """The stretches of at least two finite points (k, 2)."""
-    finite = np.asarray(np.isfinite(points).all(axis=1))
-    cuts = np.flatnonzero(np.diff(finite)) + 1
-    return [p for p, ok in zip(np.split(points, cuts), finite[np.r_[0, cuts]], strict=True) if ok and len(p) > 1]

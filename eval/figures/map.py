@@ -56,11 +56,6 @@ def _with_ellipses(shown: Sequence[Series]) -> list[Series]:
     return [firsts[p] for p in ("online", "final") if p in firsts]
 
 
-def _label(s: Series) -> str:
-    flaw = s.run.flaw
-    return s.label if flaw is None else f"{s.label}:\n{flaw.status} at frame {flaw.frame}"
-
-
 @dataclass(frozen=True, eq=False)
 class _Map:
     """What is drawn on a map."""
@@ -127,7 +122,8 @@ def _draw_paths(ax: Axes, m: _Map) -> list[Line2D | Patch]:
     for label, path in m.paths.items():
         s = own.get(label)
         colour, line = (STYLES["dead-reckoning"].colour, DOTTED) if s is None else (s.colour, s.line)
-        name = label if s is None else _label(s)
+        flaw = None if s is None else s.run.flaw
+        name = label if flaw is None else f"{label}:\n{flaw.status} at frame {flaw.frame}"
         handles += ax.plot(*path.T, color=colour, linestyle=line, linewidth=1.0, label=name, zorder=3)
     return handles
 

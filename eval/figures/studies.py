@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -40,7 +40,7 @@ def run_end_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     fig = Figure(figsize=(page_width(), 0.85 + 1.55 * rows))
     axes = fig.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     end = float(np.ceil(scipy.stats.chi2.ppf(LAST, dof)))
-    bins = _bins(max((len(v) for v in nees.values()), default=0))
+    bins = int(np.clip(round(2.0 * math.sqrt(max((len(v) for v in nees.values()), default=0))), 8, 24))
     for ax, (name, values) in zip(axes.flat, nees.items(), strict=False):
         _histogram(ax, name, values, dof, np.linspace(0.0, end, bins + 1))
     for ax in axes.flat[max(len(nees), 1) :]:
@@ -64,10 +64,6 @@ def run_end_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     ]
     fig.legend(handles=handles, loc="outside lower center", ncols=2)
     return fig
-
-
-def _bins(runs: int) -> int:
-    return int(np.clip(round(2.0 * math.sqrt(runs)), 8, 24))
 
 
 def _peak(dof: int, width: float) -> float:
@@ -138,19 +134,10 @@ SPREAD = 0.6  # width over which the estimators of one rate are spread; 1 is the
 POSE_DOF = 3
 
 
-class Panel(NamedTuple):
-    """One column of the figure: which columns of the table, and the axis' label."""
-
-    value: str
-    lower: str
-    upper: str
-    label: str
-
-
 PANELS = (
-    Panel("rmse_position_m", "rmse_lower", "rmse_upper", "RMSE position [m]"),
-    Panel("nees_pose", "nees_lower", "nees_upper", "pose NEES [–]"),
-)
+    ("rmse_position_m", "rmse_lower", "rmse_upper", "RMSE position [m]"),
+    ("nees_pose", "nees_lower", "nees_upper", "pose NEES [–]"),
+)  # value, bounds and label of each column of panels
 
 
 @drawing()
@@ -169,16 +156,21 @@ def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
     fig = Figure(figsize=(page_width(), 0.75 + 1.9 * rows + 0.13 * -(-(len(names) + 1) // columns)))
     axes = fig.subplots(rows, len(PANELS), sharex=True, squeeze=False)
     for row, task in zip(axes, tasks, strict=False):
-        for ax, panel in zip(row, PANELS, strict=True):
+        for ax, (value, lower, upper, label) in zip(row, PANELS, strict=True):
             part = table[table["task"] == task]
             for i, name in enumerate(names):
                 offset = SPREAD * ((i + 0.5) / len(names) - 0.5)
-                _curve(ax, part[part["estimator"] == name], panel, rates, offset)
-            if panel.value == "nees_pose":
+                curve = part[part["estimator"] == name].sort_values("rate")
+                y, low, high = (curve[c].to_numpy(float) for c in (value, lower, upper))
+                x = np.searchsorted(rates, curve["rate"].to_numpy(float)) + offset
+                bars = np.nan_to_num(np.abs(np.stack([y - low, high - y])), posinf=0.0)
+                look = style_of(name).look
+                ax.errorbar(x, y, bars, markersize=3.5, elinewidth=0.8, capsize=1.2, zorder=2, **look)
+            if value == "nees_pose":
                 ax.axhline(POSE_DOF, color="#505050", linewidth=0.8, linestyle="--", zorder=1.5)
-            _scale(ax, part, panel)
+            _scale(ax, part[value].to_numpy(float))
             ax.set_title(task, loc="left")
-            ax.set_ylabel(panel.label)
+            ax.set_ylabel(label)
     for ax in axes[-1]:
         ax.set_xlabel("wrong associations [%]")
         ax.set_xticks(range(len(rates)), [f"{100.0 * r:g}" for r in rates])
@@ -190,21 +182,8 @@ def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
     return fig
 
 
-def _curve(ax: Axes, curve: pd.DataFrame, panel: Panel, rates: Sequence[float], offset: float) -> None:
-    """One estimator, moved aside by `offset` so that bars of equal rate do not hide each other."""
-    if curve.empty:
-        return
-    style, part = style_of(str(curve["estimator"].iloc[0])), curve.sort_values("rate")
-    x = np.searchsorted(rates, part["rate"].to_numpy(float)) + offset
-    y = part[panel.value].to_numpy(float)
-    bars = np.abs(np.stack([y - part[panel.lower].to_numpy(float), part[panel.upper].to_numpy(float) - y]))
-    bars = np.where(np.isfinite(bars), bars, 0.0)
-    ax.errorbar(x, y, bars, markersize=3.5, elinewidth=0.8, capsize=1.2, zorder=2, **style.look)
-
-
-def _scale(ax: Axes, part: pd.DataFrame, panel: Panel) -> None:
+def _scale(ax: Axes, values: Array) -> None:
     """Linear from 0, or logarithmic where the values span more than `LOG_RATIO`."""
-    values = part[panel.value].to_numpy(float)
     values = values[np.isfinite(values) & (values > 0.0)]
     if len(values) and values.max() > LOG_RATIO * values.min():
         ax.set_yscale("log")
@@ -308,21 +287,16 @@ def knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
     for ax in (error, wrong):
         ax.grid(axis="y", visible=False)
         ax.tick_params(axis="y", length=0)
-        _shade(ax, rows, place)
-    for given in groups:
-        y = float(place[[r.given == given for r in rows]].min()) - 0.95
+    for i, given in enumerate(groups):
+        inside = place[[r.given == given for r in rows]]
+        low, high = float(inside.min()), float(inside.max())
+        for ax in (error, wrong)[: 2 * (i % 2)]:
+            ax.axhspan(low - 1.5, high + 0.6, color=SHADE, zorder=0, linewidth=0.0)
         look = dict[str, Any](va="center", weight="bold", fontsize=points(7.0))
-        error.text(0.01, y, f"given: {given}", transform=error.get_yaxis_transform(), **look)
+        error.text(0.01, low - 0.95, f"given: {given}", transform=error.get_yaxis_transform(), **look)
     error.set_title(title, loc="left")
     fig.legend(handles=_handles(rows), loc="outside lower center", ncols=4)
     return fig
-
-
-def _shade(ax: Axes, rows: Sequence[Known], place: np.ndarray) -> None:
-    for i, given in enumerate(dict.fromkeys(r.given for r in rows)):
-        inside = place[[r.given == given for r in rows]]
-        if i % 2:
-            ax.axhspan(float(inside.min()) - 1.5, float(inside.max()) + 0.6, color=SHADE, zorder=0, linewidth=0.0)
 
 
 def _handles(rows: Sequence[Known]) -> list[Line2D]:

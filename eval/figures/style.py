@@ -139,11 +139,6 @@ def colour_of_method(association: str) -> str:
     return METHOD_COLOURS.get(association) or _other(association)[0]
 
 
-def line_of_method(association: str) -> Line:
-    """The line of an association method; one of its own for a name that is not ours."""
-    return METHOD_LINES.get(association) or _other(association)[1]
-
-
 def _other(name: str) -> tuple[str, Line, str]:
     which = place(name, len(OTHERS) * len(OTHER_LINES))
     colour, marker = OTHERS[which % len(OTHERS)]
@@ -178,7 +173,11 @@ def series(runs: Sequence[Run]) -> list[Series]:
         if run.association != "none" and (several or len(tasks) > 1):
             extra += f", {run.association}" if several else ""
             extra += f", {run.task}" if len(tasks) > 1 else ""
-            line = line_of_method(run.association) if several else cycle[tasks.index(run.task)]
+            line = (
+                METHOD_LINES.get(run.association) or _other(run.association)[1]
+                if several
+                else cycle[tasks.index(run.task)]
+            )
         if isinstance(run, GivenRun) and run.aligned != "none":
             extra += ", aligned"
         for phase in run.phases:
@@ -228,15 +227,11 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
             fig.set_layout_engine("none")  # one layout for all formats
             written.append(path)
         if current().pgf is not None:
-            written.append(_save_pgf(fig, folder / f"{stem}.pgf"))
+            # LaTeX sets it with the fonts of the document; it is laid out by the widths that those have here
+            if not current().usetex:
+                translate(fig, escape=False)
+            written.append(folder / f"{stem}.pgf")
+            with matplotlib.rc_context(rc={"axes.unicode_minus": False}):
+                fig.savefig(written[-1], backend="pgf")
     fig.clear()
     return written
-
-
-def _save_pgf(fig: Figure, path: Path) -> Path:
-    """The figure for LaTeX to set with the fonts of the document; laid out by the widths that those have here."""
-    if not current().usetex:
-        translate(fig, escape=False)
-    with matplotlib.rc_context(rc={"axes.unicode_minus": False}):
-        fig.savefig(path, backend="pgf")
-    return path

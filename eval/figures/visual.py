@@ -49,7 +49,7 @@ def contact_sheet(
     columns = min(len(tiles), 2 if len(tiles) in (2, 4) else across(3))
     width = SINGLE if columns == 1 else page_width()
     gap, side = 0.08, (width - 0.08 * (columns + 1)) / columns
-    captions = [_caption(tile, round(20.0 * side)) for tile in tiles]
+    captions = ["\n".join(fill(t, round(20.0 * side)) for t in (tile.name, *tile.notes)) for tile in tiles]
     rows = [range(k, min(k + columns, len(tiles))) for k in range(0, len(tiles), columns)]
     shape = [side * tile.rgb.shape[0] / tile.rgb.shape[1] for tile in tiles]
     high = [max(shape[k] for k in row) for row in rows]
@@ -71,10 +71,6 @@ def contact_sheet(
                     fig.text(x / width, (y - tall - i * LINE) / height, line, va="baseline", fontsize=CAPTION)
             y -= tall + under + gap
         return fig
-
-
-def _caption(tile: Tile, characters: int) -> str:
-    return "\n".join(fill(line, characters) for line in (tile.name, *tile.notes))
 
 
 def _paint(ax: Axes, tile: Tile) -> None:

@@ -183,10 +183,6 @@ def _growth(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     return growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown}
 
 
-def _state(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
-    return state_figure(trial, variants), {}
-
-
 def _association(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
     return confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)), {}
 
@@ -208,7 +204,11 @@ KINDS: Mapping[str, Kind] = {
     "nees": Kind(lambda trial, _: _measured(trial) and bool(_claiming(trial)), _nees),
     "difference": Kind(_has_difference, _difference, in_quick=True),
     "claims": Kind(lambda trial, _: _blind(trial) and bool(_claiming(trial)), _claims),
-    "fate": Kind(lambda trial, _: _blind(trial) and bool(for_loop_states(trial)), _loop_state, macro="loop_state"),
+    "fate": Kind(
+        lambda trial, _: _blind(trial) and bool(for_loop_states(trial)),
+        _loop_state,
+        macro="loop_state",
+    ),
     FILTER_SMOOTHER: Kind(
         lambda trial, _: trial.variant_of is None and for_filter_smoother(trial) is not None, _filter_smoother
     ),
@@ -218,6 +218,13 @@ KINDS: Mapping[str, Kind] = {
     "growth": Kind(
         lambda trial, _: trial.task == "slam" and trial.log.truth.known_poses > 0 and bool(for_growth(trial)), _growth
     ),
-    "state": Kind(state_is_informative, _state),
-    "association": Kind(has_outcomes, _association, in_quick=True),
+    "state": Kind(state_is_informative, lambda trial, variants: (state_figure(trial, variants), {})),
+    "association": Kind(
+        has_outcomes,
+        lambda trial, variants: (
+            confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)),
+            {},
+        ),
+        in_quick=True,
+    ),
 }  # by name, in the order of the report

@@ -113,7 +113,8 @@ def _templates(*, html: bool) -> Environment:
         "anchor": anchor,
         "slug": slug,
         "cut": cut,
-        "breakable": _breakable,
+        # names may be broken where their parts meet, and nowhere else
+        "breakable": lambda name: Markup(re.sub(r"([:+/_])(?=\w)", r"\1<wbr>", str(escape(name)))),
         "laid_out": _laid_out,
         "table_markdown": lambda table: markdown(_beneath(table)[0]).rstrip(),
     }
@@ -157,11 +158,6 @@ def _beneath(table: Table) -> tuple[pd.DataFrame, int]:
     apart = [i for i in table.apart if i < len(table.frame)]
     order = [i for i in range(len(table.frame)) if i not in apart]
     return table.frame.iloc[[*order, *apart]], len(order)
-
-
-def _breakable(name: str) -> Markup:
-    """A name that may be broken where its parts meet, and nowhere else."""
-    return Markup(re.sub(r"([:+/_])(?=\w)", r"\1<wbr>", str(escape(name))))
 
 
 class Image(NamedTuple):

@@ -175,11 +175,8 @@ def for_filter_smoother(trial: Trial) -> tuple[list[Run], Run] | None:
 
 def left_out(trial: Trial, shown: Sequence[Run]) -> str:
     """A sentence for the caption that names who is shown, if not all are; empty if all are."""
-    names = [_name(r) for r in shown if r.estimator != "dead-reckoning"]
+    named = [r for r in shown if r.estimator != "dead-reckoning"]
+    names = [r.estimator + f" with {r.association}" * (r.association != "none") for r in named]
     if len(names) == len(finished(trial)):
         return ""
     return f" {paragraph('pictures#shown', names=names)}"
-
-
-def _name(run: Run) -> str:
-    return run.estimator if run.association == "none" else f"{run.estimator} with {run.association}"

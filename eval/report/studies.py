@@ -32,7 +32,7 @@ from eval.report.words import fine_print, paragraph, say
 from eval.studies.broken import BROKEN
 from eval.studies.faults import FAULTS
 from eval.studies.montecarlo import DOF, Judged, Study, consistency_table
-from eval.studies.published import Estimate, mean_of, rms_of
+from eval.studies.published import mean_of, rms_of
 from eval.studies.reproduced import orderings, published_frame
 from eval.studies.validation import SOUND, Examined, Validation
 
@@ -337,14 +337,12 @@ def outlier_table(studies: Sequence[Study]) -> pd.DataFrame:
             if good:
                 rmse = rms_of([s.squares["position"] for s in good])
                 nees = mean_of([s.means["pose"] for s in good])
-                values = [*_interval(rmse), *_interval(nees)]
+                values = []
+                for e in (rmse, nees):
+                    half = float(special.stdtrit(e.runs - 1, 0.975)) * e.se if e.runs > 1 else math.nan
+                    values += [e.value, e.value - half, e.value + half]
             rows.append([task, estimator, study.scenario.wrong, *values, len(good), len(samples) - len(good)])
     return pd.DataFrame(rows, columns=list(OUTLIERS)).sort_values(["task", "rate"], kind="stable", ignore_index=True)
-
-
-def _interval(e: Estimate) -> tuple[float, float, float]:
-    half = float(special.stdtrit(e.runs - 1, 0.975)) * e.se if e.runs > 1 else float("nan")
-    return e.value, e.value - half, e.value + half
 
 
 def _outliers(plots: Path | None, studies: Sequence[Study], table: TableWriter) -> Section:

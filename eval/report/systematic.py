@@ -55,23 +55,15 @@ def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> p
         for run in runs:
             errors = run.errors
             if errors is not None:
-                row[_head(run)] = plus_minus(float(errors.mean[-1, i]), float(errors.sigma[-1, i]))
+                head = f"{run.estimator} ({'final' if run.errors_final is not None else 'online'})"
+                row[head] = plus_minus(float(errors.mean[-1, i]), float(errors.sigma[-1, i]))
         if truth.errors is not None:
-            row["true"] = _true(name, truth.errors)
+            true = float(truth.errors.mean[-1, truth.errors.names.index(name)]) if name in truth.errors.names else 0.0
+            row["true"] = number(true).replace("-", "−")
         if estimates is not None:
             row["told"] = "yes" if determined(systematic, estimates)[i] else "the log cannot tell it"
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def _true(name: str, errors: Systematics) -> str:
-    """The true error at the last frame; zero where the world has none."""
-    value = float(errors.mean[-1, errors.names.index(name)]) if name in errors.names else 0.0
-    return number(value).replace("-", "−")
-
-
-def _head(run: Run) -> str:
-    return f"{run.estimator} ({'final' if run.errors_final is not None else 'online'})"
 
 
 HEADING = "Systematic errors"

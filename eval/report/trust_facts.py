@@ -78,33 +78,6 @@ class Explanation:
 
 
 @dataclass(frozen=True)
-class Apart:
-    """An online path against the smoothed one."""
-
-    estimator: str  # whose
-    filters: bool  # whether that is a filter
-    rms: float  # m, how far apart they are
-    twins: (
-        tuple[float, float] | tuple[()]
-    )  # least and largest of the same on the bootstrap replicates; empty: not known
-    beside_twins: bool  # whether there are replicates
-    # median: of the quadratic form of the difference, and what is expected; empty: not known
-    median: tuple[float, float] | tuple[()]
-    semidefinite: float | None  # share of the frames in which P_f - P_s is; None: not known
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What the battery says: the cause, how many of the statistics tested are objected to, the smallest p (or None)."""
-
-    cause: str
-    objected: int
-    tested: int
-    p: float | None
-    unexplained: bool  # it objects, and to nothing that has a name
-
-
-@dataclass(frozen=True)
 class Decided:
     """Estimators that decide alike: wrong pairings, missed ones, all decisions, share of right ones (means)."""
 
@@ -149,8 +122,8 @@ class TrustFacts:
     association: str
     terms: Terms
     twins: int  # how many
-    judged: Verdict | None  # by the battery; None: too few replicates
-    apart: tuple[Apart, ...]  # online paths against the smoothed one, filters first
+    judged: dict[str, object] | None  # by the battery; None: too few replicates
+    apart: tuple[dict[str, object], ...]  # online paths against the smoothed one, filters first
     asked: tuple[Explanation, ...]  # systematic errors beyond `STANDS_OUT` standard errors, each alone, largest first
     findings: tuple[Explanation, ...]  # the weightiest first
     main: tuple[Explanation, ...]  # those for a first page
@@ -200,25 +173,30 @@ def online(trust: Trust) -> list[str]:
     return sorted(found, key=lambda name: name not in FILTERS)
 
 
-def _apart(trust: Trust, name: str) -> Apart:
+def _apart(trust: Trust, name: str) -> dict[str, object]:
+    """Distance [m] of an online path from the smoothed one; empty or None: not known."""
     twins = [s.apart[name] for s in trust.twins if math.isfinite(s.apart.get(name, math.nan))]
     median = trust.real.measured.get((name, "filter_smoother_median"))
     share = trust.real.measured.get((name, "filter_smoother_semidefinite"))
     known = median is not None and math.isfinite(median.value) and math.isfinite(median.expected)
-    return Apart(
-        name,
-        name in FILTERS,
-        trust.real.apart[name],
-        (min(twins), max(twins)) if twins else (),
-        bool(trust.twins),
-        (median.value, median.expected) if median is not None and known else (),
-        share.value if share is not None and math.isfinite(share.value) else None,
-    )
+    return {
+        "estimator": name,
+        "filters": name in FILTERS,
+        "rms": trust.real.apart[name],
+        "twins": (min(twins), max(twins)) if twins else (),  # least and largest on the replicates
+        "beside_twins": bool(trust.twins),
+        # of the quadratic form of the difference, and what is expected
+        "median": (median.value, median.expected) if median is not None and known else (),
+        # share of the frames in which P_f - P_s is
+        "semidefinite": share.value if share is not None and math.isfinite(share.value) else None,
+    }
 
 
-def _verdict(blame: Blame) -> Verdict:
-    p = blame.p if math.isfinite(blame.p) else None
-    return Verdict(blame.cause, len(blame.objected), blame.tested, p, bool(blame.objected and not blame.findings))
+def _verdict(blame: Blame) -> dict[str, object]:
+    """Cause, rejected statistics of those tested, and the smallest p; unexplained: nothing rejected has a name."""
+    unexplained = bool(blame.objected and not blame.findings)
+    counts = {"objected": len(blame.objected), "tested": blame.tested, "unexplained": unexplained}
+    return {"cause": blame.cause, "p": blame.p if math.isfinite(blame.p) else None, **counts}
 
 
 def _systematic(name: str, size: float, error: float, terms: Terms, **more: float | tuple[str, ...]) -> Explanation:

@@ -203,7 +203,7 @@ def _constants(log: Log) -> dict[str, object]:
     sensor, R = log.recorded.sensor, log.recorded.observations.R
     x, z = sensor.translation
     sides = [100.0 * np.sqrt(R[:, i, i]) for i in (0, 1)] if len(R) else []
-    right, forward = [(float(each.min()), float(each.max())) for each in sides] or [(), ()]
+    right, forward = ((float(each.min()), float(each.max())) for each in sides) if sides else ((), ())
     return {
         "log": log.name,
         "v": 100.0 * COMMAND_SIGMA[0],
