@@ -11,9 +11,8 @@ from data.command import Command
 from data.errors import UsageError
 from data.terminal import ended, message_of
 from eval.plan.flags.options import options_of
-from eval.plan.flags.table import Options, add_flags
+from eval.plan.flags.table import FIRST_FRAMES, Options, add_flags
 from eval.replay.flag import rows
-from eval.step import frames_of
 
 PROG = "python -m eval.play"
 TABLE = rows(Options)
@@ -62,7 +61,8 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     stated: dict[str, object] = {"log": [given["log"]]}
     stated |= {"task": "slam"} if given["log"].startswith("corridor:") else {}
     stated |= {row.name: given[row.name] for row in SHARED if row.name in given}
-    return Wish(options_of(stated), out, frames_of(given["frames"]))
+    frames = None if given["frames"] is None else FIRST_FRAMES("--frames", given["frames"])
+    return Wish(options_of(stated), out, frames)
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:

@@ -30,8 +30,7 @@ from eval.plan.flags.table import Options
 
 FINE, REJECTED = 0, 1
 MARK = "provenance.json"
-COLOURS = {"good": "32", "fair": "33", "bad": "31"}
-"""ANSI colours of the trust line, by tone."""
+COLOURS = {"good": "32", "fair": "33", "bad": "31"}  # ANSI colours of the trust line, by tone
 
 
 class Console:

@@ -12,7 +12,7 @@ from data.command import Command
 from data.errors import UsageError
 from data.terminal import ended
 from eval.plan.flags.options import options_of
-from eval.plan.flags.table import Options, add_flags
+from eval.plan.flags.table import FIRST_FRAMES, Options, add_flags
 from eval.replay.flag import rows
 from eval.replay.settings import ASSOCIATIONS, STEPPING, steps
 
@@ -86,16 +86,8 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     estimator = options.selection.estimator[0]
     if not steps(estimator):
         raise UsageError(f"--estimator {estimator}: does not work step by step; {', '.join(STEPPING)} do")
-    return Wish(options, given["save"], given["run_through"], frames_of(given["frames"]), given["lab_text"])
-
-
-def frames_of(text: str | None) -> int | None:
-    """The value of `--frames`, a number from 1 up."""
-    if text is None:
-        return None
-    if not text.isascii() or not text.isdigit() or int(text) < 1:
-        raise UsageError(f"--frames {text}: a whole number from 1 up is needed")
-    return int(text)
+    frames = None if given["frames"] is None else FIRST_FRAMES("--frames", given["frames"])
+    return Wish(options, given["save"], given["run_through"], frames, given["lab_text"])
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -109,6 +101,7 @@ def _step(wish: Wish) -> None:
     from eval.plan.warming import compile_if_needed
 
     compile_if_needed()
+    from eval.plan.experiment import check_possible_on
     from eval.plan.foreign import load_all
 
     asked, setup = wish.options.selection, wish.options.setup
@@ -116,8 +109,7 @@ def _step(wish: Wish) -> None:
     load_all(asked.estimator, asked.association)
     log = open_log(asked.log[0])
     task = task_of(log, asked.task)
-    if association == "known" and not log.has_labels:
-        raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
+    check_possible_on(log, (task,), (association,))
     if wish.frames is not None:
         log = shortened(log, wish.frames)
     from eval.referee.plausibility import with_plausibility
@@ -156,12 +148,8 @@ def _step(wish: Wish) -> None:
 
 def task_of(log: Log, asked: Sequence[str]) -> str:
     """The first of the given tasks; by default localization in a known map, but SLAM in a corridor."""
-    has_map = log.recorded.map is not None
-    if "localization" in asked and not has_map:
-        raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); only slam makes sense")
-    if asked:
-        return asked[0]
-    return "localization" if has_map and not log.name.startswith("corridor") else "slam"
+    known_map = log.recorded.map is not None and not log.name.startswith("corridor")
+    return asked[0] if asked else "localization" if known_map else "slam"
 
 
 if __name__ == "__main__":

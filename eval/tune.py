@@ -25,8 +25,7 @@ if TYPE_CHECKING:
     from eval.tuning.model import Model
 
 PROG = "python -m eval.tune"
-MARK = "tuned"
-"""Key of [source] in log.toml of a tuned log: the fitted values and their log."""
+MARK = "tuned"  # key of [source] in log.toml of a tuned log: the fitted values and their log
 HELP = """\
 Fit noise of motion and sensor, observation biases, odometry scales and, with odometry.csv, observation latency.
 The fit maximizes the likelihood of the innovations of an EKF with labels (localization if LOG has a map, else SLAM).

@@ -58,6 +58,7 @@ def _run(options: argparse.Namespace) -> None:
     from data.formats.open_log.writer import write_folder
     from data.logs import open_log
     from eval.compare import compare
+    from eval.plan.experiment import check_possible_on
     from eval.plan.foreign import load_all
     from eval.plan.warming import compile_if_needed
     from eval.replay.estimators import FOR_WALLS
@@ -69,14 +70,11 @@ def _run(options: argparse.Namespace) -> None:
     compile_if_needed()
     log = open_log(options.log)
     task = options.task or ("slam" if log.recorded.map is None else "localization")
-    if task == "localization" and log.recorded.map is None:
-        raise UsageError(f"--task localization: log {log.name!r} has no map; type --task slam")
     association = "known" if log.has_labels else HINDSIGHT if log.recorded.sensor.sees_points else FOR_WALLS
     if options.association is not None:
         association = one_settled("--association", options.association, "association")
         load_all((), (association,))
-    if association == "known" and not log.has_labels:
-        raise UsageError(f"--association known: log {log.name!r} has no labels; type --association {HINDSIGHT}")
+    check_possible_on(log, (task,), (association,))
     inputs, setup = inputs_of(log, task, association), Setup()
     smoother = smoother_of(compare(inputs, task, ("ekf", "batch"), association, setup), inputs)
     if smoother is None:

@@ -41,12 +41,9 @@ from eval.studies.sampled import Sample, sample_of, smoother_of, twin_sample
 from eval.studies.trusted import FEWEST, Trust, judged
 from eval.studies.twins import Source, inputs_of, source_of, twin
 
-WANDERS = 3.0
-"""Standard errors of the correlation of neighbouring stretches; 1 in 700 logs without drift exceeds it."""
-FEWEST_DISTINGUISHED = 10
-"""Fewest stretches for a correlation."""
-WRONGLY = 0.01
-"""Largest share of logs without errors in which an error is named."""
+WANDERS = 3.0  # standard errors of the correlation of neighbouring stretches; 1 in 700 logs without drift exceeds it
+FEWEST_DISTINGUISHED = 10  # fewest stretches for a correlation
+WRONGLY = 0.01  # largest share of logs without errors in which an error is named
 OF_MOTION = {
     "odometry_x_scale": "scale",
     "odometry_theta_curvature": "curvature",
@@ -56,12 +53,9 @@ OF_MOTION = {
     "z1_range": "range",
 }
 """Errors by hypothesis, `<component>_<regressor>`; oblique odometry is a bearing bias of the sensor."""
-ACTING = ("scale", "curvature", "left", "right")
-"""Errors of the odometry, modelled exactly as they act."""
-TURNED = 2.0
-"""Least mean square of the turns to one side, in noise variances, if the robot turned; 1 for noise alone."""
-OF_SENSOR = {"range", "bearing"}
-"""Errors that are observable with points, not with walls."""
+ACTING = ("scale", "curvature", "left", "right")  # errors of the odometry, modelled exactly as they act
+TURNED = 2.0  # least mean square of the turns to one side, in noise variances, if the robot turned; 1 for noise alone
+OF_SENSOR = {"range", "bearing"}  # errors that are observable with points, not with walls
 LESS_WELL = ("odometry_x_distance", "odometry_theta_distance", "odometry_theta_turn")
 """Effects of the battery that the exact errors of `data.motion.systematic` replace."""
 
@@ -152,8 +146,7 @@ def wanders(inputs: Inputs, path: Array) -> bool:
     return correlation * math.sqrt(len(excess)) > WANDERS
 
 
-FRONT = ("ekf", "batch")
-"""The front end without labels, and the smoother of the residuals."""
+FRONT = ("ekf", "batch")  # the front end without labels, and the smoother of the residuals
 
 
 def with_systematic(log: Log, systematic: Systematic | None) -> Log:

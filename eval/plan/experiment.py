@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from association.scans.constraints import SCAN
+from data.errors import UsageError
 from data.log import Log
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import FILTERS, Setup
@@ -42,3 +44,11 @@ class Experiment:
     setup: Setup
     variant_of: str | None = None
     about: str = ""
+
+
+def check_possible_on(log: Log, tasks: Sequence[str], associations: Sequence[str]) -> None:
+    """Raise UsageError for localization without a map, or known association without labels."""
+    if "localization" in tasks and log.recorded.map is None:
+        raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); type --task slam")
+    if "known" in associations and not log.has_labels:
+        raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")

@@ -13,10 +13,10 @@ from data.formats.recordings.esde import NAME, find_esde
 from data.log import Log, folder_name, shortened
 from data.logs import Reading, find_logs, open_log
 from eval.plan.calibrate import check_calibrated
-from eval.plan.experiment import Experiment, Work
+from eval.plan.experiment import Experiment, Work, check_possible_on
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
-from eval.plan.lab import lab_experiments
+from eval.plan.lab import VISUAL, lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.plan.variants import has_depth_noise, maintained, sparser, with_depth_noise
 from eval.replay.estimators import FOR_WALLS, NO_HINDSIGHT_OF_WALLS
@@ -164,10 +164,8 @@ def _asked(study: Validation, options: Options) -> Validation:
 
 def _tasks(log: Log, asked: Selection) -> Sequence[str]:
     """The tasks of a given log."""
-    has_map = log.recorded.map is not None
-    if "localization" in asked.task and not has_map:
-        raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); type --task slam")
-    return asked.task or (("localization",) if has_map else ("slam",))
+    check_possible_on(log, asked.task, ())
+    return asked.task or (("slam",) if log.recorded.map is None else ("localization",))
 
 
 def _work(log: Log, asked: Selection) -> tuple[Work, ...]:
@@ -178,8 +176,7 @@ def _work(log: Log, asked: Selection) -> tuple[Work, ...]:
     associations = asked.association or (("known",) if log.has_labels else (alone,))
     if SCAN in associations and not scans:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
-    if "known" in associations and not log.has_labels:
-        raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
+    check_possible_on(log, (), associations)
     if HINDSIGHT in associations and walls:
         raise UsageError(f"--association {HINDSIGHT}: log {log.name!r} has walls; {NO_HINDSIGHT_OF_WALLS}")
     other = [e for e in asked.estimator if e not in BACK_ENDS]
@@ -194,8 +191,7 @@ def _cut(log: Log, options: Options) -> Log:
 
 
 ALL = DEFAULT_ESTIMATORS
-ROBUST = ("batch-cauchy", "gnc")
-"""Further estimators of a laser log, where one wrong loop closure bends the whole map."""
+ROBUST = ("batch-cauchy", "gnc")  # further estimators of a laser log, where one wrong loop closure bends the whole map
 DECIDING = ("ekf", "isam2", "batch")
 KNOWN = (Work("known", ALL),)
 WAYS = (*METHODS, HINDSIGHT)
@@ -204,7 +200,6 @@ LAB = (*KNOWN, *(Work(m, HELPED.get(m, ("ekf",))) for m in WAYS))
 """Corridors: every method with the filter, some with smoothers, too."""
 PARK = (*KNOWN, Work(HINDSIGHT, HELPED[HINDSIGHT]), Work("jcbb", ("ekf",)))
 EVERYTHING = (*KNOWN, *(Work(m, DECIDING) for m in WAYS))
-VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 SHORT_GALLERY = 60  # frames of visual:0 in the default report
 CORRIDORS = ("corridor:0", "corridor:0:people", "corridor:0:no-odometry", "corridor:0:people+no-odometry")
 PRIMED = "corridor:0:no-odometry+forward"

@@ -28,8 +28,7 @@ WORLDS = {"arena": 2000, "linear": 1400, "corridor": 600}
 """Most observations of simulated logs, by default or with fewer frames."""
 FEWER = re.compile(r"frames=(\d{1,2}|1\d\d|200)|people|no-odometry|no-people|odometry")
 """Keys that do not enlarge a simulated log."""
-LINES = 200_000
-"""Most bytes in observations.csv of a small log, with at least 50 bytes a line."""
+LINES = 200_000  # most bytes in observations.csv of a small log, with at least 50 bytes a line
 NOTICE = "first run: interpreted; compiling in the background, later runs are faster"
 
 

@@ -29,8 +29,7 @@ CONDITIONS = {
 }
 """(people, odometry) of the lab's four logs, and the keys in the name of a simulated one."""
 WITH_PEOPLE = ("crowd", "sv_people", "sa_people")
-METHODS = ("nn", "singles", "jcbb-first", "jcbb")
-"""Run without and with map maintenance."""
+METHODS = ("nn", "singles", "jcbb-first", "jcbb")  # run without and with map maintenance
 VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 
 

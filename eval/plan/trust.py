@@ -25,8 +25,7 @@ from eval.studies.trusted import FEWEST, Trust, judged
 from eval.studies.twins import Source, calibrated, digest_of, inputs_of, source_of
 
 FULL_TWINS = 100  # twins of each log with `--full`
-AFTERWARDS = 39
-"""Most twins of a log after its trial calibration; the family-wise p value can then reach 2.5 %."""
+AFTERWARDS = 39  # most twins of a log after its trial calibration; the family-wise p value can then reach 2.5 %
 Progress = Callable[[int, int], None]
 
 

@@ -30,8 +30,7 @@ from eval.replay.frontend import FrontEnd
 from eval.replay.run import driven
 from eval.replay.settings import Setup
 
-FARTHEST = 10.0
-"""Initial squared distance of the running minimum."""
+FARTHEST = 10.0  # initial squared distance of the running minimum
 
 
 class GainFromBefore(EkfLocalizer):

@@ -113,10 +113,12 @@ def objections(claim: Claim, measured: bool) -> tuple[Objected, ...]:
         found.append(Objected(Objection.STOPPED, claim.estimator))
     if claim.status == Objection.IMPLAUSIBLE.value:
         found.append(Objected(Objection.IMPLAUSIBLE, claim.estimator))
-    if claim.idle:
-        found.append(Objected(Objection.IDLE, claim.estimator))
     if math.isfinite(claim.lost_frame) and not (known and claim.nees <= NEES_LIMIT):
         found.append(Objected(Objection.LOST, claim.estimator, claim.lost_frame))
+    elif claim.idle:
+        found.append(Objected(Objection.IDLE, claim.estimator))
+    if found:  # its numbers are of no use then
+        return tuple(found)
     if known and (claim.nees > NEES_LIMIT or claim.nees_lower > NEES_MARGIN * NEES_EXPECTED):
         found.append(Objected(Objection.NEES, claim.estimator, claim.nees))
     if claim.wrong > WRONG_LIMIT:

@@ -222,7 +222,7 @@ def test_without_a_terminal_it_never_pauses(monkeypatch, capsys):
     (["--log", "corridor:0", "--estimator", "batch"], "ekf, ekf-iterated, ekf-fej, ekf-invariant, isam2, fixed-lag do"),
     (["--log", "corridor:0", "--task", "mapping"], "known: localization, slam"),
     (["--log", "corridor:0", "--frames", "0"], "a whole number from 1 up"),
-    (["--log", "corridor:0", "--frames", "1.5"], "a whole number from 1 up"),
+    (["--log", "corridor:0", "--frames", "1.5"], "a whole number is needed"),
     (["--log", "victoria-park", "--task", "localization"], "has no map"),
     (["--log", "corridor:0", "--save", __file__], "--save"),
 ])  # fmt: skip

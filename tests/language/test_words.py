@@ -16,9 +16,8 @@ ROOT = Path(__file__).parents[2]
 LIST = Path(__file__).parent / "banned.txt"
 ROOMS = ("association", "data", "ekf", "eval", "graph")
 PAGES = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md")
-KEPT = {
-    "PAIRED = ": "values in files are contracts",
-}
+VALUES = ("paired anew on the smoothed path",)
+"""Values in files are contracts."""
 
 
 def banned() -> dict[str, str]:
@@ -31,6 +30,8 @@ def texts_of_module(path: Path) -> Iterator[tuple[int, str]]:
     source = path.read_text()
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and " " in node.value.strip():
+            if node.value in VALUES:
+                continue
             yield node.lineno, node.value
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:

@@ -30,6 +30,7 @@ FACTORS = ("1", "2", "5", "10", "20", "50", "auto")
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
 NOT_NEGATIVE = whole(0, "must not be negative")
+FIRST_FRAMES = whole(1, "a whole number from 1 up is needed")  # `--frames` of step and play
 CONFIGS = Path(__file__).parents[2] / "configs"
 INCH = {"in": 1.0, "cm": 1.0 / 2.54, "mm": 1.0 / 25.4, "pt": 1.0 / 72.27}  # [in] of each unit; pt of TeX
 SMALLEST, LARGEST = 1.5, 20.0  # [in] width of a figure whose axes and labels have room
