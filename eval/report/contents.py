@@ -29,8 +29,8 @@ from eval.report.labs.write_up import write_up
 from eval.report.laser import laser_sections
 from eval.report.log_sections import association_sections, trial_sections
 from eval.report.overview import attribution_sections, introduction, overview
-from eval.report.overview_facts import LogFacts, conclusion, facts_of
-from eval.report.page.blocks import READING, Block, Folded, Picture, Report, Section, Table
+from eval.report.overview_facts import conclusion, facts_of
+from eval.report.page.blocks import READING, Block, Folded, Report, Section, Table
 from eval.report.publish import publish
 from eval.report.render import write_report
 from eval.report.run_files import write_truths
@@ -76,7 +76,16 @@ def write_results(
     answers = hand_in(folder, options, trials, scores, lost)
     first = [*answers, *attribution_sections(main, outcome.trust)]
     sections = warnings_section(found)
-    sections += _sections(folder, options, outcome, judged, scores, facts, published, answered=bool(answers))
+    in_lab, factor = options.selection.lab is not None, output.ellipse_factor
+    sections += trial_sections(folder, output, trials, facts, scores, published, outcome.trust, outcome.calibrations)
+    sections += laser_sections(folder, output, trials, published)
+    sections += visual_sections(folder, output, trials, in_lab=in_lab, factor=factor)
+    sections += tutorial_sections(folder, output, trials, scores)
+    sections += study_sections(folder, options, outcome, judged)
+    if trials:
+        sections += association_sections(folder, output, trials, scores)
+        sections += revision_section(folder, output, trials)
+        sections += lab_sections(trials, scores, answered_above=bool(answers))
     if trials or lost.messages:
         sections.append(_failure_section(trials, lost.messages))
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
@@ -110,32 +119,6 @@ def _write_tables(folder: Path, outcome: Outcome, scores: Scores, judged: Sequen
         result_files.RELATIONS.write(scores.relations, folder)
     if outcome.published:
         result_files.PUBLISHED.write(published_frame(outcome.published), folder)
-
-
-def _sections(
-    folder: Path,
-    options: Options,
-    outcome: Outcome,
-    judged: Sequence[Judged],
-    scores: Scores,
-    facts: Sequence[LogFacts],
-    published: Sequence[Sequence[Picture]],
-    *,
-    answered: bool,
-) -> list[Section]:
-    """All between questions and failures; `answered`: a lab's answers stand above."""
-    trials, output = outcome.trials, options.output
-    in_lab, factor = options.selection.lab is not None, output.ellipse_factor
-    sections = trial_sections(folder, output, trials, facts, scores, published, outcome.trust, outcome.calibrations)
-    sections += laser_sections(folder, output, trials, published)
-    sections += visual_sections(folder, output, trials, in_lab=in_lab, factor=factor)
-    sections += tutorial_sections(folder, output, trials, scores)
-    sections += study_sections(folder, options, outcome, judged)
-    if trials:
-        sections += association_sections(folder, output, trials, scores)
-        sections += revision_section(folder, output, trials)
-        sections += lab_sections(trials, scores, answered_above=answered)
-    return sections
 
 
 def warnings_section(found: Sequence[Notice]) -> list[Section]:

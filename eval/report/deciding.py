@@ -11,16 +11,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from data.log import folder_name
 from data.result import DISCARD, NEW, Event, Run
 from eval.figures.association import Example, revision_figure
 from eval.figures.style import save
+from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.replay.hindsight.ledger import MERGED, REASSOCIATED, UNREAD
 from eval.replay.settings import steps
 from eval.report.page.blocks import Picture, Section
-from eval.report.page.files import Drawn, written_table
-from eval.report.rows import Row, Scored, filters_in, value_of
+from eval.report.page.files import written_table
+from eval.report.rows import Row, Scored, filters_in, stem, value_of
 from eval.report.words import paragraph
 
 SAME = 0.02  # relative difference of two RMSE values below which they are called equal
@@ -184,7 +184,7 @@ def revising(trial: Trial) -> list[tuple[Run, str]]:
     return [(run, ", ".join(names)) for run, names in found]
 
 
-def revision_section(folder: Path, wanted: Drawn, trials: Sequence[Trial]) -> list[Section]:
+def revision_section(folder: Path, wanted: Output, trials: Sequence[Trial]) -> list[Section]:
     """What was taken back on all logs, and a picture of one example each; nothing where nothing was."""
     rows, pictures = [], []
     for trial in trials:
@@ -206,16 +206,9 @@ def _picture(folder: Path, trial: Trial, *, quick: bool) -> Picture | None:
     one = None if run is None else example(run)
     if run is None or one is None:
         return None
-    name, log = f"{folder_name(trial.log.name)}-{trial.task}-revision", trial.log.name
+    name, log = stem(trial, "revision"), trial.log.name
     save(revision_figure(trial.log, run, one), folder / "figures", name)
-    caption = paragraph(
-        "deciding#revision",
-        log=log,
-        task=trial.task,
-        estimator=run.estimator,
-        frame=one.frame,
-        why=one.why,
-        observations=len(one.rows),
-        landmarks=len(np.unique(one.old[one.old >= 0])),
-    )
+    about = {"log": log, "task": trial.task, "estimator": run.estimator, "frame": one.frame, "why": one.why}
+    landmarks = len(np.unique(one.old[one.old >= 0]))
+    caption = paragraph("deciding#revision", **about, observations=len(one.rows), landmarks=landmarks)
     return Picture(name, caption, paragraph("deciding#revision_alt", log=log, frame=one.frame))

@@ -95,19 +95,9 @@ def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[Headline]:
         related = errors.get((r["log"], r["estimator"], r["association"], r["phase"]), math.nan)
         by_relations = not math.isfinite(rmse) and math.isfinite(related)
         log, task, estimator, association = (str(r[c]) for c in ("log", "task", "estimator", "association"))
-        yield Headline(
-            rank,
-            log,
-            task,
-            estimator,
-            association,
-            rmse=related if by_relations else rmse,
-            nees=value_of(r, "nees_pose"),
-            nis=value_of(r, "nis"),
-            verdict=_verdict(r),
-            wrong=_wrong(decided.get(_key(r))),
-            by_relations=by_relations,
-        )
+        numbers = (related if by_relations else rmse, value_of(r, "nees_pose"), value_of(r, "nis"))
+        wrong = _wrong(decided.get(_key(r)))
+        yield Headline(rank, log, task, estimator, association, *numbers, _verdict(r), wrong, by_relations)
 
 
 def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[Headline]:

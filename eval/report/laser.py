@@ -21,25 +21,14 @@ from data.result import Run
 from data.se2 import Array
 from eval.figures.laser import loop_picture, map_picture
 from eval.figures.style import save
+from eval.plan.flags.table import Output
+from eval.referee import laser
 from eval.referee.errors import position_distance, rms
 from eval.referee.given_runs import GivenRun
-from eval.referee.laser import (
-    ALL,
-    CARTOGRAPHER,
-    EXACT,
-    KEPT,
-    KUEMMERLE,
-    ROW,
-    TIME,
-    kept,
-    paths_of,
-    relation_errors,
-    right_closures,
-)
 from eval.referee.result_files import LOOPS
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
-from eval.report.page.files import Wanted, written_table
+from eval.report.page.files import written_table
 from eval.report.page.tables import number
 from eval.report.rows import stem
 from eval.report.words import say
@@ -128,7 +117,7 @@ def graph_of(run: LaserRun) -> str:
     chain, loops = run.chain, run.loops
     keys = range(len(run.key_pose))
     edges = [(MOTION, k - 1, k, chain.motion[k], chain.covariance[k]) for k in keys[1:]]
-    for i in np.flatnonzero(kept(loops, run.weight, "final")).tolist():
+    for i in np.flatnonzero(laser.kept(loops, run.weight, "final")).tolist():
         edges.append((MOTION, int(loops.key1[i]), int(loops.key2[i]), loops.relative[i], loops.covariance[i]))
     return written((keys, run.key_pose), ((), np.zeros((0, 2))), (0,), edges)
 
@@ -136,7 +125,7 @@ def graph_of(run: LaserRun) -> str:
 def loops_table(loops: Loops, weight: Array | None) -> pd.DataFrame:
     """loops.csv: every loop closure looked at; accepted: it joined the graph, final: it kept its weight."""
     rows, columns = np.triu_indices(3)
-    loop_state = [kept(loops, weight, phase).astype(int) for phase in ("online", "final")]
+    loop_state = [laser.kept(loops, weight, phase).astype(int) for phase in ("online", "final")]
     covariance = loops.covariance[:, rows, columns].T
     values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *loop_state]
     return pd.DataFrame(dict(zip(LOOPS.names, values, strict=True)))
@@ -167,7 +156,7 @@ def laser_picture(trial: Trial, kind: str) -> tuple[Figure, str, str]:
     assert run.chain is not None
     assert run.key_pose is not None
     truth = trial.log.truth.pose
-    false = None if truth is None else ~right_closures(run.loops, truth[run.chain.frame])
+    false = None if truth is None else ~laser.right_closures(run.loops, truth[run.chain.frame])
     weight = np.ones(len(run.loops)) if run.weight is None else run.weight
     figure = loop_picture(run.key_pose, run.loops, weight, name=name, false=false, estimator=run.estimator)
     return figure, say("laser#loops", **names), f"Pose graph of {name} with its loop closures"
@@ -186,7 +175,7 @@ INTEL_RELATIONS = 2984  # relations of the Intel log, by whose number it is reco
 
 
 def laser_sections(
-    folder: Path, wanted: Wanted, trials: Sequence[Trial], published: Sequence[Sequence[Picture]]
+    folder: Path, wanted: Output, trials: Sequence[Trial], published: Sequence[Sequence[Picture]]
 ) -> list[Section]:
     """A section for each laser log; variants are rows in the table of graph sizes."""
     sections = []
@@ -223,10 +212,10 @@ def against(trial: Trial) -> list[dict[str, object]]:
         ("dead-reckoning", "none", "online"),
     ):
         run = trial.find(name, association)
-        path = None if run is None or run.failure is not None else paths_of(run).get(phase)
+        path = None if run is None or run.failure is not None else laser.paths_of(run).get(phase)
         if path is None or relations is None:
             continue
-        e = relation_errors(path, relations, trial.log.recorded.time)
+        e = laser.relation_errors(path, relations, trial.log.recorded.time)
         if e is not None:
             what = "last state" if (name, phase) == ("ekf", "final") else phase
             found.append({"estimator": name, "phase": what, "mean": e.trans_mean_m, "std": e.trans_std_m})
@@ -234,7 +223,7 @@ def against(trial: Trial) -> list[dict[str, object]]:
     return found
 
 
-def _relations(folder: Path, wanted: Wanted, trial: Trial) -> list[Block]:
+def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
     """Every run against the reference relations."""
     relations = trial.log.truth.relations
     if relations is None:
@@ -254,17 +243,22 @@ def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     if not (given or isinstance(run, LaserRun)) or run.failure is not None or log.truth.relations is None:
         return []
     rows = []
-    for phase, path in paths_of(run).items():
+    for phase, path in laser.paths_of(run).items():
         row: dict[str, object] = {"estimator": run.estimator, "association": run.association, "phase": phase}
-        for tie, subset in ((ROW, ALL), (ROW, EXACT), (TIME, ALL), (TIME, EXACT)):
-            e = relation_errors(path, log.truth.relations, log.recorded.time, tie=tie, subset=subset)
+        for tie, subset in (
+            (laser.ROW, laser.ALL),
+            (laser.ROW, laser.EXACT),
+            (laser.TIME, laser.ALL),
+            (laser.TIME, laser.EXACT),
+        ):
+            e = laser.relation_errors(path, log.truth.relations, log.recorded.time, tie=tie, subset=subset)
             if e is not None:
                 head = f"{subset} by {tie} ({e.relations}) [m]"
                 row[head] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
-                if (tie, subset) == (ROW, ALL):
+                if (tie, subset) == (laser.ROW, laser.ALL):
                     row["heading [°]"] = f"{e.rot_mean_deg:.3f} ± {e.rot_std_deg:.3f}"
                     row["largest [m]"] = number(e.trans_max_m)
-        other = relation_errors(path, log.truth.relations, log.recorded.time, order=KUEMMERLE)
+        other = laser.relation_errors(path, log.truth.relations, log.recorded.time, order=laser.KUEMMERLE)
         if other is not None:
             row["other order [m]"] = f"{other.trans_mean_m:.4f} ± {other.trans_std_m:.4f}"
         rows.append(row)
@@ -294,7 +288,7 @@ def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
         "keys": len(run.chain.frame),
         "loops": len(run.loops),
         "believed": int((run.loops.believed >= 0).sum()),
-        "left_out": tuple((r.estimator, int((r.weight < KEPT).sum())) for r in robust if r.weight is not None),
+        "left_out": tuple((r.estimator, int((r.weight < laser.KEPT).sum())) for r in robust if r.weight is not None),
         "scale": run.scale,  # of the variances that scan matching claims, and its error
         "ungated": _off(ekf, trial.log) if isinstance(ekf, LaserRun) and gated else None,
         "gates": tuple(_gate(g, trial.log) for g in ekf.with_gate or ()) if isinstance(ekf, LaserRun) and gated else (),
@@ -315,14 +309,14 @@ def _off(run: LaserRun, log: Log) -> dict[str, object]:
     """Error of a last state [m]: mean and standard deviation against the relations, or RMSE against the truth."""
     off: dict[str, object] = {"relations": None, "rmse": None}
     if run.last is not None and log.truth.relations is not None:
-        e = relation_errors(run.last, log.truth.relations, log.recorded.time, order=CARTOGRAPHER)
+        e = laser.relation_errors(run.last, log.truth.relations, log.recorded.time, order=laser.CARTOGRAPHER)
         off["relations"] = None if e is None else (e.trans_mean_m, e.trans_std_m)
     elif run.last is not None and log.truth.pose is not None:
         off["rmse"] = rms(position_distance(run.last, log.truth.pose))
     return off
 
 
-def _sizes(folder: Path, wanted: Wanted, trials: Sequence[Trial]) -> Block:
+def _sizes(folder: Path, wanted: Output, trials: Sequence[Trial]) -> Block:
     """Graph size and error for several distances between key poses."""
     rows = []
     for t in trials:
@@ -337,7 +331,7 @@ def _sizes(folder: Path, wanted: Wanted, trials: Sequence[Trial]) -> Block:
         }
         truth, relations = t.log.truth.pose, t.log.truth.relations
         if relations is not None:
-            e = relation_errors(run.last, relations, t.log.recorded.time)
+            e = laser.relation_errors(run.last, relations, t.log.recorded.time)
             if e is not None:
                 row["relations, all by row [m]"] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
         if truth is not None:

@@ -90,17 +90,13 @@ def overview(
     left_out += () if whole else IN_DETAIL
     rows = []
     for trial, f in trials:
-        cells: list[Cell] = [trust_mark(f), _sketch(trial, f, folder, drawn)]
-        cells += [
-            _error(f, f.filtered, f.errors[0]),
-            _error(f, f.smoothed, f.errors[1]),
-            _given(f),
-            _ratio(f),
-            claims(f),
-        ]
+        errors = (_error(f, f.filtered, f.errors[0]), _error(f, f.smoothed, f.errors[1]))
+        cells: list[Cell] = [trust_mark(f), _sketch(trial, f, folder, drawn), *errors, _given(f), _ratio(f), claims(f)]
         cells += [*_associations(f), _failed(f)]
         kept = tuple(c for head, c in enumerate(cells, start=1) if head not in left_out)
-        rows.append(OverviewRow(f.name, f.name, kept, _links(f, folder)))
+        player = f"players/{folder_name(f.log)}.html"
+        links = (("play", player),) if (folder / player).exists() else ()
+        rows.append(OverviewRow(f.name, f.name, kept, links))
     heads = tuple(h for i, h in enumerate(HEADS) if i not in left_out)
     return Overview(heads, tuple(rows), paragraph("overview#caption"))
 
@@ -147,12 +143,6 @@ def _failed(f: LogFacts) -> Value:
     named = ", ".join(" ".join(names) for names in f.failed[:NAMED])
     more = f" and {len(f.failed) - NAMED} more" if len(f.failed) > NAMED else ""
     return Value(f"{len(f.failed)} of {f.runs}", f"{named}{more}")
-
-
-def _links(f: LogFacts, folder: Path) -> tuple[tuple[str, str], ...]:
-    """The player of the log, where one was written."""
-    place = f"players/{folder_name(f.log)}.html"
-    return (("play", place),) if (folder / place).exists() else ()
 
 
 WIDTH, HEIGHT, EDGE = 96.0, 60.0, 3.0  # px of the page

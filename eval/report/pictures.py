@@ -22,23 +22,11 @@ from eval.figures.plane import SIGMAS, longest_axis
 from eval.figures.style import save
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
+from eval.report import shown_runs
 from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, laser_kinds, laser_picture
 from eval.report.page.blocks import Picture
 from eval.report.results import aligned_statement
 from eval.report.rows import SYSTEMATIC, stem
-from eval.report.shown_runs import (
-    finished,
-    for_filter_smoother,
-    for_growth,
-    for_loop_states,
-    for_map,
-    for_panels,
-    has_covariance,
-    left_out,
-    plausible,
-    same,
-    worst,
-)
 from eval.report.words import paragraph
 
 FILTER_SMOOTHER = "filter-smoother"
@@ -76,16 +64,16 @@ def draw(folder: Path, trial: Trial, kind: str, variants: Variants = ()) -> Pict
 
 
 def _measured(trial: Trial) -> bool:
-    return bool(trial.log.truth.known_poses and finished(trial))
+    return bool(trial.log.truth.known_poses and shown_runs.finished(trial))
 
 
 def _blind(trial: Trial) -> bool:
-    return bool(not trial.log.truth.known_poses and finished(trial))
+    return bool(not trial.log.truth.known_poses and shown_runs.finished(trial))
 
 
 def _claiming(trial: Trial) -> list[Run]:
     """Estimates that say how certain they are."""
-    return [r for r in finished(trial) if has_covariance(r)]
+    return [r for r in shown_runs.finished(trial) if shown_runs.has_covariance(r)]
 
 
 def has_outcomes(trial: Trial, variants: Variants = ()) -> bool:
@@ -99,49 +87,51 @@ def has_outcomes(trial: Trial, variants: Variants = ()) -> bool:
 
 
 def _map(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    drawn, astray = for_map(trial), worst(trial)
-    shown = astray is not None and len(drawn) < len(trial.runs) and any(same(r, astray) for r in drawn)
+    drawn, astray = shown_runs.for_map(trial), shown_runs.worst(trial)
+    shown = astray is not None and len(drawn) < len(trial.runs) and any(shown_runs.same(r, astray) for r in drawn)
     facts = {"runs": drawn, "astray": astray if shown else None, "aligned": aligned_statement(trial)}
-    return map_figure(trial.log, drawn), {**facts, "others": left_out(trial, drawn)}
+    return map_figure(trial.log, drawn), {**facts, "others": shown_runs.left_out(trial, drawn)}
 
 
 def _error(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    shown = for_panels(finished(trial))
-    return error_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    shown = shown_runs.for_panels(shown_runs.finished(trial))
+    return error_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
 
 
 def _nees(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    shown = for_panels(_claiming(trial))
-    return nees_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    shown = shown_runs.for_panels(_claiming(trial))
+    return nees_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
 
 
 def _has_difference(trial: Trial, _: Variants) -> bool:
     reference = trial.find("batch")
-    return _blind(trial) and reference is not None and reference.flaw is None and len(finished(trial)) > 1
+    return _blind(trial) and reference is not None and reference.flaw is None and len(shown_runs.finished(trial)) > 1
 
 
 def _difference(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     reference = trial.find("batch")
     assert reference is not None  # or there is no such picture
-    rows = for_panels([r for r in finished(trial) if r is not reference], complete=(reference.association,))
-    return difference_figure(trial.log, rows, reference), {"others": left_out(trial, [*rows, reference])}
+    rows = shown_runs.for_panels(
+        [r for r in shown_runs.finished(trial) if r is not reference], complete=(reference.association,)
+    )
+    return difference_figure(trial.log, rows, reference), {"others": shown_runs.left_out(trial, [*rows, reference])}
 
 
 def _claims(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    shown = for_panels(_claiming(trial))
-    return claims_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    shown = shown_runs.for_panels(_claiming(trial))
+    return claims_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
 
 
 def _loop_state(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    shown = for_loop_states(trial)
-    return loop_state_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    shown = shown_runs.for_loop_states(trial)
+    return loop_state_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
 
 
 def _filter_smoother(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    alike = for_filter_smoother(trial)
+    alike = shown_runs.for_filter_smoother(trial)
     assert alike is not None  # or there is no such picture
     runs, smoother = alike
-    there = [r for r in plausible(trial) if r.online is not None and r.association == smoother.association]
+    there = [r for r in shown_runs.plausible(trial) if r.online is not None and r.association == smoother.association]
     others = [r.estimator for r in there if not any(r is shown for shown in runs)]
     facts = {"smoother": smoother, "others": others, "share": SHARE}
     return filter_smoother_figure(trial.log, runs, smoother), facts
@@ -149,7 +139,7 @@ def _filter_smoother(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
 
 def _calibrated(trial: Trial) -> list[Run]:
     """Runs that estimated systematic errors along, with the first association method that has some."""
-    there = [r for r in finished(trial) if r.errors is not None and r.association != "none"]
+    there = [r for r in shown_runs.finished(trial) if r.errors is not None and r.association != "none"]
     return [r for r in there if r.association == there[0].association]
 
 
@@ -178,7 +168,7 @@ def _growing(trial: Trial, run: Run) -> dict[str, object]:
 
 
 def _growth(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    runs = for_growth(trial)
+    runs = shown_runs.for_growth(trial)
     grown = [_growing(trial, r) for r in runs]
     return growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown}
 
@@ -205,18 +195,22 @@ KINDS: Mapping[str, Kind] = {
     "difference": Kind(_has_difference, _difference, in_quick=True),
     "claims": Kind(lambda trial, _: _blind(trial) and bool(_claiming(trial)), _claims),
     "fate": Kind(
-        lambda trial, _: _blind(trial) and bool(for_loop_states(trial)),
+        lambda trial, _: _blind(trial) and bool(shown_runs.for_loop_states(trial)),
         _loop_state,
         macro="loop_state",
     ),
     FILTER_SMOOTHER: Kind(
-        lambda trial, _: trial.variant_of is None and for_filter_smoother(trial) is not None, _filter_smoother
+        lambda trial, _: trial.variant_of is None and shown_runs.for_filter_smoother(trial) is not None,
+        _filter_smoother,
     ),
     SYSTEMATIC: Kind(
         lambda trial, _: trial.variant_of is None and bool(_calibrated(trial)), _systematic, in_quick=True
     ),
     "growth": Kind(
-        lambda trial, _: trial.task == "slam" and trial.log.truth.known_poses > 0 and bool(for_growth(trial)), _growth
+        lambda trial, _: (
+            trial.task == "slam" and trial.log.truth.known_poses > 0 and bool(shown_runs.for_growth(trial))
+        ),
+        _growth,
     ),
     "state": Kind(state_is_informative, lambda trial, variants: (state_figure(trial, variants), {})),
     "association": Kind(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -52,14 +52,8 @@ def publish(
         length = WRITING * len(trial.log.recorded)
         jobs.append(Job((i, RUN_FILES), publish_runs, (folder, output, trial), math.inf if output.animate else length))
     for group in () if output.no_plots else played(trials):
-        jobs.append(
-            Job(
-                (trials.index(group[0]), PLAYER),
-                write_player,
-                (folder, group, setup),
-                WRITING * len(group[0].log.recorded),
-            )
-        )
+        owner = (trials.index(group[0]), PLAYER)
+        jobs.append(Job(owner, write_player, (folder, group, setup), WRITING * len(group[0].log.recorded)))
 
     def missing(owner: tuple[int, int], why: Notice) -> None:
         trial = trials[owner[0]]
@@ -93,17 +87,12 @@ def publish_runs(folder: Path, output: Output, trial: Trial) -> None:
         write_films(folder, trial, output.speed)
 
 
-def film_stem(trial: Trial, run: Run) -> str:
-    """Name of a run's film: as its folder below `runs/`, so that no two runs of a report share one."""
-    return stem(trial, f"{run.estimator}-{run.association}")
-
-
 def write_films(folder: Path, trial: Trial, speed: float | None = None) -> None:
     """Film every run of a trial that reached the end; `speed`: seconds of the log in one of the film."""
     from eval.figures.film import animate  # OpenCV is loaded only where films are wanted
 
-    for run in _filmed(trial):
-        path = folder / "figures" / f"{film_stem(trial, run)}.webm"
+    for run in (r for r in trial.runs if r.failure is None):
+        path = folder / "figures" / f"{stem(trial, f'{run.estimator}-{run.association}')}.webm"
         animate(log_of(run, trial.log), run, path, speed=speed, history=history_of(run))
 
 
@@ -123,12 +112,9 @@ def history_of(run: Run) -> History | None:
 def films_of(folder: Path, trial: Trial) -> list[Film]:
     """The films of a trial that were written."""
     found = []
-    for run in _filmed(trial):
-        film = Film(film_stem(trial, run), paragraph("pictures#film", log=trial.log.name, task=trial.task, run=run))
+    for run in (r for r in trial.runs if r.failure is None):
+        caption = paragraph("pictures#film", log=trial.log.name, task=trial.task, run=run)
+        film = Film(stem(trial, f"{run.estimator}-{run.association}"), caption)
         if (folder / film.path).exists():
             found.append(film)
     return found
-
-
-def _filmed(trial: Trial) -> Iterator[Run]:
-    return (run for run in trial.runs if run.failure is None)

@@ -319,7 +319,7 @@ def _published(outcome: Outcome, table: TableWriter) -> list[Section]:
     notes += [f"* {text}." for text in outcome.skipped]
     blocks: list[Block] = []
     if outcome.published:
-        made = comparison.published_table(published_frame(outcome.published))
+        made = comparison.selected(published_frame(outcome.published).astype(object), comparison.PUBLISHED)
         blocks.append(table(made, "published", paragraph("comparison#published")))
     if notes:
         blocks.append("\n".join(notes))

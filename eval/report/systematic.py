@@ -13,11 +13,12 @@ from data.inputs import ERRORS, Systematic
 from data.result import Run, Systematics
 from data.truth import Truth
 from eval.plan.calibrate import Calibration
+from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.replay.external.spec import name_of
 from eval.replay.settings import BATCH
 from eval.report.page.blocks import Block, FinePrint, Picture, Section
-from eval.report.page.files import Wanted, written_table
+from eval.report.page.files import written_table
 from eval.report.page.tables import number
 from eval.report.rows import SYSTEMATIC, stem
 from eval.report.trust_facts import TrustFacts, facts_of, terms_of
@@ -104,7 +105,7 @@ def of_trial(trial: Trial, calibrations: Sequence[Calibration]) -> Calibration |
 
 
 def systematic_section(
-    folder: Path, wanted: Wanted, trial: Trial, pictures: Sequence[Picture], calibrations: Sequence[Calibration]
+    folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture], calibrations: Sequence[Calibration]
 ) -> list[Section]:
     """Words, table and figure of a log and task; none where no errors were estimated."""
     c = of_trial(trial, calibrations)

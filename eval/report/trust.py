@@ -11,10 +11,11 @@ import pandas as pd
 
 from data.notice import Code
 from data.se2 import Array
+from eval.plan.flags.table import Output
 from eval.referee import battery
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
-from eval.report.page.files import Wanted, written_table
+from eval.report.page.files import written_table
 from eval.report.page.tables import drop_blank_columns, number
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.rows import stem
@@ -140,7 +141,7 @@ def first_page_words(trial: Trial, diagnoses: Sequence[Trust]) -> str:
 
 
 def trust_section(
-    folder: Path, wanted: Wanted, trial: Trial, pictures: Sequence[Picture], diagnoses: Sequence[Trust]
+    folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture], diagnoses: Sequence[Trust]
 ) -> list[Section]:
     """The words, the table and the figure of a log and task; none where nothing is known."""
     trusts = of_trial(trial, diagnoses)

@@ -12,12 +12,13 @@ import pandas as pd
 from data.log import folder_name
 from eval.figures.studies import Known, knowledge_figure
 from eval.figures.style import save
+from eval.plan.flags.table import Output
 from eval.plan.tutorials import is_tutorial, original_of
 from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
 from eval.report.page.blocks import Block, Picture, Section
-from eval.report.page.files import Drawn, written_table
+from eval.report.page.files import written_table
 from eval.report.page.tables import drop_blank_columns, is_blank
 from eval.report.words import say
 
@@ -102,7 +103,7 @@ def table_of(rows: Sequence[Row]) -> pd.DataFrame:
     return drop_blank_columns(pd.DataFrame(made, dtype=object))
 
 
-def tutorial_sections(folder: Path, wanted: Drawn, trials: Sequence[Trial], scores: Scores) -> list[Section]:
+def tutorial_sections(folder: Path, wanted: Output, trials: Sequence[Trial], scores: Scores) -> list[Section]:
     """For each log with several tutorials: one table over all its tasks, and the same as a figure."""
     blocks: list[Block] = []
     facts: dict[str, list[Row]] = {}

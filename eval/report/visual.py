@@ -23,9 +23,10 @@ from data.terminal import counted
 from data.visual.observations import COMMAND_SIGMA, true_pictures
 from eval.figures.style import save
 from eval.figures.visual import Tile, contact_sheet, plan_figure
+from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, Formula, Picture, Section
-from eval.report.page.files import Drawn, Wanted, written_table
+from eval.report.page.files import written_table
 from eval.report.page.tables import drop_blank_columns
 from eval.report.rows import stem
 from eval.report.shown_runs import for_map, left_out
@@ -169,7 +170,7 @@ def _tile(evidence: Evidence, frame: int, image: bytes) -> Tile:
 
 
 def visual_sections(
-    folder: Path, wanted: Drawn, trials: Sequence[Trial], *, in_lab: bool = False, factor: int | None = 1
+    folder: Path, wanted: Output, trials: Sequence[Trial], *, in_lab: bool = False, factor: int | None = 1
 ) -> list[Section]:
     """For each log made from images: models (in a lab the answer has them), plans, contact sheet, statistics."""
     logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.variant_of is None}
@@ -186,7 +187,7 @@ def visual_sections(
     return sections
 
 
-def models(folder: Path, wanted: Wanted, log: Log) -> Iterator[Block]:
+def models(folder: Path, wanted: Output, log: Log) -> Iterator[Block]:
     """Words and formulas of every model, and their constants on a log."""
     name = folder_name(log.name)
     if "tex" in wanted.formats:
@@ -221,7 +222,7 @@ def constants(log: Log) -> str:
     return say("visual#constants", c=_constants(log))
 
 
-def _plan(folder: Path, wanted: Drawn, trial: Trial, factor: int | None) -> Picture:
+def _plan(folder: Path, wanted: Output, trial: Trial, factor: int | None) -> Picture:
     log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
     assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
     figure = plan_figure(log, drawn, log.evidence.setup.corners, factor=factor)
@@ -232,7 +233,7 @@ def _plan(folder: Path, wanted: Drawn, trial: Trial, factor: int | None) -> Pict
     return Picture(name, caption, f"Plan of {log.name} with pictures and the paths of {paths}")
 
 
-def _detections(folder: Path, wanted: Drawn, log: Log, evidence: Evidence) -> Iterator[Block]:
+def _detections(folder: Path, wanted: Output, log: Log, evidence: Evidence) -> Iterator[Block]:
     name = f"{folder_name(log.name)}-detections"
     stats, found, tiles = statistics_of(evidence), evidence.found, tiles_of(evidence)
     yield summary(stats, found)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -189,7 +190,7 @@ def pair_of(a: Trial | None, b: Trial | None, association: str) -> tuple[Run, Ru
 def run_of(trial: Trial | None, association: str) -> Run | None:
     """The finished run with that association, or what the lab calls so: the filter's, or else iSAM2's."""
     both = pair_of(trial, trial, association)
-    return None if both is None else both[0]
+    return both and both[0]
 
 
 def has(lab: Lab, switches: tuple[bool, bool], *methods: str) -> bool:
@@ -252,14 +253,9 @@ def look(run: Run, log: Log) -> Pairings:
         first_wrong=first,
         before=rms(error[:split]) if split else math.nan,
         after=rms(error[split:]) if split < len(error) else math.nan,
-        apart=_median(apart),
-        off=_median(off),
+        apart=float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else math.nan,
+        off=float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else math.nan,
     )
-
-
-def _median(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else math.nan
 
 
 def predicted(log: Log, path: Array) -> Array:
@@ -357,9 +353,9 @@ class Judge:
     def runs(self, trial: Trial | None) -> Runs:
         """By association the run whose decisions answer: the filter's, or else iSAM2's."""
         found: dict[str, Judged] = {}
-        for method in METHODS if trial is not None else ():
-            for estimator in OWN_DECISIONS:
-                run = None if trial is None else trial.find(estimator, method)
-                if trial is not None and run is not None and run.failure is None and method not in found:
+        if trial is not None:
+            for method, estimator in itertools.product(METHODS, OWN_DECISIONS):
+                run = trial.find(estimator, method)
+                if run is not None and run.failure is None and method not in found:
                     found[method] = self.look(trial, run)
         return found

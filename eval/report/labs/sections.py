@@ -13,10 +13,8 @@ from eval.plan.unfinished import Unfinished
 from eval.plan.work import Job, work
 from eval.referee.score import Scores, Trial
 from eval.report.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Judged, Lab, find_lab
-from eval.report.labs.corridor_ambiguity import NEAR, Ambiguity, ambiguity, primed
 from eval.report.labs.pictures import NEEDED, UPDATE_TIME, draw
-from eval.report.labs.pictures import stem as stem_of
-from eval.report.labs.questions import Answers, answers
+from eval.report.labs.questions import NEAR, Ambiguity, Answers, ambiguity, answers, primed
 from eval.report.labs.visual import visual_hand_in
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import written_table
@@ -85,7 +83,7 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
         caption = (
             f"Question {n}. {HEADS}{NAMES_OF_METHODS}" if n == 1 else f"Question {n}; heads as in the first table."
         )
-        more = {"measured": f"tables/{stem_of(UPDATE_TIME)}.csv"} if question.name == "maintenance" else {}
+        more = {"measured": f"tables/lab-{UPDATE_TIME}.csv"} if question.name == "maintenance" else {}
         line = paragraph(f"{TEMPLATE}#{question.name}_line", q=q)
         blocks: list[Block] = [
             f"**{line}**",
@@ -133,11 +131,10 @@ def lab_sections(trials: Sequence[Trial], scores: Scores, *, answered_above: boo
     if lab is None:
         return []
     beyond, prior = _ambiguity_sections(ambiguity(lab)), primed(lab, scores)
-    changes = (
-        []
-        if prior is None
-        else [Section("What does a motion prior change?", (paragraph(f"{TEMPLATE}#primed", q=prior),), 3, facts=prior)]
-    )
+    changes = []
+    if prior is not None:
+        words = (paragraph(f"{TEMPLATE}#primed", q=prior),)
+        changes.append(Section("What does a motion prior change?", words, 3, facts=prior))
     if answered_above:
         return [Section("More on the lab", ()), *beyond, *changes] if beyond or changes else []
     facts = answers(lab, scores)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import pandas as pd
 
+from eval.plan.flags.table import Output
 from eval.report.page import latex
 from eval.report.page.blocks import FinePrint, Table
 from eval.report.page.latex import add_note, sheet
@@ -90,40 +91,12 @@ def write_table(
     return written
 
 
-class Wanted(Protocol):
-    """What is asked of tables: their formats, and what those for a paper are like (see `Paper`)."""
-
-    @property
-    def formats(self) -> tuple[str, ...]:
-        """Of csv, md and tex."""
-
-    @property
-    def table_width(self) -> str:
-        """Of LaTeX tables: `column` or `page`."""
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Keys of the columns of LaTeX tables; none: as many as there is room for."""
-
-
-class Drawn(Wanted, Protocol):
-    """What is asked of a section with figures of its own: also whether they are drawn, and whether in haste."""
-
-    @property
-    def no_plots(self) -> bool:
-        """No figures at all."""
-
-    @property
-    def quick(self) -> bool:
-        """As PNG alone."""
-
-
 def written_table(
     frame: pd.DataFrame,
     folder: Path,
     stem: str,
     caption: str,
-    wanted: Wanted,
+    wanted: Output,
     *,
     for_paper: pd.DataFrame | None = None,
     fine: FinePrint | None = None,

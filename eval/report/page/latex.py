@@ -101,15 +101,11 @@ def estimators(text: str) -> str:
     return ", ".join(style_of(name.strip()).label for name in text.split(","))
 
 
-def association(name: str) -> str:
-    """An association method; blank for none."""
-    return METHODS.get(name, name)
-
-
 def place(name: str) -> str:
     """A log, a task, or `association NAME`."""
-    if name.startswith("association "):
-        return f"association {association(name.removeprefix('association '))}"
+    method = name.removeprefix("association ")
+    if method != name:
+        return f"association {METHODS.get(method, method)}"
     return TASKS.get(name, log(name))
 
 
@@ -185,7 +181,11 @@ def text_width(text: str, size: str = "footnotesize") -> float:
 
 NAMES = ("log", "task", "scenario", "estimator", "association", "phase")
 """Columns that say what a row is about; they are never left out, only stated once where they are all the same."""
-READ: dict[str, Callable[[str], str]] = {"log": log, "task": lambda t: TASKS.get(t, t), "association": association}
+READ: dict[str, Callable[[str], str]] = {
+    "log": log,
+    "task": lambda t: TASKS.get(t, t),
+    "association": lambda a: METHODS.get(a, a),
+}
 ESTIMATORS = ("filter", "smoother", "deciding for")  # heads of other columns that name estimators
 NARROWEST, NARROWEST_NAMES = 60.0, 100.0  # pt. A column of text, or of names, is not broken into narrower lines
 FIGURES = re.compile(r"[−-]?[\d.]+(?:e[+-]?\d+)?(?: ± [\d.]+|–[\d.]+)?")
@@ -317,7 +317,11 @@ def _named(frame: pd.DataFrame) -> tuple[list[Cells], list[str]]:
 def _rows(frame: pd.DataFrame) -> list[str]:
     """Estimator, with association and phase where rows differ in them."""
     who = [estimators(str(v)) for v in frame["estimator"].tolist()]
-    how = [association(str(v)) for v in frame["association"].tolist()] if "association" in frame else [""] * len(who)
+    how = (
+        [METHODS.get(v, v) for v in map(str, frame["association"].tolist())]
+        if "association" in frame
+        else [""] * len(who)
+    )
     when = [str(v) for v in frame["phase"].tolist()] if "phase" in frame else [""] * len(who)
     several = len({h for h in how if h}) > 1
     phases: dict[tuple[str, str], set[str]] = {}

@@ -78,7 +78,7 @@ def test_facts_say_why_these_which_are_not_told_and_what_the_battery_says(trial)
     )
     facts = estimated(trial, named, trial.runs)
     assert (facts.names, facts.why, facts.judged, facts.untold) == (ERRORS.names, NAMED, True, ("curvature",))
-    assert facts.before.judged.objected == 2
+    assert facts.before.judged["objected"] == 2
     assert facts.after is None
     text = say("systematic", facts)
     assert text.startswith(

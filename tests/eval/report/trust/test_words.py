@@ -123,7 +123,7 @@ def test_a_calibration_is_told_with_what_it_left():
     assert [(t.kind, t.name, t.size) for t in facts.done] == [
         ("systematic", "odometry_theta_turn", -5.0), ("sigma", "z1", 0.5),
     ]  # fmt: skip
-    assert (facts.after.judged.objected, facts.after.apart[0].rms) == (1, 1.2)
+    assert (facts.after.judged["objected"], facts.after.apart[0]["rms"]) == (1, 1.2)
     text = text_of(trust)
     assert (
         "1 of 9 statistics lies outside the range of 20 bootstrap replicates (family-wise p 0.048); before, 5 of 9 did."
@@ -142,7 +142,7 @@ def test_a_calibration_that_came_to_nothing_says_so_without_a_number():
 
 
 def test_an_objection_without_a_name_is_admitted():
-    assert facts_of(blamed(cause=NOISE, objected=2), POLAR).judged.unexplained
+    assert facts_of(blamed(cause=NOISE, objected=2), POLAR).judged["unexplained"]
     assert "No modelled error explains them" in text_of(blamed(cause=NOISE, objected=2))
 
 
