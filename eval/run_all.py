@@ -168,7 +168,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     from eval.report.overview import trust_mark
     from eval.report.overview_facts import facts_of
     from eval.report.page.latex import check_columns
-    from eval.report.words import asked, said, together
+    from eval.report.words import asked, described, together
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
 
@@ -240,7 +240,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     for text in answers:
         console.say(text)
     for why in missing:
-        console.complain(said(why))
+        console.complain(described(why))
     console.say(f"report: {options.output.out / 'report.html'}  (slamref report {options.output.out})")
     (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
     return WRONG if missing else REJECTED if failed else FINE

@@ -21,8 +21,7 @@ from eval.figures.style import TRUTH_COLOUR, drawing, settle, style_of
 from eval.referee.confusion import Confusion
 from eval.referee.score import Trial, confusion_of
 
-NUMBER = 22.0
-"""pt that a number of four digits takes, beside bars in a narrow figure."""
+NUMBER = 22.0  # pt that a number of four digits takes, beside bars in a narrow figure
 OUTCOME_COLOURS = {"tp": "#0072B2", "tn": "#A9CBE3", "fp": "#D55E00", "fn": "#F0E442"}
 """Right is blue, wrong is warm; within each pair one is dark and one is light (Okabe and Ito's, and a tint)."""
 
@@ -66,10 +65,7 @@ class Bar:
 
 
 def bars(trial: Trial, variants: Sequence[Trial] = ()) -> list[Bar]:
-    """A bar per run that decided, and for each trial beside; runs with the same decisions share one.
-
-    Where revised decisions turned out differently, each phase has a bar.
-    """
+    """A bar per run that decided, variants included, and per phase if revised; runs with equal decisions share one."""
     found: list[Bar] = []
     for t in (trial, *variants):
         extra = t.log.name.removeprefix(trial.log.name).strip(":+ ")
@@ -132,10 +128,8 @@ def _numbers(ax: Axes, shown: Sequence[Bar]) -> None:
 
 BEFORE, AFTER, PATH = "#D55E00", "#0072B2", "#808080"
 """Decisions that were given up, those that stand, and the robot's path."""
-MARGIN = 0.15
-"""Of the extent, around what is shown."""
-LEAST = 2.5
-"""m, half the width of what is shown."""
+MARGIN = 0.15  # of the extent, around what is shown
+LEAST = 2.5  # m, half the width of what is shown
 
 
 @dataclass(frozen=True)
@@ -155,7 +149,7 @@ def revision_figure(log: Log, run: Run, one: Example, *, width: float | None = N
     width = width or page_width()
     assert run.online is not None  # who revises decides frame by frame
     last = run.online.pose if run.final is None else run.final.pose
-    # landmarks that stay, seen by decisions that were never in doubt
+    # landmarks that stay, seen by decisions that were never revised
     number = np.where(run.created >= 0, run.created, run.decisions)
     others = np.setdiff1d(np.flatnonzero(np.isin(number, one.new[one.new >= 0])), one.rows)
     panels = [

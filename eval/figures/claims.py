@@ -15,7 +15,7 @@ from matplotlib.ticker import FuncFormatter
 from data.inputs import ERRORS, Systematic
 from data.log import Log
 from data.result import Run, Systematics
-from data.se2 import Array, BoolArray
+from data.se2 import Array
 from eval.figures.error import (
     COORDINATES,
     common_reach,
@@ -33,14 +33,10 @@ from eval.referee.consistency import nis_bounds
 from eval.referee.given_runs import log_of
 from eval.referee.trust import Difference, difference
 
-WINDOWS = 40
-"""Stretches that a log is cut into for its NIS; each has the same number of degrees of freedom, or nearly."""
-LEAST = 20
-"""Degrees of freedom of a stretch: fewer have bounds so wide that nothing is ever outside."""
-BINS = 200
-"""Stretches told apart in a curve of sigmas, which are smooth."""
-LOG_ABOVE = 10.0
-"""The axis of NIS becomes logarithmic where a stretch exceeds the upper bound this many times."""
+WINDOWS = 40  # stretches that a log is cut into for its NIS; each has the same number of degrees of freedom, or nearly
+LEAST = 20  # degrees of freedom of a stretch: fewer have bounds so wide that nothing is ever outside
+BINS = 200  # stretches in a curve of sigmas, which are smooth
+LOG_ABOVE = 10.0  # the axis of NIS becomes logarithmic where a stretch exceeds the upper bound this many times
 
 
 class Stretches(NamedTuple):
@@ -52,10 +48,7 @@ class Stretches(NamedTuple):
 
 
 def stretches_of(time: Array, run: Run, most: int = WINDOWS) -> Stretches | None:
-    """Innovations of a run in stretches of equal degrees of freedom, with 95 % bounds that heed its gate.
-
-    Sum of NIS over sum of dof, as in metrics.csv. None where no innovations were formed.
-    """
+    """NIS in stretches of equal degrees of freedom, with bounds that heed the gate; None without innovations."""
     if run.innovations is None:
         return None
     nis, dof = run.innovations.nis, np.where(np.isfinite(run.innovations.nis), run.innovations.dof, 0)
@@ -74,10 +67,7 @@ def stretches_of(time: Array, run: Run, most: int = WINDOWS) -> Stretches | None
 
 @drawing()
 def claims_figure(log: Log, runs: Sequence[Run]) -> Figure:
-    """NIS per dof over time, and the claimed standard deviations, one curve for each phase of a run; no truth is used.
-
-    Standard deviations are those of the position along its least certain direction and of the heading.
-    """
+    """NIS per dof over time, and claimed σ of position (least certain direction) and heading; no truth used."""
     shown = [s for s in series(runs) if s.run.estimator != "dead-reckoning"] or series(runs)
     fig = Figure(figsize=(page_width(), 4.6))
     top, middle, low = fig.subplots(3, 1, sharex=True, height_ratios=(1.3, 1.0, 1.0))
@@ -135,11 +125,9 @@ def _nis_axis(ax: Axes, found: Sequence[Stretches]) -> None:
 
 @drawing()
 def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figure:
-    """Online less smoothed, d, in x, y and heading over time, with the ±3 sigma that filter and smoother allow it.
+    """Online minus smoothed, d, in x, y and heading over time, with ±3σ of P_f - P_s where it is positive.
 
-    `smoother` has a final path and the decisions of all `runs`, which have an online one. Sigma is the root of the
-    diagonal of P_f - P_s, blank where later data took too little away to tell; see `eval.referee.trust.difference`.
-    The largest excursion of each run, in these sigmas, is marked, and named in the legend.
+    `smoother` has a final path and the decisions of all `runs`. The largest excursion of each run [σ] is marked.
     """
     assert smoother.final is not None
     found = [difference(r.online, smoother.final) for r in runs if r.online is not None]
@@ -152,13 +140,16 @@ def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figu
         for d, style in zip(found, styles, strict=True):
             bound = 3.0 * factor * d.sigma[:, i]
             draw_band(ax, time, bound, style.colour, -1.0)
-            alone = _alone(bound)
+            # values between two that are unknown: a band cannot show them
+            known = np.isfinite(np.concatenate([[np.nan], bound, [np.nan]]))
+            alone = known[1:-1] & ~known[:-2] & ~known[2:]
             ax.vlines(time[alone], -bound[alone], bound[alone], color=style.colour, alpha=0.4, linewidth=0.8)
         for d, style in zip(found, styles, strict=True):
             curve = factor * d.d[:, i]
             keep = thinned(curve)
             ax.plot(time[keep], curve[keep], color=style.colour, linestyle=style.line, linewidth=0.8)
-        limit = common_reach([_need(d, i, factor) for d in found])
+        needs = [max(float(np.nanmax(np.abs(d.d[:, i]), initial=0.0)), reach([3.0 * d.sigma[:, i]])) for d in found]
+        limit = common_reach([factor * need for need in needs])
         ax.set(ylim=(-limit, limit), ylabel=f"{name} [{unit}]")
         ax.yaxis.set_major_locator(ticks(6))
     handles = [_excursion(axes, time, d, style) for d, style in zip(found, styles, strict=True)]
@@ -169,18 +160,6 @@ def filter_smoother_figure(log: Log, runs: Sequence[Run], smoother: Run) -> Figu
     band = Patch(facecolor="#D0D0D0", edgecolor="#606060", linewidth=0.5, label="±3σ that the difference may have")
     fig.legend(handles=[*handles, band], loc="outside lower center", ncols=2, numpoints=1)
     return fig
-
-
-def _alone(bound: Array) -> BoolArray:
-    """Which values (N,) are known between two that are not: a band cannot show them."""
-    known = np.isfinite(np.concatenate([[np.nan], bound, [np.nan]]))
-    result: BoolArray = known[1:-1] & ~known[:-2] & ~known[2:]
-    return result
-
-
-def _need(d: Difference, i: int, factor: float) -> float:
-    """Half height that a run's curve and band need."""
-    return factor * max(float(np.nanmax(np.abs(d.d[:, i]), initial=0.0)), reach([3.0 * d.sigma[:, i]]))
 
 
 def _excursion(axes: Sequence[Axes], time: Array, d: Difference, style: Style) -> Line2D:
@@ -199,18 +178,13 @@ def _excursion(axes: Sequence[Axes], time: Array, d: Difference, style: Style) -
     return Line2D([], [], markersize=4.5, label=label, **line, **look)
 
 
-HEIGHT = 1.25
-"""in, of a row of panels."""
-SETTLED = 0.2
-"""Share of a log after which its estimates have to fit into their panel; before, they may leave it."""
+HEIGHT = 1.25  # in, of a row of panels
+SETTLED = 0.2  # share of a log after which its estimates have to fit into their panel; before, they may leave it
 
 
 @drawing()
 def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> Figure:
-    """Each error over time: estimates online (dashed where there is a final one, too) and final, with ±3 sigma.
-
-    Behind, as a band, ±3 sigma of what was known before; black, the true error of a simulated log.
-    """
+    """Each error over time, online (dashed beside a final one) and final, ±3σ; band: the prior; black: the truth."""
     columns = min(2, len(systematic.names))
     rows = -(-len(systematic.names) // columns)
     fig = Figure(figsize=(page_width(), 0.9 + HEIGHT * rows))
@@ -261,9 +235,5 @@ def systematic_figure(log: Log, systematic: Systematic, runs: Sequence[Run]) -> 
 
 def _phases(run: Run) -> list[tuple[Systematics, Line, str]]:
     both = run.errors_online is not None and run.errors_final is not None
-    found: list[tuple[Systematics, Line, str]] = []
-    if run.errors_online is not None:
-        found.append((run.errors_online, DASHED if both else SOLID, "online"))
-    if run.errors_final is not None:
-        found.append((run.errors_final, SOLID, "final"))
-    return found
+    found = ((run.errors_online, DASHED if both else SOLID, "online"), (run.errors_final, SOLID, "final"))
+    return [(errors, line, when) for errors, line, when in found if errors is not None]

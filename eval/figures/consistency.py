@@ -23,8 +23,7 @@ from eval.referee.consistency import anees_band, mean_or_nan, nees
 from eval.referee.given_runs import log_of
 
 POSE_DOF = 3
-MARKERS = 8
-"""About so many on a curve of many, staggered: in grey the lines alone are too alike."""
+MARKERS = 8  # about so many on a curve of many, staggered: in grey the lines alone are too alike
 LOG_ABOVE = 10.0
 """The axis becomes logarithmic where a value in a thousand exceeds the band's upper end this many times."""
 
@@ -53,11 +52,7 @@ def _scale(axes: Sequence[Axes], curves: Sequence[Array], lower: float, upper: f
 
 @drawing()
 def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
-    """Pose NEES per frame of every phase, its mean, and the 95 % chi-square band of a single value with dof 3.
-
-    Errors along one run are correlated, so this describes the run and proves nothing; the title says so. Frames
-    without truth or with a singular covariance are gaps.
-    """
+    """Pose NEES per frame of every phase, its mean, and the 95 % band of one value; it describes one run only."""
     shown, remark = panels(runs)
     rows = max(len(shown), 1)
     fig = Figure(figsize=(page_width(), 1.0 + 1.15 * rows))
@@ -100,11 +95,7 @@ def anees_figure(
     title: str = "",
     time_is_index: bool = False,
 ) -> Figure:
-    """NEES averaged over `runs` Monte Carlo runs at each instant (N,) by estimator, with the 95 % band of that average.
-
-    By design 5 % of the instants of a consistent estimator lie outside the band; the verdict is another test.
-    `title` stands before the rest, e.g. scenario and task.
-    """
+    """NEES averaged over `runs` Monte Carlo runs at each instant (N,) by estimator, with its 95 % band."""
     fig = Figure(figsize=(page_width(), 2.7 + 0.13 * ((len(average) + 3) // 2)))
     ax = fig.add_subplot()
     lower, upper = anees_band(dof, runs)
@@ -113,8 +104,9 @@ def anees_figure(
     few = max(len(time) // MARKERS, 1)
     for i, (name, values) in enumerate(average.items()):
         style, first = style_of(name), few * i // len(average)
-        mean, outside = mean_or_nan(values), _share_outside(values, lower, upper)
-        measured = f": mean {number(mean)}, {100.0 * outside:.0f} % outside" if np.isfinite(mean) else ""
+        mean, known = mean_or_nan(values), values[np.isfinite(values)]
+        outside = float(np.mean((known < lower) | (known > upper))) if len(known) else np.nan
+        measured = f": mean {number(mean)}, {100.0 * outside:.0f} % outside" if len(known) else ""
         label = style.label + measured
         handles += ax.plot(time, values, markevery=(first, few), markersize=3.0, label=label, zorder=2, **style.look)
     _scale([ax], list(average.values()), lower, upper)
@@ -126,8 +118,3 @@ def anees_figure(
     handles += _handles(dof, f"95 % band {lower:.2f} to {upper:.2f}: 5 % outside by design")
     fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=LONG_HANDLE)
     return fig
-
-
-def _share_outside(values: Array, lower: float, upper: float) -> float:
-    finite = values[np.isfinite(values)]
-    return float(np.mean((finite < lower) | (finite > upper))) if len(finite) else float("nan")

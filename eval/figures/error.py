@@ -22,8 +22,7 @@ from eval.figures.style import Series, drawing, series
 from eval.referee.given_runs import log_of, match
 
 MOST_PANELS = 4
-MOST_BINS = 600
-"""Stretches of time told apart in a panel; more than paper or screen can show."""
+MOST_BINS = 600  # stretches of time in a panel; more than paper or screen can show
 COORDINATES = (("x", "m", 1.0), ("y", "m", 1.0), ("heading", "deg", 180.0 / np.pi))
 """Name, unit, and factor from SI of each row of the error figure."""
 WIDEST = 4.0
@@ -36,10 +35,7 @@ def ticks(most: int) -> MaxNLocator:
 
 
 def thinned(curve: Array, most: int = MOST_BINS) -> IntArray:
-    """Indices of the points (N,) that a plot needs: of each of `most` equal stretches the ends and the extremes.
-
-    A stretch with gaps keeps one, so that no line is drawn across it.
-    """
+    """Indices of the points (N,) that a plot needs: of each of `most` stretches the ends, extremes and one gap."""
     n = len(curve)
     if n <= 4 * most:
         return np.arange(n)
@@ -135,17 +131,19 @@ def _note_outside(ax: Axes, curve: Array, limit: float, factor_unit: str) -> Non
 
 @drawing()
 def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
-    """Error (estimate minus truth, heading wrapped) with the claimed ±3 sigma: rows x, y, heading; a column per phase.
-
-    Frames without truth are gaps. Without any truth only the ±3 sigma are drawn, and the title says so.
-    """
+    """Error (estimate minus truth, heading wrapped) with the claimed ±3σ: rows x, y, heading; a column per phase."""
     shown, remark = panels(runs, across(MOST_PANELS))
     columns = max(len(shown), 1)
     fig = Figure(figsize=(page_width(), 5.0))
     axes = fig.subplots(3, columns, sharex=True, sharey="row", squeeze=False)
     own = [log_of(s.run, log) for s in shown]
     times = [o.recorded.time for o in own]
-    errors = [_error(s, o) for s, o in zip(shown, own, strict=True)]
+    errors = [
+        np.full((len(o.recorded.time), 3), np.nan)
+        if (truth := o.truth.pose) is None
+        else pose_error(s.trajectory.pose, truth)
+        for s, o in zip(shown, own, strict=True)
+    ]
     bounds = [3.0 * sigmas(s.trajectory) for s in shown]
     for i, (name, unit, factor) in enumerate(COORDINATES):
         needs = [factor * reach([e[:, i], b[:, i]]) for e, b in zip(errors, bounds, strict=True)]
@@ -174,19 +172,12 @@ def error_figure(log: Log, runs: Sequence[Run]) -> Figure:
     return fig
 
 
-def _error(s: Series, log: Log) -> Array:
-    """Error (N, 3) of a series at its own frames; NaN without truth."""
-    truth = log.truth.pose
-    return np.full((len(log.recorded.time), 3), np.nan) if truth is None else pose_error(s.trajectory.pose, truth)
-
-
 @drawing()
 def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
-    """Distance [m] of every path from a reference solution (batch with known association), for a log without truth.
+    """Distance [m] of every path from the final one of a reference (batch, known association), for a log without truth.
 
-    Beside it the run's own 3 sigma along its least certain direction. For an optimal estimator the difference from
-    the solution with all data has covariance P_run - P_reference, so it should stay inside; the reference's own error
-    shows in neither. `reference` counts with its final phase.
+    Beside it the run's own 3σ along its least certain direction: of an optimal estimator the difference has covariance
+    P_run - P_reference, so it stays inside.
     """
     shown, remark = panels([r for r in runs if r is not reference])
     rows = max(len(shown), 1)

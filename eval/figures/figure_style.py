@@ -8,8 +8,7 @@ from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Any
 
-USUAL_TYPE = 8.0
-"""pt, of titles and labels."""
+USUAL_TYPE = 8.0  # pt, of titles and labels
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """A film of one run: robot, rays to what it observes, landmarks as they were, ellipses, true ghost, fading paths.
 
-VP8 in WebM, drawn and written by OpenCV, for speed: browsers play it without further libraries; they refuse the MPEG-4
-that OpenCV puts into MP4 files. The same pictures make the same bytes.
+VP8 in WebM, which browsers play; the same pictures make the same bytes.
 """
 
 from __future__ import annotations
@@ -14,7 +13,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from types import TracebackType
 
 import cv2
 import numpy as np
@@ -32,21 +30,14 @@ AS_THEN, AT_THE_END = "as then", "as at the end"
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """Changes (C,) of landmarks, in the order of their frames.
+    """Changes (C,) of landmarks, in the order of their frames."""
 
-    Attributes:
-        frame, number: (C,) after which frame, of which landmark.
-        there: (C,) false where it left the map.
-        xy: (C, 2) m, covariance: (C, 2, 2) m^2, world frame.
-        when: of what instant this is, in words: `AS_THEN` or `AT_THE_END`.
-    """
-
-    frame: IntArray
+    frame: IntArray  # with number: (C,) after which frame, of which landmark
     number: IntArray
-    there: BoolArray
-    xy: Array
+    there: BoolArray  # (C,) false where it left the map
+    xy: Array  # (C, 2) m, covariance: (C, 2, 2) m^2, world frame
     covariance: Array
-    when: str = AS_THEN
+    when: str = AS_THEN  # of what instant this is, in words: `AS_THEN` or `AT_THE_END`
 
     def __post_init__(self) -> None:
         read_only(self)
@@ -78,14 +69,10 @@ def at_the_end(run: Run) -> History:
     return History(m.first_frame[order], m.number[order], there, m.xy[order], m.covariance[order], AT_THE_END)
 
 
-FPS = 20
-"""Pictures a second."""
-LONGEST = 60.0
-"""s; a film whose speed nobody asked for lasts no longer."""
-STEPS = (1.0, 2.0, 5.0)
-"""Speeds that are chosen: these, and their multiples by powers of ten."""
-FRAMES_A_SECOND = 5.0
-"""The slowest speed that is chosen for a log whose time counts frames: each can be looked at."""
+FPS = 20  # pictures a second
+LONGEST = 60.0  # s; a film whose speed nobody asked for lasts no longer
+STEPS = (1.0, 2.0, 5.0)  # speeds that are chosen: these, and their multiples by powers of ten
+FRAMES_A_SECOND = 5.0  # the slowest speed that is chosen for a log whose time counts frames: each can be looked at
 
 
 @dataclass(frozen=True)
@@ -103,24 +90,17 @@ class Pace:
 
 
 def pace_of(inputs: Inputs, speed: float | None = None, fps: int = FPS, longest: float = LONGEST) -> Pace:
-    """The pace asked for, or the slowest of the round ones from real time on with which the film is short enough.
-
-    Each picture shows the newest frame at its instant; the last one shows the log's last frame.
-    """
+    """The pace asked for, or the slowest round one from real time on with which the film is short enough."""
     time = inputs.time - inputs.time[0]
     length = float(time[-1])
     if speed is None:
         speed = FRAMES_A_SECOND if inputs.time_is_index else 1.0
-        speed = _round_up(max(speed, length / longest))
+        least = max(speed, length / longest)
+        power = 10.0 ** math.floor(math.log10(least))
+        speed = next(s * power for s in (*STEPS, 10.0) if s * power >= least * (1.0 - 1e-12))
     pictures = max(math.ceil(length / speed * fps - 1e-9), 0) + 1
     instant = np.minimum(np.arange(pictures) * (speed / fps), length)
     return Pace(speed, np.searchsorted(time, instant + 1e-9, side="right").astype(np.int64) - 1, inputs.time_is_index)
-
-
-def _round_up(speed: float) -> float:
-    """The smallest of 1, 2, 5, 10, ... that is no less."""
-    power = 10.0 ** math.floor(math.log10(speed))
-    return next(step * power for step in (*STEPS, 10.0) if step * power >= speed * (1.0 - 1e-12))
 
 
 Image = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
@@ -133,53 +113,19 @@ TRACK_UID = bytes.fromhex("73c588")
 """Ahead of the track's number of 8 bytes in the file's head (RFC 9559), which the muxer draws at random."""
 
 
-class Film:
-    """A film that is being written; a context manager, as the file is whole only when it was closed."""
-
-    def __init__(self, path: Path, fps: float, width: int, height: int) -> None:
-        """Begin a film of so many pictures a second. Raises SlamrefError if the file cannot be written."""
-        self._path = path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with _without(EXPECTED):
-            fourcc = cv2.VideoWriter.fourcc(*CODEC)
-            self._writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, fourcc, float(fps), (width, height))
-        if not self._writer.isOpened():
-            raise SlamrefError(f"{path}: cannot be written as a WebM film (VP8, {width} x {height} pixels)")
-
-    def add(self, image: Image) -> None:
-        """The next picture (height, width, 3), blue, green, red."""
-        self._writer.write(image)
-
-    def __enter__(self) -> Film:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, fault: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._writer.release()
-        if kind is None:
-            _number_track(self._path)
-
-
 @contextmanager
-def _without(expected: bytes) -> Iterator[None]:
-    """Keep one known line of a compiled library off the standard error stream; whatever else it says goes through."""
-    real = os.dup(2)
-    with tempfile.TemporaryFile() as said:
-        os.dup2(said.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(real, 2)
-            said.seek(0)
-            for line in said.read().splitlines(keepends=True):
-                if expected not in line:
-                    os.write(real, line)
-            os.close(real)
-
-
-def _number_track(path: Path) -> None:
-    """Give the track the number 1 instead of a random one, in its own element and in the tags that refer to it."""
+def _film(path: Path, fps: float, width: int, height: int) -> Iterator[cv2.VideoWriter]:
+    """A film that is being written, whole when it was closed. SlamrefError: the file cannot be written."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with _without(EXPECTED):
+        writer = cv2.VideoWriter(str(path), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*CODEC), float(fps), (width, height))
+    if not writer.isOpened():
+        raise SlamrefError(f"{path}: cannot be written as a WebM film (VP8, {width} x {height} pixels)")
+    try:
+        yield writer
+    finally:
+        writer.release()
+    # give the track the number 1 instead of a random one, in its own element and in the tags that refer to it
     with path.open("r+b") as file:
         head = file.read(1 << 16)
         _, _, after = head.partition(TRACK_UID)
@@ -187,11 +133,26 @@ def _number_track(path: Path) -> None:
         file.write(head.replace(after[:8], (1).to_bytes(8, "big")) if after else head)
 
 
-LONGER_SIDE = 960
-"""px of the picture's longer side; the scene decides the shorter one."""
+@contextmanager
+def _without(expected: bytes) -> Iterator[None]:
+    """Keep one known line of a compiled library off the standard error stream; whatever else it says goes through."""
+    real = os.dup(2)
+    with tempfile.TemporaryFile() as caught:
+        os.dup2(caught.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(real, 2)
+            caught.seek(0)
+            for line in caught.read().splitlines(keepends=True):
+                if expected not in line:
+                    os.write(real, line)
+            os.close(real)
+
+
+LONGER_SIDE = 960  # px of the picture's longer side; the scene decides the shorter one
 SHORTER_SIDE = 480
-SHIFT = 4
-"""Bits of a pixel that OpenCV draws with."""
+SHIFT = 4  # bits of a pixel that OpenCV draws with
 
 Colour = tuple[int, int, int]
 
@@ -242,12 +203,6 @@ def canvas_of(view: View) -> Canvas:
     return Canvas(middle - 0.5 * np.array([width, height]) / scale, scale, width, height)
 
 
-def blend(colour: Colour, share: float) -> Colour:
-    """A colour of which only this share is left, the rest white."""
-    b, g, r = (round(255 - share * (255 - part)) for part in colour)
-    return b, g, r
-
-
 def write(image: Image, text: str, at: tuple[int, int], colour: Colour = BLACK, size: float = 0.5) -> None:
     """A line of text, its lower left corner `at` px."""
     cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
@@ -266,10 +221,8 @@ def scale_bar(image: Image, canvas: Canvas) -> None:
     write(image, f"{length:g} m", (left, base - 10), size=0.45)
 
 
-HEADER = 56
-"""px above the scene for names and time."""
-VISIBLE = 0.025
-"""Share of the picture's side that the robot's ellipse is enlarged to: it must show around the robot."""
+HEADER = 56  # px above the scene for names and time
+VISIBLE = 0.025  # share of the picture's side that the robot's ellipse is enlarged to: it must show around the robot
 TRAIL, BANDS, FADED = 5.0, 10, 0.35
 """s of the film in which a path fades, in how many tones, and the share of its colour that stays."""
 
@@ -325,8 +278,14 @@ def _draw_paths(image: Image, scene: _Scene, begin: int, end: int, share: float)
     """True and estimated path between two frames, in what is left of their colours."""
     for poses, colour in ((scene.log.truth.pose, BLACK), (scene.shown.trajectory.pose, scene.colour)):
         if poses is not None:
-            for part in _unbroken(poses[begin : end + 1, :2]):
-                scene.canvas.line(image, part, blend(colour, share), 2 if share > FADED else 1)
+            b, g, r = (round(255 - share * (255 - part)) for part in colour)
+            faded = (b, g, r)
+            points = poses[begin : end + 1, :2]
+            finite = np.asarray(np.isfinite(points).all(axis=1))
+            cuts = np.flatnonzero(np.diff(finite)) + 1
+            for part, known in zip(np.split(points, cuts), finite[np.r_[0, cuts]], strict=True):
+                if known and len(part) > 1:
+                    scene.canvas.line(image, part, faded, 2 if share > FADED else 1)
 
 
 def _draw_landmarks(image: Image, scene: _Scene, standing: IntArray) -> None:
@@ -400,19 +359,17 @@ def animate(
     history: History | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """Film one run as WebM: its online phase unless told otherwise or it has none.
+    """Film one run as WebM: its online phase, or else the final one. Raises SlamrefError if it cannot be written.
 
-    `speed`: seconds of the log in a second of the film (frames, of a log without stamps); None: see
-    `eval.figures.film.pace_of`, with `max_seconds`. `history`: landmarks as they were; None: as they are at the
-    end of the run, from the frame on in which they were first seen, as in any other phase than `online`.
-    `progress(done, total)` is called after each picture. Raises SlamrefError if the file cannot be written.
+    `speed`: of a `Pace`; None: see `pace_of`, `max_seconds`. `history`: landmarks as they were; None, or another
+    phase than `online`: as at the end. `progress(done, total)` is called after each picture.
     """
     pace = pace_of(log.recorded, speed, fps, max_seconds)
     scene = _scene(log, run, phase or run.phases[0], pace, history)
     canvas, shown = scene.canvas, pace.frame
     step = max(round(fps * TRAIL / BANDS), 1)
     background, drawn = _backdrop(scene), 0
-    with Film(path, fps, canvas.width, canvas.height + HEADER) as film:
+    with _film(path, fps, canvas.width, canvas.height + HEADER) as film:
         for p, (k, standing) in enumerate(zip(shown.tolist(), scene.landmarks.after(shown), strict=True)):
             edges = [int(shown[max(p - step * band, 0)]) for band in range(BANDS, -1, -1)]
             _draw_paths(background, scene, drawn, edges[0], FADED)
@@ -423,13 +380,6 @@ def animate(
                     _draw_paths(image, scene, begin, end, FADED + (1.0 - FADED) * band / BANDS)
             _draw_landmarks(image, scene, standing)
             _draw_robot(image, scene, k)
-            film.add(np.vstack([_header(scene, k), image]))
+            film.write(np.vstack([_header(scene, k), image]))
             if progress is not None:
                 progress(p + 1, len(shown))
-
-
-def _unbroken(points: Array) -> list[Array]:
-    """The stretches of at least two finite points (k, 2)."""
-    finite = np.asarray(np.isfinite(points).all(axis=1))
-    cuts = np.flatnonzero(np.diff(finite)) + 1
-    return [p for p, ok in zip(np.split(points, cuts), finite[np.r_[0, cuts]], strict=True) if ok and len(p) > 1]

@@ -22,8 +22,7 @@ from eval.figures.style import DASHDOT, DASHED, DOTTED, SOLID, Line, colour_of_m
 from eval.referee.score import Trial
 from eval.replay.run import landmark_sigmas
 
-LOOP = 0.3
-"""A landmark seen again after this share of the run means that a loop was closed."""
+LOOP = 0.3  # a landmark seen again after this share of the run means that a loop was closed
 
 
 def sized(trial: Trial) -> list[Run]:
@@ -40,7 +39,7 @@ def state_is_informative(trial: Trial, variants: Sequence[Trial] = ()) -> bool:
 
 @drawing()
 def state_figure(trial: Trial, variants: Sequence[Trial] = ()) -> Figure:
-    """Length of every filter's state vector after each frame; legend by length at the end. Trials beside are dashed."""
+    """Length of every filter's state vector after each frame; legend by length at the end. Variants are dashed."""
     fig = Figure(figsize=(page_width(), 2.7))
     ax = fig.add_subplot()
     time = trial.log.recorded.time
@@ -87,8 +86,7 @@ def closing_frame(log: Log, run: Run) -> int | None:
 def growth_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Standard deviation, along its least certain direction, of the robot online and of each landmark in the last map.
 
-    Landmarks stand in the order in which they were initialized. A vertical line marks the frame that closed a loop.
-    Below, where the first run is a filter whose log is small enough: every landmark's over time.
+    A vertical line marks the frame that closed a loop. Below, for a filter on a small log: every landmark's over time.
     """
     time = log.recorded.time
     over_time = next((s for s in (landmark_sigmas(log.recorded, r) for r in runs) if s is not None), None)

@@ -1,4 +1,4 @@
-"""Pictures of a laser log: the occupancy grid with the path on it, the pose graph with every loop closure's fate."""
+"""Pictures of a laser log: the occupancy grid with the path on it, the pose graph with every loop closure's state."""
 
 from __future__ import annotations
 
@@ -24,15 +24,13 @@ UNKNOWN_GREY, FREE_GREY = 0.85, 1.0
 RARE = 0.005
 """Share of the known cells that may be left out at each edge: a beam through a window does not squash the picture."""
 END_COLOUR = "#F0E442"
-AROUND = 1.0
-"""m of the plan about what is shown."""
+AROUND = 1.0  # m of the plan about what is shown
 LOOP_STATES: dict[str, tuple[str, Line, float]] = {
     "not believed": ("#BBBBBB", DOTTED, 0.7),
     "believed and kept": ("#0072B2", SOLID, 0.7),
     "believed, later switched off": ("#E69F00", DASHED, 1.3),
     "kept, though false": ("#B2182B", SOLID, 1.8),
-}
-"""Colour, line and width of a loop closure, in the order of drawing; dark, light and dashed for grey prints."""
+}  # colour, line and width of a loop closure, in the order of drawing; dark, light and dashed for grey prints
 
 
 @drawing()
@@ -76,10 +74,9 @@ def loop_picture(
     estimator: str = "isam2",
     width: float | None = None,
 ) -> Figure:
-    """The pose graph at its end: key poses (K, 3) in a chain, a line for each loop closure in the colour of its fate.
+    """The pose graph at its end: key poses (K, 3) in a chain, a line for each loop closure in the colour of its state.
 
-    `weight` (L,): what the back end gives each loop closure in the end, 0 to 1; without effect where it never believed
-    it. `false` (L,): where the truth says that the loop closure is wrong; None where there is no truth.
+    `weight` (L,) 0 to 1: what the back end gives each in the end; `false` (L,): which are wrong, None without truth.
     """
     fig = Figure()
     ax = fig.add_subplot()
@@ -111,7 +108,7 @@ def loop_picture(
 
 
 def loop_states(loops: Loops, weight: Array, false: BoolArray | None = None) -> Array:
-    """What became of each loop closure, (L,) of the keys of `FATES`."""
+    """What became of each loop closure, (L,) of the keys of `LOOP_STATES`."""
     kept = weight >= KEPT
     loop_state = np.where(kept, "believed and kept", "believed, later switched off").astype(object)
     if false is not None:
@@ -132,7 +129,7 @@ def _shown(grid: Grid, path: Array) -> tuple[Array, Array]:
 
 
 def _ends(ax: Axes, path: Array) -> list[Line2D | Patch]:
-    """Start, an arrowhead the way the robot looks, and end of a path."""
+    """Start, an arrowhead along the heading, and end of a path."""
     halo = [withStroke(linewidth=2.0, foreground="white")]
     square: dict[str, Any] = {"marker": "s", "markersize": 5, "color": END_COLOUR, "markeredgecolor": "black"}
     end = ax.plot(*path[-1, :2], linestyle="none", label="end", zorder=6, path_effects=halo, **square)

@@ -1,4 +1,4 @@
-"""A log as it was recorded, and a map of what became of every reading: paired, new, discarded, or decided again."""
+"""A log as it was recorded, and a map of what became of every observation: paired, new, discarded, or decided again."""
 
 from __future__ import annotations
 
@@ -25,11 +25,7 @@ CLUTTER_COLOUR = "#D55E00"
 
 @drawing()
 def log_figure(log: Log) -> Figure:
-    """A log seen from above, metres, equal aspect.
-
-    Observations are placed from the true poses, or from dead reckoning if the log has no true pose at all; those of
-    frames without truth are then left out, and the legend counts the others.
-    """
+    """A log from above, metres, equal aspect; observations are placed from true poses, or else dead reckoning."""
     inputs, truth = log.recorded, log.truth
     fig = Figure()
     ax = fig.add_subplot()
@@ -79,18 +75,14 @@ LOOP_STATES = {
     "new": ("#009E73", "^", 3.5, "made a new landmark"),
     "discarded": ("#D55E00", "x", 3.5, "discarded"),
     "revised": ("#CC79A7", "D", 3.5, "decided again later"),
-}
-"""Colour, marker, size and words of each; drawn in this order, so that the rare ones are on top."""
-MOST = 2
-"""Maps beside each other."""
-HIGHEST = 4.5
-"""in, of a map."""
-EDGE = 0.04
-"""Share of the scene left free around it."""
+}  # colour, marker, size and words of each; drawn in this order, so that the rare ones are on top
+MOST = 2  # maps beside each other
+HIGHEST = 4.5  # in, of a map
+EDGE = 0.04  # share of the scene left free around it
 
 
 def loop_states(run: Run) -> dict[str, BoolArray]:
-    """Which readings (M,) had which fate; each has one: a reading that was decided again counts as that alone."""
+    """Observations (M,) by what became of them; one that was decided again counts as that alone."""
     revised = run.final_decisions != run.decisions
     final = run.final_decisions
     return {
@@ -103,10 +95,7 @@ def loop_states(run: Run) -> dict[str, BoolArray]:
 
 @drawing()
 def loop_state_figure(log: Log, runs: Sequence[Run]) -> Figure:
-    """Readings in the world frame as each run's last path puts them, by what became of them; a map for each run.
-
-    Equal aspect, metres. The first `MOST` runs are drawn. No truth is used.
-    """
+    """Observations placed from each run's last path, by what became of them; a map per run, no truth used."""
     runs = list(runs)[:MOST]
     places = [_world(log, run) for run in runs]
     paths = [run.trajectory(run.phases[-1]).pose[:, :2] for run in runs]
@@ -153,7 +142,7 @@ def _draw(ax: Axes, run: Run, xy: Array, path: Array, points: bool) -> None:
 
 
 def _world(log: Log, run: Run) -> Array:
-    """Readings (M, 2) in the world frame, from the last path."""
+    """Observations (M, 2) in the world frame, from the last path."""
     o, sensor = log.recorded.observations, log.recorded.sensor
     if len(o.frame) == 0:
         return np.zeros((0, 2))
@@ -162,7 +151,7 @@ def _world(log: Log, run: Run) -> Array:
 
 
 def _scene(parts: Sequence[Array]) -> tuple[Array, Array]:
-    """Corners that hold nearly all of it; a few far readings do not squash the rest."""
+    """Corners that hold nearly all of it; a few far points do not squash the rest."""
     points = np.concatenate([p[np.isfinite(p).all(axis=1)] for p in parts] or [np.zeros((0, 2))])
     if len(points) == 0:
         return np.array([-1.0, -1.0]), np.array([1.0, 1.0])

@@ -18,20 +18,8 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import MapEstimate, Run
 from data.se2 import Array, dead_reckoned
+from eval.figures import plane
 from eval.figures.paper import page_width, points
-from eval.figures.plane import (
-    View,
-    along_path,
-    draw_ellipses,
-    draw_start,
-    draw_walls,
-    ellipses,
-    enlargement,
-    longest_axis,
-    plan_axes,
-    true_landmarks,
-    view_of,
-)
 from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
 from eval.referee.ambiguity import ambiguous
 from eval.referee.given_runs import is_truth_alone
@@ -56,29 +44,18 @@ def _with_ellipses(shown: Sequence[Series]) -> list[Series]:
     return [firsts[p] for p in ("online", "final") if p in firsts]
 
 
-def _label(s: Series) -> str:
-    flaw = s.run.flaw
-    return s.label if flaw is None else f"{s.label}:\n{flaw.status} at frame {flaw.frame}"
-
-
 @dataclass(frozen=True, eq=False)
 class _Map:
-    """What is drawn on a map.
-
-    Attributes:
-        shown: all series; estimates: those with ellipses; maps: of these, with the maps they end with.
-        paths: (N, 2) by label, dead reckoning too. poses: means and covariances along the estimates' paths.
-        view: what part of the plane. factor: by how much ellipses are enlarged.
-    """
+    """What is drawn on a map."""
 
     log: Log
-    shown: list[Series]
-    estimates: list[Series]
-    maps: list[tuple[Series, MapEstimate]]
-    paths: dict[str, Array]
-    poses: list[tuple[Series, Array, Array]]
-    view: View
-    factor: int
+    shown: list[Series]  # all series
+    estimates: list[Series]  # those with ellipses
+    maps: list[tuple[Series, MapEstimate]]  # of these, with the maps they end with
+    paths: dict[str, Array]  # (N, 2) by label, dead reckoning too
+    poses: list[tuple[Series, Array, Array]]  # means and covariances along the estimates' paths
+    view: plane.View  # what part of the plane
+    factor: int  # by how much ellipses are enlarged
 
 
 def _gathered(log: Log, runs: Sequence[Run], factor: int | None) -> _Map:
@@ -90,11 +67,13 @@ def _gathered(log: Log, runs: Sequence[Run], factor: int | None) -> _Map:
     estimates = _with_ellipses(shown)
     maps = [(s, s.run.map) for s in estimates if s.run.map is not None and len(s.run.map)]
     of_points = maps if log.recorded.sensor.sees_points else []
-    view = view_of(log, shown, paths, {f"map of {s.label}": ellipses(m.xy, m.covariance) for s, m in of_points})
-    poses = [(s, *along_path(s)) for s in estimates]
+    view = plane.view_of(
+        log, shown, paths, {f"map of {s.label}": plane.ellipses(m.xy, m.covariance) for s, m in of_points}
+    )
+    poses = [(s, *plane.along_path(s)) for s in estimates]
     if factor is None:
-        sizes = [longest_axis(P) for _, _, P in poses] + [longest_axis(m.covariance) for _, m in of_points]
-        factor = enlargement(view, np.concatenate(sizes) if sizes else np.empty(0))
+        sizes = [plane.longest_axis(P) for _, _, P in poses] + [plane.longest_axis(m.covariance) for _, m in of_points]
+        factor = plane.enlargement(view, np.concatenate(sizes) if sizes else np.empty(0))
     return _Map(log, shown, estimates, maps, paths, poses, view, factor)
 
 
@@ -107,20 +86,19 @@ def map_figure(
     surveyed: Surveyed | None = None,
     factor: int | None = None,
 ) -> Figure:
-    """Paths, landmarks and 3 sigma ellipses of every run on one log; metres, equal aspect, `width` in inches.
+    """Paths, landmarks and 3σ ellipses of every run on one log; metres, equal aspect, `width` in inches.
 
-    Ellipses too small to see are enlarged, all by one factor that the legend states. A path that runs away does not
-    squash the picture: it is cut, and the title names it. `surveyed` draws in place of the true landmarks; `factor` is
-    by how much ellipses are enlarged (None: as is needed).
+    A path that runs away is cut, and the title names it. `surveyed` draws in place of the true landmarks; `factor`
+    enlarges ellipses (None: as is needed to see them; the legend states it).
     """
     made = _gathered(log, runs, factor)
     fig = Figure()
     ax = fig.add_subplot()
-    plan_axes(ax, made.view.low, made.view.high)
+    plane.plan_axes(ax, made.view.low, made.view.high)
     handles: list[Line2D | Patch] = _draw_paths(ax, made)
     handles += _draw_true_landmarks(ax, made) if surveyed is None else surveyed(ax)
     handles += _draw_estimates(ax, made)
-    handles += draw_start(ax, log.recorded.prior.mean)
+    handles += plane.draw_start(ax, log.recorded.prior.mean)
     _fit(fig, ax, made, runs, width or page_width(), handles)
     return fig
 
@@ -134,13 +112,14 @@ def _draw_paths(ax: Axes, m: _Map) -> list[Line2D | Patch]:
     for label, path in m.paths.items():
         s = own.get(label)
         colour, line = (STYLES["dead-reckoning"].colour, DOTTED) if s is None else (s.colour, s.line)
-        name = label if s is None else _label(s)
+        flaw = None if s is None else s.run.flaw
+        name = label if flaw is None else f"{label}:\n{flaw.status} at frame {flaw.frame}"
         handles += ax.plot(*path.T, color=colour, linestyle=line, linewidth=1.0, label=name, zorder=3)
     return handles
 
 
 def _draw_true_landmarks(ax: Axes, m: _Map) -> list[Line2D]:
-    known = true_landmarks(m.log)
+    known = plane.true_landmarks(m.log)
     if known is None or not len(known.id):
         return []
     name = "true landmarks" if m.log.truth.landmarks is not None else "landmarks (given map)"
@@ -153,24 +132,24 @@ def _draw_true_landmarks(ax: Axes, m: _Map) -> list[Line2D]:
 
 def _draw_estimates(ax: Axes, m: _Map) -> list[Line2D | Patch]:
     """Maps and ellipses along the paths; landmarks whose place is ambiguous are marked."""
-    sees_points, doubtful = m.log.recorded.sensor.sees_points, False
+    sees_points, any_unclear = m.log.recorded.sensor.sees_points, False
     for i, (s, map_) in enumerate(m.maps):
-        numbered = i == 0 and true_landmarks(m.log) is None and len(map_) <= MOST_IDS
+        numbered = i == 0 and plane.true_landmarks(m.log) is None and len(map_) <= MOST_IDS
         if not sees_points:
             _walls(ax, map_.number, map_.xy, m.view, s.colour, "", MOST_IDS if numbered else 0)
             continue
         ax.plot(*map_.xy.T, "o", color=s.colour, markersize=2.0, zorder=4)
-        draw_ellipses(ax, map_.xy, map_.covariance, s.colour, m.factor, 3.5)
+        plane.draw_ellipses(ax, map_.xy, map_.covariance, s.colour, m.factor, 3.5)
         unclear = map_.xy[ambiguous(s.run, m.log.recorded) >= 0]
         if len(unclear):
             ax.plot(*unclear.T, **AMBIGUOUS, markersize=9.0, markeredgewidth=0.8, zorder=5.2)
-            doubtful = True
+            any_unclear = True
         if numbered:
             _landmark_ids(ax, map_.number, map_.xy, m.view)
     for s, mean, covariance in m.poses:
-        draw_ellipses(ax, mean, covariance, s.colour, m.factor, 5.0)
+        plane.draw_ellipses(ax, mean, covariance, s.colour, m.factor, 5.0)
     handles = _ellipse_handles(m)
-    if doubtful:
+    if any_unclear:
         handles.append(Line2D([], [], **AMBIGUOUS, label="ambiguous landmarks"))
     if m.maps and not sees_points:
         handles.append(Line2D([], [], color=GREY, linewidth=0.7, label="estimated landmarks"))
@@ -195,7 +174,7 @@ def _fit(fig: Figure, ax: Axes, m: _Map, runs: Sequence[Run], width: float, hand
     settle(fig)
 
 
-def _title(log: Log, runs: Sequence[Run], view: View, characters: int) -> str:
+def _title(log: Log, runs: Sequence[Run], view: plane.View, characters: int) -> str:
     tasks = sorted({"SLAM" if r.task == "slam" else r.task for r in runs})
     title = f"{log.name}: {' and '.join(tasks)}" if tasks else log.name
     if view.leaving:
@@ -203,15 +182,17 @@ def _title(log: Log, runs: Sequence[Run], view: View, characters: int) -> str:
     return "\n".join(fill(line, characters) for line in title.split("\n"))
 
 
-def _walls(ax: Axes, number: IntArray, walls: Array, view: View, colour: str, name: str, most_ids: int) -> list[Line2D]:
+def _walls(
+    ax: Axes, number: IntArray, walls: Array, view: plane.View, colour: str, name: str, most_ids: int
+) -> list[Line2D]:
     """Walls (n, 2) of rho, alpha, numbered in the middle if they are few; what the legend shows of them."""
-    rows, ends = draw_walls(ax, walls, colour)
+    rows, ends = plane.draw_walls(ax, walls, colour)
     if 0 < len(number) <= most_ids:
         _landmark_ids(ax, number[rows], ends.mean(axis=1), view)
     return [Line2D([], [], color=colour, linewidth=0.7, label=name)] if name and len(rows) else []
 
 
-def _landmark_ids(ax: Axes, number: IntArray, xy: Array, view: View) -> None:
+def _landmark_ids(ax: Axes, number: IntArray, xy: Array, view: plane.View) -> None:
     inside = np.all((xy >= view.low) & (xy <= view.high), axis=1)
     small: dict[str, Any] = {"textcoords": "offset points", "fontsize": points(6), "color": "#404040"}
     halo = [withStroke(linewidth=1.5, foreground="white")]

@@ -1,7 +1,4 @@
-"""Figures for a paper: of a given width, in a given type; without a wish for one, everything is as it always is.
-
-Text as LaTeX sets it, in tables and in figures.
-"""
+"""Figures of a given width and type, for a paper; and text as LaTeX sets it, in tables and in figures."""
 
 from __future__ import annotations
 
@@ -13,12 +10,9 @@ from matplotlib.text import Text
 
 from eval.figures.figure_style import USUAL_TYPE, current
 
-DOUBLE = 7.0
-"""in. Width of both columns."""
-NARROW = 5.0
-"""in. Below, panels side by side are two at most."""
-MARGIN = 0.06
-"""in, left free at the right edge."""
+DOUBLE = 7.0  # in. Width of both columns
+NARROW = 5.0  # in. Below, panels side by side are two at most
+MARGIN = 0.06  # in, left free at the right edge
 
 
 def page_width() -> float:
@@ -37,10 +31,7 @@ def points(usual: float) -> float:
 
 
 def refit(fig: Figure) -> None:
-    """Make room in a narrow figure: titles in several lines, legends in fewer columns, the page longer for both.
-
-    One with a layout of its own (`settle`) has seen to that itself.
-    """
+    """Make room in a narrow figure, unless `settle` did: titles wrapped, legends in fewer columns, a longer page."""
     if current().width is None or not isinstance(fig.get_layout_engine(), ConstrainedLayoutEngine):
         return
     fig.draw_without_rendering()
@@ -124,10 +115,7 @@ def tex_escape(text: str) -> str:
 
 
 def translate(fig: Figure, *, escape: bool) -> None:
-    """Signs in every text of a figure as commands of LaTeX; `escape`: what is special to LaTeX, too.
-
-    The pgf backend of matplotlib escapes the latter itself.
-    """
+    """Signs in every text as commands of LaTeX; `escape`: also what is special to LaTeX (pgf does so itself)."""
     signs = {c: command for c, command in _TEX.items() if not c.isascii() or escape}
     for text in fig.findobj(Text):
         assert isinstance(text, Text)

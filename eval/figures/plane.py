@@ -17,17 +17,14 @@ from data.log import Log
 from data.se2 import Array, transform_points
 from eval.figures.style import Series
 
-MARGIN = 0.05
-"""Free space around the picture, as a share of its larger side."""
-STRETCH = 0.25
-"""A path that goes further beyond truth and landmarks than this share of their larger side is cut."""
-FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-"""By which ellipses may be enlarged."""
+MARGIN = 0.05  # free space around the picture, as a share of its larger side
+STRETCH = 0.25  # a path that goes further beyond truth and landmarks than this share of their larger side is cut
+FACTORS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)  # by which ellipses may be enlarged
 
 
 @dataclass(frozen=True)
 class View:
-    """The rectangle shown, m; `leaving` names what goes beyond it."""
+    """The rectangle shown, m; `leaving` names paths and maps that leave it."""
 
     low: Array
     high: Array
@@ -115,7 +112,7 @@ def plan_axes(ax: Axes, low: Array, high: Array) -> None:
 def draw_start(
     ax: Axes, pose: Array, colour: str = "white", effects: Sequence[AbstractPathEffect] = ()
 ) -> list[Line2D]:
-    """An arrowhead at a pose (3,), the way the robot looks; what the legend shows of it."""
+    """An arrowhead at a pose (3,), along the robot's heading; what the legend shows of it."""
     return ax.plot(
         pose[0],
         pose[1],
@@ -131,10 +128,7 @@ def draw_start(
 
 
 def view_of(log: Log, shown: Sequence[Series], paths: Mapping[str, Array], maps: Mapping[str, Array]) -> View:
-    """What to show: truth and landmarks whole, and by label paths (n, 2) and ellipses (K, c, 2) that do not squash it.
-
-    A path that goes too far is left out of the reckoning as a whole, of a map only the landmarks that do.
-    """
+    """Truth and landmarks whole, and by label the paths (n, 2) and ellipses (K, c, 2) that do not squash them."""
     box = _box(_anchor(log, shown))
     low, high = box if box is not None else (np.zeros(2), np.ones(2))
     side = max(float((high - low).max()), 1.0)
@@ -170,17 +164,13 @@ def enlargement(view: View, semi_axes: Array, share: float = 0.012) -> int:
     return next((f for f in FACTORS if f * middle >= wanted), FACTORS[-1])
 
 
-SIGMAS = 3.0
-"""Size of every ellipse; in the plane a 3 sigma ellipse holds 1 - exp(-9/2) = 98.89 % of a Gaussian."""
+SIGMAS = 3.0  # size of every ellipse; in the plane a 3 sigma ellipse holds 1 - exp(-9/2) = 98.89 % of a Gaussian
 ELLIPSES_ALONG_PATH = 11
 """A number that shares no factor with a few laps, so that the ellipses of two laps do not fall on each other."""
 
 
 def ellipses(mean: Array, covariance: Array, sigmas: float = SIGMAS, count: int = 48) -> Array:
-    """Outlines (K, count, 2) of the ellipses (p - mean)' P^-1 (p - mean) = sigmas^2 for mean (K, 2), P (K, 2, 2).
-
-    Negative eigenvalues (rounding) count as zero.
-    """
+    """Outlines (K, count, 2) of (p - mean)' P^-1 (p - mean) = sigmas^2; negative eigenvalues count as zero."""
     values, vectors = np.linalg.eigh(0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
     axes = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     angle = np.linspace(0.0, 2.0 * np.pi, count)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,8 +24,7 @@ from eval.figures.style import DASHED, LONG_HANDLE, drawing, style_of
 from eval.referee.consistency import COVERAGE_LEVELS, coverage
 
 MOST_COLUMNS = 4
-LAST = 0.999
-"""The axis ends at this quantile of the chi-square law; what lies beyond is one bar of its own."""
+LAST = 0.999  # the axis ends at this quantile of the chi-square law; what lies beyond is one bar of its own
 EXPECTED_COLOUR = "#000000"
 BEYOND_HATCH = "/////"
 
@@ -34,15 +33,14 @@ BEYOND_HATCH = "/////"
 def run_end_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     """Histogram of the run-end NEES (N,) of each estimator against the chi-square density with `dof`.
 
-    The last, hatched bar holds every run beyond the axis, with their number above it: its height is their share per
-    bin width. Runs without a NEES (NaN) are counted in the panel.
+    The last, hatched bar holds every run beyond the axis. Runs without a NEES (NaN) are counted in the panel.
     """
     rows = max(math.ceil(len(nees) / across(MOST_COLUMNS)), 1)
     columns = max(math.ceil(len(nees) / rows), 1)
     fig = Figure(figsize=(page_width(), 0.85 + 1.55 * rows))
     axes = fig.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     end = float(np.ceil(scipy.stats.chi2.ppf(LAST, dof)))
-    bins = _bins(max((len(v) for v in nees.values()), default=0))
+    bins = int(np.clip(round(2.0 * math.sqrt(max((len(v) for v in nees.values()), default=0))), 8, 24))
     for ax, (name, values) in zip(axes.flat, nees.items(), strict=False):
         _histogram(ax, name, values, dof, np.linspace(0.0, end, bins + 1))
     for ax in axes.flat[max(len(nees), 1) :]:
@@ -68,10 +66,6 @@ def run_end_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     return fig
 
 
-def _bins(runs: int) -> int:
-    return int(np.clip(round(2.0 * math.sqrt(runs)), 8, 24))
-
-
 def _peak(dof: int, width: float) -> float:
     """Highest mean of the chi-square density over a bin."""
     edges = width * np.arange(0.0, max(dof, 1.0) / width + 2.0)
@@ -91,8 +85,8 @@ def _histogram(ax: Axes, name: str, values: Array, dof: int, edges: Array) -> No
     x = np.linspace(edges[0], end, 400)[1:]
     ax.plot(x, scipy.stats.chi2.pdf(x, dof), color=EXPECTED_COLOUR, linewidth=1.0)
     ax.set_xlim(0.0, end + 2.9 * width)
-    said = counted(len(known), "run") + (f"\n{len(values) - len(known)} without" if len(known) < len(values) else "")
-    ax.text(0.97, 0.95, said, transform=ax.transAxes, ha="right", va="top", fontsize=points(7))
+    text = counted(len(known), "run") + (f"\n{len(values) - len(known)} without" if len(known) < len(values) else "")
+    ax.text(0.97, 0.95, text, transform=ax.transAxes, ha="right", va="top", fontsize=points(7))
     ax.set_title(style.label, loc="left")
 
 
@@ -100,9 +94,7 @@ def _histogram(ax: Axes, name: str, values: Array, dof: int, edges: Array) -> No
 def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     """Share of run-end NEES (N,) inside the ellipse of each nominal level, with 95 % Clopper-Pearson bounds.
 
-    Levels stand side by side, not to scale, as 90, 95 and 99 % would otherwise lie on each other; the diagonal is the
-    staircase of bars that a consistent estimator's bounds should touch. Runs without a NEES (NaN) are left out, and the
-    legend says how many.
+    Levels stand side by side, not to scale. Runs without a NEES (NaN) are left out, and the legend says how many.
     """
     fig = Figure(figsize=(page_width(), 2.7 + 0.14 * math.ceil((len(nees) + 1) / MOST_COLUMNS)))
     ax = fig.add_subplot()
@@ -137,38 +129,24 @@ def coverage_figure(nees: Mapping[str, Array], dof: int, title: str) -> Figure:
     return fig
 
 
-LOG_RATIO = 12.0
-"""A column's axes become logarithmic where its values span more than this factor."""
-SPREAD = 0.6
-"""Width over which the estimators of one rate are spread; 1 is the distance between rates."""
+LOG_RATIO = 12.0  # a column's axes become logarithmic where its values span more than this factor
+SPREAD = 0.6  # width over which the estimators of one rate are spread; 1 is the distance between rates
 POSE_DOF = 3
 
 
-class Panel(NamedTuple):
-    """One column of the figure: which columns of the table, and the axis' label."""
-
-    value: str
-    lower: str
-    upper: str
-    label: str
-
-
 PANELS = (
-    Panel("rmse_position_m", "rmse_lower", "rmse_upper", "RMSE position [m]"),
-    Panel("nees_pose", "nees_lower", "nees_upper", "pose NEES [–]"),
-)
+    ("rmse_position_m", "rmse_lower", "rmse_upper", "RMSE position [m]"),
+    ("nees_pose", "nees_lower", "nees_upper", "pose NEES [–]"),
+)  # value, bounds and label of each column of panels
 
 
 @drawing()
 def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
-    """Position RMSE (left) and pose NEES (right) against the share of wrong associations, one row of panels per task.
-
-    The rates studied stand side by side, not to scale, so that the estimators can be told apart at each of them.
+    """Position RMSE and pose NEES with their intervals against the share of wrong associations, a row per task.
 
     Args:
-        table: columns task, estimator, rate (0 to 1), rmse_position_m, rmse_lower, rmse_upper, nees_pose, nees_lower,
-            nees_upper; one row per task, estimator and rate. Bars are the intervals given; NaN values are gaps.
-        title: what was studied, e.g. scenario and number of runs.
+        table: one row per task, estimator and rate, with the columns of `PANELS`; NaN values are gaps.
+        title: what was studied.
     """
     tasks = list(dict.fromkeys(table["task"]))
     names = list(dict.fromkeys(table["estimator"]))
@@ -178,16 +156,21 @@ def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
     fig = Figure(figsize=(page_width(), 0.75 + 1.9 * rows + 0.13 * -(-(len(names) + 1) // columns)))
     axes = fig.subplots(rows, len(PANELS), sharex=True, squeeze=False)
     for row, task in zip(axes, tasks, strict=False):
-        for ax, panel in zip(row, PANELS, strict=True):
+        for ax, (value, lower, upper, label) in zip(row, PANELS, strict=True):
             part = table[table["task"] == task]
             for i, name in enumerate(names):
                 offset = SPREAD * ((i + 0.5) / len(names) - 0.5)
-                _curve(ax, part[part["estimator"] == name], panel, rates, offset)
-            if panel.value == "nees_pose":
+                curve = part[part["estimator"] == name].sort_values("rate")
+                y, low, high = (curve[c].to_numpy(float) for c in (value, lower, upper))
+                x = np.searchsorted(rates, curve["rate"].to_numpy(float)) + offset
+                bars = np.nan_to_num(np.abs(np.stack([y - low, high - y])), posinf=0.0)
+                look = style_of(name).look
+                ax.errorbar(x, y, bars, markersize=3.5, elinewidth=0.8, capsize=1.2, zorder=2, **look)
+            if value == "nees_pose":
                 ax.axhline(POSE_DOF, color="#505050", linewidth=0.8, linestyle="--", zorder=1.5)
-            _scale(ax, part, panel)
+            _scale(ax, part[value].to_numpy(float))
             ax.set_title(task, loc="left")
-            ax.set_ylabel(panel.label)
+            ax.set_ylabel(label)
     for ax in axes[-1]:
         ax.set_xlabel("wrong associations [%]")
         ax.set_xticks(range(len(rates)), [f"{100.0 * r:g}" for r in rates])
@@ -199,21 +182,8 @@ def outlier_figure(table: pd.DataFrame, title: str) -> Figure:
     return fig
 
 
-def _curve(ax: Axes, curve: pd.DataFrame, panel: Panel, rates: Sequence[float], offset: float) -> None:
-    """One estimator, moved aside by `offset` so that bars of equal rate do not hide each other."""
-    if curve.empty:
-        return
-    style, part = style_of(str(curve["estimator"].iloc[0])), curve.sort_values("rate")
-    x = np.searchsorted(rates, part["rate"].to_numpy(float)) + offset
-    y = part[panel.value].to_numpy(float)
-    bars = np.abs(np.stack([y - part[panel.lower].to_numpy(float), part[panel.upper].to_numpy(float) - y]))
-    bars = np.where(np.isfinite(bars), bars, 0.0)
-    ax.errorbar(x, y, bars, markersize=3.5, elinewidth=0.8, capsize=1.2, zorder=2, **style.look)
-
-
-def _scale(ax: Axes, part: pd.DataFrame, panel: Panel) -> None:
+def _scale(ax: Axes, values: Array) -> None:
     """Linear from 0, or logarithmic where the values span more than `LOG_RATIO`."""
-    values = part[panel.value].to_numpy(float)
     values = values[np.isfinite(values) & (values > 0.0)]
     if len(values) and values.max() > LOG_RATIO * values.min():
         ax.set_yscale("log")
@@ -245,13 +215,9 @@ class Seen:
 
 @drawing()
 def power_figure(faults: Sequence[Seen], tests: tuple[str, str], level: float, title: str) -> Figure:
-    """A panel for each fault: share of the logs in which each test sees it, against its size; sizes are not to scale.
+    """A panel for each fault: share [%] of the logs in which each test sees it, against its size, not to scale.
 
-    Args:
-        faults: what was found; `error` is the standard error of `share`, drawn as a bar.
-        tests: what the two are called.
-        level: the first one's share [%] on logs without a fault, as it should be.
-        title: what was studied.
+    `level`: share [%] of the first test on logs without a fault, as it should be.
     """
     most = across(COLUMNS)
     rows = max(-(-len(faults) // most), 1)
@@ -282,30 +248,20 @@ SHADE = "#F2F2F2"
 
 @dataclass(frozen=True)
 class Known:
-    """A run on a recording of which some knowledge is given.
+    """A run on a recording of which some knowledge is given."""
 
-    Attributes:
-        label: what it is called; given: what it knows; estimator: whose colour it has.
-        tutorial: whether it is a tutorial's treatment.
-        rmse: position RMSE [m], None where it has none; original: that of the tutorial's own program, if known.
-        wrong: share of wrong decisions, None where none was made.
-    """
-
-    label: str
-    given: str
-    estimator: str
-    tutorial: bool
-    rmse: float | None
-    original: float | None
-    wrong: float | None
+    label: str  # what it is called
+    given: str  # what it knows
+    estimator: str  # whose colour it has
+    tutorial: bool  # whether it is a tutorial's treatment
+    rmse: float | None  # position RMSE [m], None where it has none
+    original: float | None  # that of the tutorial's own program, if known
+    wrong: float | None  # share of wrong decisions, None where none was made
 
 
 @drawing()
 def knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
-    """A row per run, in groups of what is given: position RMSE, logarithmic, and the share of wrong decisions.
-
-    Rows stand in the order given, those of a group together.
-    """
+    """A row per run, in groups of what is given: position RMSE, logarithmic, and the share of wrong decisions."""
     groups = list(dict.fromkeys(r.given for r in rows))
     place = np.array([i + 1.1 * (groups.index(r.given) + 1) for i, r in enumerate(rows)])
     fig = Figure(figsize=(page_width(), 1.1 + 0.19 * (float(place[-1]) + 1.0)))
@@ -331,21 +287,16 @@ def knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
     for ax in (error, wrong):
         ax.grid(axis="y", visible=False)
         ax.tick_params(axis="y", length=0)
-        _shade(ax, rows, place)
-    for given in groups:
-        y = float(place[[r.given == given for r in rows]].min()) - 0.95
+    for i, given in enumerate(groups):
+        inside = place[[r.given == given for r in rows]]
+        low, high = float(inside.min()), float(inside.max())
+        for ax in (error, wrong)[: 2 * (i % 2)]:
+            ax.axhspan(low - 1.5, high + 0.6, color=SHADE, zorder=0, linewidth=0.0)
         look = dict[str, Any](va="center", weight="bold", fontsize=points(7.0))
-        error.text(0.01, y, f"given: {given}", transform=error.get_yaxis_transform(), **look)
+        error.text(0.01, low - 0.95, f"given: {given}", transform=error.get_yaxis_transform(), **look)
     error.set_title(title, loc="left")
     fig.legend(handles=_handles(rows), loc="outside lower center", ncols=4)
     return fig
-
-
-def _shade(ax: Axes, rows: Sequence[Known], place: np.ndarray) -> None:
-    for i, given in enumerate(dict.fromkeys(r.given for r in rows)):
-        inside = place[[r.given == given for r in rows]]
-        if i % 2:
-            ax.axhspan(float(inside.min()) - 1.5, float(inside.max()) + 0.6, color=SHADE, zorder=0, linewidth=0.0)
 
 
 def _handles(rows: Sequence[Known]) -> list[Line2D]:

@@ -1,7 +1,6 @@
 """Colours, lines and markers of estimators and association methods, page sizes, and saving the same bytes each time.
 
-Filters are warm, smoothers cool; colours are Okabe and Ito's and Tol's, chosen to stay apart for colour-blind readers.
-pyplot is not used: figures are plain `Figure` objects made inside `matplotlib.rc_context(RC)`.
+Filters are warm, smoothers cool; colours are Okabe and Ito's and Tol's, which colour-blind readers can tell apart.
 """
 
 from __future__ import annotations
@@ -22,13 +21,11 @@ from eval.figures.paper import refit, translate
 from eval.referee.given_runs import GivenRun
 from eval.replay.external.spec import place
 
-SINGLE = 3.4
-"""in. Width of one column of a two-column paper."""
+SINGLE = 3.4  # in. Width of one column of a two-column paper
 PNG_DPI = 200
 FAST: dict[str, dict[str, Any]] = {"png": {"pil_kwargs": {"compress_level": 3}}}
 """How images are packed: 2 % larger than by default in two thirds of the time."""
-LONG_HANDLE = 3.8
-"""Length of a legend's line [font sizes] that shows every line's pattern beside its marker."""
+LONG_HANDLE = 3.8  # length of a legend's line [font sizes] that shows every line's pattern beside its marker
 
 SOLID: Literal["-"] = "-"
 DASHED, DASHDOT, DOTTED = (0, (4.0, 1.4)), (0, (5.0, 1.3, 1.2, 1.3)), (0, (1.0, 1.2))
@@ -37,8 +34,7 @@ Line = Literal["-"] | tuple[int, tuple[float, ...]]
 
 TRUTH_COLOUR = "#000000"
 BAND_COLOUR = "#C8C8C8"
-BAND: dict[str, Any] = {"color": BAND_COLOUR, "alpha": 0.45, "linewidth": 0.0}
-"""Where something is expected to be."""
+BAND: dict[str, Any] = {"color": BAND_COLOUR, "alpha": 0.45, "linewidth": 0.0}  # where something is expected to be
 
 RC: dict[RcKeyType, Any] = {
     "font.family": ["DejaVu Sans"],  # comes with matplotlib, so a figure does not depend on the machine's fonts
@@ -110,8 +106,7 @@ METHOD_COLOURS = {
     "jcbb-first": "#56B4E9",
     "jcbb-hindsight": "#332288",
     "scan": "#117733",
-}
-"""Association methods, where these differ and not the estimators; independent tests warm, joint ones blue."""
+}  # association methods, where these differ and not the estimators; independent tests warm, joint ones blue
 METHOD_LINES: dict[str, Line] = {
     "known": SOLID,
     "scan": SOLID,
@@ -123,8 +118,7 @@ METHOD_LINES: dict[str, Line] = {
     "ml": (0, (6.0, 1.2, 2.2, 1.2)),
     "ml-ratio": (0, (1.0, 1.2, 1.0, 3.0)),
     "gnn": (0, (1.0, 3.0)),
-}
-"""Where one estimator was run with several association methods; dashed is its online path beside a final one."""
+}  # where one estimator was run with several association methods; dashed is its online path beside a final one
 OTHERS = (("#8000E0", "*"), ("#800000", "h"), ("#806080", "d"), ("#E00040", "1"), ("#E040E0", "2"), ("#C080C0", "3"))
 """Colour and marker of names that are not ours, as far from ours and from each other as colours go (CIELAB, for all
 colour-blind readers): each with every one of these lines, so that so many names look different."""
@@ -143,11 +137,6 @@ def style_of(estimator: str) -> Style:
 def colour_of_method(association: str) -> str:
     """The colour of an association method; one of its own for a name that is not ours."""
     return METHOD_COLOURS.get(association) or _other(association)[0]
-
-
-def line_of_method(association: str) -> Line:
-    """The line of an association method; one of its own for a name that is not ours."""
-    return METHOD_LINES.get(association) or _other(association)[1]
 
 
 def _other(name: str) -> tuple[str, Line, str]:
@@ -173,11 +162,7 @@ class Series:
 
 
 def series(runs: Sequence[Run]) -> list[Series]:
-    """Every phase of every run, in order, each told apart from the others by colour, line or label.
-
-    A smoother's online path is dashed where its final one is drawn too. The association (or the task) is part of the
-    label only where it differs between the estimates, and then decides the line as well.
-    """
+    """Every phase of every run, told apart by colour, line or label; online dashed where a final path is drawn, too."""
     # a result that was handed in without decisions has no association that could differ, as dead reckoning has none
     estimates = [r for r in runs if r.association != "none"]
     several, tasks = len({r.association for r in estimates}) > 1, sorted({r.task for r in estimates})
@@ -188,7 +173,11 @@ def series(runs: Sequence[Run]) -> list[Series]:
         if run.association != "none" and (several or len(tasks) > 1):
             extra += f", {run.association}" if several else ""
             extra += f", {run.task}" if len(tasks) > 1 else ""
-            line = line_of_method(run.association) if several else cycle[tasks.index(run.task)]
+            line = (
+                METHOD_LINES.get(run.association) or _other(run.association)[1]
+                if several
+                else cycle[tasks.index(run.task)]
+            )
         if isinstance(run, GivenRun) and run.aligned != "none":
             extra += ", aligned"
         for phase in run.phases:
@@ -206,11 +195,7 @@ def drawing() -> Iterator[None]:
 
 
 def settle(fig: Figure) -> None:
-    """Lay a figure out now and for good.
-
-    With equal aspect, matplotlib's layout needs a second look to find room for the title, and would move everything a
-    little each time the figure is drawn again.
-    """
+    """Lay a figure out for good: with equal aspect, each further layout would move everything a little."""
     refit(fig)
     for _ in range(2):
         fig.draw_without_rendering()
@@ -218,9 +203,7 @@ def settle(fig: Figure) -> None:
 
 
 def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = None) -> list[Path]:
-    """Write a figure as `folder/stem.<format>` (default: of the current style), and empty it.
-
-    There is no date or version in it: same data, same bytes.
+    """Write a figure as `folder/stem.<format>` (default: of the current style), and empty it: same data, same bytes.
 
     Raises ValueError for a format whose metadata is not known to be clean.
     """
@@ -244,15 +227,11 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
             fig.set_layout_engine("none")  # one layout for all formats
             written.append(path)
         if current().pgf is not None:
-            written.append(_save_pgf(fig, folder / f"{stem}.pgf"))
+            # LaTeX sets it with the fonts of the document; it is laid out by the widths that those have here
+            if not current().usetex:
+                translate(fig, escape=False)
+            written.append(folder / f"{stem}.pgf")
+            with matplotlib.rc_context(rc={"axes.unicode_minus": False}):
+                fig.savefig(written[-1], backend="pgf")
     fig.clear()
     return written
-
-
-def _save_pgf(fig: Figure, path: Path) -> Path:
-    """The figure for LaTeX to set with the fonts of the document; laid out by the widths that those have here."""
-    if not current().usetex:
-        translate(fig, escape=False)
-    with matplotlib.rc_context(rc={"axes.unicode_minus": False}):
-        fig.savefig(path, backend="pgf")
-    return path

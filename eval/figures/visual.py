@@ -26,14 +26,12 @@ MOST_TILES = 12
 OUTLINE = "#F0E442"
 """Okabe and Ito's yellow; with its black edge it stands out from light and dark images, in colour and in grey."""
 EDGE = "#000000"
-TAG, CAPTION = 6.5, 6.5
-"""pt."""
-LINE = 0.115
-"""in. Height of a line of a tile's caption."""
+TAG, CAPTION = 6.5, 6.5  # pt
+LINE = 0.115  # in. Height of a line of a tile's caption
 
 
 class Tile(NamedTuple):
-    """A frame to look at: its name, image (H, W, 3) uint8 RGB, what was found in it, and what else is to be said."""
+    """A frame to look at: its name, image (H, W, 3) uint8 RGB, what was found in it, and notes."""
 
     name: str
     rgb: NDArray[np.uint8]
@@ -44,17 +42,14 @@ class Tile(NamedTuple):
 def contact_sheet(
     images: Sequence[tuple[str, NDArray[np.uint8], Sequence[Detection], Sequence[str]]], title: str
 ) -> Figure:
-    """Frames side by side, each as in `Tile`: the pictures found are outlined, their number at the upper left corner.
-
-    Raises ValueError for no frame at all and for more than `MOST_TILES`.
-    """
+    """Frames side by side with the pictures found. Raises ValueError for none and for more than `MOST_TILES`."""
     tiles = [Tile(*image) for image in images]
     if not 0 < len(tiles) <= MOST_TILES:
         raise ValueError(f"{len(tiles)} frames for a contact sheet; from 1 to {MOST_TILES} fit")
     columns = min(len(tiles), 2 if len(tiles) in (2, 4) else across(3))
     width = SINGLE if columns == 1 else page_width()
     gap, side = 0.08, (width - 0.08 * (columns + 1)) / columns
-    captions = [_caption(tile, round(20.0 * side)) for tile in tiles]
+    captions = ["\n".join(fill(t, round(20.0 * side)) for t in (tile.name, *tile.notes)) for tile in tiles]
     rows = [range(k, min(k + columns, len(tiles))) for k in range(0, len(tiles), columns)]
     shape = [side * tile.rgb.shape[0] / tile.rgb.shape[1] for tile in tiles]
     high = [max(shape[k] for k in row) for row in rows]
@@ -76,10 +71,6 @@ def contact_sheet(
                     fig.text(x / width, (y - tall - i * LINE) / height, line, va="baseline", fontsize=CAPTION)
             y -= tall + under + gap
         return fig
-
-
-def _caption(tile: Tile, characters: int) -> str:
-    return "\n".join(fill(line, characters) for line in (tile.name, *tile.notes))
 
 
 def _paint(ax: Axes, tile: Tile) -> None:
@@ -106,10 +97,7 @@ def _paint(ax: Axes, tile: Tile) -> None:
 def plan_figure(
     log: Log, runs: Sequence[Run], corners: Array, *, width: float | None = None, factor: int | None = 1
 ) -> Figure:
-    """The map figure with pictures in place of landmarks: corners (L, 4, 2) m as in `data.pictures.VisualSetup`.
-
-    Ellipses are drawn in their size, or `factor` times as large (None: as large as is needed to see them).
-    """
+    """The map figure with pictures in place of landmarks: corners (L, 4, 2) m as in `data.pictures.VisualSetup`."""
     return map_figure(log, runs, width=width, surveyed=lambda ax: draw_pictures(ax, corners), factor=factor)
 
 

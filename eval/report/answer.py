@@ -1,8 +1,4 @@
-"""Filter or smoother: what one log and task say about the two, from rows of metrics.csv and association.csv.
-
-The rules are those of the consistency tests: innovations of one run can be tested, the NEES of one run only describes,
-a verdict on NEES needs many independent runs, and being inside bounds is no proof.
-"""
+"""Filter or smoother: what one log and task say about the two, from rows of metrics.csv and association.csv."""
 
 from __future__ import annotations
 
@@ -57,30 +53,19 @@ class Because(StrEnum):
 
 @dataclass(frozen=True)
 class AnswerFacts:
-    """Filter and smoother on one log and task.
+    """Filter and smoother on one log and task."""
 
-    Attributes:
-        association: under which they are compared; None: nothing decides. several: whether there are others.
-        outcome: what came of the comparison.
-        filtered, smoothed: their rows, of the online and the final phase; None: none ran.
-        lost_to_linearization: whether the filter alone is lost, with observations that fit the smoother far better.
-        newest: the online row of a smoother that steps, if its error is known.
-        nearer: to the truth. because: of what.
-        difference: of their errors, with what chance makes of it.
-        deciding: how the association methods without labels did.
-    """
-
-    association: str | None
-    several: bool
-    outcome: Outcome
-    filtered: Scored | None
+    association: str | None  # under which they are compared; None: nothing decides
+    several: bool  # whether there are others
+    outcome: Outcome  # what came of the comparison
+    filtered: Scored | None  # with smoothed: their rows, of the online and the final phase; None: none ran
     smoothed: Scored | None
-    lost_to_linearization: bool
-    newest: Scored | None
-    nearer: Nearer
-    because: Because
-    difference: Difference | None
-    deciding: Deciding | None
+    lost_to_linearization: bool  # whether the filter alone is lost, with observations that fit the smoother far better
+    newest: Scored | None  # the online row of a smoother that steps, if its error is known
+    nearer: Nearer  # to the truth
+    because: Because  # of what
+    difference: Difference | None  # of their errors, with what chance makes of it
+    deciding: Deciding | None  # how the association methods without labels did
 
 
 def answer_facts(
@@ -89,10 +74,9 @@ def answer_facts(
     labelled: int | None = None,
     differences: pd.DataFrame | None = None,
 ) -> AnswerFacts:
-    """Filter and smoother on identical inputs, under known association if there is one.
+    """Filter and smoother compared, from the rows of metrics.csv, association.csv and `Scores.differences` of one log.
 
-    `metrics` and `association` are the rows of metrics.csv and association.csv for one log and task; `labelled` is the
-    number of landmarks that the log's ids tell apart; `differences` the rows of `Scored.differences`.
+    `labelled`: number of landmarks that the log's ids tell apart.
     """
     table = rows_of(metrics)
     rows = [scored(r) for r in table]

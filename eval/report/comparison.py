@@ -1,7 +1,4 @@
-"""The tables of the report, made from the rows of metrics.csv, association.csv and consistency.csv, for reading.
-
-Which is better on this log: paired differences between filters and smoothers.
-"""
+"""The tables of the report, made from the rows of metrics.csv, association.csv and consistency.csv."""
 
 from __future__ import annotations
 
@@ -71,13 +68,11 @@ OUTLIERS: Mapping[str, str] = {
 }
 
 TableRow = dict[str, object]
-CLOSE = 0.1
-"""A mean that is closer to zero is a correlation, written with four decimals."""
-SAME = 0.05
-"""Relative difference below which two columns say the same."""
+CLOSE = 0.1  # a mean that is closer to zero is a correlation, written with four decimals
+SAME = 0.05  # relative difference below which two columns say the same
 
 
-def _selected(frame: pd.DataFrame, heads: Mapping[str, str]) -> pd.DataFrame:
+def selected(frame: pd.DataFrame, heads: Mapping[str, str]) -> pd.DataFrame:
     """Columns by their human heads, shares in percent; `log` and `task` only where they differ, blank ones dropped."""
     frame = frame.assign(**{c: _percent(frame[c]) for c in frame.columns if is_share(c)})
     keep = [c for c in heads if c in frame.columns]
@@ -113,11 +108,9 @@ def _spread(values: pd.Series, errors: pd.Series) -> pd.Series:
 
 
 def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned: bool = False) -> pd.DataFrame:
-    """Rows of metrics.csv as a table to read: heads with units, shares in percent, columns without anything dropped.
+    """Rows of metrics.csv as a table to read, without columns that say nothing.
 
-    `more`: columns of metrics.csv that are shown as well, whatever they hold. Without news are also a status that is
-    `ok` everywhere and a time-weighted RMSE that is the plain one in every row. `aligned`: in SLAM, where the frame is
-    the first pose's, the aligned RMSE stands beside the plain one.
+    `more`: columns that are shown as well. `aligned`: in SLAM with the aligned RMSE.
     """
     made = metrics.astype(object).assign(
         bounds=_interval(metrics["nis_lower"], metrics["nis_upper"]),
@@ -131,7 +124,7 @@ def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned
     if _same(made["rmse_time_m"], made["rmse_position_m"]):
         shown.remove("rmse_time_m")
     also = [c for c in more if c in metrics.columns and c not in shown]
-    return _selected(made[[*shown, *also]], COMPARISON | heads(also))
+    return selected(made[[*shown, *also]], COMPARISON | heads(also))
 
 
 def summary_table(metrics: pd.DataFrame, association: pd.DataFrame) -> pd.DataFrame:
@@ -145,7 +138,7 @@ def summary_table(metrics: pd.DataFrame, association: pd.DataFrame) -> pd.DataFr
         shown.remove("rmse_aligned_m")
     if not all(is_blank(v) for v in made["rmse_position_m"].tolist()):
         shown.remove("rms_from_batch_m")
-    return _selected(made[shown], heads(shown))
+    return selected(made[shown], heads(shown))
 
 
 def parts(table: Table) -> list[Table]:
@@ -169,10 +162,7 @@ def _same(values: pd.Series, others: pd.Series) -> bool:
 
 
 def association_table(association: pd.DataFrame) -> pd.DataFrame:
-    """Rows of association.csv as a table to read; estimators with the same outcomes share a row.
-
-    The final phase has rows only where something was revised, and the phase is named only then.
-    """
+    """Rows of association.csv to read; estimators with equal outcomes share a row; phases only where they differ."""
     rows = [{str(k): v for k, v in r.items()} for r in association.astype(object).to_dict("records")]
     outcomes = [c for c in association.columns if c not in ("log", "task", "estimator", "association", "phase")]
 
@@ -196,7 +186,7 @@ def association_table(association: pd.DataFrame) -> pd.DataFrame:
         made = made.drop(columns="phase")
     if all(is_blank(v) or v == 0 for v in made["deferred"].tolist()):
         made = made.drop(columns="deferred")
-    return _selected(made, ASSOCIATION)
+    return selected(made, ASSOCIATION)
 
 
 def consistency_table(consistency: pd.DataFrame) -> pd.DataFrame:
@@ -204,7 +194,7 @@ def consistency_table(consistency: pd.DataFrame) -> pd.DataFrame:
     made = consistency.astype(object).assign(
         interval=_interval(consistency["lower"], consistency["upper"]), power_percent=_percent(consistency["power"])
     )
-    return _selected(made, CONSISTENCY)
+    return selected(made, CONSISTENCY)
 
 
 def _by_run(consistency: pd.DataFrame, cell: Callable[[TableRow], tuple[str, str]]) -> pd.DataFrame:
@@ -241,11 +231,6 @@ def verdicts_table(consistency: pd.DataFrame) -> pd.DataFrame:
     return _by_run(consistency, cell)
 
 
-def published_table(published: pd.DataFrame) -> pd.DataFrame:
-    """published.csv as a table to read."""
-    return _selected(published.astype(object), PUBLISHED)
-
-
 def outliers_table(outliers: pd.DataFrame) -> pd.DataFrame:
     """The outlier study as a table to read."""
     made = outliers.astype(object).assign(
@@ -255,7 +240,7 @@ def outliers_table(outliers: pd.DataFrame) -> pd.DataFrame:
     )
     if not outliers["diverged"].any():
         made = made.drop(columns="diverged")
-    return _selected(made, OUTLIERS)
+    return selected(made, OUTLIERS)
 
 
 CHANCE = 0.05
@@ -266,18 +251,19 @@ def differences_table(rows: pd.DataFrame) -> pd.DataFrame:
     """Rows of `Scores.differences` for one log and task as a table to read; association only where several are."""
     made = []
     for row in rows_of(rows):
-        none = is_blank(row["rmse_position_p"]) and is_blank(row["nees_pose_p"])
+        values = {c: value_of(row, c) for c in ("rmse_position_p", "nees_pose_p")}
+        p = {c: f"{v:.3f}" if math.isfinite(v) else None for c, v in values.items()}
         made.append({
             "association": row["association"],
             "filter": row["a"],
             "smoother": row["b"],
             "RMSE difference [m]": row["rmse_position_m"],
             "its 95 % interval": _row_interval(row, "rmse_position"),
-            "p": _p(row, "rmse_position"),
+            "p": p["rmse_position_p"],
             "NEES difference": row["nees_pose"],
             "95 % interval of NEES": _row_interval(row, "nees_pose"),
-            "p of NEES": _p(row, "nees_pose"),
-            "mean block [frames]": None if none else row["block_frames"],
+            "p of NEES": p["nees_pose_p"],
+            "mean block [frames]": row["block_frames"] if any(p.values()) else None,
         })  # fmt: skip
     table = pd.DataFrame(made, dtype=object)
     if table["association"].nunique() <= 1:
@@ -299,19 +285,15 @@ def missing_intervals(rows: pd.DataFrame) -> list[tuple[str, list[str], str]]:
 
 @dataclass(frozen=True)
 class Difference:
-    """RMSE of a filter less that of a smoother on the same frames [m], with its 95 % interval and p of no difference.
-
-    block_frames: over so many frames errors are correlated; own_map: both err with a map that they made themselves;
-    why: there is no interval (p is NaN then).
-    """
+    """RMSE of a filter minus that of a smoother on the same frames [m], with 95 % interval and p of no difference."""
 
     metres: float
     lower: float
     upper: float
     p: float
-    block_frames: float
-    own_map: bool
-    why: str
+    block_frames: float  # over so many frames errors are correlated
+    own_map: bool  # both have errors of a map that they made themselves
+    why: str  # there is no interval (p is NaN then)
 
     @property
     def chance(self) -> bool:
@@ -328,11 +310,6 @@ def difference_of(differences: Sequence[Row], filtered: Scored, smoothed: Scored
     size, lower, upper, p = (value_of(row, f"rmse_position_{c}") for c in ("m", "lower", "upper", "p"))
     why = "" if is_blank(row["rmse_position_why"]) else str(row["rmse_position_why"])
     return Difference(size, lower, upper, p, value_of(row, "block_frames"), row["task"] == "slam", why)
-
-
-def _p(row: Row, name: str) -> str | None:
-    p = value_of(row, f"{name}_p")
-    return f"{p:.3f}" if math.isfinite(p) else None
 
 
 def _row_interval(row: Row, name: str) -> str | None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pandas as pd
 
-from data.log import Log
 from data.notice import Notice
 from data.words import sentence, title
 from eval.plan.execute import Outcome
@@ -31,21 +29,20 @@ from eval.report.labs.write_up import write_up
 from eval.report.laser import laser_sections
 from eval.report.log_sections import association_sections, trial_sections
 from eval.report.overview import attribution_sections, introduction, overview
-from eval.report.overview_facts import LogFacts, conclusion, facts_of
-from eval.report.page.blocks import READING, Block, Folded, Picture, Report, Section, Table
+from eval.report.overview_facts import conclusion, facts_of
+from eval.report.page.blocks import READING, Block, Folded, Report, Section, Table
 from eval.report.publish import publish
 from eval.report.render import write_report
 from eval.report.run_files import write_truths
 from eval.report.studies import study_sections
 from eval.report.tutorials import tutorial_sections
 from eval.report.visual import visual_sections
-from eval.report.words import paragraph, questions, said, say, whose
+from eval.report.words import described, paragraph, questions, say, whose
 from eval.studies.montecarlo import Judged, consistency_table
 from eval.studies.reproduced import published_frame
 from eval.studies.trusted import trust_table
 
-FEW = 3
-"""Warnings in front of the folded ones."""
+FEW = 3  # warnings in front of the folded ones
 TITLE = "Filter or smoother: which estimate can be trusted?"
 
 
@@ -79,7 +76,16 @@ def write_results(
     answers = hand_in(folder, options, trials, scores, lost)
     first = [*answers, *attribution_sections(main, outcome.trust)]
     sections = warnings_section(found)
-    sections += _sections(folder, options, outcome, judged, scores, facts, published, answered=bool(answers))
+    in_lab, factor = options.selection.lab is not None, output.ellipse_factor
+    sections += trial_sections(folder, output, trials, facts, scores, published, outcome.trust, outcome.calibrations)
+    sections += laser_sections(folder, output, trials, published)
+    sections += visual_sections(folder, output, trials, in_lab=in_lab, factor=factor)
+    sections += tutorial_sections(folder, output, trials, scores)
+    sections += study_sections(folder, options, outcome, judged)
+    if trials:
+        sections += association_sections(folder, output, trials, scores)
+        sections += revision_section(folder, output, trials)
+        sections += lab_sections(trials, scores, answered_above=bool(answers))
     if trials or lost.messages:
         sections.append(_failure_section(trials, lost.messages))
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
@@ -95,8 +101,8 @@ def write_results(
     if output.write_up:
         write_up(folder, trials, scores, answers, sections)
     write_report(folder, Report(TITLE, command_of(options), tuple(blocks), tuple(sections), tuple(first)))
-    told = {"conclusion": conclusion(facts), "logs": facts, "declared": declared, "missing": lost.messages}
-    write_facts(folder, told, [*first, *sections])
+    first_screen = {"conclusion": conclusion(facts), "logs": facts, "declared": declared, "missing": lost.messages}
+    write_facts(folder, first_screen, [*first, *sections])
     _write_provenance(folder, options, outcome, arguments)
     result_files.NOTICES.write(notices_table([*found, *lost.messages]), folder)
     return Written(tuple(lost.messages), tuple(s.answer for s in answers if s.answer))
@@ -115,32 +121,6 @@ def _write_tables(folder: Path, outcome: Outcome, scores: Scores, judged: Sequen
         result_files.PUBLISHED.write(published_frame(outcome.published), folder)
 
 
-def _sections(
-    folder: Path,
-    options: Options,
-    outcome: Outcome,
-    judged: Sequence[Judged],
-    scores: Scores,
-    facts: Sequence[LogFacts],
-    published: Sequence[Sequence[Picture]],
-    *,
-    answered: bool,
-) -> list[Section]:
-    """All between questions and failures; `answered`: a lab's answers stand above."""
-    trials, output = outcome.trials, options.output
-    in_lab, factor = options.selection.lab is not None, output.ellipse_factor
-    sections = trial_sections(folder, output, trials, facts, scores, published, outcome.trust, outcome.calibrations)
-    sections += laser_sections(folder, output, trials, published)
-    sections += visual_sections(folder, output, trials, in_lab=in_lab, factor=factor)
-    sections += tutorial_sections(folder, output, trials, scores)
-    sections += study_sections(folder, options, outcome, judged)
-    if trials:
-        sections += association_sections(folder, output, trials, scores)
-        sections += revision_section(folder, output, trials)
-        sections += lab_sections(trials, scores, answered_above=answered)
-    return sections
-
-
 def warnings_section(found: Sequence[Notice]) -> list[Section]:
     """A section with all questions, a few of them in front; none where there is nothing to ask."""
     asking = [(title(n), whose(n), sentence(n)) for n in questions(found)]
@@ -151,105 +131,67 @@ def warnings_section(found: Sequence[Notice]) -> list[Section]:
     return [Section("Warnings", (say("questions#about"), shown, *folded))]
 
 
-@dataclass(frozen=True)
-class Failed:
-    """A run that stopped at a frame, or is not to be believed from it on, why, and where that probably began."""
-
-    log: str
-    task: str
-    estimator: str
-    association: str
-    status: str
-    frame: int
-    why: Notice
-    origin: Notice | None
-
-
 def _failure_section(trials: Sequence[Trial], missing: Sequence[Notice]) -> Section:
     failed = [
-        Failed(t.log.name, t.task, r.estimator, r.association, r.status, r.flaw.frame, r.flaw.notice, origin(r, t))
+        {"log": t.log.name, "task": t.task, "estimator": r.estimator, "association": r.association, "status": r.status}
+        | {"frame": r.flaw.frame, "why": r.flaw.notice, "origin": origin(r, t)}
         for t in trials
         for r in t.runs
         if r.flaw is not None
     ]
     blocks: list[Block] = [paragraph("failures#count", runs=failed, of=sum(len(t.runs) for t in trials))]
     blocks += [Folded("Which, and why", (say("failures#stopped", runs=failed),))] if failed else []
-    blocks += [say("failures#missing", texts=[said(n) for n in missing])] if missing else []
+    blocks += [say("failures#missing", texts=[described(n) for n in missing])] if missing else []
     return Section("Failures", tuple(blocks), facts=failed)
 
 
-@dataclass(frozen=True)
-class Off:
-    """A verdict that a scenario declares consistent, and that is not."""
-
-    scenario: str
-    task: str
-    estimator: str
-    association: str
-    phase: str
-    quantity: str
-    verdict: str
-
-
-@dataclass(frozen=True)
-class Declared:
-    """Number of the verdicts that scenarios declare consistent, and those that are not."""
-
-    verdicts: int
-    off: tuple[Off, ...]
-
-
-def _declared(judged: Sequence[Judged]) -> Declared | None:
-    """How the verdicts that scenarios declare came out; None where none is declared."""
+def _declared(judged: Sequence[Judged]) -> dict[str, object] | None:
+    """How the verdicts that scenarios declare consistent came out: their number, and those that are not."""
     declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
+    names = ("scenario", "task", "estimator", "association", "phase", "quantity", "verdict")
     off = (j for j in declared if j.verdict.word != CONSISTENT or j.diverged)
-    made = tuple(Off(j.scenario, *j.key, j.quantity, j.verdict.word) for j in off)
-    return Declared(len(declared), made) if declared else None
+    failed = [dict(zip(names, (j.scenario, *j.key, j.quantity, j.verdict.word), strict=True)) for j in off]
+    return {"verdicts": len(declared), "off": failed} if declared else None
 
 
-@dataclass(frozen=True)
-class LogSource:
-    """A log's size, sensor and labels; `gate`: a sentence on the gate of observations paired by label."""
-
-    name: str
-    kind: str
-    frames: int
-    observations: int
-    sensor: str
-    known_poses: int
-    floored: int
-    labels_are_sensed: bool
-    gate: str
+SIZES = {
+    "name": "log",
+    "kind": "kind",
+    "frames": "frames",
+    "known_poses": "with truth",
+    "observations": "observations",
+    "sensor": "sensor",
+    "floored": "raised to the floor",
+}  # heads of the table of logs
 
 
 def _source_section(trials: Sequence[Trial], setup: Setup) -> Section:
+    """Size, sensor and labels of each log, and the gate of observations paired by label."""
     tutorials = {t.log.name for t in trials if is_tutorial(t)}  # these gate nothing
-    logs = {t.log.name: t.log for t in trials}.values()
-    sources = [_source(log, setup, gated=log.has_labels and log.name not in tutorials) for log in logs]
-    gates = dict.fromkeys(s.gate for s in sources if s.gate)
-    by_gate = {g: [s.name for s in sources if s.gate == g] for g in gates}
-    blocks = Table(pd.DataFrame([_row(s) for s in sources], dtype=object), say("settings#sizes"))
-    words = say("settings#logs", gates=by_gate, sensed=[s.name for s in sources if s.labels_are_sensed])
-    return Section("Logs and settings", (Folded("Sizes, sensors and gates", (blocks, words)),), facts=sources)
-
-
-def _row(s: LogSource) -> dict[str, object]:
-    return {
-        "log": s.name,
-        "kind": s.kind,
-        "frames": s.frames,
-        "with truth": s.known_poses,
-        "observations": s.observations,
-        "sensor": s.sensor,
-        "raised to the floor": s.floored,
-    }
-
-
-def _source(log: Log, setup: Setup, *, gated: bool) -> LogSource:
-    r, kind = log.recorded, log.source.get("kind", "open log folder")
-    gate = gate_sentence(setup, sensed=log.labels_are_sensed) if gated else ""
-    sizes = (len(r), len(r.observations.frame), r.sensor.name, log.truth.known_poses, r.floored)
-    return LogSource(log.name, str(kind), *sizes, log.labels_are_sensed, gate)
+    sources: list[dict[str, Any]] = []
+    gates: dict[str, list[str]] = {}
+    for log in {t.log.name: t.log for t in trials}.values():
+        r, gated = log.recorded, log.has_labels and log.name not in tutorials
+        gate = gate_sentence(setup, sensed=log.labels_are_sensed) if gated else ""
+        if gate:
+            gates.setdefault(gate, []).append(log.name)
+        sources.append(
+            {
+                "name": log.name,
+                "kind": str(log.source.get("kind", "open log folder")),
+                "frames": len(r),
+                "observations": len(r.observations.frame),
+                "sensor": r.sensor.name,
+                "known_poses": log.truth.known_poses,
+                "floored": r.floored,
+                "labels_are_sensed": log.labels_are_sensed,
+                "gate": gate,
+            }
+        )
+    frame = pd.DataFrame([{head: s[name] for name, head in SIZES.items()} for s in sources], dtype=object)
+    words = say("settings#logs", gates=gates, sensed=[s["name"] for s in sources if s["labels_are_sensed"]])
+    blocks = (Table(frame, say("settings#sizes")), words)
+    return Section("Logs and settings", (Folded("Sizes, sensors and gates", blocks),), facts=sources)
 
 
 def _write_provenance(folder: Path, options: Options, outcome: Outcome, arguments: Sequence[str]) -> None:

@@ -11,26 +11,24 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from data.log import folder_name
 from data.result import DISCARD, NEW, Event, Run
 from eval.figures.association import Example, revision_figure
 from eval.figures.style import save
+from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.replay.hindsight.ledger import MERGED, REASSOCIATED, UNREAD
 from eval.replay.settings import steps
 from eval.report.page.blocks import Picture, Section
-from eval.report.page.files import Drawn, written_table
-from eval.report.rows import Row, Scored, filters_in, value_of
+from eval.report.page.files import written_table
+from eval.report.rows import Row, Scored, filters_in, stem, value_of
 from eval.report.words import paragraph
 
-SAME = 0.02
-"""Relative difference of two RMSE values below which they are called equal."""
-USABLE = 0.9
-"""A association method is usable whose path has less than this share of dead reckoning's error."""
+SAME = 0.02  # relative difference of two RMSE values below which they are called equal
+USABLE = 0.9  # a association method is usable whose path has less than this share of dead reckoning's error
 
 
 @dataclass(frozen=True)
-class Way:
+class MethodOutcome:
     """How a run decided without labels: outcomes in its last phase, position RMSE [m] and size of its map (or NaN)."""
 
     association: str
@@ -62,32 +60,20 @@ class Way:
 
 @dataclass(frozen=True)
 class Deciding:
-    """How the association methods without labels did on one log and task.
+    """How the association methods without labels did on one log and task."""
 
-    Attributes:
-        first, worst: by their decisions alone; the same if there is one.
-        best: by its decisions, of those with a usable path (of all, where none has one).
-        usable: whether one has: not lost, and nearer to the truth than dead reckoning.
-        nearest: whose path is clearly nearer to the truth than that of the best, if one is.
-        measured: whether errors of paths are known; dead_reckoning: its RMSE [m], or NaN.
-        labelled: landmarks that the log's ids tell apart.
-    """
-
-    first: Way
-    worst: Way
-    best: Way
-    usable: bool
-    nearest: Way | None
-    measured: bool
-    dead_reckoning: float
-    labelled: int | None = None
+    first: MethodOutcome  # with worst: by their decisions alone; the same if there is one
+    worst: MethodOutcome
+    best: MethodOutcome  # by its decisions, of those with a usable path (of all, where none has one)
+    usable: bool  # whether one has: not lost, and nearer to the truth than dead reckoning
+    nearest: MethodOutcome | None  # whose path is clearly nearer to the truth than that of the best, if one is
+    measured: bool  # whether errors of paths are known
+    dead_reckoning: float  # its RMSE [m], or NaN
+    labelled: int | None = None  # landmarks that the log's ids tell apart
 
 
-def deciding(rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[Row]) -> list[Way]:
-    """The runs that decided for themselves, reached the end and are plausible, in their last phase.
-
-    `rows` are those of metrics.csv (`metrics`) typed; `outcomes` are rows of association.csv.
-    """
+def deciding(rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[Row]) -> list[MethodOutcome]:
+    """The plausible runs that decided without labels, in their last phase; `rows` are those of `metrics`, typed."""
     ended = {(r.estimator, r.association) for r in rows if r.status == "ok"}
     filters = filters_in(rows)
     by_phase = {(r.estimator, r.association, r.phase): r for r in reversed(rows)}
@@ -101,7 +87,7 @@ def deciding(rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[
         tp, tn, fp, fn = (int(value_of(r, c)) for c in ("tp", "tn", "fp", "fn"))
         row, size = by_phase.get((estimator, association, phase)), sizes.get((estimator, association), math.nan)
         rmse, lost = (math.nan, False) if row is None else (row.rmse, bool(row.lost_why))
-        own.append(Way(association, estimator, tp, tn, fp, fn, rmse, size, lost))
+        own.append(MethodOutcome(association, estimator, tp, tn, fp, fn, rmse, size, lost))
     # batch smoothers take the decisions of another run, which speaks for itself where it is there
     own = [w for w in own if steps(w.estimator)] or own
     return [w for w in own if math.isfinite(w.f1)]
@@ -130,8 +116,7 @@ def deciding_facts(
     )
 
 
-LATE = ("uncertain", "put off until the end", REASSOCIATED, UNREAD)
-"""Reasons that only say that the log was over."""
+LATE = ("uncertain", "put off until the end", REASSOCIATED, UNREAD)  # reasons that only say that the log was over
 COLUMNS = (
     *("deciding for", "undone", "replaced", "deferred, then paired", "landmarks merged", "retracted"),
     "final re-association",
@@ -199,7 +184,7 @@ def revising(trial: Trial) -> list[tuple[Run, str]]:
     return [(run, ", ".join(names)) for run, names in found]
 
 
-def revision_section(folder: Path, wanted: Drawn, trials: Sequence[Trial]) -> list[Section]:
+def revision_section(folder: Path, wanted: Output, trials: Sequence[Trial]) -> list[Section]:
     """What was taken back on all logs, and a picture of one example each; nothing where nothing was."""
     rows, pictures = [], []
     for trial in trials:
@@ -221,16 +206,9 @@ def _picture(folder: Path, trial: Trial, *, quick: bool) -> Picture | None:
     one = None if run is None else example(run)
     if run is None or one is None:
         return None
-    name, log = f"{folder_name(trial.log.name)}-{trial.task}-revision", trial.log.name
+    name, log = stem(trial, "revision"), trial.log.name
     save(revision_figure(trial.log, run, one), folder / "figures", name)
-    caption = paragraph(
-        "deciding#revision",
-        log=log,
-        task=trial.task,
-        estimator=run.estimator,
-        frame=one.frame,
-        why=one.why,
-        observations=len(one.rows),
-        landmarks=len(np.unique(one.old[one.old >= 0])),
-    )
+    about = {"log": log, "task": trial.task, "estimator": run.estimator, "frame": one.frame, "why": one.why}
+    landmarks = len(np.unique(one.old[one.old >= 0]))
+    caption = paragraph("deciding#revision", **about, observations=len(one.rows), landmarks=landmarks)
     return Picture(name, caption, paragraph("deciding#revision_alt", log=log, frame=one.frame))

@@ -1,7 +1,4 @@
-"""`report.json`: the facts that the report's sections were written from, without words.
-
-A section writer hands its facts over with the section: `Section(heading, blocks, level, facts=...)`.
-"""
+"""`report.json`: the facts that the report's sections were written from, without words."""
 
 from __future__ import annotations
 
@@ -21,10 +18,7 @@ from eval.report.page.blocks import Section
 
 
 def as_json(facts: object) -> Any:
-    """Facts as JSON holds them: dataclasses and mappings as objects, arrays and sets as lists, enums as their values.
-
-    A number that is not finite becomes null, a path its text. Raises TypeError for anything that is no fact.
-    """
+    """Facts as JSON holds them; not finite numbers are null. Raises TypeError for anything that is no fact."""
     if facts is None or facts is pd.NA:
         return None
     if isinstance(facts, Enum):
@@ -56,6 +50,6 @@ def _name(key: object) -> str:
 
 def write_facts(folder: Path, first: Mapping[str, object], sections: Iterable[Section]) -> None:
     """Write `report.json`: what stands before the sections, by name, and the facts of each section that has some."""
-    told = [{"heading": s.heading, "facts": as_json(s.facts)} for s in sections if s.facts is not None]
-    text = json.dumps(as_json(first) | {"sections": told}, indent=1, sort_keys=True, ensure_ascii=False)
+    named = [{"heading": s.heading, "facts": as_json(s.facts)} for s in sections if s.facts is not None]
+    text = json.dumps(as_json(first) | {"sections": named}, indent=1, sort_keys=True, ensure_ascii=False)
     (folder / "report.json").write_text(text + "\n", encoding="utf-8", newline="\n")

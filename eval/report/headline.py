@@ -18,41 +18,30 @@ from eval.report.rows import rows_of as records
 from eval.report.words import paragraph, say
 from eval.studies.montecarlo import Judged, Study
 
-ROWS = 10
-"""Rows of a log that is alone; of several logs the best and the worst row of each are shown."""
-WIDTH = 80
-"""Characters of a line."""
+ROWS = 10  # rows of a log that is alone; of several logs the best and the worst row of each are shown
+WIDTH = 80  # characters of a line
 HEADS = ("estimator", "association", "RMSE [m]", "NEES", "NIS", "verdict", "wrong pairings")
 LEFT = ("estimator", "association", "verdict")
-DISPENSABLE = ("NIS", "NEES")
-"""Columns that are left out where a line would not fit, in this order."""
+DISPENSABLE = ("NIS", "NEES")  # columns that are left out where a line would not fit, in this order
 TASKS = {"slam": "SLAM", "localization": "localization"}
 Line = tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Headline:
-    """A run, or an estimator of a study; NaN, blank and None: not known.
+    """A run, or an estimator of a study; NaN, blank and None: not known."""
 
-    Attributes:
-        rank: how soon it is wanted (0: first).
-        rmse: of the position [m]; `by_relations`: mean error of the translation against reference relations.
-        nees, nis: means; of the pose, and per degree of freedom.
-        verdict: on NIS, over the runs of a study on NEES; or the status of a run that is not `ok`.
-        wrong: wrong pairings, and all.
-    """
-
-    rank: int
+    rank: int  # how soon it is wanted (0: first)
     log: str
     task: str
     estimator: str
     association: str
-    rmse: float
-    nees: float
+    rmse: float  # of the position [m]
+    nees: float  # with nis: means; of the pose, and per degree of freedom
     nis: float
-    verdict: str
-    wrong: tuple[int, int] | None = None
-    by_relations: bool = False
+    verdict: str  # on NIS, over the runs of a study on NEES; or the status of a run that is not `ok`
+    wrong: tuple[int, int] | None = None  # wrong pairings, and all
+    by_relations: bool = False  # mean error of the translation against reference relations
 
 
 class Group(NamedTuple):
@@ -106,19 +95,9 @@ def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[Headline]:
         related = errors.get((r["log"], r["estimator"], r["association"], r["phase"]), math.nan)
         by_relations = not math.isfinite(rmse) and math.isfinite(related)
         log, task, estimator, association = (str(r[c]) for c in ("log", "task", "estimator", "association"))
-        yield Headline(
-            rank,
-            log,
-            task,
-            estimator,
-            association,
-            rmse=related if by_relations else rmse,
-            nees=value_of(r, "nees_pose"),
-            nis=value_of(r, "nis"),
-            verdict=_verdict(r),
-            wrong=_wrong(decided.get(_key(r))),
-            by_relations=by_relations,
-        )
+        numbers = (related if by_relations else rmse, value_of(r, "nees_pose"), value_of(r, "nis"))
+        wrong = _wrong(decided.get(_key(r)))
+        yield Headline(rank, log, task, estimator, association, *numbers, _verdict(r), wrong, by_relations)
 
 
 def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[Headline]:
@@ -175,14 +154,14 @@ def lines(groups: Sequence[Group]) -> list[str]:
     shown = [c for c in range(len(HEADS)) if any(row[c] for row in cells)]
     table = _table([[row[c] for c in shown] for row in (HEADS, *cells)])
     named = {HEADS[c] for c in shown}
-    told, place = [], 1
+    text, place = list[str](), 1
     for g in groups:
         more = f" ({say('headline#more', rows=g.more)})" if g.more else ""
-        told += ["", f"{g.log}, {TASKS[g.task]}{more}", table[0], *table[place : place + len(g.rows)]]
+        text += ["", f"{g.log}, {TASKS[g.task]}{more}", table[0], *table[place : place + len(g.rows)]]
         place += len(g.rows)
     wanted = [name for name in ("NEES", "related", "verdict") if name in named]
     wanted += ["related"] if any(row.by_relations for g in groups for row in g.rows) else []
-    return [*told[1:], *(f"({say(f'headline#{name}')})" for name in wanted)]
+    return [*text[1:], *(f"({say(f'headline#{name}')})" for name in wanted)]
 
 
 def trust_line(facts: LogFacts, mark: Mark) -> str:

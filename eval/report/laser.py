@@ -1,14 +1,11 @@
 """The report's section on a laser log and its files: map pictures, `map.pgm` and `map.yaml`, loops.csv, graph.g2o.
 
-The map files are as ROS map_server and nav2_map_server read them. A pixel v means occupied with (255 - v) / 255,
-against two thresholds; the first row of the picture is the northernmost, and `origin` is the pose of its lower left
-corner.
+Map files are as ROS map_server and nav2_map_server read them: a pixel v is occupied with (255 - v) / 255, north up.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -24,31 +21,19 @@ from data.result import Run
 from data.se2 import Array
 from eval.figures.laser import loop_picture, map_picture
 from eval.figures.style import save
+from eval.plan.flags.table import Output
+from eval.referee import laser
 from eval.referee.errors import position_distance, rms
 from eval.referee.given_runs import GivenRun
-from eval.referee.laser import (
-    ALL,
-    CARTOGRAPHER,
-    EXACT,
-    KEPT,
-    KUEMMERLE,
-    ROW,
-    TIME,
-    kept,
-    paths_of,
-    relation_errors,
-    right_closures,
-)
 from eval.referee.result_files import LOOPS
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
-from eval.report.page.files import Wanted, written_table
+from eval.report.page.files import written_table
 from eval.report.page.tables import number
 from eval.report.rows import stem
 from eval.report.words import say
 
-FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205
-"""As map_saver writes them."""
+FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205  # as map_saver writes them
 OCCUPIED_ABOVE, FREE_BELOW = 0.65, 0.35
 """Probabilities by which a cell is called occupied or free: map_saver's for the one, and as sure for the other, which
 one beam more that crossed than ended here is not."""
@@ -132,7 +117,7 @@ def graph_of(run: LaserRun) -> str:
     chain, loops = run.chain, run.loops
     keys = range(len(run.key_pose))
     edges = [(MOTION, k - 1, k, chain.motion[k], chain.covariance[k]) for k in keys[1:]]
-    for i in np.flatnonzero(kept(loops, run.weight, "final")).tolist():
+    for i in np.flatnonzero(laser.kept(loops, run.weight, "final")).tolist():
         edges.append((MOTION, int(loops.key1[i]), int(loops.key2[i]), loops.relative[i], loops.covariance[i]))
     return written((keys, run.key_pose), ((), np.zeros((0, 2))), (0,), edges)
 
@@ -140,7 +125,7 @@ def graph_of(run: LaserRun) -> str:
 def loops_table(loops: Loops, weight: Array | None) -> pd.DataFrame:
     """loops.csv: every loop closure looked at; accepted: it joined the graph, final: it kept its weight."""
     rows, columns = np.triu_indices(3)
-    loop_state = [kept(loops, weight, phase).astype(int) for phase in ("online", "final")]
+    loop_state = [laser.kept(loops, weight, phase).astype(int) for phase in ("online", "final")]
     covariance = loops.covariance[:, rows, columns].T
     values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *loop_state]
     return pd.DataFrame(dict(zip(LOOPS.names, values, strict=True)))
@@ -163,18 +148,18 @@ def laser_picture(trial: Trial, kind: str) -> tuple[Figure, str, str]:
     assert run is not None
     assert run.last is not None
     phase = phase_of(run)
-    said = {"name": name, "estimator": run.estimator, "phase": phase}
+    names = {"name": name, "estimator": run.estimator, "phase": phase}
     if kind == GRID_PICTURE:
         figure = map_picture(grid_of(trial, run), run.last, name=name, estimator=run.estimator, phase=phase)
-        return figure, say("laser#grid", **said), f"Occupancy grid of {name} with the path of {run.estimator}"
+        return figure, say("laser#grid", **names), f"Occupancy grid of {name} with the path of {run.estimator}"
     assert run.loops is not None
     assert run.chain is not None
     assert run.key_pose is not None
     truth = trial.log.truth.pose
-    false = None if truth is None else ~right_closures(run.loops, truth[run.chain.frame])
+    false = None if truth is None else ~laser.right_closures(run.loops, truth[run.chain.frame])
     weight = np.ones(len(run.loops)) if run.weight is None else run.weight
     figure = loop_picture(run.key_pose, run.loops, weight, name=name, false=false, estimator=run.estimator)
-    return figure, say("laser#loops", **said), f"Pose graph of {name} with its loop closures"
+    return figure, say("laser#loops", **names), f"Pose graph of {name} with its loop closures"
 
 
 RELATIONS_CAPTION = "errors against the reference relations, mean ± standard deviation."
@@ -186,14 +171,13 @@ RELATIONS_FINE = FinePrint(
     " the path of its last state, in which every key pose stayed.",
 )
 GATED = ("ekf, gate 0.999", "ekf, gate 0.999, covariances as claimed")
-INTEL_RELATIONS = 2984
-"""Relations of the Intel log, by whose number it is recognized."""
+INTEL_RELATIONS = 2984  # relations of the Intel log, by whose number it is recognized
 
 
 def laser_sections(
-    folder: Path, wanted: Wanted, trials: Sequence[Trial], published: Sequence[Sequence[Picture]]
+    folder: Path, wanted: Output, trials: Sequence[Trial], published: Sequence[Sequence[Picture]]
 ) -> list[Section]:
-    """A section for each laser log; those that stand beside another are rows in its table of graph sizes."""
+    """A section for each laser log; variants are rows in the table of graph sizes."""
     sections = []
     for trial, pictures in zip(trials, published, strict=True):
         run = mapping_run(trial)
@@ -216,21 +200,10 @@ def against_relations(trial: Trial) -> str:
     return say("laser#against", relations=len(relations), paths=paths) if relations is not None and paths else ""
 
 
-@dataclass(frozen=True)
-class Against:
-    """A path against the reference relations: mean and standard deviation [m], mean of the heading's errors [deg]."""
-
-    estimator: str
-    phase: str
-    mean: float
-    std: float
-    heading: float
-
-
-def against(trial: Trial) -> list[Against]:
-    """Filter, smoother and wheels against the relations tied by row; of the filter the last path is its last state."""
+def against(trial: Trial) -> list[dict[str, object]]:
+    """Errors [m, deg] of filter, smoother and wheels against the relations tied by row, and whose path that is."""
     relations = trial.log.truth.relations
-    found = []
+    found: list[dict[str, object]] = []
     for name, association, phase in (
         ("ekf", SCAN, "online"),
         ("ekf", SCAN, "final"),
@@ -239,17 +212,18 @@ def against(trial: Trial) -> list[Against]:
         ("dead-reckoning", "none", "online"),
     ):
         run = trial.find(name, association)
-        path = None if run is None or run.failure is not None else paths_of(run).get(phase)
+        path = None if run is None or run.failure is not None else laser.paths_of(run).get(phase)
         if path is None or relations is None:
             continue
-        e = relation_errors(path, relations, trial.log.recorded.time)
+        e = laser.relation_errors(path, relations, trial.log.recorded.time)
         if e is not None:
             what = "last state" if (name, phase) == ("ekf", "final") else phase
-            found.append(Against(name, what, e.trans_mean_m, e.trans_std_m, e.rot_mean_deg))
+            found.append({"estimator": name, "phase": what, "mean": e.trans_mean_m, "std": e.trans_std_m})
+            found[-1]["heading"] = e.rot_mean_deg
     return found
 
 
-def _relations(folder: Path, wanted: Wanted, trial: Trial) -> list[Block]:
+def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
     """Every run against the reference relations."""
     relations = trial.log.truth.relations
     if relations is None:
@@ -269,122 +243,80 @@ def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     if not (given or isinstance(run, LaserRun)) or run.failure is not None or log.truth.relations is None:
         return []
     rows = []
-    for phase, path in paths_of(run).items():
+    for phase, path in laser.paths_of(run).items():
         row: dict[str, object] = {"estimator": run.estimator, "association": run.association, "phase": phase}
-        for tie, subset in ((ROW, ALL), (ROW, EXACT), (TIME, ALL), (TIME, EXACT)):
-            e = relation_errors(path, log.truth.relations, log.recorded.time, tie=tie, subset=subset)
+        for tie, subset in (
+            (laser.ROW, laser.ALL),
+            (laser.ROW, laser.EXACT),
+            (laser.TIME, laser.ALL),
+            (laser.TIME, laser.EXACT),
+        ):
+            e = laser.relation_errors(path, log.truth.relations, log.recorded.time, tie=tie, subset=subset)
             if e is not None:
                 head = f"{subset} by {tie} ({e.relations}) [m]"
                 row[head] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
-                if (tie, subset) == (ROW, ALL):
+                if (tie, subset) == (laser.ROW, laser.ALL):
                     row["heading [°]"] = f"{e.rot_mean_deg:.3f} ± {e.rot_std_deg:.3f}"
                     row["largest [m]"] = number(e.trans_max_m)
-        other = relation_errors(path, log.truth.relations, log.recorded.time, order=KUEMMERLE)
+        other = laser.relation_errors(path, log.truth.relations, log.recorded.time, order=laser.KUEMMERLE)
         if other is not None:
             row["other order [m]"] = f"{other.trans_mean_m:.4f} ± {other.trans_std_m:.4f}"
         rows.append(row)
-    for twin, name in zip((run.with_gate or ()) if isinstance(run, LaserRun) else (), GATED, strict=False):
-        rows += [{**row, "estimator": name} for row in _relation_rows(twin, log)]
+    for gated, name in zip((run.with_gate or ()) if isinstance(run, LaserRun) else (), GATED, strict=False):
+        rows += [{**row, "estimator": name} for row in _relation_rows(gated, log)]
     return rows
 
 
-@dataclass(frozen=True)
-class Off:
-    """How far a last state is from the relations (mean and standard deviation, m), or else from the truth (RMSE, m)."""
-
-    relations: tuple[float, float] | None = None
-    rmse: float | None = None
-
-
-@dataclass(frozen=True)
-class Gate:
-    """What a gate does to the filter: believed loop closures rejected, of so many looked at, and where it ends."""
-
-    rejected: int
-    looked: int
-    off: Off
-
-
-@dataclass(frozen=True)
-class FrontEnd:
-    """s, of driving, spent on it, of 99 % of the frames at most, and of the longest one."""
-
-    span: float
-    spent: float
-    late: float
-    longest: float
-
-
-@dataclass(frozen=True)
-class LaserFacts:
-    """The graph of a laser log.
-
-    Attributes:
-        scans, frames, keys: how many. loops: closures looked at; believed: those that were.
-        left_out: loop closures that robust smoothers left out in the end.
-        scale: of the variances that scan matching claims, and its error; None: not learned.
-        ungated, gates: the filter without a gate, and with each (None: not to the end); None and empty: not run.
-        time: of the front end; None: unknown, or no stamps to compare with.
-        against: runs against the reference relations.
-    """
-
-    scans: int
-    frames: int
-    keys: int
-    loops: int
-    believed: int
-    left_out: tuple[tuple[str, int], ...]
-    scale: tuple[float, float] | None
-    ungated: Off | None
-    gates: tuple[Gate | None, ...]
-    time: FrontEnd | None
-    against: tuple[Against, ...]
-
-
-def facts_of(trial: Trial, run: LaserRun) -> LaserFacts:
-    """The facts of a laser log, whose map is drawn from a run."""
+def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
+    """Sizes of a laser log's graph, loop closures, errors of the filter with and without gates, time."""
     assert run.chain is not None
     assert run.loops is not None
     recorded, seconds = trial.log.recorded, run.frame_seconds
     robust = [r for r in trial.runs if isinstance(r, LaserRun) and r.estimator in ("batch-cauchy", "gnc")]
-    time = None
+    ekf, time = trial.find("ekf", SCAN), None
     if seconds is not None and not recorded.time_is_index:
-        span = float(recorded.time[-1] - recorded.time[0])
-        time = FrontEnd(span, float(seconds.sum()), float(np.quantile(seconds, 0.99)), float(seconds.max()))
-    ekf = trial.find("ekf", SCAN)
+        time = {
+            "span": float(recorded.time[-1] - recorded.time[0]),  # s of driving
+            "spent": float(seconds.sum()),
+            "late": float(np.quantile(seconds, 0.99)),
+            "longest": float(seconds.max()),
+        }
     gated = isinstance(ekf, LaserRun) and ekf.with_gate is not None and ekf.failure is None
-    return LaserFacts(
-        0 if recorded.scans is None else len(recorded.scans.frame),
-        len(recorded),
-        len(run.chain.frame),
-        len(run.loops),
-        int((run.loops.believed >= 0).sum()),
-        tuple((r.estimator, int((r.weight < KEPT).sum())) for r in robust if r.weight is not None),
-        run.scale,
-        _off(ekf, trial.log) if isinstance(ekf, LaserRun) and gated else None,
-        tuple(_gate(g, trial.log) for g in ekf.with_gate or ()) if isinstance(ekf, LaserRun) and gated else (),
-        time,
-        tuple(against(trial)),
-    )
+    return {
+        "scans": 0 if recorded.scans is None else len(recorded.scans.frame),
+        "frames": len(recorded),
+        "keys": len(run.chain.frame),
+        "loops": len(run.loops),
+        "believed": int((run.loops.believed >= 0).sum()),
+        "left_out": tuple((r.estimator, int((r.weight < laser.KEPT).sum())) for r in robust if r.weight is not None),
+        "scale": run.scale,  # of the variances that scan matching claims, and its error
+        "ungated": _off(ekf, trial.log) if isinstance(ekf, LaserRun) and gated else None,
+        "gates": tuple(_gate(g, trial.log) for g in ekf.with_gate or ()) if isinstance(ekf, LaserRun) and gated else (),
+        "time": time,
+        "against": against(trial),
+    }
 
 
-def _gate(gated: LaserRun, log: Log) -> Gate | None:
+def _gate(gated: LaserRun, log: Log) -> dict[str, object] | None:
     """True loop closures look wrong to a filter that has drifted more than it believes."""
     if gated.failure is not None or gated.weight is None:
         return None
-    return Gate(int((gated.weight == 0.0).sum()), int(np.isfinite(gated.weight).sum()), _off(gated, log))
+    looked = int(np.isfinite(gated.weight).sum())
+    return {"rejected": int((gated.weight == 0.0).sum()), "looked": looked, "off": _off(gated, log)}
 
 
-def _off(run: LaserRun, log: Log) -> Off:
-    if run.last is None:
-        return Off()
-    if log.truth.relations is not None:
-        e = relation_errors(run.last, log.truth.relations, log.recorded.time, order=CARTOGRAPHER)
-        return Off() if e is None else Off(relations=(e.trans_mean_m, e.trans_std_m))
-    return Off() if log.truth.pose is None else Off(rmse=rms(position_distance(run.last, log.truth.pose)))
+def _off(run: LaserRun, log: Log) -> dict[str, object]:
+    """Error of a last state [m]: mean and standard deviation against the relations, or RMSE against the truth."""
+    off: dict[str, object] = {"relations": None, "rmse": None}
+    if run.last is not None and log.truth.relations is not None:
+        e = laser.relation_errors(run.last, log.truth.relations, log.recorded.time, order=laser.CARTOGRAPHER)
+        off["relations"] = None if e is None else (e.trans_mean_m, e.trans_std_m)
+    elif run.last is not None and log.truth.pose is not None:
+        off["rmse"] = rms(position_distance(run.last, log.truth.pose))
+    return off
 
 
-def _sizes(folder: Path, wanted: Wanted, trials: Sequence[Trial]) -> Block:
+def _sizes(folder: Path, wanted: Output, trials: Sequence[Trial]) -> Block:
     """Graph size and error for several distances between key poses."""
     rows = []
     for t in trials:
@@ -399,7 +331,7 @@ def _sizes(folder: Path, wanted: Wanted, trials: Sequence[Trial]) -> Block:
         }
         truth, relations = t.log.truth.pose, t.log.truth.relations
         if relations is not None:
-            e = relation_errors(run.last, relations, t.log.recorded.time)
+            e = laser.relation_errors(run.last, relations, t.log.recorded.time)
             if e is not None:
                 row["relations, all by row [m]"] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
         if truth is not None:

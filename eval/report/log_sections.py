@@ -33,18 +33,16 @@ from eval.report.publish import films_of
 from eval.report.results import aligned_statement, results_statement
 from eval.report.rows import SYSTEMATIC, rows_of, stem, variants
 from eval.report.systematic import systematic_section
-from eval.report.trust import first_said, trust_section
-from eval.report.tutorials import beside_note
+from eval.report.trust import first_page_words, trust_section
+from eval.report.tutorials import variant_note
 from eval.report.words import fine_print, of_runs, paragraph, say
 from eval.studies.trusted import Trust
 
 IN_FULL, WHY_MISSING = "Filter and smoother in full", "Why intervals are missing"
-VARIANTS, NOTES = "Additional variants", "Notes on the log and its runs"
-"""What folded texts are called."""
+VARIANTS, NOTES = "Additional variants", "Notes on the log and its runs"  # what folded texts are called
 IN_FRONT = ("map", "error", "nees", "difference", "claims")
 """Pictures of the report itself; the others are on the log's page."""
-ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC, GRID_PICTURE, LOOP_PICTURE)
-"""Pictures of other sections."""
+ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC, GRID_PICTURE, LOOP_PICTURE)  # pictures of other sections
 
 
 def of_trial(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
@@ -70,10 +68,7 @@ def trial_sections(
     trust: Sequence[Trust] = (),
     calibrations: Sequence[Calibration] = (),
 ) -> list[Section]:
-    """Of each log and task a section of the report and one of details; variants are rows in the tables of their log.
-
-    `facts` are of the trials that are no variants, in their order; `published` are the pictures of every trial.
-    """
+    """Of each log and task a section of the report and one of details; `facts` are of trials that are no variants."""
     sections, own = [], iter(facts)
     for trial, pictures in zip(trials, published, strict=True):
         if trial.variant_of is not None:
@@ -82,7 +77,7 @@ def trial_sections(
         made = _answer_facts(trial, scores)
         kinds = {p: p.stem.removeprefix(f"{stem(trial)}-") for p in pictures}
         wide = _comparison(folder, output, trial, group, scores)
-        blocks = _front(trial, next(own), made, scores, first_said(trial, trust))
+        blocks = _front(trial, next(own), made, scores, first_page_words(trial, trust))
         blocks.append(_summary(trial, group, scores, wide))
         blocks += [p for p, kind in kinds.items() if kind in IN_FRONT]
         blocks += [film for t in group for film in films_of(folder, t)] if output.animate else []
@@ -91,7 +86,7 @@ def trial_sections(
         sections += systematic_section(folder, output, trial, pictures, calibrations)
         details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
         details += [p for p, kind in kinds.items() if kind not in (*IN_FRONT, *ELSEWHERE)]
-        about = tuple(beside_note(t, of_trial(scores.metrics, t)) for t in group[1:])
+        about = tuple(variant_note(t, of_trial(scores.metrics, t)) for t in group[1:])
         details += [Folded(VARIANTS, about)] if about else []
         notes = _notes(trial)
         details += [Folded(NOTES, ("\n".join(f"* {n}" for n in notes),))] if notes else []

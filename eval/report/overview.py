@@ -1,7 +1,4 @@
-"""The first screen: what was compared, what follows, and a row for each log and task that says whom to trust.
-
-The small picture of a log and task: true path, filter and smoother from above, as SVG, the same bytes each time.
-"""
+"""The first screen: what was compared, what follows, and a row for each log and task that says whom to trust."""
 
 from __future__ import annotations
 
@@ -33,11 +30,9 @@ HEADS = (
     *("best association", "worst", "failed runs"),
 )
 GIVEN = HEADS.index("handed in [m]")
-IN_DETAIL = (HEADS.index("worst"),)
-"""Columns of the details alone."""
+IN_DETAIL = (HEADS.index("worst"),)  # columns of the details alone
 NOTHING_KNOWN = "–"
-NAMED = 2
-"""Failed runs that are named."""
+NAMED = 2  # failed runs that are named
 
 
 def introduction(facts: Sequence[LogFacts]) -> str:
@@ -76,11 +71,11 @@ def claims(f: LogFacts) -> Mark | None:
     return Mark(row.nis_verdict, tone, f"NIS {number(row.nis)}")
 
 
-def attribution_sections(trials: Sequence[tuple[Trial, LogFacts]], said: Sequence[Trust]) -> list[Section]:
+def attribution_sections(trials: Sequence[tuple[Trial, LogFacts]], diagnoses: Sequence[Trust]) -> list[Section]:
     """What the logs without truth say of themselves, one paragraph each; none where all have one."""
     blocks: list[Block] = []
     for trial, f in trials:
-        for trust in of_trial(trial, said)[: not f.measured]:
+        for trust in of_trial(trial, diagnoses)[: not f.measured]:
             words = first_words(trust, terms=terms_of(trial.log.recorded), measured=False)
             text = paragraph("overview#attribution", f=f, mark=trust_mark(f), words=words)
             blocks += folded(text, f"More under “{HEADING}: {f.name}”", 900)
@@ -95,17 +90,13 @@ def overview(
     left_out += () if whole else IN_DETAIL
     rows = []
     for trial, f in trials:
-        cells: list[Cell] = [trust_mark(f), _sketch(trial, f, folder, drawn)]
-        cells += [
-            _error(f, f.filtered, f.errors[0]),
-            _error(f, f.smoothed, f.errors[1]),
-            _given(f),
-            _ratio(f),
-            claims(f),
-        ]
+        errors = (_error(f, f.filtered, f.errors[0]), _error(f, f.smoothed, f.errors[1]))
+        cells: list[Cell] = [trust_mark(f), _sketch(trial, f, folder, drawn), *errors, _given(f), _ratio(f), claims(f)]
         cells += [*_associations(f), _failed(f)]
         kept = tuple(c for head, c in enumerate(cells, start=1) if head not in left_out)
-        rows.append(OverviewRow(f.name, f.name, kept, _links(f, folder)))
+        player = f"players/{folder_name(f.log)}.html"
+        links = (("play", player),) if (folder / player).exists() else ()
+        rows.append(OverviewRow(f.name, f.name, kept, links))
     heads = tuple(h for i, h in enumerate(HEADS) if i not in left_out)
     return Overview(heads, tuple(rows), paragraph("overview#caption"))
 
@@ -154,16 +145,8 @@ def _failed(f: LogFacts) -> Value:
     return Value(f"{len(f.failed)} of {f.runs}", f"{named}{more}")
 
 
-def _links(f: LogFacts, folder: Path) -> tuple[tuple[str, str], ...]:
-    """The player of the log, where one was written."""
-    place = f"players/{folder_name(f.log)}.html"
-    return (("play", place),) if (folder / place).exists() else ()
-
-
-WIDTH, HEIGHT, EDGE = 96.0, 60.0, 3.0
-"""px of the page."""
-POINTS = 90
-"""Of a path, at most: more than so small a picture can show."""
+WIDTH, HEIGHT, EDGE = 96.0, 60.0, 3.0  # px of the page
+POINTS = 90  # of a path, at most: more than so small a picture can show
 TRUTH, ONLINE, SMOOTHED = ("#b8b8b8", 3.0), ("#d55e00", 1.1), ("#0064a8", 1.1)
 """Colour and width of truth, filter and smoother: filters are warm, smoothers cool, as in all figures."""
 

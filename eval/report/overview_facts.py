@@ -1,4 +1,4 @@
-"""What the first screen knows of a log and task: whom to trust, and whose fault it is where the truth is not known."""
+"""Facts of the first screen: which estimate to trust, and without truth which assumption is violated."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from eval.referee.score import Scores, Trial
 from eval.replay.settings import INCREMENTAL
 from eval.report.answer import LINEARIZATION, chosen_association, pick
 from eval.report.comparison import difference_of
-from eval.report.deciding import SAME, Deciding, Way, deciding_facts
+from eval.report.deciding import SAME, Deciding, MethodOutcome, deciding_facts
 from eval.report.rows import Row, Scored, filters_in, rows_of, scored, smoothers_in, value_of
 from eval.report.trust import of_trial
 from eval.report.trust_facts import STANDS_OUT
@@ -35,56 +35,42 @@ class Online(StrEnum):
 
 @dataclass(frozen=True)
 class Gauge:
-    """What of a SLAM error is the frame's: RMSE [m] of filter and smoother as they are and after alignment.
-
-    mostly: the frame makes at least one of them what it is; ratio_differs: of filter and smoother, once aligned.
-    """
+    """What of a SLAM error is the frame's: RMSE [m] of filter and smoother as they are and after alignment."""
 
     plain: tuple[float, float]
     aligned: tuple[float, float]
-    mostly: bool
-    ratio_differs: bool
+    mostly: bool  # the frame makes at least one of them what it is
+    ratio_differs: bool  # of filter and smoother, once aligned
 
 
 @dataclass(frozen=True)
 class LogFacts:
-    """Of one log and task.
-
-    Attributes:
-        association: under which filter and smoother are compared, None: nothing decides.
-        filtered, smoothed: their rows; None: none ran. trusted: which of these two reached the end, are plausible, not
-            lost, and more than dead reckoning; unused: names of those that are no more.
-        newest: the online row of a smoother that steps, plausible; online: what it says.
-        measured: whether errors are known at all. errors: position error [m] of both: RMSE, or with reference relations
-            alone (`related`) the mean of theirs; NaN: unknown.
-        apart: RMS distance [m] of the filter from the smoother.
-        best, worst: association methods without labels.
-        runs: how many; failed: those that did not get to the end, are implausible, lost, or dead reckoning.
-        given: results that were handed in; given_best: the one with the least RMSE.
-        cause: the violated assumption by the diagnosis; twins: number of replicates; None: unknown.
-    """
+    """Of one log and task."""
 
     log: str
     task: str
-    association: str | None
-    filtered: Scored | None
+    association: str | None  # under which filter and smoother are compared, None: nothing decides
+    filtered: Scored | None  # with smoothed: their rows; None: none ran
     smoothed: Scored | None
+    # trusted: which of these two reached the end, are plausible, not lost, and more than dead reckoning
     trusted: tuple[bool, bool]
-    unused: tuple[str, ...]
-    newest: Scored | None
-    online: Online
-    measured: bool
+    unused: tuple[str, ...]  # names of those that are no more
+    newest: Scored | None  # the online row of a smoother that steps, plausible
+    online: Online  # what it says
+    measured: bool  # whether errors are known at all
+    # errors: position error [m] of both: RMSE, or with reference relations alone (`related`) the mean of theirs; NaN:
+    # unknown
     errors: tuple[float, float]
     related: bool
-    apart: float
-    best: Way | None
-    worst: Way | None
-    runs: int
-    failed: tuple[tuple[str, str], ...]
-    given: tuple[str, ...]
-    given_best: Scored | None
-    cause: str | None
-    twins: int | None
+    apart: float  # RMS distance [m] of the filter from the smoother
+    best: MethodOutcome | None  # with worst: association methods without labels
+    worst: MethodOutcome | None
+    runs: int  # how many
+    failed: tuple[tuple[str, str], ...]  # those that did not get to the end, are implausible, lost, or dead reckoning
+    given: tuple[str, ...]  # results that were handed in
+    given_best: Scored | None  # the one with the least RMSE
+    cause: str | None  # the violated assumption by the diagnosis
+    twins: int | None  # number of replicates; None: unknown
     verdict: Verdict
     objections: tuple[Objected, ...]
     gauge: Gauge | None
@@ -108,7 +94,6 @@ def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> LogFacts:
         [r for r in rows_of(table) if all(r[k] == v for k, v in here.items())]
         for table in (scores.metrics, scores.association)
     )
-    said = of_trial(trial, trust)[:1]
     rows = [scored(r) for r in metrics]
     own = [r for r in rows if r.association == chosen_association(rows)]
     pair = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
@@ -117,7 +102,7 @@ def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> LogFacts:
         rows,
         relations=_relations(scores) if trial.log.truth.relations is not None else {},
         decided=deciding_facts([scored(r) for r in metrics], metrics, outcomes),
-        trust=said[0] if said else None,
+        trust=next(iter(of_trial(trial, trust)), None),
         idle=frozenset((r.estimator, r.association) for r in trial.runs if unused(r) is not None),
         wrong={(str(r["estimator"]), str(r["association"]), str(r["phase"])): _wrong_share(r) for r in outcomes},
         p=_p_of_difference(trial, scores, *pair),
@@ -143,8 +128,7 @@ def log_facts(
 ) -> LogFacts:
     """The facts of a trial from its rows of metrics.csv.
 
-    relations: mean errors [m] against reference relations, by log, estimator, association and phase; idle: runs that
-    paired next to nothing, (estimator, association).
+    relations: mean errors [m], by log, estimator, association and phase; idle: runs that paired next to nothing.
     """
     log, truth = trial.log.name, trial.log.truth
     chosen = chosen_association(rows)
@@ -267,10 +251,8 @@ def _relations(scores: Scores) -> dict[tuple[str, ...], float]:
     return {tuple(str(r[k]) for k in keys): value_of(r, "trans_mean_m") for r in reversed(rows)}
 
 
-MOSTLY = 1.5
-"""So many times the aligned RMSE, the plain one is half due to the frame in variance (1.5 squared is 2.25)."""
-DIFFERENT = 0.1
-"""Relative change of the ratio of filter and smoother that is worth a word."""
+MOSTLY = 1.5  # so many times the aligned RMSE, the plain one is half due to the frame in variance (1.5 squared is 2.25)
+DIFFERENT = 0.1  # relative change of the ratio of filter and smoother that is worth a word
 
 
 def _gauge(filtered: Scored | None, smoothed: Scored | None) -> Gauge | None:
@@ -314,7 +296,7 @@ def side(component: str) -> str:
 
 
 def _hinted(trust: Trust) -> str:
-    """Without twins: the systematic error beyond `STANDS_OUT` standard errors, else a noise larger than stated."""
+    """Without replicates: the systematic error beyond `STANDS_OUT` standard errors, else a noise larger than stated."""
     slopes = {
         name.removeprefix("slope_"): abs(m.value) / m.se
         for (_, name), m in trust.real.measured.items()
@@ -341,26 +323,20 @@ def _largest(sizes: Mapping[str, float]) -> str:
 
 @dataclass(frozen=True)
 class Conclusion:
-    """All logs and tasks together; logs are named with their task where several rows are on them.
+    """All logs and tasks together; logs are named with their task where several rows are on them."""
 
-    Attributes:
-        logs: how many. filters, smoothers: names of those compared, three at most. given: results handed in.
-        smoother, either, filter, neither: logs with truth with this verdict; everywhere: the first is all there are.
-        ratios: least and largest error of the filter over the smoother's, None: no pair. filter_fails: so many rows.
-        blind: of the logs without truth those with one word, by the facts of the first of them.
-    """
-
-    logs: int
-    filters: tuple[str, ...]
+    logs: int  # how many
+    filters: tuple[str, ...]  # with smoothers: names of those compared, three at most
     smoothers: tuple[str, ...]
-    given: int
-    smoother: tuple[str, ...]
+    given: int  # results handed in
+    smoother: tuple[str, ...]  # to neither: logs with truth with this verdict
     either: tuple[str, ...]
     filter: tuple[str, ...]
     neither: tuple[str, ...]
-    everywhere: bool
-    ratios: tuple[float, float] | None
-    filter_fails: int
+    everywhere: bool  # the first is all there are
+    ratios: tuple[float, float] | None  # least and largest error of the filter over the smoother's, None: no pair
+    filter_fails: int  # so many rows
+    # blind: of the logs without truth those with one word, by the facts of the first of them
     blind: tuple[tuple[LogFacts, tuple[str, ...]], ...]
 
 

@@ -11,31 +11,22 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.result import Run
-from eval import figures
-from eval.figures.association import bars
-from eval.figures.error import longest_sigma
-from eval.figures.growth import closing_frame, state_is_informative
+from eval.figures.association import bars, confusion_figure
+from eval.figures.claims import claims_figure, filter_smoother_figure, systematic_figure
+from eval.figures.consistency import nees_figure
+from eval.figures.error import difference_figure, error_figure, longest_sigma
+from eval.figures.growth import closing_frame, growth_figure, state_figure, state_is_informative
+from eval.figures.log import loop_state_figure
+from eval.figures.map import map_figure
 from eval.figures.plane import SIGMAS, longest_axis
 from eval.figures.style import save
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
+from eval.report import shown_runs
 from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, laser_kinds, laser_picture
 from eval.report.page.blocks import Picture
 from eval.report.results import aligned_statement
 from eval.report.rows import SYSTEMATIC, stem
-from eval.report.shown_runs import (
-    finished,
-    for_filter_smoother,
-    for_growth,
-    for_loop_states,
-    for_map,
-    for_panels,
-    has_covariance,
-    left_out,
-    plausible,
-    same,
-    worst,
-)
 from eval.report.words import paragraph
 
 FILTER_SMOOTHER = "filter-smoother"
@@ -46,15 +37,16 @@ Facts = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of picture: of which trials (and those beside them) there is one, the figure with its caption's facts."""
+    """A kind of picture: of which trials (with variants) there is one, the figure with its caption's facts."""
 
     applies: Callable[[Trial, Variants], bool]
     drawn: Callable[[Trial, Variants], tuple[Figure, Facts]]
     in_quick: bool = False
+    macro: str = ""  # of the caption, if it is not called as the kind
 
 
 def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> tuple[str, ...]:
-    """Which pictures a trial gets, with the trials that stand beside it."""
+    """Which pictures a trial gets, with its variants."""
     return tuple(name for name, kind in KINDS.items() if (kind.in_quick or not quick) and kind.applies(trial, variants))
 
 
@@ -65,23 +57,23 @@ def draw(folder: Path, trial: Trial, kind: str, variants: Variants = ()) -> Pict
         figure, caption, alt = laser_picture(trial, kind)
     else:
         figure, facts = KINDS[kind].drawn(trial, variants)
-        macro = f"pictures#{kind.replace('-', '_')}"
+        macro = f"pictures#{KINDS[kind].macro or kind.replace('-', '_')}"
         caption, alt = (paragraph(m, log=trial.log.name, task=trial.task, **facts) for m in (macro, f"{macro}_alt"))
     save(figure, folder / "figures", name)
     return Picture(name, caption, alt)
 
 
 def _measured(trial: Trial) -> bool:
-    return bool(trial.log.truth.known_poses and finished(trial))
+    return bool(trial.log.truth.known_poses and shown_runs.finished(trial))
 
 
 def _blind(trial: Trial) -> bool:
-    return bool(not trial.log.truth.known_poses and finished(trial))
+    return bool(not trial.log.truth.known_poses and shown_runs.finished(trial))
 
 
 def _claiming(trial: Trial) -> list[Run]:
     """Estimates that say how certain they are."""
-    return [r for r in finished(trial) if has_covariance(r)]
+    return [r for r in shown_runs.finished(trial) if shown_runs.has_covariance(r)]
 
 
 def has_outcomes(trial: Trial, variants: Variants = ()) -> bool:
@@ -95,105 +87,94 @@ def has_outcomes(trial: Trial, variants: Variants = ()) -> bool:
 
 
 def _map(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    drawn, astray = for_map(trial), worst(trial)
-    shown = astray is not None and len(drawn) < len(trial.runs) and any(same(r, astray) for r in drawn)
+    drawn, astray = shown_runs.for_map(trial), shown_runs.worst(trial)
+    shown = astray is not None and len(drawn) < len(trial.runs) and any(shown_runs.same(r, astray) for r in drawn)
     facts = {"runs": drawn, "astray": astray if shown else None, "aligned": aligned_statement(trial)}
-    return figures.map_figure(trial.log, drawn), {**facts, "others": left_out(trial, drawn)}
+    return map_figure(trial.log, drawn), {**facts, "others": shown_runs.left_out(trial, drawn)}
 
 
 def _error(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    shown = for_panels(finished(trial))
-    return figures.error_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    shown = shown_runs.for_panels(shown_runs.finished(trial))
+    return error_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
 
 
 def _nees(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    shown = for_panels(_claiming(trial))
-    return figures.nees_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    shown = shown_runs.for_panels(_claiming(trial))
+    return nees_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
 
 
 def _has_difference(trial: Trial, _: Variants) -> bool:
     reference = trial.find("batch")
-    return _blind(trial) and reference is not None and reference.flaw is None and len(finished(trial)) > 1
+    return _blind(trial) and reference is not None and reference.flaw is None and len(shown_runs.finished(trial)) > 1
 
 
 def _difference(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     reference = trial.find("batch")
     assert reference is not None  # or there is no such picture
-    rows = for_panels([r for r in finished(trial) if r is not reference], complete=(reference.association,))
-    return figures.difference_figure(trial.log, rows, reference), {"others": left_out(trial, [*rows, reference])}
+    rows = shown_runs.for_panels(
+        [r for r in shown_runs.finished(trial) if r is not reference], complete=(reference.association,)
+    )
+    return difference_figure(trial.log, rows, reference), {"others": shown_runs.left_out(trial, [*rows, reference])}
 
 
 def _claims(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    shown = for_panels(_claiming(trial))
-    return figures.claims_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    shown = shown_runs.for_panels(_claiming(trial))
+    return claims_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
 
 
 def _loop_state(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    shown = for_loop_states(trial)
-    return figures.loop_state_figure(trial.log, shown), {"others": left_out(trial, shown)}
+    shown = shown_runs.for_loop_states(trial)
+    return loop_state_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
 
 
 def _filter_smoother(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    alike = for_filter_smoother(trial)
+    alike = shown_runs.for_filter_smoother(trial)
     assert alike is not None  # or there is no such picture
     runs, smoother = alike
-    there = [r for r in plausible(trial) if r.online is not None and r.association == smoother.association]
+    there = [r for r in shown_runs.plausible(trial) if r.online is not None and r.association == smoother.association]
     others = [r.estimator for r in there if not any(r is shown for shown in runs)]
     facts = {"smoother": smoother, "others": others, "share": SHARE}
-    return figures.filter_smoother_figure(trial.log, runs, smoother), facts
+    return filter_smoother_figure(trial.log, runs, smoother), facts
 
 
 def _calibrated(trial: Trial) -> list[Run]:
     """Runs that estimated systematic errors along, with the first association method that has some."""
-    there = [r for r in finished(trial) if r.errors is not None and r.association != "none"]
+    there = [r for r in shown_runs.finished(trial) if r.errors is not None and r.association != "none"]
     return [r for r in there if r.association == there[0].association]
 
 
 def _systematic(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     runs, systematic = _calibrated(trial), trial.log.recorded.systematic
     assert systematic is not None  # or nothing was estimated
-    return figures.systematic_figure(trial.log, systematic, runs), {"runs": runs}
+    return systematic_figure(trial.log, systematic, runs), {"runs": runs}
 
 
-@dataclass(frozen=True)
-class Growth:
-    """Standard deviation [m] along the least certain direction of a run's robot, and of its landmarks after the end.
-
-    at_most, at_end, before_closing (None: no loop is closed): of the robot. first, last, largest: of landmarks, the
-    largest that of the landmark `number`; None: no map.
-    """
-
-    estimator: str
-    at_most: float
-    at_end: float
-    before_closing: float | None
-    landmarks: tuple[float, float, float] | None = None
-    number: int = -1
-
-
-def _growing(trial: Trial, run: Run) -> Growth:
+def _growing(trial: Trial, run: Run) -> dict[str, object]:
+    """Standard deviations [m] along the least certain direction: of the robot online, and of the last landmarks."""
     closed, sigma = closing_frame(trial.log, run), longest_sigma(run.trajectory("online"))
-    before = float(sigma[closed - 1]) if closed is not None and closed > 0 else None
-    made = (run.estimator, float(np.nanmax(sigma)), float(sigma[-1]), before)
-    if run.map is None or not len(run.map):
-        return Growth(*made)
-    each = longest_axis(run.map.covariance) / SIGMAS
-    largest = int(each.argmax())
-    return Growth(*made, (float(each[0]), float(each[-1]), float(each[largest])), int(run.map.number[largest]))
+    made: dict[str, object] = {
+        "estimator": run.estimator,
+        "at_most": float(np.nanmax(sigma)),
+        "at_end": float(sigma[-1]),
+        "before_closing": float(sigma[closed - 1]) if closed is not None and closed > 0 else None,
+        "landmarks": None,  # of the first, the last, and the least certain one
+    }
+    if run.map is not None and len(run.map):
+        each = longest_axis(run.map.covariance) / SIGMAS
+        largest = int(each.argmax())
+        made["landmarks"] = (float(each[0]), float(each[-1]), float(each[largest]))
+        made["number"] = int(run.map.number[largest])
+    return made
 
 
 def _growth(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-    runs = for_growth(trial)
+    runs = shown_runs.for_growth(trial)
     grown = [_growing(trial, r) for r in runs]
-    return figures.growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown}
-
-
-def _state(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
-    return figures.state_figure(trial, variants), {}
+    return growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown}
 
 
 def _association(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
-    return figures.confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)), {}
+    return confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)), {}
 
 
 def _laser(name: str) -> Kind:
@@ -213,17 +194,31 @@ KINDS: Mapping[str, Kind] = {
     "nees": Kind(lambda trial, _: _measured(trial) and bool(_claiming(trial)), _nees),
     "difference": Kind(_has_difference, _difference, in_quick=True),
     "claims": Kind(lambda trial, _: _blind(trial) and bool(_claiming(trial)), _claims),
-    "fate": Kind(lambda trial, _: _blind(trial) and bool(for_loop_states(trial)), _loop_state),
+    "fate": Kind(
+        lambda trial, _: _blind(trial) and bool(shown_runs.for_loop_states(trial)),
+        _loop_state,
+        macro="loop_state",
+    ),
     FILTER_SMOOTHER: Kind(
-        lambda trial, _: trial.variant_of is None and for_filter_smoother(trial) is not None, _filter_smoother
+        lambda trial, _: trial.variant_of is None and shown_runs.for_filter_smoother(trial) is not None,
+        _filter_smoother,
     ),
     SYSTEMATIC: Kind(
         lambda trial, _: trial.variant_of is None and bool(_calibrated(trial)), _systematic, in_quick=True
     ),
     "growth": Kind(
-        lambda trial, _: trial.task == "slam" and trial.log.truth.known_poses > 0 and bool(for_growth(trial)), _growth
+        lambda trial, _: (
+            trial.task == "slam" and trial.log.truth.known_poses > 0 and bool(shown_runs.for_growth(trial))
+        ),
+        _growth,
     ),
-    "state": Kind(state_is_informative, _state),
-    "association": Kind(has_outcomes, _association, in_quick=True),
-}
-"""By name, in the order of the report."""
+    "state": Kind(state_is_informative, lambda trial, variants: (state_figure(trial, variants), {})),
+    "association": Kind(
+        has_outcomes,
+        lambda trial, variants: (
+            confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)),
+            {},
+        ),
+        in_quick=True,
+    ),
+}  # by name, in the order of the report

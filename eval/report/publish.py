@@ -1,9 +1,9 @@
-"""Run files, films and pictures of all trials and the player of each log, written as jobs beside each other."""
+"""Run files, films and pictures of all trials and the player of each log, written as parallel jobs."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -26,10 +26,8 @@ from eval.report.rows import stem, variants
 from eval.report.run_files import write_run
 from eval.report.words import paragraph
 
-RUN_FILES, PLAYER = -1, -2
-"""Places of jobs that are no pictures."""
-MISSING = {RUN_FILES: "files", PLAYER: "player"}
-"""What is missing without them; see `missing` in notices.j2."""
+RUN_FILES, PLAYER = -1, -2  # places of jobs that are no pictures
+MISSING = {RUN_FILES: "files", PLAYER: "player"}  # what is missing without them; see `missing` in notices.j2
 DRAWING, WRITING = 0.5, 1e-3
 """s of processor time for a figure, and for a frame of a log's files or player; measured, rounded up."""
 
@@ -43,7 +41,7 @@ def publish(
     execution: Execution,
     progress: Callable[[int, int], None],
 ) -> list[list[Picture]]:
-    """Write everything; returns the pictures of each trial. What there was no memory for is said to `lost`."""
+    """Write everything; returns the pictures of each trial. What there was no memory for is reported to `lost`."""
     jobs: list[Job[tuple[int, int]]] = []
     for i, trial in enumerate(trials):
         others = variants(trial, trials)
@@ -54,14 +52,8 @@ def publish(
         length = WRITING * len(trial.log.recorded)
         jobs.append(Job((i, RUN_FILES), publish_runs, (folder, output, trial), math.inf if output.animate else length))
     for group in () if output.no_plots else played(trials):
-        jobs.append(
-            Job(
-                (trials.index(group[0]), PLAYER),
-                write_player,
-                (folder, group, setup),
-                WRITING * len(group[0].log.recorded),
-            )
-        )
+        owner = (trials.index(group[0]), PLAYER)
+        jobs.append(Job(owner, write_player, (folder, group, setup), WRITING * len(group[0].log.recorded)))
 
     def missing(owner: tuple[int, int], why: Notice) -> None:
         trial = trials[owner[0]]
@@ -76,7 +68,7 @@ def publish(
 
 
 def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:
-    """Whether a trial is on the very recording or images of the one it stands beside, whose pictures show it."""
+    """Whether a variant is on the very recording or images of its trial, whose pictures show it."""
     log = trial.log
     return any(
         t.log.recorded is log.recorded or (t.log.evidence is not None and t.log.evidence is log.evidence)
@@ -95,25 +87,17 @@ def publish_runs(folder: Path, output: Output, trial: Trial) -> None:
         write_films(folder, trial, output.speed)
 
 
-def film_stem(trial: Trial, run: Run) -> str:
-    """Name of a run's film: as its folder below `runs/`, so that no two runs of a report share one."""
-    return stem(trial, f"{run.estimator}-{run.association}")
-
-
 def write_films(folder: Path, trial: Trial, speed: float | None = None) -> None:
     """Film every run of a trial that reached the end; `speed`: seconds of the log in one of the film."""
     from eval.figures.film import animate  # OpenCV is loaded only where films are wanted
 
-    for run in _filmed(trial):
-        path = folder / "figures" / f"{film_stem(trial, run)}.webm"
+    for run in (r for r in trial.runs if r.failure is None):
+        path = folder / "figures" / f"{stem(trial, f'{run.estimator}-{run.association}')}.webm"
         animate(log_of(run, trial.log), run, path, speed=speed, history=history_of(run))
 
 
 def history_of(run: Run) -> History | None:
-    """Landmarks as they were at each instant, where somebody wrote them down while the run was made.
-
-    Of a smoother only their places were, so that its landmarks are dots.
-    """
+    """Landmarks as they were at each instant, where the run was watched; of a smoother without covariances."""
     watched = run.watched
     if not isinstance(watched, Watched) or not len(watched.change_frame):
         return None
@@ -128,12 +112,9 @@ def history_of(run: Run) -> History | None:
 def films_of(folder: Path, trial: Trial) -> list[Film]:
     """The films of a trial that were written."""
     found = []
-    for run in _filmed(trial):
-        film = Film(film_stem(trial, run), paragraph("pictures#film", log=trial.log.name, task=trial.task, run=run))
+    for run in (r for r in trial.runs if r.failure is None):
+        caption = paragraph("pictures#film", log=trial.log.name, task=trial.task, run=run)
+        film = Film(stem(trial, f"{run.estimator}-{run.association}"), caption)
         if (folder / film.path).exists():
             found.append(film)
     return found
-
-
-def _filmed(trial: Trial) -> Iterator[Run]:
-    return (run for run in trial.runs if run.failure is None)

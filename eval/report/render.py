@@ -1,7 +1,4 @@
-"""The report as Markdown and as one HTML page that needs nothing else: images inside, no script, no network.
-
-Both are templates (`templates/page.md.j2`, `templates/page.html.j2`, `templates/page.css`) that get the same blocks.
-"""
+"""The report as Markdown and as one HTML page that needs nothing else: images inside, no script, no network."""
 
 from __future__ import annotations
 
@@ -49,11 +46,9 @@ QUALITY, LOSSLESS = 60, 101
 FLAT = 2.0
 """A figure whose PNG is less than so many times as large has few colours, and lossless may be smaller still: bars."""
 THREADS = 2
-LISTED = 3
-"""A page of fewer sections has no list of contents."""
+LISTED = 3  # a page of fewer sections has no list of contents
 
-Headed = tuple[Section, str]
-"""A section and the address of its heading."""
+Headed = tuple[Section, str]  # a section and the address of its heading
 
 
 def write_report(folder: Path, report: Report) -> None:
@@ -77,10 +72,7 @@ def report_markdown(report: Report) -> str:
 
 
 def report_html(folder: Path, report: Report, details: Mapping[str, str], up: str = "") -> str:
-    """One HTML page; figures are read from `folder/figures` (FileNotFoundError names a missing one).
-
-    details: addresses of further pages by title. up: the way from the page to the result folder.
-    """
+    """One HTML page, `up` from the result folder; `details`: pages by title. FileNotFoundError: no such figure."""
     sections = with_fine_print(report)
     blocks = list(every_block([*report.introduction, *(b for s in (*report.first, *sections) for b in s.blocks)]))
     used: Counter[str] = Counter()
@@ -121,7 +113,8 @@ def _templates(*, html: bool) -> Environment:
         "anchor": anchor,
         "slug": slug,
         "cut": cut,
-        "breakable": _breakable,
+        # names may be broken where their parts meet, and nowhere else
+        "breakable": lambda name: Markup(re.sub(r"([:+/_])(?=\w)", r"\1<wbr>", str(escape(name)))),
         "laid_out": _laid_out,
         "table_markdown": lambda table: markdown(_beneath(table)[0]).rstrip(),
     }
@@ -148,14 +141,11 @@ def _chapters(sections: Sequence[Section], used: Counter[str]) -> list[list[Head
 
 
 class Body(NamedTuple):
-    """A table as text: heads, each with whether its column is of numbers, rows, and where those begin that are apart.
-
-    apart: in no comparison; as many as there are rows, if none is.
-    """
+    """A table as text: heads, each with whether its column is of numbers, and rows."""
 
     heads: list[tuple[str, bool]]
     rows: list[list[str]]
-    apart: int
+    apart: int  # rows that are compared stand before this one, those in no comparison from it on
 
 
 def _laid_out(table: Table) -> Body:
@@ -168,11 +158,6 @@ def _beneath(table: Table) -> tuple[pd.DataFrame, int]:
     apart = [i for i in table.apart if i < len(table.frame)]
     order = [i for i in range(len(table.frame)) if i not in apart]
     return table.frame.iloc[[*order, *apart]], len(order)
-
-
-def _breakable(name: str) -> Markup:
-    """A name that may be broken where its parts meet, and nowhere else."""
-    return Markup(re.sub(r"([:+/_])(?=\w)", r"\1<wbr>", str(escape(name))))
 
 
 class Image(NamedTuple):

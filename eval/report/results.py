@@ -19,7 +19,7 @@ from data.words import sentence
 from eval.plan.flags.table import Reading
 from eval.plan.results import Result, manner_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors
-from eval.referee.consistency import QUANTITIES, Verdict
+from eval.referee.consistency import QUANTITIES
 from eval.referee.given_runs import NONE, GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
@@ -31,8 +31,8 @@ from eval.studies.montecarlo import Sample, verdicts
 ESTIMATE = "estimate"
 FIRST = tuple(f"{name}_position_m" for name in ("rmse", "mean", "median", "std", "min", "max"))
 """Absolute errors of the position stand in front."""
-SAID = ("rmse_position_m", "rpe_10m_m", "nees_pose", "rms_from_batch_m")
-"""Columns of metrics.csv that the report says of a result."""
+SHOWN = ("rmse_position_m", "rpe_10m_m", "nees_pose", "rms_from_batch_m")
+"""Columns of metrics.csv that the report has of a result."""
 LEFT_OUT = ("observations", "accepted", "rejected", "landmarks", "frames", "lost_frame", "iterations", "block_frames")
 
 
@@ -46,28 +46,6 @@ class Scored:
     notes: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Pooled:
-    """Many runs, poses of equal weight within a run.
-
-    Attributes:
-        runs: how many; least: that a verdict needs; first: the first file, which `notes` are about.
-        position, heading: m and deg, RMSE over all. verdicts: by quantity. matched, unmatched: poses.
-        bare: files without a usable covariance.
-    """
-
-    runs: int
-    least: int
-    first: str
-    position: float
-    heading: float
-    verdicts: Mapping[str, Verdict]
-    matched: int
-    unmatched: int
-    bare: tuple[str, ...]
-    notes: tuple[str, ...]
-
-
 def printed(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tuple[str, str]:
     """Lines of the scores, a name and a value each, of several with their verdicts; and lines of notes."""
     found = [_scored(file, truth, reading) for file, truth in zip(files, truths, strict=True)]
@@ -77,24 +55,24 @@ def printed(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tu
     return say("results#many", p=p), say("results#notes", p=p)
 
 
-def _pooled(files: Sequence[str], found: Sequence[Scored]) -> Pooled:
+def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
+    """Many runs, poses of equal weight within a run: RMSE [m, deg] over all, and verdicts by quantity."""
     samples = [_sample(s) for s in found]
-    position, heading = (
-        math.sqrt(float(np.mean([s.squares[quantity] for s in samples]))) for quantity in ("position", "heading")
-    )
+    squares = {q: float(np.mean([s.squares[q] for s in samples])) for q in ("position", "heading")}
     matches = [s.run.match for s in found if s.run.match is not None]
-    return Pooled(
-        len(found),
-        consistency.MIN_RUNS,
-        files[0],
-        position,
-        math.degrees(heading),
-        dict(verdicts(samples)),
-        sum(m.matched for m in matches),
-        sum(m.unmatched for m in matches),
-        tuple(f for f, s in zip(files, samples, strict=True) if not math.isfinite(s.means["pose"])),
-        next((s.notes for s in found if s.notes), ()),
-    )
+    return {
+        "runs": len(found),
+        "least": consistency.MIN_RUNS,
+        "position": math.sqrt(squares["position"]),
+        "heading": math.degrees(math.sqrt(squares["heading"])),
+        "verdicts": dict(verdicts(samples)),
+        "matched": sum(m.matched for m in matches),
+        "unmatched": sum(m.unmatched for m in matches),
+        # files without a usable covariance
+        "bare": tuple(f for f, s in zip(files, samples, strict=True) if not math.isfinite(s.means["pose"])),
+        "first": files[0],  # which the notes are about
+        "notes": next((s.notes for s in found if s.notes), ()),
+    }
 
 
 def _scored(file: str, truth: str, reading: Reading) -> Scored:
@@ -122,7 +100,7 @@ def _scored(file: str, truth: str, reading: Reading) -> Scored:
 
 
 def scores(s: Scored) -> dict[str, float]:
-    """Every number by its name: those of metrics.csv, and what else is said of the position's errors."""
+    """Every number by its name: those of metrics.csv, and more on the position's errors."""
     row = metrics_row(s.run, s.phase, s.log, None)
     assert s.run.match is not None  # `runs_of` matched it
     pose, truth = s.run.trajectory(s.phase).pose, s.run.match.truth
@@ -160,7 +138,7 @@ def _sample(s: Scored) -> Sample:
 
 @dataclass(frozen=True)
 class Phase:
-    """What is said of a phase of a result: its errors and NEES by column of metrics.csv, and poses matched, if any."""
+    """A phase of a result: its errors and NEES by column of metrics.csv, and poses matched, if any."""
 
     estimator: str
     phase: str
@@ -176,7 +154,7 @@ def phases_of(trial: Trial, rows: Sequence[Row]) -> list[Phase]:
         Phase(
             str(row["estimator"]),
             str(row["phase"]),
-            {c: value_of(row, c) for c in SAID if not is_blank(row[c])},
+            {c: value_of(row, c) for c in SHOWN if not is_blank(row[c])},
             None if is_blank(row["matched"]) else int(value_of(row, "matched")),
             int(value_of(row, "frames")),
         )

@@ -15,8 +15,7 @@ from eval.replay.settings import BATCH, ESTIMATORS, FILTERS, INCREMENTAL
 from eval.report.page.tables import is_blank
 
 Row = dict[str, object]
-SYSTEMATIC = "systematic"
-"""Picture and table of the systematic errors that were estimated along."""
+SYSTEMATIC = "systematic"  # picture and table of the systematic errors that were estimated along
 
 
 def stem(trial: Trial, what: str = "") -> str:
@@ -44,20 +43,18 @@ def rows_of(frame: pd.DataFrame) -> list[Row]:
 
 @dataclass(frozen=True)
 class Scored:
-    """A row of metrics.csv: one run in one phase. Unknown: NaN, no `lost_why`.
-
-    rmse, aligned, from_batch: position RMSE [m] against the truth, after alignment, and against the batch solution.
-    nees, nees_median: of the pose, over the frames but `nees_left_out` of nearly singular covariance.
-    nis with its bounds and expectation: per degree of freedom; rejected: observations left out.
-    """
+    """A row of metrics.csv: one run in one phase. Unknown: NaN, no `lost_why`."""
 
     estimator: str
     association: str
     phase: str
     status: str
+    # rmse, aligned, from_batch: position RMSE [m] against the truth, after alignment, and against the batch solution
     rmse: float
     aligned: float
     from_batch: float
+    # nees, nees_median: of the pose, over the frames but `nees_left_out` of nearly singular covariance. nis with its
+    # bounds and expectation: per degree of freedom
     nees: float
     nees_median: float
     nees_left_out: float
@@ -66,7 +63,7 @@ class Scored:
     nis_lower: float
     nis_upper: float
     nis_expected: float
-    rejected: float
+    rejected: float  # observations left out
     lost_frame: float
     lost_why: str
 

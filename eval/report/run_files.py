@@ -10,7 +10,7 @@ import pandas as pd
 
 from association.scans.constraints import SCAN
 from data.log import folder_name
-from data.result import Run, Systematics, Trajectory
+from data.result import Run, Trajectory
 from data.se2 import Array
 from eval.referee import result_files
 from eval.referee.ambiguity import ambiguous
@@ -67,7 +67,10 @@ def write_run(folder: Path, trial: Trial, run: Run, *, lab_text: bool = False) -
             likelihood = run.innovations.log_likelihood if run.innovations is not None else np.full(len(time), np.nan)
             table["log_likelihood"] = _blank(likelihood)
             table["state_size"] = run.state_size if run.state_size is not None else None
-        _append(table, run.errors_online if phase == "online" else run.errors_final)
+        errors = run.errors_online if phase == "online" else run.errors_final
+        if errors is not None:  # estimated along
+            for i, name in enumerate(errors.names):
+                table[name], table[f"sigma_{name}"] = _blank(errors.mean[:, i]), _blank(errors.sigma[:, i])
         FILES[phase].write(table, place)
         write_tum(place / f"{phase}.tum", time, trajectory.pose)
     _write_map(place, trial, run)
@@ -75,13 +78,6 @@ def write_run(folder: Path, trial: Trial, run: Run, *, lab_text: bool = False) -
     if lab_text and run.association not in ("none", SCAN):
         text = run_text(log, run, run.phases[0], lab_block)
         (place / result_files.LAB_TEXT.name).write_text(f"{text}\n", encoding="utf-8", newline="\n")
-
-
-def _append(table: pd.DataFrame, errors: Systematics | None) -> None:
-    """Systematic errors that were estimated along, behind the other columns."""
-    for i, name in enumerate(() if errors is None else errors.names):
-        assert errors is not None
-        table[name], table[f"sigma_{name}"] = _blank(errors.mean[:, i]), _blank(errors.sigma[:, i])
 
 
 def _write_map(place: Path, trial: Trial, run: Run) -> None:

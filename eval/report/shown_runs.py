@@ -15,10 +15,8 @@ from eval.referee.score import Trial
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, FILTERS, HINDSIGHT
 from eval.report.words import paragraph
 
-FIRST = ("known", "jcbb", "jcbb-first")
-"""Association methods that are shown before all others."""
-MOST_PATHS = 6
-"""Paths in one map, the dead-reckoned one included."""
+FIRST = ("known", "jcbb", "jcbb-first")  # association methods that are shown before all others
+MOST_PATHS = 6  # paths in one map, the dead-reckoned one included
 
 
 def finished(trial: Trial) -> list[Run]:
@@ -52,10 +50,7 @@ def _kind(run: Run) -> int:
 
 
 def _by_importance(runs: Sequence[Run], kinds: Sequence[tuple[int, int]]) -> list[Run]:
-    """Runs in the order of `kinds`, (kind of estimator, place of its association), one for each; then all others.
-
-    Before them come those of estimators that are not ours, each once: who brought one wants to see it.
-    """
+    """Estimators not ours, then a run for each of `kinds` (kind of estimator, place of its association), the rest."""
     order = associations(runs)
     theirs = sorted((r for r in runs if r.estimator not in ESTIMATORS), key=lambda r: _place(order, r))
     chosen = list({r.estimator: r for r in reversed(theirs)}.values())[::-1]
@@ -91,11 +86,7 @@ def worst(trial: Trial) -> Run | None:
 
 
 def for_map(trial: Trial, most: int = MOST_PATHS) -> list[Run]:
-    """Runs for the map: all while they are few; else a filter and a smoother with known and with decided association.
-
-    The run that went furthest astray is always among them, as a contrast. With several association methods a smoother
-    is there with its final path only, as lines then tell the associations apart.
-    """
+    """All runs while they are few; else a filter and a smoother, with known and other association, and the worst."""
     if len(trial.runs) <= most:
         return _final_only(trial.runs)
     others = [r for r in trial.runs if r.estimator == "dead-reckoning"]
@@ -122,8 +113,7 @@ def same(a: Run, b: Run) -> bool:
 def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[str] = ()) -> list[Run]:
     """Runs for figures with a panel per phase: all if they fit; else filter, smoothers, and decided association first.
 
-    An incremental smoother is shown online only where the batch smoother's path, which is its final one, is there:
-    among the runs, or elsewhere in the figure (`complete`: under these associations).
+    An incremental smoother is shown online only where batch's path is there, or in `complete`, by association.
     """
     if sum(len(r.phases) for r in runs) <= most:
         return list(runs)
@@ -136,7 +126,7 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
     else:
         ranked = _by_importance(single, ((0, 0), (0, 1), (1, 1), (2, 1), (1, 0), (2, 0)))
     chosen: list[Run] = []
-    # what was handed in is what the reader came for; at least one of ours stands beside it
+    # what was handed in is what the reader came for; at least one of ours is shown with it
     room = most - 1
     ranked.sort(key=lambda r: not r.handed_in)
     for run in ranked:
@@ -154,8 +144,8 @@ def for_loop_states(trial: Trial) -> list[Run]:
         and len(r.decisions) == len(trial.log.recorded.observations.frame) > 0
         and log_of(r, trial.log) is trial.log
     ]
-    ways = sorted(associations(deciding), key=lambda a: (a == "known") - (a == HINDSIGHT))
-    return [max((r for r in deciding if r.association == way), key=_kind) for way in ways]
+    methods = sorted(associations(deciding), key=lambda a: (a == "known") - (a == HINDSIGHT))
+    return [max((r for r in deciding if r.association == method), key=_kind) for method in methods]
 
 
 def for_growth(trial: Trial) -> list[Run]:
@@ -185,11 +175,8 @@ def for_filter_smoother(trial: Trial) -> tuple[list[Run], Run] | None:
 
 def left_out(trial: Trial, shown: Sequence[Run]) -> str:
     """A sentence for the caption that names who is shown, if not all are; empty if all are."""
-    names = [_name(r) for r in shown if r.estimator != "dead-reckoning"]
+    named = [r for r in shown if r.estimator != "dead-reckoning"]
+    names = [r.estimator + f" with {r.association}" * (r.association != "none") for r in named]
     if len(names) == len(finished(trial)):
         return ""
     return f" {paragraph('pictures#shown', names=names)}"
-
-
-def _name(run: Run) -> str:
-    return run.estimator if run.association == "none" else f"{run.estimator} with {run.association}"

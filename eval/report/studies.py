@@ -1,7 +1,4 @@
-"""The report's sections on studies: verdicts, figures, diverged runs, published numbers, wrong associations.
-
-A study of the battery has one of its own: how often it objects to what is right, what it finds and names.
-"""
+"""The report's sections on studies: verdicts, figures, diverged runs, published numbers, wrong associations."""
 
 from __future__ import annotations
 
@@ -10,6 +7,7 @@ import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,8 +15,8 @@ from scipy import special
 
 from data.log import folder_name
 from data.terminal import counted
-from eval import figures
-from eval.figures import Seen, power_figure
+from eval.figures.consistency import anees_figure
+from eval.figures.studies import Seen, coverage_figure, outlier_figure, power_figure, run_end_figure
 from eval.figures.style import save
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
@@ -34,7 +32,7 @@ from eval.report.words import fine_print, paragraph, say
 from eval.studies.broken import BROKEN
 from eval.studies.faults import FAULTS
 from eval.studies.montecarlo import DOF, Judged, Study, consistency_table
-from eval.studies.published import Estimate, mean_of, rms_of
+from eval.studies.published import mean_of, rms_of
 from eval.studies.reproduced import orderings, published_frame
 from eval.studies.validation import SOUND, Examined, Validation
 
@@ -50,36 +48,23 @@ SURE = 0.9
 GOAL = 0.8
 
 
-@dataclass(frozen=True)
-class ValidationFacts:
-    """A study of the battery.
-
-    Attributes:
-        about, runs, twins, level: what was done: logs of each world, twins of each, the family-wise level.
-        sound, objected: logs that are right, and how many of them are objected to.
-        power: the world with faults; sure, met: faults detected in a share of `detected_in` of the logs, and how many
-            of them are put down to the right cause in a share of `right_in`.
-    """
-
-    about: str
-    runs: int
-    twins: int
-    level: float
-    sound: int
-    objected: int
-    power: str
-    sure: int
-    met: int
-    detected_in: float = SURE
-    right_in: float = GOAL
-
-
-def validation_facts(study: Validation, found: Sequence[Examined]) -> ValidationFacts:
-    """What is said of a study of the battery."""
+def validation_facts(study: Validation, found: Sequence[Examined]) -> dict[str, object]:
+    """The facts of a study of the battery."""
     sound = [e for e in found if e.fault == SOUND and not e.failure]
     sure, met = _goal(found)
-    told = (study.about, study.runs, study.twins, battery.LEVEL)
-    return ValidationFacts(*told, len(sound), sum(e.objected for e in sound), study.power, sure, met)
+    return {
+        "about": study.about,
+        "runs": study.runs,
+        "twins": study.twins,
+        "level": battery.LEVEL,  # family-wise
+        "sound": len(sound),  # logs that are right
+        "objected": sum(e.objected for e in sound),
+        "power": study.power,  # the world with faults
+        "sure": sure,  # faults detected in a share of `detected_in` of the logs
+        "met": met,  # of these, put down to the right cause in a share of `right_in`
+        "detected_in": SURE,
+        "right_in": GOAL,
+    }
 
 
 def validation_section(
@@ -211,29 +196,19 @@ class Diverged:
     command: str
 
 
-@dataclass(frozen=True)
-class StudyFacts:
-    """A study: what it is about, its seeds, what is declared consistent (name, quantities), and what diverged."""
-
-    about: str
-    seeds: tuple[int, ...]
-    declared: tuple[tuple[str, tuple[str, ...]], ...]
-    diverged: tuple[Diverged, ...]
-
-
-def facts_of(study: Study) -> StudyFacts:
-    """What is said of a study."""
+def facts_of(study: Study) -> dict[str, Any]:
+    """What a study is about, its seeds, what is declared consistent (name, quantities), and what diverged."""
     s, lost = study.scenario, []
-    declared = tuple((name_of(m.name), m.must_be_consistent) for m in s.members if m.must_be_consistent)
     for (task, estimator, association, _), seed, why, implausible in study.failures():
         one = ["--scenario", s.source, "--estimator", estimator, "--seed", str(seed), "--runs", "1"]
         command = f"python -m eval.run_all {shlex.join(one)}"
         lost.append(Diverged(task, estimator, association, seed, why, implausible, command))
-    return StudyFacts(s.about, study.seeds, declared, tuple(lost))
+    declared = tuple((name_of(m.name), m.must_be_consistent) for m in s.members if m.must_be_consistent)
+    return {"about": s.about, "seeds": study.seeds, "declared": declared, "diverged": tuple(lost)}
 
 
 def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Sequence[Judged]) -> list[Section]:
-    """All that is said about the studies of a report; nothing where there is none."""
+    """The sections on the studies of a report; nothing where there is none."""
 
     def table(frame: pd.DataFrame, name: str, caption: str) -> Table:
         title = next((t for ending, t in FINE_PRINT.items() if name.endswith(ending)), None)
@@ -245,8 +220,8 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
     sections += _published(outcome, table)
     if outcome.studies:
         few = any(len(s.seeds) < MIN_RUNS for s in outcome.studies)
-        said = (say("studies#reading"), *([say("studies#few", least=MIN_RUNS)] if few else []))
-        sections.append(Section("Consistency over many simulated runs", said))
+        texts = (say("studies#reading"), *([say("studies#few", least=MIN_RUNS)] if few else []))
+        sections.append(Section("Consistency over many simulated runs", texts))
     plain = [s for s in outcome.studies if not _of_rates(s)]
     drawn = _draw(plots, options, plain)
     for study, pictures in zip(plain, drawn, strict=True):
@@ -284,13 +259,13 @@ def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], 
     over_time = [p for p in pictures if p.stem.endswith("-anees")]
     details += [p for p in pictures if p not in over_time]
     page = f"scenario-{name}"
-    blocks += [*over_time, say("studies#diverged", lost=facts.diverged)]
+    blocks += [*over_time, say("studies#diverged", lost=facts["diverged"])]
     blocks += [say("studies#details", page=page)] if details else []
     sections = [Section(heading, tuple(blocks), 3, facts)]
     return [*sections, Section(f"{heading}: details", tuple(details), page=page)] if details else sections
 
 
-ENDS = {"ends": ("pose", figures.run_end_figure), "coverage": ("position", figures.coverage_figure)}
+ENDS = {"ends": ("pose", run_end_figure), "coverage": ("position", coverage_figure)}
 """Figures of what runs end with: of which quantity, and by what it is drawn."""
 
 
@@ -324,9 +299,7 @@ def _picture(folder: Path, study: Study, task: str, association: str, kind: str)
     stem = folder_name(f"{s.name}-{task}-{association}-{kind}" if len(s.association) > 1 else f"{s.name}-{task}-{kind}")
     if kind == "anees":
         average = {n: np.mean([x.nees_pose for x in study.good(k)], axis=0) for n, k in keys.items()}
-        fig = figures.anees_figure(
-            study.time, average, DOF["pose"], runs, title=what, time_is_index=study.time_is_index
-        )
+        fig = anees_figure(study.time, average, DOF["pose"], runs, title=what, time_is_index=study.time_is_index)
     else:
         quantity, drawn = ENDS[kind]
         ends = {n: np.array([x.ends[quantity] for x in study.good(k)]) for n, k in keys.items()}
@@ -346,7 +319,7 @@ def _published(outcome: Outcome, table: TableWriter) -> list[Section]:
     notes += [f"* {text}." for text in outcome.skipped]
     blocks: list[Block] = []
     if outcome.published:
-        made = comparison.published_table(published_frame(outcome.published))
+        made = comparison.selected(published_frame(outcome.published).astype(object), comparison.PUBLISHED)
         blocks.append(table(made, "published", paragraph("comparison#published")))
     if notes:
         blocks.append("\n".join(notes))
@@ -364,27 +337,25 @@ def outlier_table(studies: Sequence[Study]) -> pd.DataFrame:
             if good:
                 rmse = rms_of([s.squares["position"] for s in good])
                 nees = mean_of([s.means["pose"] for s in good])
-                values = [*_interval(rmse), *_interval(nees)]
+                values = []
+                for e in (rmse, nees):
+                    half = float(special.stdtrit(e.runs - 1, 0.975)) * e.se if e.runs > 1 else math.nan
+                    values += [e.value, e.value - half, e.value + half]
             rows.append([task, estimator, study.scenario.wrong, *values, len(good), len(samples) - len(good)])
     return pd.DataFrame(rows, columns=list(OUTLIERS)).sort_values(["task", "rate"], kind="stable", ignore_index=True)
-
-
-def _interval(e: Estimate) -> tuple[float, float, float]:
-    half = float(special.stdtrit(e.runs - 1, 0.975)) * e.se if e.runs > 1 else float("nan")
-    return e.value, e.value - half, e.value + half
 
 
 def _outliers(plots: Path | None, studies: Sequence[Study], table: TableWriter) -> Section:
     s, runs = studies[0].scenario, len(studies[0].seeds)
     name = folder_name(s.source if "/" not in s.source else Path(s.source).stem)
     data, lost = outlier_table(studies), [facts_of(study) for study in studies]
-    caption = say("studies#outliers", name=name, runs=runs, dof=DOF["pose"], lost=any(f.diverged for f in lost))
+    caption = say("studies#outliers", name=name, runs=runs, dof=DOF["pose"], lost=any(f["diverged"] for f in lost))
     blocks: list[Block] = [f"{s.about} {counted(runs, 'run')} at each rate."]
     blocks.append(table(comparison.outliers_table(data), name, caption))
     if plots is not None:
-        save(figures.outlier_figure(data, name), plots, name)
+        save(outlier_figure(data, name), plots, name)
         blocks.append(Picture(name, caption, "RMSE and NEES against the share of wrong associations"))
     for study, f in zip(studies, lost, strict=True):
-        if f.diverged:
-            blocks.append(f"At {100 * study.scenario.wrong:g} %: {say('studies#diverged', lost=f.diverged)}")
+        if f["diverged"]:
+            blocks.append(f"At {100 * study.scenario.wrong:g} %: {say('studies#diverged', lost=f['diverged'])}")
     return Section(f"Wrong associations: {name}", tuple(blocks), 3, tuple(lost))

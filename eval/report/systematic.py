@@ -1,7 +1,4 @@
-"""The report's sections "Systematic errors", one for each log and task that was run with `--calibrate`.
-
-A table has what was known before, what filter and smoothers make of each error, and which ones the log tells.
-"""
+"""The report's sections "Systematic errors", one for each log and task that was run with `--calibrate`."""
 
 from __future__ import annotations
 
@@ -16,11 +13,12 @@ from data.inputs import ERRORS, Systematic
 from data.result import Run, Systematics
 from data.truth import Truth
 from eval.plan.calibrate import Calibration
+from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.replay.external.spec import name_of
 from eval.replay.settings import BATCH
 from eval.report.page.blocks import Block, FinePrint, Picture, Section
-from eval.report.page.files import Wanted, written_table
+from eval.report.page.files import written_table
 from eval.report.page.tables import number
 from eval.report.rows import SYSTEMATIC, stem
 from eval.report.trust_facts import TrustFacts, facts_of, terms_of
@@ -31,26 +29,23 @@ UNTOLD = 0.9
 quarter of what was known before (1/0.9² - 1)."""
 
 
-def told(systematic: Systematic, errors: Systematics) -> tuple[bool, ...]:
+def determined(systematic: Systematic, errors: Systematics) -> tuple[bool, ...]:
     """Of each error (p,), whether data say more of it than was known before; of the drift in the middle of the run."""
     left = np.median(errors.sigma, axis=0) / systematic.sigma
     return tuple((left <= UNTOLD).tolist())
 
 
 def best(runs: Sequence[Run]) -> Run | None:
-    """The run whose word on the errors counts: batch's, else that of another smoother, else the first filter's."""
+    """The run whose estimate of the errors counts: batch's, else that of another smoother, else the first filter's."""
     there = [r for r in runs if r.errors is not None]
     there.sort(key=lambda r: (r.estimator != "batch", r.errors_final is None, r.estimator not in BATCH))
     return there[0] if there else None
 
 
 def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> pd.DataFrame:
-    """A row for each error: unit, sigma before, each run's last estimate ± sigma, the true value, told or not.
-
-    The drift's are those at the last frame.
-    """
+    """A row for each error at the last frame: prior and estimates ± sigma, true value, whether data determine it."""
     judge = best(runs)
-    said = None if judge is None else judge.errors
+    estimates = None if judge is None else judge.errors
     rows = []
     for i, name in enumerate(systematic.names):
         row: dict[str, object] = {
@@ -61,23 +56,15 @@ def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> p
         for run in runs:
             errors = run.errors
             if errors is not None:
-                row[_head(run)] = plus_minus(float(errors.mean[-1, i]), float(errors.sigma[-1, i]))
+                head = f"{run.estimator} ({'final' if run.errors_final is not None else 'online'})"
+                row[head] = plus_minus(float(errors.mean[-1, i]), float(errors.sigma[-1, i]))
         if truth.errors is not None:
-            row["true"] = _true(name, truth.errors)
-        if said is not None:
-            row["told"] = "yes" if told(systematic, said)[i] else "the log cannot tell it"
+            true = float(truth.errors.mean[-1, truth.errors.names.index(name)]) if name in truth.errors.names else 0.0
+            row["true"] = number(true).replace("-", "−")
+        if estimates is not None:
+            row["told"] = "yes" if determined(systematic, estimates)[i] else "the log cannot tell it"
         rows.append(row)
     return pd.DataFrame(rows)
-
-
-def _true(name: str, errors: Systematics) -> str:
-    """The true error at the last frame; zero where the world has none."""
-    value = float(errors.mean[-1, errors.names.index(name)]) if name in errors.names else 0.0
-    return number(value).replace("-", "−")
-
-
-def _head(run: Run) -> str:
-    return f"{run.estimator} ({'final' if run.errors_final is not None else 'online'})"
 
 
 HEADING = "Systematic errors"
@@ -93,18 +80,13 @@ FINE = FinePrint(
 
 @dataclass(frozen=True)
 class Estimated:
-    """What is said of the errors of a log and task.
-
-    Attributes:
-        names: the errors; why: these, as of a `Calibration`.
-        judged: whether a run reached its end; untold: errors of which the log says nothing.
-        before, after: the battery under plain estimators and under these (None: not enough memory).
-    """
+    """The errors of a log and task."""
 
     names: tuple[str, ...]
-    why: str
-    judged: bool
-    untold: tuple[str, ...]
+    why: str  # of a `Calibration`
+    judged: bool  # whether a run reached its end
+    untold: tuple[str, ...]  # errors of which the log says nothing
+    # before, after: the battery with plain estimators and with these (None: not enough memory)
     before: TrustFacts | None
     after: TrustFacts | None
 
@@ -123,7 +105,7 @@ def of_trial(trial: Trial, calibrations: Sequence[Calibration]) -> Calibration |
 
 
 def systematic_section(
-    folder: Path, wanted: Wanted, trial: Trial, pictures: Sequence[Picture], calibrations: Sequence[Calibration]
+    folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture], calibrations: Sequence[Calibration]
 ) -> list[Section]:
     """Words, table and figure of a log and task; none where no errors were estimated."""
     c = of_trial(trial, calibrations)
@@ -145,7 +127,7 @@ def estimated(trial: Trial, c: Calibration, runs: Sequence[Run]) -> Estimated:
     judge = best(runs)
     which = (True,) * len(c.systematic.names)
     if judge is not None and judge.errors is not None:
-        which = told(c.systematic, judge.errors)
+        which = determined(c.systematic, judge.errors)
     terms = terms_of(trial.log.recorded)
     before, after = (None if t is None else facts_of(t, terms) for t in (c.before, c.after))
     untold = tuple(n for n, known in zip(c.systematic.names, which, strict=True) if not known)

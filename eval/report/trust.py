@@ -11,10 +11,11 @@ import pandas as pd
 
 from data.notice import Code
 from data.se2 import Array
+from eval.plan.flags.table import Output
 from eval.referee import battery
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
-from eval.report.page.files import Wanted, written_table
+from eval.report.page.files import written_table
 from eval.report.page.tables import drop_blank_columns, number
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.rows import stem
@@ -23,14 +24,12 @@ from eval.report.trust_facts import STANDS_OUT, Terms, facts_of, online, terms_o
 from eval.report.words import plus_minus, say
 from eval.studies.trusted import Row, Trust
 
-MOST = 18
-"""Rows of a table; trust.csv has all."""
+MOST = 18  # rows of a table; trust.csv has all
 HEADLINE = (
     "nis",
     "innovation_lag1",
     *(f"filter_smoother_{what}" for what in ("median", "semidefinite", "rms_x", "rms_y", "rms_theta", "largest")),
-)
-"""Statistics that are shown whatever they say."""
+)  # statistics that are shown whatever they say
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
 """How statistics end that are shares of the frames, shown in percent."""
 OWN = "own_smoother"
@@ -75,7 +74,7 @@ def _key(row: Row) -> tuple[str, str]:
 
 
 def _stands_out(row: Row) -> bool:
-    """Without twins: means of residuals, and slopes beyond their standard error."""
+    """Without replicates: means of residuals, and slopes beyond their standard error."""
     m = row.measured
     if row.statistic.startswith("slope_"):
         return bool(m.se > 0.0 and abs(m.value) > STANDS_OUT * m.se)
@@ -123,18 +122,18 @@ def _text(value: float, digits: int = 3) -> str | None:
     return number(value, digits).replace("-", "−") if math.isfinite(value) else None
 
 
-def of_trial(trial: Trial, said: Sequence[Trust]) -> list[Trust]:
+def of_trial(trial: Trial, diagnoses: Sequence[Trust]) -> list[Trust]:
     """The diagnoses of a log and task: all association methods with replicates, else the first one."""
-    own = [t for t in said if (t.log, t.task) == (trial.log.name, trial.task) and trial.variant_of is None]
+    own = [t for t in diagnoses if (t.log, t.task) == (trial.log.name, trial.task) and trial.variant_of is None]
     order = associations(trial.runs)
     own.sort(key=lambda t: order.index(t.association) if t.association in order else len(order))
     asked = [t for t in own if t.twins or any(n.code == Code.NO_TWINS for n in t.notices)]
     return asked or [t for t in own if online(t)][:1]
 
 
-def first_said(trial: Trial, said: Sequence[Trust]) -> str:
-    """For the first page: the first association method; with truth only what twins say."""
-    for trust in of_trial(trial, said)[:1]:
+def first_page_words(trial: Trial, diagnoses: Sequence[Trust]) -> str:
+    """For the first page: the first association method; with truth only what replicates show."""
+    for trust in of_trial(trial, diagnoses)[:1]:
         measured = trial.log.truth.known_poses > 0
         if trust.blame is not None or not measured:
             return first_words(trust, terms=terms_of(trial.log.recorded), measured=measured)
@@ -142,17 +141,17 @@ def first_said(trial: Trial, said: Sequence[Trust]) -> str:
 
 
 def trust_section(
-    folder: Path, wanted: Wanted, trial: Trial, pictures: Sequence[Picture], said: Sequence[Trust]
+    folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture], diagnoses: Sequence[Trust]
 ) -> list[Section]:
     """The words, the table and the figure of a log and task; none where nothing is known."""
-    trusts = of_trial(trial, said)
+    trusts = of_trial(trial, diagnoses)
     terms, labels = terms_of(trial.log.recorded), trial.log.has_labels
     blocks: list[Block] = []
     facts = [facts_of(trust, terms, labels=labels) for trust in trusts]
-    for trust, told in zip(trusts, facts, strict=True):
+    for trust, own in zip(trusts, facts, strict=True):
         if len(trusts) > 1 or len(associations(trial.runs)) > 1:
             blocks.append(f"With association `{trust.association}`:")
-        front, *more = folded(say("trust#paragraphs", trust=told), MORE) or ("",)
+        front, *more = folded(say("trust#paragraphs", trust=own), MORE) or ("",)
         blocks += [front] if front else []
         if shown(trust):
             caption, name = say("trust#caption", trust=trust), stem(trial, f"trust-{trust.association}")

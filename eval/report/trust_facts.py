@@ -16,8 +16,7 @@ from eval.referee.attribution import POWER, Finding
 from eval.replay.settings import ESTIMATORS, FILTERS
 from eval.studies.trusted import Blame, Trust
 
-STANDS_OUT = 3.0
-"""Standard errors from which a slope is named without bootstrap replicates."""
+STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
 SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
 METRES, SECONDS, DRIFT = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0)
 UNITS = {
@@ -32,22 +31,18 @@ UNITS = {
     "z1_range": SHARE,
     "z2_constant": ANGLE,
     "z2_range": CURVATURE,
-}
-"""A person's unit of each systematic error and its factor from SI; those not named here are times."""
+}  # a person's unit of each systematic error and its factor from SI; those not named here are times
 OF_POINTS = {"z2_constant": METRES, "z2_range": ANGLE}
 OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
 """Units of a log without stamps, whose time is the number of the frame."""
-SIGMA = "sigma_"
-"""Prefix of a factor of a stated sigma among what a calibration did."""
-LATE = ("speed", "turn_rate")
-"""Regressors of observations with wrong time stamps."""
+SIGMA = "sigma_"  # prefix of a factor of a stated sigma among what a calibration did
+LATE = ("speed", "turn_rate")  # regressors of observations with wrong time stamps
 FITTED = {
     "odometry_x_distance": "odometry",
     "odometry_theta_turn": "odometry",
     "z1_constant": "bias",
     "z2_constant": "bias",
-}
-"""Groups of `eval.tune` that have a parameter for a systematic error."""
+}  # groups of `eval.tune` that have a parameter for a systematic error
 GROUPS = ("motion", "sensor", "bias", "odometry")
 
 
@@ -59,7 +54,7 @@ class Terms:
     stamped: bool = True
 
     def unit(self, name: str) -> tuple[str, float]:
-        """The unit in which a systematic error is said, and its factor from SI."""
+        """The unit of a systematic error for a person, and its factor from SI."""
         unit = UNITS.get(name, SECONDS) if self.polar else OF_POINTS.get(name, UNITS.get(name, SECONDS))
         return unit if self.stamped else OF_FRAMES.get(unit, unit)
 
@@ -70,11 +65,8 @@ def terms_of(inputs: Inputs) -> Terms:
 
 
 @dataclass(frozen=True)
-class Told:
-    """An explanation as it is told: kind, name and others as of a `Finding`; of a systematic error in a person's unit.
-
-    sigmas: its size in standard errors, where it was found without twins.
-    """
+class Explanation:
+    """A finding in a person's unit: kind, name and others as of a `Finding`."""
 
     kind: str
     name: str
@@ -82,47 +74,12 @@ class Told:
     error: float = math.nan
     unit: str = ""
     other: tuple[str, ...] = ()
-    sigmas: float = math.nan
-
-
-@dataclass(frozen=True)
-class Apart:
-    """An online path beside the smoothed one.
-
-    Attributes:
-        estimator: whose; filters: whether that is a filter.
-        rms: m, how far apart they are; twins: least and largest of the same on the twins; empty: not known.
-        beside_twins: whether there are twins.
-        median: of the quadratic form of the difference, and what is expected; empty: not known.
-        semidefinite: share of the frames in which P_f - P_s is; None: not known.
-    """
-
-    estimator: str
-    filters: bool
-    rms: float
-    twins: tuple[float, float] | tuple[()]
-    beside_twins: bool
-    median: tuple[float, float] | tuple[()]
-    semidefinite: float | None
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What the battery says: the cause, how many of the statistics tested are objected to, the smallest p (or None).
-
-    unexplained: it objects, and to nothing that has a name.
-    """
-
-    cause: str
-    objected: int
-    tested: int
-    p: float | None
-    unexplained: bool
+    sigmas: float = math.nan  # its size in standard errors, where it was found without replicates
 
 
 @dataclass(frozen=True)
 class Decided:
-    """Estimators that decide alike: wrong pairings, missed ones, all decisions, share of right ones; twins' means."""
+    """Estimators that decide alike: wrong pairings, missed ones, all decisions, share of right ones (means)."""
 
     estimators: tuple[str, ...]
     wrong: float
@@ -147,53 +104,36 @@ class Step(StrEnum):
 
 @dataclass(frozen=True)
 class Advice:
-    """What to do, in order.
+    """What to do, in order."""
 
-    Attributes:
-        steps: which.
-        groups: of `eval.tune --fit` that have parameters for what was found.
-        by_hand: systematic errors without a parameter. off: estimators whose covariances are.
-        labels: whether known association can be granted.
-    """
-
-    steps: tuple[Step, ...]
-    groups: tuple[str, ...]
-    by_hand: tuple[str, ...]
-    off: tuple[str, ...]
-    labels: bool
+    steps: tuple[Step, ...]  # which
+    groups: tuple[str, ...]  # of `eval.tune --fit` that have parameters for what was found
+    by_hand: tuple[str, ...]  # systematic errors without a parameter
+    off: tuple[str, ...]  # estimators whose covariances are
+    labels: bool  # whether known association can be granted
 
 
 @dataclass(frozen=True)
 class TrustFacts:
-    """What a log with one association method says about itself.
-
-    Attributes:
-        twins: how many; judged: what the battery says beside them, None: too few of them.
-        apart: online paths beside the smoothed one, filters first.
-        asked: systematic errors beyond `STANDS_OUT` standard errors, each alone, largest first.
-        findings: the weightiest first; main: those for a first page.
-        power: what would have been seen with a probability of `power_share`; brief_power: of this the first page's.
-        nees: mean pose NEES on the twins by estimator and phase. deciding: what to expect of the association method.
-        done, after: what a calibration changed, and what the log says then.
-    """
+    """What a log with one association method says about itself."""
 
     log: str
     task: str
     association: str
     terms: Terms
-    twins: int
-    judged: Verdict | None
-    apart: tuple[Apart, ...]
-    asked: tuple[Told, ...]
-    findings: tuple[Told, ...]
-    main: tuple[Told, ...]
-    power: tuple[Told, ...]
-    brief_power: tuple[Told, ...]
+    twins: int  # how many
+    judged: dict[str, object] | None  # by the battery; None: too few replicates
+    apart: tuple[dict[str, object], ...]  # online paths against the smoothed one, filters first
+    asked: tuple[Explanation, ...]  # systematic errors beyond `STANDS_OUT` standard errors, each alone, largest first
+    findings: tuple[Explanation, ...]  # the weightiest first
+    main: tuple[Explanation, ...]  # those for a first page
+    power: tuple[Explanation, ...]  # what would have been seen with a probability of `power_share`
+    brief_power: tuple[Explanation, ...]  # of this the first page's
     power_share: float
-    nees: tuple[tuple[str, str, float], ...]
-    deciding: tuple[Decided, ...]
+    nees: tuple[tuple[str, str, float], ...]  # mean pose NEES on the replicates by estimator and phase
+    deciding: tuple[Decided, ...]  # what to expect of the association method
     todo: Advice
-    done: tuple[Told, ...]
+    done: tuple[Explanation, ...]  # with after: what a calibration changed, and what the log says then
     after: TrustFacts | None
     notices: tuple[Notice, ...]
 
@@ -212,8 +152,8 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
         None if blame is None else _verdict(blame),
         tuple(_apart(trust, name) for name in online(trust)),
         _asked(trust, terms),
-        told(found, terms),
-        told(_main(found), terms),
+        explanations(found, terms),
+        explanations(_main(found), terms),
         power,
         tuple(p for p in power if p.name in ("odometry_theta_turn", _turned(terms), "z1_range")),
         POWER,
@@ -233,33 +173,38 @@ def online(trust: Trust) -> list[str]:
     return sorted(found, key=lambda name: name not in FILTERS)
 
 
-def _apart(trust: Trust, name: str) -> Apart:
+def _apart(trust: Trust, name: str) -> dict[str, object]:
+    """Distance [m] of an online path from the smoothed one; empty or None: not known."""
     twins = [s.apart[name] for s in trust.twins if math.isfinite(s.apart.get(name, math.nan))]
     median = trust.real.measured.get((name, "filter_smoother_median"))
     share = trust.real.measured.get((name, "filter_smoother_semidefinite"))
     known = median is not None and math.isfinite(median.value) and math.isfinite(median.expected)
-    return Apart(
-        name,
-        name in FILTERS,
-        trust.real.apart[name],
-        (min(twins), max(twins)) if twins else (),
-        bool(trust.twins),
-        (median.value, median.expected) if median is not None and known else (),
-        share.value if share is not None and math.isfinite(share.value) else None,
-    )
+    return {
+        "estimator": name,
+        "filters": name in FILTERS,
+        "rms": trust.real.apart[name],
+        "twins": (min(twins), max(twins)) if twins else (),  # least and largest on the replicates
+        "beside_twins": bool(trust.twins),
+        # of the quadratic form of the difference, and what is expected
+        "median": (median.value, median.expected) if median is not None and known else (),
+        # share of the frames in which P_f - P_s is
+        "semidefinite": share.value if share is not None and math.isfinite(share.value) else None,
+    }
 
 
-def _verdict(blame: Blame) -> Verdict:
-    p = blame.p if math.isfinite(blame.p) else None
-    return Verdict(blame.cause, len(blame.objected), blame.tested, p, bool(blame.objected and not blame.findings))
+def _verdict(blame: Blame) -> dict[str, object]:
+    """Cause, rejected statistics of those tested, and the smallest p; unexplained: nothing rejected has a name."""
+    unexplained = bool(blame.objected and not blame.findings)
+    counts = {"objected": len(blame.objected), "tested": blame.tested, "unexplained": unexplained}
+    return {"cause": blame.cause, "p": blame.p if math.isfinite(blame.p) else None, **counts}
 
 
-def _systematic(name: str, size: float, error: float, terms: Terms, **more: float | tuple[str, ...]) -> Told:
+def _systematic(name: str, size: float, error: float, terms: Terms, **more: float | tuple[str, ...]) -> Explanation:
     unit, factor = terms.unit(name)
-    return Told("systematic", name, factor * size, factor * error, unit, **more)  # type: ignore[arg-type]
+    return Explanation("systematic", name, factor * size, factor * error, unit, **more)  # type: ignore[arg-type]
 
 
-def _asked(trust: Trust, terms: Terms) -> tuple[Told, ...]:
+def _asked(trust: Trust, terms: Terms) -> tuple[Explanation, ...]:
     """Slopes of the residuals that stand out."""
     found = []
     for (_, name), m in trust.real.measured.items():
@@ -269,7 +214,7 @@ def _asked(trust: Trust, terms: Terms) -> tuple[Told, ...]:
     return tuple(sorted(found, key=lambda t: -t.sigmas))
 
 
-def told(findings: Sequence[Finding], terms: Terms) -> tuple[Told, ...]:
+def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Explanation, ...]:
     """Findings whose size is known, in their order; an estimator's phases share the one that is furthest off."""
     shown: dict[tuple[str, str], Finding] = {}
     for f in (f for f in findings if math.isfinite(f.size)):
@@ -279,7 +224,7 @@ def told(findings: Sequence[Finding], terms: Terms) -> tuple[Told, ...]:
     return tuple(
         _systematic(f.name, f.size, f.error, terms, other=f.other)
         if f.kind == "systematic"
-        else Told(f.kind, f.name, f.size, f.error)
+        else Explanation(f.kind, f.name, f.size, f.error)
         for f in shown.values()
     )
 
@@ -295,17 +240,17 @@ def _turned(terms: Terms) -> str:
     return "z2_constant" if terms.polar else "z2_range"
 
 
-def _power(blame: Blame, terms: Terms) -> tuple[Told, ...]:
+def _power(blame: Blame, terms: Terms) -> tuple[Explanation, ...]:
     """Faults that would have been seen: systematic errors, then noises by the factor of their sigma."""
     names = ("odometry_theta_turn", "odometry_x_distance", "odometry_theta_distance", _turned(terms), "z1_range")
     found = [_systematic(name, blame.detectable.get(name, math.nan), math.nan, terms) for name in names]
     for name in ("z1", "z2", "odometry_theta"):
-        found.append(Told("sigma", name, blame.detectable.get(f"residual_{name}_spread", math.nan)))
+        found.append(Explanation("sigma", name, blame.detectable.get(f"residual_{name}_spread", math.nan)))
     return tuple(t for t in found if math.isfinite(t.size))
 
 
 def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:
-    """Means over the twins that have one."""
+    """Means over the replicates that have one."""
     found = []
     for name, phase in dict.fromkeys(k for s in trust.twins for k in s.nees):
         known = [v for s in trust.twins if math.isfinite(v := s.nees.get((name, phase), math.nan))]
@@ -315,7 +260,7 @@ def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:
 
 
 def _deciding(trust: Trust) -> tuple[Decided, ...]:
-    """Mean confusion counts over the twins; empty with labels and where there are none."""
+    """Mean confusion counts over the replicates; empty with labels and without replicates."""
     alike: dict[tuple[float, ...], list[str]] = {}
     for name in dict.fromkeys(n for s in trust.twins for n in s.counts if trust.association != "known"):
         counts = np.array([s.counts[name] for s in trust.twins if name in s.counts], float)
@@ -327,11 +272,13 @@ def _deciding(trust: Trust) -> tuple[Decided, ...]:
     )
 
 
-def _done(done: Mapping[str, float], terms: Terms) -> tuple[Told, ...]:
+def _done(done: Mapping[str, float], terms: Terms) -> tuple[Explanation, ...]:
     """Systematic errors taken out, then factors of stated sigmas; sizes that are unknown or nothing are left out."""
     sizes = {name: size for name, size in done.items() if math.isfinite(size) and size != 0.0}
     taken = [_systematic(name, size, math.nan, terms) for name, size in sizes.items() if not name.startswith(SIGMA)]
-    noises = [Told("sigma", n.removeprefix(SIGMA), s) for n, s in sizes.items() if n.startswith(SIGMA) and s > 0.0]
+    noises = [
+        Explanation("sigma", n.removeprefix(SIGMA), s) for n, s in sizes.items() if n.startswith(SIGMA) and s > 0.0
+    ]
     return (*taken, *noises)
 
 

@@ -1,4 +1,4 @@
-"""The report's section on the tutorials: their steps, from labels and map given to nothing, with our runs beside."""
+"""The report's section on the tutorials: their steps, from labels and map given to nothing, with our runs."""
 
 from __future__ import annotations
 
@@ -12,12 +12,13 @@ import pandas as pd
 from data.log import folder_name
 from eval.figures.studies import Known, knowledge_figure
 from eval.figures.style import save
+from eval.plan.flags.table import Output
 from eval.plan.tutorials import is_tutorial, original_of
 from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
 from eval.report.page.blocks import Block, Picture, Section
-from eval.report.page.files import Drawn, written_table
+from eval.report.page.files import written_table
 from eval.report.page.tables import drop_blank_columns, is_blank
 from eval.report.words import say
 
@@ -33,17 +34,14 @@ def given(task: str, association: str) -> str:
 
 
 def logs_with_tutorials(trials: Sequence[Trial]) -> list[str]:
-    """Names of the logs beside which two tutorials or more stand."""
+    """Names of the logs with two tutorials or more as variants."""
     variants = [t.variant_of for t in trials if t.variant_of is not None and is_tutorial(t)]
     return [name for name in dict.fromkeys(variants) if variants.count(name) > 1]
 
 
 @dataclass(frozen=True)
 class Row:
-    """A run in the table: who, given what, its row of `metrics.csv`, and the counts of its decisions.
-
-    original: of a tutorial whose own program was run on this recording: sum of squares [m^2], position RMSE [m].
-    """
+    """A run in the table: who, given what, its row of `metrics.csv`, and the counts of its decisions."""
 
     name: str
     given: str
@@ -52,14 +50,12 @@ class Row:
     tutorial: bool
     metrics: Mapping[Hashable, object]
     counts: Mapping[str, int]
+    # original: of a tutorial whose own program was run on this recording: sum of squares [m^2], position RMSE [m]
     original: tuple[float, float] | None
 
 
 def rows_of(log: str, trials: Sequence[Trial], scores: Scores) -> list[Row]:
-    """Rows of the tutorials beside a log in the order of their names, after each those of ours that are given as much.
-
-    An estimator with two phases stands with its final one; dead reckoning uses no observations and is left out.
-    """
+    """Rows of the tutorials on a log by what is given, after each group our runs; of two phases the final one."""
     counts = _by_run(scores.association[scores.association["phase"] == "online"])
     metrics = _by_run(scores.metrics)  # the last row of a run is its final phase
     made = []
@@ -107,8 +103,8 @@ def table_of(rows: Sequence[Row]) -> pd.DataFrame:
     return drop_blank_columns(pd.DataFrame(made, dtype=object))
 
 
-def tutorial_sections(folder: Path, wanted: Drawn, trials: Sequence[Trial], scores: Scores) -> list[Section]:
-    """For each log with several tutorials beside it: one table over all its tasks, and the same as a figure."""
+def tutorial_sections(folder: Path, wanted: Output, trials: Sequence[Trial], scores: Scores) -> list[Section]:
+    """For each log with several tutorials: one table over all its tasks, and the same as a figure."""
     blocks: list[Block] = []
     facts: dict[str, list[Row]] = {}
     for log in logs_with_tutorials(trials):
@@ -134,10 +130,10 @@ def _drawn(row: Row) -> Known:
     return Known(name, row.given, row.estimator, row.tutorial, rmse, original, wrong)
 
 
-def beside_note(trial: Trial, rows: pd.DataFrame) -> str:
-    """What the rows of a trial beside are; of a tutorial the sums of squares, the original's, and its notes."""
+def variant_note(trial: Trial, rows: pd.DataFrame) -> str:
+    """The rows of a variant in a sentence; of a tutorial the sums of squares, the original's, and its notes."""
     if not is_tutorial(trial):
-        return say("tutorials#beside", name=trial.log.name, about=trial.about)
+        return say("tutorials#variant", name=trial.log.name, about=trial.about)
     squares = [
         (what, float(row[column]))
         for row in rows.to_dict("records")
@@ -145,4 +141,4 @@ def beside_note(trial: Trial, rows: pd.DataFrame) -> str:
         if not is_blank(row[column])
     ]
     known = {"squares": squares, "original": original_of(trial), "notes": trial.runs[0].notes}
-    return say("tutorials#beside", name=trial.log.name, about=trial.about, **known)
+    return say("tutorials#variant", name=trial.log.name, about=trial.about, **known)

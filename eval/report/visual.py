@@ -1,7 +1,7 @@
 """The report's section on a log made from images: models, plan, what was found in the images, and how well.
 
-The equations of the models stand in `templates/models/`, as LaTeX and as MathML. What they say is computed by
-`data.motion.velocity.step`, `data.se2.compose` and `data.sensors.measure`; a test evaluates their entries and compares.
+The equations in `templates/models/` are those of `data.motion.velocity.step`, `data.se2.compose` and
+`data.sensors.measure`; a test evaluates their entries and compares.
 """
 
 from __future__ import annotations
@@ -23,9 +23,10 @@ from data.terminal import counted
 from data.visual.observations import COMMAND_SIGMA, true_pictures
 from eval.figures.style import save
 from eval.figures.visual import Tile, contact_sheet, plan_figure
+from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, Formula, Picture, Section
-from eval.report.page.files import Drawn, Wanted, written_table
+from eval.report.page.files import written_table
 from eval.report.page.tables import drop_blank_columns
 from eval.report.rows import stem
 from eval.report.shown_runs import for_map, left_out
@@ -67,26 +68,17 @@ def models_latex() -> str:
 
 @dataclass(frozen=True)
 class PictureStatistics:
-    """How well one picture was found; None: unknown, because the truth is.
+    """How well one picture was found; None: unknown, because the truth is."""
 
-    Attributes:
-        picture: its number.
-        detected: frames in which it was found.
-        in_view: frames with it fully in view, near enough and not too oblique; found_in_view: those of them in which
-            it was found where it is.
-        median_inliers: of its detections. corner_error: px, median over their corners.
-        wrong: detections that lie on another picture in view, or elsewhere than this one while it is in view.
-        refused: frames in which it was looked for in vain, by reason.
-    """
-
-    picture: int
-    detected: int
-    in_view: int | None = None
-    found_in_view: int | None = None
-    median_inliers: float | None = None
-    corner_error: float | None = None
+    picture: int  # its number
+    detected: int  # frames in which it was found
+    in_view: int | None = None  # frames with it fully in view, near enough and not too oblique
+    found_in_view: int | None = None  # those of them in which it was found where it is
+    median_inliers: float | None = None  # of its detections
+    corner_error: float | None = None  # px, median over their corners
+    # wrong: detections that lie on another picture in view, or elsewhere than this one while it is in view
     wrong: int | None = None
-    refused: Mapping[str, int] = field(default_factory=dict)
+    refused: Mapping[str, int] = field(default_factory=dict)  # frames in which it was looked for in vain, by reason
 
     @property
     def recall(self) -> float | None:
@@ -178,12 +170,9 @@ def _tile(evidence: Evidence, frame: int, image: bytes) -> Tile:
 
 
 def visual_sections(
-    folder: Path, wanted: Drawn, trials: Sequence[Trial], *, in_lab: bool = False, factor: int | None = 1
+    folder: Path, wanted: Output, trials: Sequence[Trial], *, in_lab: bool = False, factor: int | None = 1
 ) -> list[Section]:
-    """For each log made from images: models, a plan for each task, contact sheet and statistics, below `folder`.
-
-    In a lab the answer has the models, and ellipses are as large as is needed to see them; else by a factor.
-    """
+    """For each log made from images: models (in a lab the answer has them), plans, contact sheet, statistics."""
     logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.variant_of is None}
     sections = []
     for name, log in logs.items():
@@ -198,7 +187,7 @@ def visual_sections(
     return sections
 
 
-def models(folder: Path, wanted: Wanted, log: Log) -> Iterator[Block]:
+def models(folder: Path, wanted: Output, log: Log) -> Iterator[Block]:
     """Words and formulas of every model, and their constants on a log."""
     name = folder_name(log.name)
     if "tex" in wanted.formats:
@@ -210,37 +199,22 @@ def models(folder: Path, wanted: Wanted, log: Log) -> Iterator[Block]:
     yield constants(log)
 
 
-@dataclass(frozen=True)
-class Constants:
-    """Of the models on a log: sigmas of a command, pose of the camera, and of a corner.
-
-    Attributes:
-        v, omega: cm/s and deg/s; rotation: deg; translation: m.
-        side, ahead: cm, least and largest sigma to the right and ahead; empty without readings.
-        by_depth: whether they differ from corner to corner.
-    """
-
-    log: str
-    v: float
-    omega: float
-    rotation: float
-    translation: tuple[float, float]
-    side: tuple[float, ...]
-    ahead: tuple[float, ...]
-    by_depth: bool
-
-
-def _constants(log: Log) -> Constants:
+def _constants(log: Log) -> dict[str, object]:
+    """Of the models: sigmas [cm/s, deg/s] of a command, pose [deg, m] of the camera, extremes [cm] of a corner."""
     sensor, R = log.recorded.sensor, log.recorded.observations.R
-    v, omega = 100.0 * COMMAND_SIGMA[0], math.degrees(COMMAND_SIGMA[1])
     x, z = sensor.translation
-    camera = (math.degrees(sensor.rotation), (float(x), float(z)))
-    if len(R) == 0:
-        return Constants(log.name, v, omega, *camera, (), (), by_depth=False)
-    side, ahead = 100.0 * np.sqrt(R[:, 0, 0]), 100.0 * np.sqrt(R[:, 1, 1])
-    right, forward = ((float(each.min()), float(each.max())) for each in (side, ahead))
-    by_depth = max(float(np.ptp(side)), float(np.ptp(ahead))) >= 1e-9
-    return Constants(log.name, v, omega, *camera, right, forward, by_depth)
+    sides = [100.0 * np.sqrt(R[:, i, i]) for i in (0, 1)] if len(R) else []
+    right, forward = ((float(each.min()), float(each.max())) for each in sides) if sides else ((), ())
+    return {
+        "log": log.name,
+        "v": 100.0 * COMMAND_SIGMA[0],
+        "omega": math.degrees(COMMAND_SIGMA[1]),
+        "rotation": math.degrees(sensor.rotation),
+        "translation": (float(x), float(z)),
+        "side": right,
+        "ahead": forward,
+        "by_depth": max((float(np.ptp(each)) for each in sides), default=0.0) >= 1e-9,
+    }
 
 
 def constants(log: Log) -> str:
@@ -248,7 +222,7 @@ def constants(log: Log) -> str:
     return say("visual#constants", c=_constants(log))
 
 
-def _plan(folder: Path, wanted: Drawn, trial: Trial, factor: int | None) -> Picture:
+def _plan(folder: Path, wanted: Output, trial: Trial, factor: int | None) -> Picture:
     log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
     assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
     figure = plan_figure(log, drawn, log.evidence.setup.corners, factor=factor)
@@ -259,7 +233,7 @@ def _plan(folder: Path, wanted: Drawn, trial: Trial, factor: int | None) -> Pict
     return Picture(name, caption, f"Plan of {log.name} with pictures and the paths of {paths}")
 
 
-def _detections(folder: Path, wanted: Drawn, log: Log, evidence: Evidence) -> Iterator[Block]:
+def _detections(folder: Path, wanted: Output, log: Log, evidence: Evidence) -> Iterator[Block]:
     name = f"{folder_name(log.name)}-detections"
     stats, found, tiles = statistics_of(evidence), evidence.found, tiles_of(evidence)
     yield summary(stats, found)
@@ -276,27 +250,17 @@ def _detections(folder: Path, wanted: Drawn, log: Log, evidence: Evidence) -> It
     yield written_table(frame, folder, name, caption, wanted)
 
 
-@dataclass(frozen=True)
-class Detected:
-    """All pictures together: detections in so many frames, those in view, found of these, wrong detections.
-
-    noise: of a corner in the image [px], and of depth z, times z^2 [1/m]; None: not known.
-    """
-
-    detections: int
-    frames: int
-    in_view: int
-    found: int
-    wrong: int
-    noise: tuple[float, float] | None
-
-
-def _detected(stats: Sequence[PictureStatistics], found: Found) -> Detected:
-    in_view, right = sum(s.in_view or 0 for s in stats), sum(s.found_in_view or 0 for s in stats)
-    wrong = sum(s.wrong or 0 for s in stats)
+def _detected(stats: Sequence[PictureStatistics], found: Found) -> dict[str, object]:
+    """All pictures together; noise of a corner in the image [px], and of depth z, times z^2 [1/m]; None: not known."""
     noise = (found.pixel_noise, found.depth_noise)
-    known = noise if np.isfinite(noise).all() else None
-    return Detected(len(found.frame), len(found.time), in_view, right, wrong, known)
+    return {
+        "detections": len(found.frame),
+        "frames": len(found.time),
+        "in_view": sum(s.in_view or 0 for s in stats),
+        "found": sum(s.found_in_view or 0 for s in stats),
+        "wrong": sum(s.wrong or 0 for s in stats),
+        "noise": noise if np.isfinite(noise).all() else None,
+    }
 
 
 def summary(stats: Sequence[PictureStatistics], found: Found, head: str = "**Detections.**") -> str:

@@ -1,8 +1,4 @@
-"""Words of a report: where the facts of a section become text, from `templates/`, for terminal, Markdown and HTML.
-
-A template gets facts (dataclasses, numbers, names) and gives Markdown. What a template does not find is an error.
-Notices have their words in `data.words`.
-"""
+"""Words of a report: where the facts of a section become text, from `templates/`; of notices see `data.words`."""
 
 from __future__ import annotations
 
@@ -104,11 +100,7 @@ def distance(metres: float) -> str:
 
 
 def say(template: str, facts: object = None, **more: Any) -> str:
-    """A template of `templates/` (its name without `.md.j2`), rendered with the fields of `facts` and what is named.
-
-    A name behind `#` is that of a macro in it, called with the same names as arguments: `say("answer#lost", row=row)`.
-    Empty lines around the text are removed.
-    """
+    """A template of `templates/` rendered with the fields of `facts` and `more`, or a macro in it: `answer#lost`."""
     name, _, macro = template.partition("#")
     known = {f.name: getattr(facts, f.name) for f in fields(facts)} if is_dataclass(facts) else {}
     found = environment().get_template(f"{name}.md.j2")
@@ -129,8 +121,7 @@ def fine_print(title: str) -> FinePrint:
 QUESTIONS = (
     *(Code.TRUTH_RATE, Code.LABELS, Code.LABEL_NAMES, Code.BEARING_UNIT, Code.TURN_RATE, Code.TURN_RATES),
     *(Code.TIME_UNIT, Code.MAX_RANGE, Code.FIELD_OF_VIEW, Code.PRIOR, Code.TRUTH_FRAME, Code.UNUSED, Code.LANDMARKS),
-)
-"""Notices that are questions to the person: warnings about a log or a run."""
+)  # notices that are questions to the person: warnings about a log or a run
 
 
 def together(found: Iterable[Notice]) -> list[Notice]:
@@ -152,7 +143,7 @@ def whose(notice: Notice) -> str:
     return f"{place}: {notice.estimator}" if notice.estimator else place
 
 
-def said(notice: Notice) -> str:
+def described(notice: Notice) -> str:
     """The runs that it is about, and the sentence."""
     return ": ".join(filter(None, (whose(notice), sentence(notice))))
 

@@ -12,7 +12,7 @@ from data.inputs import Frame, IntArray
 from data.log import Log
 from data.result import NEW, Run
 from data.terminal import counted
-from eval.figures import error_figure
+from eval.figures.error import error_figure
 from eval.figures.style import style_of
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.recorder import Observer

@@ -17,8 +17,8 @@ from data.se2 import pose_error
 from data.truth import Truth
 from ekf.filter import FilterOptions
 from eval.compare import compare
-from eval.figures import loop_state_figure, map_figure
-from eval.figures.log import log_figure
+from eval.figures.log import log_figure, loop_state_figure
+from eval.figures.map import map_figure
 from eval.figures.plane import chords
 from eval.plan.calibrate import every
 from eval.player.scene import scene

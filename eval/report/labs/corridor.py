@@ -1,11 +1,8 @@
-"""The corridor lab in numbers: its logs by condition, and each of its runs looked at closely.
-
-The lab's conditions are pairs (people, odometry). What it calls JCBB keeps the first of equal solutions (`jcbb-first`).
-Seconds differ from run to run and are in timing.csv only; here the cost of a filter is counted in covariance entries.
-"""
+"""The corridor lab in numbers: its logs by condition (people, odometry), and each of its runs in detail."""
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -33,13 +30,11 @@ NAMES = {
     "known": "known association",
     "jcbb-hindsight": "JCBB in hindsight",
 }
-THE_LABS = {"jcbb": ("jcbb-first", "jcbb")}
-"""The lab's JCBB, and what stands for it where that was not run."""
+THE_LABS = {"jcbb": ("jcbb-first", "jcbb")}  # the lab's JCBB, and what stands for it where that was not run
 METHODS = ("known", "nn", "singles", "jcbb-first", "jcbb", "jcbb-hindsight")
 OWN_DECISIONS = ("ekf", "isam2")
 """Estimators whose decisions answer the questions, the first of them that reached its end."""
-TURN = 0.5
-"""rad. A true motion that turns by more is called a turn, else a move."""
+TURN = 0.5  # rad. A true motion that turns by more is called a turn, else a move
 SWITCHES = ("people", "odometry", "forward", "constant_velocity")
 PRIOR = ("step_mean", "step_sigma", "velocity", "velocity_sigma", "lateral_sigma", "turn_sigma")
 """Constants of the corridor that do not make it another one: what is switched on, and what is stated of the motion."""
@@ -47,13 +42,11 @@ PRIOR = ("step_mean", "step_sigma", "velocity", "velocity_sigma", "lateral_sigma
 
 @dataclass(frozen=True)
 class Lab:
-    """Trials of one corridor, by what was switched on: (people, odometry); and those with map maintenance.
-
-    `primed`: by people, without odometry, but with a motion prior in its place.
-    """
+    """Trials of one corridor, by what was switched on: (people, odometry); and those with map maintenance."""
 
     trials: dict[tuple[bool, bool], Trial]
     maintained: dict[tuple[bool, bool], Trial]
+    # primed: by people, without odometry, but with a motion prior in its place
     primed: dict[bool, Trial] = field(default_factory=dict)
 
 
@@ -71,42 +64,31 @@ class Shown(NamedTuple):
 
 @dataclass(frozen=True)
 class Pairings:
-    """A run's decisions (online) looked at more closely; distances in m, NaN where there is nothing to measure.
+    """A run's decisions (online) looked at more closely; distances in m, NaN where there is nothing to measure."""
 
-    Attributes:
-        observations: their number; tp, tn, fp, fn, spurious, duplicate, missed: the referee's counts of them.
-        recall: of all that could be paired.
-        neighbour: pairings with the landmark of another point, though the right one was in the map.
-        copy: pairings with a second landmark of the right point.
-        ghost: points paired with a landmark that was initialized on a person.
-        clutter: observations of people; of them paired, initializing a landmark, and paired with a landmark that was
-            initialized on a person.
-        first_wrong: frame of the first FP, None if there is none.
-        before, after: RMS position error in the frames before it, and from it on.
-        apart: median distance of the points confused.
-        off: median distance of those observations, placed in the world from the predicted pose, from their own point.
-    """
-
-    observations: int
-    tp: int
+    observations: int  # their number
+    tp: int  # to missed: the referee's counts of them
     tn: int
     fp: int
     fn: int
     spurious: int
     duplicate: int
     missed: int
-    recall: float
-    neighbour: int
-    copy: int
-    ghost: int
+    recall: float  # of all that could be paired
+    neighbour: int  # pairings with the landmark of another point, though the right one was in the map
+    copy: int  # pairings with a second landmark of the right point
+    ghost: int  # points paired with a landmark that was initialized on a person
+    # clutter: observations of people; of them paired, initializing a landmark, and paired with a landmark that was
+    # initialized on a person
     clutter: int
     clutter_paired: int
     clutter_initializing: int
     clutter_again: int
-    first_wrong: int | None
-    before: float
+    first_wrong: int | None  # frame of the first FP, None if there is none
+    before: float  # with after: RMS position error in the frames before it, and from it on
     after: float
-    apart: float
+    apart: float  # median distance of the points confused
+    # off: median distance of those observations, placed in the world from the predicted pose, from their own point
     off: float
 
     @property
@@ -117,39 +99,29 @@ class Pairings:
 
 @dataclass(frozen=True)
 class Judged:
-    """A run that reached its end as the answers tell of it; NaN: not known.
+    """A run that reached its end as the answers tell of it; NaN: not known."""
 
-    Attributes:
-        log, estimator, association, status: as in metrics.csv; name: as the lab calls the association.
-        people, odometry, maintained: its condition. implausible_from: frame, None if it is plausible.
-        errors: position RMSE [m] of each phase. inside: share of the frames with the position inside 3 sigma, and
-            nees: mean pose NEES, both of the first phase.
-        largest, last: m, position error at most and in the last frame; reach: m from its start, at most.
-        pairings: None of a batch smoother, which decides nothing itself.
-        landmarks: in the map at the end; removed: before, seen only once; removed_people: of these, on people.
-        state: mean length of the state; entries: of its covariance, summed over the frames.
-    """
-
-    log: str
+    log: str  # to status: as in metrics.csv; name: as the lab calls the association
     estimator: str
     association: str
     status: str
-    people: bool
+    people: bool  # with odometry and maintained: its condition
     odometry: bool
     maintained: bool
-    implausible_from: int | None
-    errors: Mapping[str, float]
+    implausible_from: int | None  # frame, None if it is plausible
+    errors: Mapping[str, float]  # position RMSE [m] of each phase
+    # inside: share of the frames with the position inside 3 sigma, and nees: mean pose NEES, both of the first phase
     inside: float
     nees: float
-    largest: float
+    largest: float  # with last: m, position error at most and in the last frame
     last: float
-    reach: float
-    pairings: Pairings | None
-    landmarks: int
-    removed: int
-    removed_people: int
-    state: float
-    entries: float
+    reach: float  # m from its start, at most
+    pairings: Pairings | None  # None of a batch smoother, which decides nothing itself
+    landmarks: int  # in the map at the end
+    removed: int  # before, seen only once
+    removed_people: int  # of these, on people
+    state: float  # mean length of the state
+    entries: float  # of its covariance, summed over the frames
 
     @property
     def name(self) -> str:
@@ -168,15 +140,11 @@ class Judged:
         return self.pairings
 
 
-Runs = Mapping[str, Judged]
-"""By association, those of one condition."""
+Runs = Mapping[str, Judged]  # by association, those of one condition
 
 
 def is_corridor(trial: Trial, *, named: bool = True) -> bool:
-    """Whether a trial is SLAM on a log of the lab, simulated or recorded, with the truth that its questions need.
-
-    `named`: only if the log says that it is of the corridor.
-    """
+    """Whether a trial is SLAM on a log with true poses and ids, and (`named`) the log says it is the corridor's."""
     t = trial.log.truth
     named = not named or trial.log.source.get("kind") == "corridor" or trial.log.name.startswith("corridor")
     return named and trial.task == "slam" and t.landmark_of is not None and t.known_poses == len(trial.log.recorded)
@@ -188,10 +156,7 @@ def has_prior(log: Log) -> bool:
 
 
 def find_lab(trials: Sequence[Trial], *, named: bool = True) -> Lab | None:
-    """The corridor that was run with most of its switches; of several the first. None if there is no corridor.
-
-    `named` as of `is_corridor`; where it is not asked for, all logs are of one corridor.
-    """
+    """The corridor that was run with most of its switches, or None; without `named` all logs are of one corridor."""
     groups: dict[str, Lab] = {}
     for trial in trials:
         if not is_corridor(trial, named=named):
@@ -225,7 +190,7 @@ def pair_of(a: Trial | None, b: Trial | None, association: str) -> tuple[Run, Ru
 def run_of(trial: Trial | None, association: str) -> Run | None:
     """The finished run with that association, or what the lab calls so: the filter's, or else iSAM2's."""
     both = pair_of(trial, trial, association)
-    return None if both is None else both[0]
+    return both and both[0]
 
 
 def has(lab: Lab, switches: tuple[bool, bool], *methods: str) -> bool:
@@ -288,14 +253,9 @@ def look(run: Run, log: Log) -> Pairings:
         first_wrong=first,
         before=rms(error[:split]) if split else math.nan,
         after=rms(error[split:]) if split < len(error) else math.nan,
-        apart=_median(apart),
-        off=_median(off),
+        apart=float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else math.nan,
+        off=float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else math.nan,
     )
-
-
-def _median(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else math.nan
 
 
 def predicted(log: Log, path: Array) -> Array:
@@ -311,17 +271,13 @@ def reach(path: Array) -> float:
 
 @dataclass(frozen=True)
 class Motion:
-    """True against stated motions, the first frame aside: Mahalanobis distances and share within 99 %.
+    """True against stated motions, the first frame aside: Mahalanobis distances and share within 99 %."""
 
-    moves, turns: mean distance [-] of each, NaN if there is none; step_off, step_sigma: m, largest difference along x
-    and the standard deviation claimed for it; within: number of motions inside the 99 % ellipsoid of `count`.
-    """
-
-    moves: float
+    moves: float  # with turns: mean distance [-] of each, NaN if there is none
     turns: float
-    step_off: float
+    step_off: float  # with step_sigma: m, largest difference along x and the standard deviation claimed for it
     step_sigma: float
-    within: int
+    within: int  # number of motions inside the 99 % ellipsoid of `count`
     count: int
 
     @property
@@ -369,7 +325,7 @@ class Judge:
         assert truth.pose is not None
         off = position_distance(path, truth.pose)
         people, odometry = switched_on(log)
-        gone = np.empty(0, np.int64) if run.removed is None else np.flatnonzero(run.removed >= 0)
+        removed = np.empty(0, np.int64) if run.removed is None else np.flatnonzero(run.removed >= 0)
         size = np.empty(0) if run.state_size is None else np.asarray(run.state_size, float)
         return Judged(
             log.name,
@@ -388,8 +344,8 @@ class Judge:
             reach=reach(path),
             pairings=look(run, log) if p == "online" else None,
             landmarks=0 if run.map is None else len(run.map),
-            removed=len(gone),
-            removed_people=int((landmark_true_ids(run.created, truth, gone) == CLUTTER).sum()),
+            removed=len(removed),
+            removed_people=int((landmark_true_ids(run.created, truth, removed) == CLUTTER).sum()),
             state=float(size.mean()) if len(size) else math.nan,
             entries=float((size**2).sum()) if len(size) else math.nan,
         )
@@ -397,9 +353,9 @@ class Judge:
     def runs(self, trial: Trial | None) -> Runs:
         """By association the run whose decisions answer: the filter's, or else iSAM2's."""
         found: dict[str, Judged] = {}
-        for method in METHODS if trial is not None else ():
-            for estimator in OWN_DECISIONS:
-                run = None if trial is None else trial.find(estimator, method)
-                if trial is not None and run is not None and run.failure is None and method not in found:
+        if trial is not None:
+            for method, estimator in itertools.product(METHODS, OWN_DECISIONS):
+                run = trial.find(estimator, method)
+                if run is not None and run.failure is None and method not in found:
                     found[method] = self.look(trial, run)
         return found

@@ -1,7 +1,4 @@
-"""The pictures of the corridor lab's answers: maps, believed paths, errors, one frame from near, measured times.
-
-Each is made as a job of its own, with caption and alternative text. Measured times are never the same twice.
-"""
+"""The pictures of the corridor lab's answers: maps, estimated paths, errors, one frame in detail, measured times."""
 
 from __future__ import annotations
 
@@ -15,6 +12,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 from matplotlib.lines import Line2D
 
 from data.inputs import CLUTTER, Inputs, IntArray
@@ -50,8 +48,7 @@ from eval.stepping.matching import closer_figure, methods_figure, wrong_of
 from eval.stepping.plane import BAD, FAINT
 from eval.stepping.problem import Matching, problems_of
 
-REPEATS = 15
-"""Runs measured; of each frame the fastest counts, as whatever else the machine does only adds time."""
+REPEATS = 15  # runs measured; of each frame the fastest counts, as whatever else the machine does only adds time
 
 
 class Times(NamedTuple):
@@ -64,10 +61,7 @@ class Times(NamedTuple):
 def update_times(
     log: Log, estimator: str, association: str, setups: Sequence[Setup], repeats: int = REPEATS
 ) -> list[Times]:
-    """What each frame's update takes in SLAM, and map maintenance after it, with each setup: the fastest of `repeats`.
-
-    Setups take turns, so that a busy machine slows all of them.
-    """
+    """Time of each frame's update in SLAM and of map maintenance, for each setup: the least of `repeats`, in turns."""
     inputs = log.inputs(labels=association == "known").without_map()
     measured = np.zeros((repeats, len(setups), 2, len(inputs)))
     for turn in measured:
@@ -99,12 +93,8 @@ def called(run: Run) -> str:
 def people_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
     """Maps of some methods with people, and their position error with people and without."""
     with drawing():
-        fig = Figure(figsize=(page_width(), 4.9))
-        grid = fig.add_gridspec(2, len(busy), height_ratios=(2.5, 1.0))
+        fig, grid = _maps([(s, f"{called(s.run)} with people: the map at the end") for s in busy])
         for k, (without, s) in enumerate(zip(quiet, busy, strict=True)):
-            ax = fig.add_subplot(grid[0, k])
-            _draw_map(ax, s, left=k == 0)
-            ax.set_title(f"{called(s.run)} with people: the map at the end", loc="left")
             below = fig.add_subplot(grid[1, k])
             for shown, line, label in ((without, DASHED, "without people"), (s, SOLID, "with people")):
                 error = _error(shown)
@@ -112,8 +102,19 @@ def people_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
                 _line(below, shown.log, error, shown.run.association, line, label, style="default")
             _axes_over_time(below, s.log, "position error [m]" if k == 0 else "", 4)
             below.legend(loc="upper left")
-        fig.legend(handles=_map_handles(), loc="outside lower center", ncols=5)
         return fig
+
+
+def _maps(shown: Sequence[tuple[Shown, str]]) -> tuple[Figure, GridSpec]:
+    """Maps with their titles side by side; below them there is room for what changes over time."""
+    fig = Figure(figsize=(page_width(), 4.9))
+    grid = fig.add_gridspec(2, len(shown), height_ratios=(2.5, 1.0))
+    for k, (s, title) in enumerate(shown):
+        ax = fig.add_subplot(grid[0, k])
+        _draw_map(ax, s, left=k == 0)
+        ax.set_title(title, loc="left")
+    fig.legend(handles=_map_handles(), loc="outside lower center", ncols=5)
+    return fig, grid
 
 
 def paths_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
@@ -144,13 +145,11 @@ def paths_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
 def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
     """The map at the end without and with maintenance, what was removed, and the length of the state over time."""
     with drawing():
-        fig = Figure(figsize=(page_width(), 4.9))
-        grid = fig.add_gridspec(2, 2, height_ratios=(2.5, 1.0))
-        for k, (s, what) in enumerate(((plain, "without maintenance"), (kept, "with maintenance"))):
-            ax = fig.add_subplot(grid[0, k])
-            _draw_map(ax, s, left=k == 0)
+        maps = []
+        for s, what in ((plain, "without"), (kept, "with")):
             size = 0 if s.run.map is None else len(s.run.map)
-            ax.set_title(f"{called(s.run)} {what}: {size} landmarks", loc="left")
+            maps.append((s, f"{called(s.run)} {what} maintenance: {size} landmarks"))
+        fig, grid = _maps(maps)
         below = fig.add_subplot(grid[1, :])
         for s, line, what in ((plain, DASHED, "without"), (kept, SOLID, "with maintenance")):
             if s.run.state_size is not None:
@@ -158,7 +157,6 @@ def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
                 _line(below, s.log, s.run.state_size, s.run.association, line, label)
         _axes_over_time(below, plain.log, "length of the state", 4)
         below.legend(loc="upper left")
-        fig.legend(handles=_map_handles(), loc="outside lower center", ncols=5)
         return fig
 
 
@@ -198,10 +196,7 @@ def _error(s: Shown) -> Array:
 
 
 def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
-    """True points and path, believed path, landmarks at the end by what initialized them, and where removed ones stood.
-
-    Landmarks and paths that left the scene are cut: truth and points fill the picture.
-    """
+    """True points and path, estimated path, landmarks at the end by what initialized them, and removed ones."""
     known, truth, run = true_landmarks(s.log), s.log.truth.pose, s.run
     colour = colour_of_method(run.association)
     if known is not None:
@@ -230,8 +225,8 @@ def removed_places(s: Shown) -> Array:
     run, o = s.run, s.log.recorded.observations
     if run.removed is None or not np.any(run.removed >= 0):
         return np.empty((0, 2))
-    gone: IntArray = np.flatnonzero(run.removed >= 0)
-    rows = np.flatnonzero(np.isin(run.created, gone))
+    removed: IntArray = np.flatnonzero(run.removed >= 0)
+    rows = np.flatnonzero(np.isin(run.created, removed))
     pose = run.trajectory("online").pose[o.frame[rows]]
     return np.asarray(s.log.recorded.sensor.inverse(pose, o.z[rows])[0])
 
@@ -250,16 +245,9 @@ def _map_handles() -> list[Line2D]:
     ]
 
 
-Drawn = tuple[Figure, str, str]
-"""Figure, caption (Markdown), and what it shows in a sentence."""
+Drawn = tuple[Figure, str, str]  # figure, caption (Markdown), and what it shows in a sentence
 TIME_HEADS = ("run", "median [ms]", "largest [ms]", "whole run [ms]", "removing landmarks [ms]")
-UPDATE_TIME = "update-time"
-"""The one picture that is never the same twice."""
-
-
-def stem(kind: str) -> str:
-    """Name of a picture's files."""
-    return f"lab-{kind}"
+UPDATE_TIME = "update-time"  # the one picture that is never the same twice
 
 
 def draw(folder: Path, kind: str, lab: Lab, setup: Setup, tables: tuple[str, ...]) -> Picture:
@@ -268,8 +256,8 @@ def draw(folder: Path, kind: str, lab: Lab, setup: Setup, tables: tuple[str, ...
         figure, caption, alt = _update_time(folder, lab, setup, tables)
     else:
         figure, caption, alt = KINDS[kind](lab, setup)
-    save(figure, folder / "figures", stem(kind))
-    return Picture(stem(kind), caption, alt)
+    save(figure, folder / "figures", f"lab-{kind}")
+    return Picture(f"lab-{kind}", caption, alt)
 
 
 def _need(lab: Lab, switches: tuple[bool, bool], method: str) -> Shown:
@@ -281,21 +269,13 @@ def _need(lab: Lab, switches: tuple[bool, bool], method: str) -> Shown:
     return Shown(trial, run)
 
 
-def _frame_problem(
-    s: Shown, setup: Setup, frames: list[int], title: str, methods: tuple[str, ...]
-) -> dict[int, Matching]:
-    return problems_of(s.log, "slam", s.run.estimator, s.run.association, setup, frames, methods, title)
-
-
 def _first_wrong(lab: Lab, setup: Setup) -> Drawn:
     s = _need(lab, ODOMETRY, "nn")
     first = look(s.run, s.log).first_wrong
     frame = len(s.log.recorded) - 1 if first is None else first
     title = f"{s.log.name}, frame {{frame}}"
-    m = _frame_problem(s, setup, [frame], title, ("nn",))[frame]
-    what = (
-        "the first frame in which NN pairs wrongly" if first is not None else "the last frame; NN pairs nothing wrongly"
-    )
+    m = problems_of(s.log, "slam", s.run.estimator, s.run.association, setup, [frame], ("nn",), title)[frame]
+    what = "the last frame; NN pairs nothing wrongly" if first is None else "the first frame in which NN pairs wrongly"
     return (
         closer_figure(m, "nn"),
         f"`{s.log.name}`, {what}, zoomed, seen from the robot: what is compatible, with d²; what NN makes of it.",
@@ -328,7 +308,8 @@ def _methods(lab: Lab, setup: Setup) -> Drawn:
     s = _need(lab, switches, "jcbb")
     names = ("nn", "singles", s.run.association)
     title = f"{s.log.name}, frame {{frame}}: the same map and prediction for all"
-    found = _frame_problem(s, setup, list(range(1, len(s.log.recorded))), title, names)
+    frames = list(range(1, len(s.log.recorded)))
+    found = problems_of(s.log, "slam", s.run.estimator, s.run.association, setup, frames, names, title)
 
     def gained(m: Matching) -> int:
         return len(wrong_of(m.truth.get("nn"))) - len(wrong_of(m.truth.get(s.run.association)))
@@ -374,18 +355,17 @@ def _maintenance(lab: Lab, setup: Setup) -> Drawn:
 def _update_time(folder: Path, lab: Lab, setup: Setup, tables: tuple[str, ...]) -> Drawn:
     both = maintained_pair(lab)
     assert both is not None  # asked for only where there is one
-    plain = both[0]
+    plain, log = both[0], both[0].log
     setups = [replace(setup, maintain=maintain) for maintain in (False, True)]
-    measured = update_times(plain.log, plain.run.estimator, plain.run.association, setups)
+    measured = update_times(log, plain.run.estimator, plain.run.association, setups)
     labels = [f"{called(plain.run)} {what} maintenance" for what in ("without", "with")]
     times = [(label, plain.run.association, t) for label, t in zip(labels, measured, strict=True)]
-    log = both[0].log
     rows = [
         [label, *(1e3 * f(t.update) for f in (np.median, np.max, np.sum)), 1e3 * np.sum(t.maintenance)]
         for label, _, t in times
     ]
     caption = f"{log.name}: measured time of a frame's update, fastest of {REPEATS}. Differs from run to run."
-    write_table(pd.DataFrame(rows, columns=list(TIME_HEADS)), folder / "tables", stem(UPDATE_TIME), caption, tables)
+    write_table(pd.DataFrame(rows, columns=list(TIME_HEADS)), folder / "tables", f"lab-{UPDATE_TIME}", caption, tables)
     return (
         update_time_figure(log, times, REPEATS),
         f"`{log.name}`: measured time of each frame's update, new landmarks included. Never the same twice.",
@@ -409,5 +389,4 @@ NEEDED: dict[str, Callable[[Lab], bool]] = {
     "paths": lambda lab: BLIND_PEOPLE in lab.trials and BLIND in lab.trials and bool(_online(lab.trials[BLIND])),
     "maintenance": lambda lab: maintained_pair(lab) is not None,
     UPDATE_TIME: lambda lab: maintained_pair(lab) is not None,
-}
-"""What each picture needs: runs that reached their end."""
+}  # what each picture needs: runs that reached their end

@@ -1,7 +1,4 @@
-"""The corridor lab in the report: the answers of a lab that is handed in, or the questions that its runs answer.
-
-The six questions and their order are those of the assignment; each is answered from the facts in `corridor`.
-"""
+"""The corridor lab in the report: the answers of a lab that is handed in, or the questions that its runs answer."""
 
 from __future__ import annotations
 
@@ -16,10 +13,8 @@ from eval.plan.unfinished import Unfinished
 from eval.plan.work import Job, work
 from eval.referee.score import Scores, Trial
 from eval.report.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Judged, Lab, find_lab
-from eval.report.labs.corridor_ambiguity import NEAR, Ambiguity, ambiguity, primed
 from eval.report.labs.pictures import NEEDED, UPDATE_TIME, draw
-from eval.report.labs.pictures import stem as stem_of
-from eval.report.labs.questions import Answers, answers
+from eval.report.labs.questions import NEAR, Ambiguity, Answers, ambiguity, answers, primed
 from eval.report.labs.visual import visual_hand_in
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import written_table
@@ -30,16 +25,12 @@ LAB = ("nn", "singles", "jcbb-first")
 
 
 class Question(NamedTuple):
-    """A question of the assignment.
+    """A question of the assignment."""
 
-    name: of its facts in `Answers` and of its macros; heading: in a lab that is handed in, `short`: in the section of
-    other reports (blank: not asked there); shown: conditions (people, odometry, maintained) of its table, and methods.
-    """
-
-    name: str
-    heading: str
+    name: str  # of its facts in `Answers` and of its macros
+    heading: str  # in a lab that is handed in, `short`: in the section of other reports (blank: not asked there)
     short: str
-    shown: tuple[tuple[bool, bool, bool], ...]
+    shown: tuple[tuple[bool, bool, bool], ...]  # conditions (people, odometry, maintained) of its table, and methods
     methods: tuple[str, ...]
     pictures: tuple[str, ...]
 
@@ -92,7 +83,7 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
         caption = (
             f"Question {n}. {HEADS}{NAMES_OF_METHODS}" if n == 1 else f"Question {n}; heads as in the first table."
         )
-        more = {"measured": f"tables/{stem_of(UPDATE_TIME)}.csv"} if question.name == "maintenance" else {}
+        more = {"measured": f"tables/lab-{UPDATE_TIME}.csv"} if question.name == "maintenance" else {}
         line = paragraph(f"{TEMPLATE}#{question.name}_line", q=q)
         blocks: list[Block] = [
             f"**{line}**",
@@ -135,19 +126,15 @@ def _condition(r: Judged) -> str:
 
 
 def lab_sections(trials: Sequence[Trial], scores: Scores, *, answered_above: bool = False) -> list[Section]:
-    """The section with its questions; nothing where no corridor was run with what at least one of them needs.
-
-    `answered_above`: the questions stand elsewhere, and only what goes beyond them is said here.
-    """
+    """The section with its questions, or (`answered_above`) only further ones; nothing without a corridor."""
     lab = find_lab(trials)
     if lab is None:
         return []
     beyond, prior = _ambiguity_sections(ambiguity(lab)), primed(lab, scores)
-    changes = (
-        []
-        if prior is None
-        else [Section("What does a motion prior change?", (paragraph(f"{TEMPLATE}#primed", q=prior),), 3, facts=prior)]
-    )
+    changes = []
+    if prior is not None:
+        words = (paragraph(f"{TEMPLATE}#primed", q=prior),)
+        changes.append(Section("What does a motion prior change?", words, 3, facts=prior))
     if answered_above:
         return [Section("More on the lab", ()), *beyond, *changes] if beyond or changes else []
     facts = answers(lab, scores)

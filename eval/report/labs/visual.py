@@ -1,15 +1,12 @@
-"""The visual lab's three questions in their order: the robot's motion, what the camera sees, and both put together.
-
-The assignment asks for the motion model and the observation model with their Jacobians, and for the filter's path with
-its ellipses.
-"""
+"""The visual lab's three questions: the robot's motion, what the camera sees, and both put together."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -33,64 +30,9 @@ from eval.report.visual import MOTION, OBSERVATION, UPDATE, constants, models_la
 from eval.report.words import paragraph
 
 SHOWN = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
-FEW_TILES = 2
-"""Frames in the answer; the sheet with all that were kept stands below."""
+FEW_TILES = 2  # frames in the answer; the sheet with all that were kept stands below
 TEMPLATE = "labs/visual"
 HEADS = ("estimator", "phase", "RMSE [m]", "largest error [m]", "σ at the end [m]")
-
-
-@dataclass(frozen=True)
-class Reckoned:
-    """Dead reckoning: m of path, and at its end m off and the largest standard deviation [m]; NaN: not known."""
-
-    length: float
-    off: float
-    sigma: float
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What was found in the images: pictures, in so many frames, which make so many observations of corners."""
-
-    pictures: int
-    frames: int
-    observations: int
-
-
-@dataclass(frozen=True)
-class Estimated:
-    """A run in a phase: position RMSE and largest error [m], NaN: not known; at the end the largest sigma [m]."""
-
-    estimator: str
-    phase: str
-    rmse: float
-    largest: float
-    sigma: float
-
-
-@dataclass(frozen=True)
-class Estimates:
-    """Those of every estimator that reached its end."""
-
-    runs: tuple[Estimated, ...]
-
-    def _rmse(self, estimator: str, phase: str) -> float:
-        return next((r.rmse for r in self.runs if (r.estimator, r.phase) == (estimator, phase)), math.nan)
-
-    @property
-    def commands(self) -> float:
-        """Position RMSE [m] of dead reckoning."""
-        return self._rmse("dead-reckoning", "online")
-
-    @property
-    def filter(self) -> float:
-        """Of the filter."""
-        return self._rmse("ekf", "online")
-
-    @property
-    def smoother(self) -> float:
-        """Of the batch smoother."""
-        return self._rmse("batch", "final")
 
 
 def visual_hand_in(folder: Path, output: Output, trials: Sequence[Trial]) -> list[Section]:
@@ -118,28 +60,26 @@ def _off(log: Log, path: Array) -> Array:
     return off[np.isfinite(off)]
 
 
-def reckoned(trial: Trial) -> Reckoned:
-    """Dead reckoning, from its run or else from the log's own increments."""
+def reckoned(trial: Trial) -> dict[str, float]:
+    """Dead reckoning [m]: length of its path, error and largest standard deviation at its end; NaN: not known."""
     r, run = trial.log.recorded, _run(trial, "dead-reckoning")
     path = dead_reckoned(r.prior.mean, r.increments.mean) if run is None else run.trajectory("online").pose
-    off, sigma = _off(trial.log, path), None if run is None else longest_sigma(run.trajectory("online"))
-    return Reckoned(
-        float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum()),
-        float(off[-1]) if len(off) else math.nan,
-        math.nan if sigma is None else float(sigma[-1]),
-    )
+    off, length = _off(trial.log, path), float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum())
+    sigma = math.nan if run is None else float(longest_sigma(run.trajectory("online"))[-1])
+    return {"length": length, "off": float(off[-1]) if len(off) else math.nan, "sigma": sigma}
 
 
-def estimates(trial: Trial) -> Estimates:
-    """Errors and what is claimed, by estimator and phase."""
+def estimates(trial: Trial) -> list[dict[str, Any]]:
+    """Of each run and phase position RMSE and largest error [m], at the end the largest sigma [m]; NaN: not known."""
     found = []
     for run in filter(None, (_run(trial, name) for name in SHOWN)):
         for phase in run.phases:
             path = run.trajectory(phase)
             off, sigma = _off(trial.log, path.pose), float(longest_sigma(path)[-1])
             rmse, largest = (rms(off), float(off.max())) if len(off) else (math.nan, math.nan)
-            found.append(Estimated(run.estimator, phase, rmse, largest, sigma))
-    return Estimates(tuple(found))
+            values = (run.estimator, phase, rmse, largest, sigma)
+            found.append(dict(zip(("estimator", "phase", "rmse", "largest", "sigma"), values, strict=True)))
+    return found
 
 
 def _motion(folder: Path, output: Output, trial: Trial) -> Section:
@@ -157,7 +97,8 @@ def _observation(folder: Path, output: Output, trial: Trial) -> Section:
     log = trial.log
     assert log.evidence is not None  # a log made from images
     found, tiles = log.evidence.found, tiles_of(log.evidence)
-    q = Seen(len(found.frame), len(found.time), len(log.recorded.observations.frame))
+    observations = len(log.recorded.observations.frame)
+    q = {"pictures": len(found.frame), "frames": len(found.time), "observations": observations}
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#observation', q=q)}**"]
     if tiles and not output.no_plots:
         chosen = np.unique(np.linspace(0, len(tiles) - 1, FEW_TILES).round().astype(int)).tolist()
@@ -173,7 +114,10 @@ def _observation(folder: Path, output: Output, trial: Trial) -> Section:
 
 
 def _filter(folder: Path, output: Output, trial: Trial) -> Section:
-    log, q, run = trial.log, estimates(trial), _run(trial, "ekf")
+    log, found, run = trial.log, estimates(trial), _run(trial, "ekf")
+    rmse = {(r["estimator"], r["phase"]): r["rmse"] for r in found}
+    keys = {"commands": ("dead-reckoning", "online"), "filter": ("ekf", "online"), "smoother": ("batch", "final")}
+    q = {name: rmse.get(key, math.nan) for name, key in keys.items()}
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#estimate', q=q)}**"]
     if not output.no_plots:
         factor = output.ellipse_factor
@@ -183,13 +127,15 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
             save(error_figure(log, [replace(run, final=None)]), folder / "figures", "lab-error")
             caption = f"`{log.name}`: the filter's error with its ±3σ."
             blocks.append(Picture("lab-error", caption, f"Errors of the filter on {log.name}"))
-    table = pd.DataFrame([astuple(r) for r in q.runs], columns=list(HEADS), dtype=object)
+    table = pd.DataFrame([[*r.values()] for r in found], columns=list(HEADS), dtype=object)
     if not log.truth.known_poses:
         table = table.drop(columns=list(HEADS[2:4]))
     caption = f"{log.name}, localization: position errors without alignment, and σ along the least certain direction."
     blocks.append(written_table(table, folder, "lab-question-3", caption, output))
     blocks += [UPDATE.formula, UPDATE.about]
-    return Section("Question 3: Where was the robot, and how sure is the filter of it?", tuple(blocks), facts=q)
+    return Section(
+        "Question 3: Where was the robot, and how sure is the filter of it?", tuple(blocks), facts={"runs": found}
+    )
 
 
 def _plan(

@@ -1,8 +1,4 @@
-"""`write-up.tex`: the report's tables and figures as a text to go on from, one page per answer and per log.
-
-It is compiled in the result folder (`pdflatex write-up.tex`, twice for the numbers of tables), with packages that
-come with every TeX. The words and the LaTeX around them are `templates/write_up.tex.j2`.
-"""
+"""`write-up.tex`: the report's tables and figures as a text to go on from, one page per answer and per log."""
 
 from __future__ import annotations
 
@@ -22,8 +18,7 @@ from eval.report.rows import rows_of, stem, value_of
 from eval.report.words import environment
 
 OTHERS = (r"$\omega$", r"$\varphi$", r"$\psi$", r"$\Delta$", r"$\pi$", r"$\to$", "'", "``", "''")
-LETTERS = dict(zip("ωφψΔπ→’“”", OTHERS, strict=True))
-"""What `tex_escape` leaves as it is."""
+LETTERS = dict(zip("ωφψΔπ→’“”", OTHERS, strict=True))  # what `tex_escape` leaves as it is
 MARKS = {
     "strong_open": r"\textbf{",
     "strong_close": "}",
@@ -31,10 +26,8 @@ MARKS = {
     "em_close": "}",
     "softbreak": "\n",
     "hardbreak": "\\\\\n",
-}
-"""Tokens of Markdown that are no text, in LaTeX."""
-KINDS = ("map", "error", "difference")
-"""Pictures of a log's page, the first two there are beside each other."""
+}  # tokens of Markdown that are no text, in LaTeX
+KINDS = ("map", "error", "difference")  # pictures of a log's page, the first two there are beside each other
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,7 @@ import pandas as pd
 
 @dataclass(frozen=True)
 class Film:
-    """A film saved as `figures/<stem>.webm`, with its caption (Markdown).
-
-    It is not inside the page as pictures are: ten films would make a page of 50 MB, which no browser scrolls.
-    """
+    """A film saved as `figures/<stem>.webm`, beside the page as it is too large, with its caption (Markdown)."""
 
     stem: str
     caption: str
@@ -27,8 +24,7 @@ class Film:
 
 READING = "How to read this"
 """Heading of the section that holds the fine print of all tables and figures, each text once."""
-LINES = 280
-"""Characters of a caption or a paragraph that stands in front: two lines of 1100 pixels."""
+LINES = 280  # characters of a caption or a paragraph that stands in front: two lines of 1100 pixels
 
 
 @dataclass(frozen=True)
@@ -139,31 +135,25 @@ Block = str | Table | Picture | Formula | Film | Folded | Overview
 
 @dataclass(frozen=True)
 class Section:
-    """A heading of level 2 to 4 and the blocks below it.
-
-    facts: what it was written from, for report.json. answer: of a lab's question, in a line for the terminal.
-    page: name of its page in `details/`; empty: the report itself.
-    """
+    """A heading of level 2 to 4 and the blocks below it."""
 
     heading: str
     blocks: tuple[Block, ...]
     level: int = 2
-    facts: object = field(default=None, compare=False, repr=False)
-    answer: str = field(default="", compare=False, repr=False)
-    page: str = ""
+    facts: object = field(default=None, compare=False, repr=False)  # what it was written from, for report.json
+    answer: str = field(default="", compare=False, repr=False)  # of a lab's question, in a line for the terminal
+    page: str = ""  # name of its page in `details/`; empty: the report itself
 
 
 @dataclass(frozen=True)
 class Report:
-    """A whole report: title, the command that makes it again, first screen, sections.
-
-    `first`: sections that stand right below the first screen, before the contents and the command.
-    """
+    """A whole report: title, the command that makes it again, first screen, sections."""
 
     title: str
     command: str
     introduction: tuple[Block, ...]
     sections: tuple[Section, ...]
+    # first: sections that stand right below the first screen, before the contents and the command
     first: tuple[Section, ...] = ()
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import pandas as pd
 
+from eval.plan.flags.table import Output
 from eval.report.page import latex
 from eval.report.page.blocks import FinePrint, Table
 from eval.report.page.latex import add_note, sheet
@@ -23,8 +24,7 @@ TITLES = {
     "published": "Ours beside published numbers", "trust": "Consistency without ground truth",
 }  # fmt: skip
 """Of a LaTeX table, by a part of its name."""
-LONGEST = 80
-"""Characters of the first sentence of a caption that stands in a paper."""
+LONGEST = 80  # characters of the first sentence of a caption that stands in a paper
 
 
 class Paper(NamedTuple):
@@ -61,10 +61,9 @@ def write_table(
     for_paper: pd.DataFrame | None = None,
     fine_print: str = "",
 ) -> list[Path]:
-    """Write `folder/stem.csv|.md|.tex`. The caption heads the Markdown table; of the LaTeX one it is in `notes.tex`.
+    """Write `folder/stem.csv|.md|.tex`; the caption of LaTeX stands in `notes.tex`. ValueError: an unknown format.
 
-    `for_paper`: the same rows with more columns to choose from; `fine_print`: what else the note says. Raises
-    ValueError for an unknown format.
+    `for_paper`: the same rows with more columns to choose from; `fine_print`: what else the note says.
     """
     unknown = sorted(set(formats) - set(FORMATS))
     if unknown:
@@ -92,40 +91,12 @@ def write_table(
     return written
 
 
-class Wanted(Protocol):
-    """What is asked of tables: their formats, and what those for a paper are like (see `Paper`)."""
-
-    @property
-    def formats(self) -> tuple[str, ...]:
-        """Of csv, md and tex."""
-
-    @property
-    def table_width(self) -> str:
-        """Of LaTeX tables: `column` or `page`."""
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Keys of the columns of LaTeX tables; none: as many as there is room for."""
-
-
-class Drawn(Wanted, Protocol):
-    """What is asked of a section with figures of its own: also whether they are drawn, and whether in haste."""
-
-    @property
-    def no_plots(self) -> bool:
-        """No figures at all."""
-
-    @property
-    def quick(self) -> bool:
-        """As PNG alone."""
-
-
 def written_table(
     frame: pd.DataFrame,
     folder: Path,
     stem: str,
     caption: str,
-    wanted: Wanted,
+    wanted: Output,
     *,
     for_paper: pd.DataFrame | None = None,
     fine: FinePrint | None = None,
@@ -133,8 +104,7 @@ def written_table(
 ) -> Table:
     """Write a table as `folder/tables/stem.<format>`; the report links to its CSV if there is one.
 
-    `for_paper`: the same rows with more columns to choose from; `fine`: what the caption leaves to the section on
-    reading (and to the notes of the LaTeX tables); `apart`: places of the rows that the report shows beneath.
+    `for_paper`: the same rows with more columns to choose from; `fine`, `apart`: as of a `Table`.
     """
     paper = Paper(wanted.table_width, wanted.columns)
     text = "" if fine is None else fine.text

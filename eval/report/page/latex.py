@@ -1,14 +1,6 @@
 """A table in LaTeX that fits its column or page without scaling: the columns that matter most, names to read.
 
-Columns of a table for a paper: their keys, as `--columns` has them, short heads, and which are left out first.
-
-What logs, estimators and association methods are called in a paper.
-
-The fine print of all tables for a paper, in one file: `tables/notes.tex`, a paragraph for each text.
-
-How wide a table will be in LaTeX, from the widths of Computer Modern's letters, which Times stays below.
-
-cmr8, the face of 8 pt text, is 17/16 as wide as cmr10 scaled down (Knuth's metric files; the digits 0.531 em for 0.5).
+Widths are those of Computer Modern's letters (Knuth's metric files), which Times stays below.
 """
 
 from __future__ import annotations
@@ -60,8 +52,7 @@ OTHERS = {
     "diverged": Known("diverged", "diverged", 6.0),
     "± SE": Known("se_ours", "± SE", 1.0),
     "± SE of it": Known("se_published", "± SE", 3.0),
-}
-"""By the head of the report's tables."""
+}  # by the head of the report's tables
 
 
 def _ranked() -> dict[str, Known]:
@@ -75,8 +66,7 @@ def _ranked() -> dict[str, Known]:
     return made | OTHERS
 
 
-KNOWN: Mapping[str, Known] = _ranked()
-"""By the head of the report's tables."""
+KNOWN: Mapping[str, Known] = _ranked()  # by the head of the report's tables
 KEYS = tuple(dict.fromkeys(k.key for k in KNOWN.values()))
 
 
@@ -111,15 +101,11 @@ def estimators(text: str) -> str:
     return ", ".join(style_of(name.strip()).label for name in text.split(","))
 
 
-def association(name: str) -> str:
-    """A association method; blank for none."""
-    return METHODS.get(name, name)
-
-
 def place(name: str) -> str:
     """A log, a task, or `association NAME`."""
-    if name.startswith("association "):
-        return f"association {association(name.removeprefix('association '))}"
+    method = name.removeprefix("association ")
+    if method != name:
+        return f"association {METHODS.get(method, method)}"
     return TASKS.get(name, log(name))
 
 
@@ -141,39 +127,34 @@ def add_note(
     """Say what a table means; tables with the same fine print share its paragraph."""
     path = folder / "notes.tex"
     before = path.read_text(encoding="utf-8") if path.exists() else HEAD
-    said = tex_escape(text)
+    note = tex_escape(text)
     if heads:
-        said += tex_escape(f" Columns: {'; '.join(f'{short}: {full}' for short, full in heads)}.")
+        note += tex_escape(f" Columns: {'; '.join(f'{short}: {full}' for short, full in heads)}.")
     if left_out:
-        said += tex_escape(f" Not shown for want of room: {', '.join(left_out)}.")
+        note += tex_escape(f" Not shown for want of room: {', '.join(left_out)}.")
     paragraphs = [p for p in before.removeprefix(HEAD).split("\n\n") if p.strip()]
     reference = rf"\ref{{tab:{stem}}}"
     for i, paragraph in enumerate(paragraphs):
         first, _, rest = paragraph.strip().partition("\n")
-        if rest == said:
+        if rest == note:
             paragraphs[i] = f"{first.removesuffix('.}').replace('Table~', 'Tables~')}, {reference}.}}\n{rest}"
             break
     else:
-        paragraphs.append(rf"\textbf{{Table~{reference}.}}" + f"\n{said}")
+        paragraphs.append(rf"\textbf{{Table~{reference}.}}" + f"\n{note}")
     path.write_text(HEAD + "\n" + "\n\n".join(p.strip() for p in paragraphs) + "\n", encoding="utf-8", newline="\n")
 
 
-WIDTHS = {"column": 252.0, "page": 516.0}
-"""pt (1/72.27 in). A column and both of an IEEE journal: 21 and 43 picas."""
-EM = {"footnotesize": 8.0, "scriptsize": 7.0}
-"""pt. Type sizes where the text is 10 pt."""
-SMALL_FACE = 17.0 / 16.0
-"""Of small faces beside cmr10 scaled down, at 8 pt; at 7 pt they are 9/8 as wide."""
+WIDTHS = {"column": 252.0, "page": 516.0}  # pt (1/72.27 in). A column and both of an IEEE journal: 21 and 43 picas
+EM = {"footnotesize": 8.0, "scriptsize": 7.0}  # pt. Type sizes where the text is 10 pt
+SMALL_FACE = 17.0 / 16.0  # of small faces against cmr10 scaled down, at 8 pt; at 7 pt they are 9/8 as wide
 SMALLER_FACE = 9.0 / 8.0
-GAP = 6.0
-"""pt between columns: twice the \\tabcolsep that the tables set."""
+GAP = 6.0  # pt between columns: twice the \tabcolsep that the tables set
 SPECIAL = {
     " ": 0.334, "−": 0.778, "–": 0.5, "—": 1.0, "±": 0.778, "×": 0.778, "σ": 0.572, "χ": 0.626, "²": 0.45, "°": 0.45,
     "≤": 0.778, "≥": 0.778, "<": 0.778, ">": 0.778, "|": 0.278, "_": 0.45, "…": 0.5, "\u00a0": 0.334,
 }  # fmt: skip
 """em of cmr10, cmmi10 and cmsy10 (superscripts: of the 7 pt face), of what is not in the text font, or elsewhere."""
-WIDEST = 1.028
-"""em. Letters that nobody thought of are taken for a W."""
+WIDEST = 1.028  # em. Letters that nobody thought of are taken for a W
 
 
 @cache
@@ -199,34 +180,32 @@ def text_width(text: str, size: str = "footnotesize") -> float:
 
 
 NAMES = ("log", "task", "scenario", "estimator", "association", "phase")
-"""Columns that say what a row is about; they are never left out, only said once where they are all the same."""
-READ: dict[str, Callable[[str], str]] = {"log": log, "task": lambda t: TASKS.get(t, t), "association": association}
-ESTIMATORS = ("filter", "smoother", "deciding for")
-"""Heads of other columns that name estimators."""
-NARROWEST, NARROWEST_NAMES = 60.0, 100.0
-"""pt. A column of text, or of names, is not broken into narrower lines."""
+"""Columns that say what a row is about; they are never left out, only stated once where they are all the same."""
+READ: dict[str, Callable[[str], str]] = {
+    "log": log,
+    "task": lambda t: TASKS.get(t, t),
+    "association": lambda a: METHODS.get(a, a),
+}
+ESTIMATORS = ("filter", "smoother", "deciding for")  # heads of other columns that name estimators
+NARROWEST, NARROWEST_NAMES = 60.0, 100.0  # pt. A column of text, or of names, is not broken into narrower lines
 FIGURES = re.compile(r"[−-]?[\d.]+(?:e[+-]?\d+)?(?: ± [\d.]+|–[\d.]+)?")
 """Numbers, with a standard error or as an interval, that were made text."""
-SLACK = 1.0
-"""pt. The widths were within 0.5 pt of those that pdflatex found for 26 tables."""
+SLACK = 1.0  # pt. The widths were within 0.5 pt of those that pdflatex found for 26 tables
 SIZES = ("footnotesize", "scriptsize")
 
 
 @dataclass(frozen=True)
 class Cells:
-    """One column: its key, rank (None: never left out), lines of its head, cells, and whether they are numbers.
-
-    `width`: of a column of text that is broken into lines [pt]; None: it is as wide as it has to be. `full`: the head
-    as the report has it.
-    """
+    """One column: its key, rank (None: never left out), lines of its head, cells, and whether they are numbers."""
 
     key: str
     rank: float | None
     head: str
     body: tuple[str, ...]
     numeric: bool
+    # width: of a column of text that is broken into lines [pt]; None: it is as wide as it has to be
     width: float | None = None
-    full: str = ""
+    full: str = ""  # the head as the report has it
 
     @property
     def narrowest(self) -> float:
@@ -253,9 +232,7 @@ class Cells:
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table for a paper: its LaTeX, its width [pt], what was left out for want of room, what is in every row, and
-    what shortened heads are in full.
-    """
+    """A table for a paper, and what its notes have to say."""
 
     tex: str
     width: float
@@ -265,10 +242,9 @@ class Sheet:
 
 
 def sheet(frame: pd.DataFrame, stem: str, caption: str, width: str = "page", columns: Sequence[str] = ()) -> Sheet:
-    """The table as a float with a short caption and label `tab:<stem>`; `width`: `column` or `page`.
+    """The table as a float with label `tab:<stem>`; `width`: `column` or `page`.
 
-    `columns`: keys of those wanted, in this order, as far as the table has them; without any, as many as there is room
-    for, the most wanted first.
+    `columns`: keys of those wanted, in order; none: as many as there is room for, the most wanted first.
     """
     cells, common = _named(frame)
     chosen = [c for key in columns for c in cells if c.key == key]
@@ -288,8 +264,8 @@ def sheet(frame: pd.DataFrame, stem: str, caption: str, width: str = "page", col
             last = max(spare, key=lambda c: c.rank or 0.0)
             cells = [c for c in cells if c is not last]
             left_out.append(last.head)
-    said = caption + (f" ({', '.join(common)})" if common else "")
-    tex = _render(cells, stem, said, size, wide=width == "page", total=total(cells, size), room=room)
+    whole = caption + (f" ({', '.join(common)})" if common else "")
+    tex = _render(cells, stem, whole, size, wide=width == "page", total=total(cells, size), room=room)
     heads = tuple((c.head, c.full) for c in cells if c.full and c.full != c.head)
     return Sheet(tex, total(cells, size), tuple(reversed(left_out)), tuple(common), heads)
 
@@ -341,7 +317,11 @@ def _named(frame: pd.DataFrame) -> tuple[list[Cells], list[str]]:
 def _rows(frame: pd.DataFrame) -> list[str]:
     """Estimator, with association and phase where rows differ in them."""
     who = [estimators(str(v)) for v in frame["estimator"].tolist()]
-    how = [association(str(v)) for v in frame["association"].tolist()] if "association" in frame else [""] * len(who)
+    how = (
+        [METHODS.get(v, v) for v in map(str, frame["association"].tolist())]
+        if "association" in frame
+        else [""] * len(who)
+    )
     when = [str(v) for v in frame["phase"].tolist()] if "phase" in frame else [""] * len(who)
     several = len({h for h in how if h}) > 1
     phases: dict[tuple[str, str], set[str]] = {}

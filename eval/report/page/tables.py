@@ -19,8 +19,7 @@ def interval(lower: float, upper: float) -> str:
     return f"{lower:.{places}f} to {upper:.{places}f}".replace("-", "−")
 
 
-DIGITS = 3
-"""Significant digits of a column's middle value."""
+DIGITS = 3  # significant digits of a column's middle value
 
 
 def is_blank(value: object) -> bool:
@@ -49,10 +48,7 @@ def _decimals(values: Sequence[float]) -> int:
 
 
 def column_text(column: Sequence[Any]) -> list[str]:
-    """A column as text: integers whole, other numbers with one number of decimals that suits the middle value.
-
-    A number far beyond its column (a million and more) is written with an exponent instead of many digits.
-    """
+    """A column as text: integers whole, others with decimals that suit the middle value (exponents from 1e6)."""
     known = [v for v in column if not is_blank(v)]
     if not is_numeric(column):
         return ["" if is_blank(v) else _word(v) for v in column]
@@ -75,15 +71,11 @@ def _number(value: float, places: int) -> str:
     return text.replace("-", "−") if float(text) != 0.0 else text.lstrip("-")
 
 
-NOTHING = 1e-6
-"""A number that is closer to zero is a rounding error of arithmetic, and written as 0."""
+NOTHING = 1e-6  # a number that is closer to zero is a rounding error of arithmetic, and written as 0
 
 
 def cell_texts(column: Sequence[Any]) -> list[str]:
-    """A column as text to read: integers whole, other numbers with three significant digits each.
-
-    So no row loses digits to one that is a thousand times as large.
-    """
+    """A column as text to read: integers whole, other numbers with three significant digits each."""
     known = [v for v in column if not is_blank(v)]
     if not is_numeric(column) or all(float(v).is_integer() for v in known):
         return column_text(column)

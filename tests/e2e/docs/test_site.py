@@ -1,4 +1,4 @@
-"""The documentation site is built without a warning: no broken link, no missing anchor, every public name documented."""
+"""The documentation site is built without a warning: no broken link, no missing anchor."""
 
 from __future__ import annotations
 
@@ -19,6 +19,4 @@ def test_the_site_is_built_and_is_strict(tmp_path):
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     assert (site / "index.html").is_file()
-    assert (
-        "slamref.compare" in (site / "api" / "index.html").read_text() or "compare" in (site / "api.html").read_text()
-    )
+    assert "compare" in (site / "api.html").read_text()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.colors import to_rgb
 
-from eval.figures import map_figure
+from eval.figures.map import map_figure
 from eval.figures.style import save
 from tests.eval.handmade import circle_log, run_with_error
 

@@ -10,10 +10,9 @@ import pytest
 from matplotlib.colors import to_rgba
 
 from data.result import MapEstimate, Trajectory
-from eval.figures import confusion_figure, growth_figure, state_figure
-from eval.figures.association import OUTCOME_COLOURS, PARTS, bars
+from eval.figures.association import OUTCOME_COLOURS, PARTS, bars, confusion_figure
 from eval.figures.error import longest_sigma
-from eval.figures.growth import closing_frame, state_is_informative
+from eval.figures.growth import closing_frame, growth_figure, state_figure, state_is_informative
 from eval.referee.score import Trial
 from eval.report.pictures import draw, kinds
 from tests.eval.figures.looks import SEEN_BY, lab, within

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex
 
-from eval.figures import state_figure
+from eval.figures.growth import state_figure
 from eval.figures.style import STYLES, colour_of_method, style_of
 from eval.referee.score import Trial
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS

@@ -15,9 +15,14 @@ from matplotlib.patches import Patch
 from association.scans.constraints import Loops
 from data.inputs import Systematic
 from data.result import Innovations, Systematics, Trajectory
-from eval import figures
-from eval.figures.log import log_figure
-from eval.figures.studies import Seen
+from eval.figures.claims import claims_figure, filter_smoother_figure, systematic_figure
+from eval.figures.consistency import anees_figure, nees_figure
+from eval.figures.error import difference_figure, error_figure
+from eval.figures.growth import growth_figure
+from eval.figures.laser import loop_picture
+from eval.figures.log import log_figure, loop_state_figure
+from eval.figures.map import map_figure
+from eval.figures.studies import Seen, coverage_figure, outlier_figure, power_figure, run_end_figure
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 
 OFF = np.array([0.1, -0.1, 0.02])
@@ -37,7 +42,7 @@ REFERENCE = {"#505050", "#909090"}
 
 def loops():
     ends = np.array([4, 8, 12, 16])
-    return figures.loop_picture(
+    return loop_picture(
         circle_log().truth.pose,
         Loops(np.arange(4), ends, np.zeros((4, 3)), np.zeros((4, 3, 3)), np.ones(4), np.array([4, 4, 4, -1])),
         np.array([1.0, 0.0, 0.9, 0.5]), name="here", false=np.array([False, False, True, False]),
@@ -45,22 +50,22 @@ def loops():
 
 
 FIGURES = {
-    "map of a filter": lambda: figures.map_figure(circle_log(), [ONLINE]),
-    "error": lambda: figures.error_figure(circle_log(), [ONLINE, FINAL]),
-    "nees": lambda: figures.nees_figure(circle_log(), [ONLINE, FINAL]),
-    "difference": lambda: figures.difference_figure(circle_log(truth=False), [ONLINE], FINAL),
-    "claims": lambda: figures.claims_figure(circle_log(truth=False), [WITH_INNOVATIONS, FINAL]),
-    "fate": lambda: figures.loop_state_figure(circle_log(), [ONLINE]),
-    "filter and smoother": lambda: figures.filter_smoother_figure(circle_log(), [ONLINE], SURE),
-    "average nees": lambda: figures.anees_figure(np.arange(20.0), {"ekf": np.full(20, 3.0)}, 3, 50),
-    "growth": lambda: figures.growth_figure(circle_log(), [ONLINE]),
-    "power": lambda: figures.power_figure(
+    "map of a filter": lambda: map_figure(circle_log(), [ONLINE]),
+    "error": lambda: error_figure(circle_log(), [ONLINE, FINAL]),
+    "nees": lambda: nees_figure(circle_log(), [ONLINE, FINAL]),
+    "difference": lambda: difference_figure(circle_log(truth=False), [ONLINE], FINAL),
+    "claims": lambda: claims_figure(circle_log(truth=False), [WITH_INNOVATIONS, FINAL]),
+    "fate": lambda: loop_state_figure(circle_log(), [ONLINE]),
+    "filter and smoother": lambda: filter_smoother_figure(circle_log(), [ONLINE], SURE),
+    "average nees": lambda: anees_figure(np.arange(20.0), {"ekf": np.full(20, 3.0)}, 3, 50),
+    "growth": lambda: growth_figure(circle_log(), [ONLINE]),
+    "power": lambda: power_figure(
         [Seen("scale", ("1 %", "2 %"), (10.0, 90.0), (3.0, 3.0), (5.0, 60.0))], ("A", "B"), 5.0, "Power"
     ),
     "log": lambda: log_figure(circle_log()),
-    "run end": lambda: figures.run_end_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),
-    "coverage": lambda: figures.coverage_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),
-    "outliers": lambda: figures.outlier_figure(OUTLIERS, "arena"),
+    "run end": lambda: run_end_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),
+    "coverage": lambda: coverage_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),
+    "outliers": lambda: outlier_figure(OUTLIERS, "arena"),
     "loops": loops,
 }
 
@@ -180,7 +185,7 @@ def test_systematic_errors_have_a_faint_band_each_over_that_of_what_was_known_be
     truth = Systematics(names, np.full((FRAMES, 2), 0.01), np.zeros((FRAMES, 2)))
     log = circle_log()
     log = replace(log, truth=replace(log.truth, errors=truth))
-    fig = figures.systematic_figure(log, known, [replace(ONLINE, errors_online=found)])
+    fig = systematic_figure(log, known, [replace(ONLINE, errors_online=found)])
     fig.draw_without_rendering()
     for ax in fig.axes:
         zero, mean, true = ax.lines

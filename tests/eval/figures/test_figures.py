@@ -12,8 +12,9 @@ from matplotlib.path import Path as Outline
 from data.notice import stopped
 from data.result import Failure, MapEstimate
 from data.se2 import dead_reckoned
-from eval.figures import anees_figure, difference_figure, error_figure, map_figure, nees_figure
-from eval.figures.error import MOST_BINS, longest_sigma, sigmas, thinned
+from eval.figures.consistency import anees_figure, nees_figure
+from eval.figures.error import MOST_BINS, difference_figure, error_figure, longest_sigma, sigmas, thinned
+from eval.figures.map import map_figure
 from eval.figures.plane import View, ellipses, enlargement
 from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path

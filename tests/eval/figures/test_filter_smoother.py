@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.result import Trajectory
-from eval.figures import filter_smoother_figure
+from eval.figures.claims import filter_smoother_figure
 from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 

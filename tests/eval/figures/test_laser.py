@@ -12,8 +12,7 @@ from matplotlib.colors import to_hex
 
 from association.scans.constraints import Loops
 from association.scans.occupancy import Grid
-from eval.figures import loop_picture, map_picture
-from eval.figures.laser import LOOP_STATES, loop_states
+from eval.figures.laser import LOOP_STATES, loop_picture, loop_states, map_picture
 from eval.figures.style import save, style_of
 from eval.referee.laser import KEPT
 from tests.eval.figures.looks import SEEN_BY, lab, within

@@ -11,8 +11,10 @@ from matplotlib.text import Text
 
 import slamref
 from data.errors import UsageError
-from eval import figures
+from eval.figures.consistency import nees_figure
+from eval.figures.error import error_figure
 from eval.figures.figure_style import FigureStyle, figure_style
+from eval.figures.map import map_figure
 from eval.figures.paper import across, page_width, translate
 from eval.figures.style import drawing, save
 from eval.plan import appearance
@@ -39,12 +41,12 @@ def texts(fig):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["error_figure", "nees_figure", "map_figure"])
-def test_a_figure_for_a_column_has_room_for_every_title_and_legend(name, runs, tmp_path, monkeypatch):
+@pytest.mark.parametrize("draw", [error_figure, nees_figure, map_figure])
+def test_a_figure_for_a_column_has_room_for_every_title_and_legend(draw, runs, tmp_path, monkeypatch):
     log, made = runs
     seen = {}
     with figure_style(COLUMN), drawing():
-        fig = getattr(figures, name)(log, made)
+        fig = draw(log, made)
         monkeypatch.setattr(fig, "clear", lambda: None)
         (path,) = save(fig, tmp_path, "f", ("png",))
         seen = texts(fig)
@@ -119,7 +121,7 @@ def test_without_latex_the_flags_that_need_it_say_so_before_any_work(monkeypatch
 def test_signs_become_commands_of_latex(runs):
     log, made = runs
     with drawing():
-        fig = figures.error_figure(log, made)
+        fig = error_figure(log, made)
         translate(fig, escape=True)
     every = [t.get_text() for t in fig.findobj(Text) if t.get_text()]
     assert any(r"$\pm$3$\sigma$" in t for t in every)

@@ -10,7 +10,9 @@ import pytest
 from data.formats.results.path import GivenPath
 from data.logs import open_log
 from data.truth import Truth
-from eval import figures
+from eval.figures.consistency import nees_figure
+from eval.figures.error import difference_figure, error_figure
+from eval.figures.map import map_figure
 from eval.referee.given_runs import TruePath, given_run
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
@@ -42,13 +44,13 @@ def test_what_was_handed_in_is_shown_with_some_of_ours(trial):
 
 
 def test_every_picture_takes_its_own_stamps_and_truth(trial):
-    fig = figures.error_figure(LOG, for_panels(trial.runs))
+    fig = error_figure(LOG, for_panels(trial.runs))
     titles = [ax.get_title() for ax in fig.axes[:4]]
     assert "b, aligned (online)" in titles
     line = next(ax for ax in fig.axes if ax.get_title() == "a (final)").lines[-1]
     assert len(line.get_xdata()) == len(LOG.recorded.time[:-1:3])
-    assert figures.nees_figure(LOG, for_panels(trial.runs)).axes
-    assert figures.map_figure(LOG, for_map(trial)).axes
+    assert nees_figure(LOG, for_panels(trial.runs)).axes
+    assert map_figure(LOG, for_map(trial)).axes
 
 
 def test_without_truth_it_stands_beside_batch_at_its_own_stamps(trial):
@@ -60,7 +62,7 @@ def test_without_truth_it_stands_beside_batch_at_its_own_stamps(trial):
     c = given_run("c", "localization", {"final": late}, bare, None)
     (_, row) = score([Trial(bare, "localization", (batch, c))]).metrics.to_dict("records")
     assert row["rms_from_batch_m"] == pytest.approx(0.5, rel=1e-12)
-    drawn = figures.difference_figure(bare, [c], batch).axes[0].lines[-1].get_ydata()
+    drawn = difference_figure(bare, [c], batch).axes[0].lines[-1].get_ydata()
     assert drawn == pytest.approx(np.full(len(drawn), 0.5))
 
 

@@ -74,7 +74,7 @@ def test_the_section_says_how_many_right_logs_are_objected_to_and_how_many_fault
     stems = []
     section = validation_section(STUDY, found, lambda frame, stem, caption: stems.append(stem) or Table(frame, caption))
     facts = validation_facts(STUDY, found)
-    assert (facts.sound, facts.objected, facts.sure, facts.met) == (20, 1, 2, 1)
+    assert facts.items() >= {"sound": 20, "objected": 1, "sure": 2, "met": 1}.items()
     text = "\n".join(b for b in section.blocks if isinstance(b, str))
     assert "Of 20 logs without a fault, 1 are rejected (5.0 %)" in text
     assert ("2 faults are detected in 90 % of the logs or more; 1 of them are attributed to the right cause") in text

@@ -9,9 +9,8 @@ import pytest
 from scipy.stats import chi2
 
 from data.result import DISCARD, NEW, Innovations
-from eval.figures import claims_figure, loop_state_figure
-from eval.figures.claims import stretches_of
-from eval.figures.log import loop_states
+from eval.figures.claims import claims_figure, stretches_of
+from eval.figures.log import loop_state_figure, loop_states
 from eval.referee.score import Trial
 from eval.report.pictures import draw, kinds
 from tests.eval.figures.looks import within

@@ -13,7 +13,7 @@ from data.worlds.corridor import Corridor, simulate
 from eval.plan.lab import switched_on
 from eval.referee.score import Trial, score
 from eval.report.labs.corridor import find_lab, has_prior
-from eval.report.labs.corridor_ambiguity import STEPS, ambiguity, fit, prior_likelihood, straight_pairs
+from eval.report.labs.questions import STEPS, ambiguity, fit, prior_likelihood, straight_pairs
 from eval.report.labs.sections import lab_sections
 from eval.report.page.blocks import Table
 from tests.eval.handmade_lab import lab_log, lab_run

@@ -75,9 +75,9 @@ def facts(*runs, log=None):
 def test_graph_and_loop_closures_are_counted_and_robust_smoothers_say_what_they_left_out(tmp_path):
     runs = (laser(), laser("gnc"), laser("batch-cauchy", weight=np.array([1.0, 1.0, 1.0, np.nan])), laser("batch"))
     found = facts(*runs)
-    assert (found.scans, found.frames, found.keys, found.loops, found.believed) == (0, FRAMES, KEYS, 4, 3)
-    assert found.left_out == (("gnc", 1), ("batch-cauchy", 0))
-    assert (found.scale, found.time, found.ungated) == (None, None, None)
+    sizes = {"scans": 0, "frames": FRAMES, "keys": KEYS, "loops": 4, "believed": 3}
+    unknown = {"scale": None, "time": None, "ungated": None}
+    assert found.items() >= (sizes | unknown | {"left_out": (("gnc", 1), ("batch-cauchy", 0))}).items()
     text = text_of(section(tmp_path, [Trial(laser_log(), "slam", runs)]))
     assert ("* 0 scans in 40 frames became 8 key poses; 4 candidate loop closures were tested and 3 accepted,") in text
     assert "* `gnc` finally rejected 1 of them.\n* `batch-cauchy` finally rejected 0 of them." in text
@@ -100,7 +100,7 @@ def test_the_time_of_the_front_end_is_set_against_that_of_the_drive(tmp_path):
     assert "the longest 400 ms." in text
     numbered = laser_log()
     numbered = replace(numbered, recorded=replace(numbered.recorded, time_is_index=True))
-    assert facts(run, log=numbered).time is None
+    assert facts(run, log=numbered)["time"] is None
 
 
 def filters(**with_gate):
@@ -125,8 +125,8 @@ def test_what_gates_do_to_the_filter_is_told_with_where_each_ends(tmp_path):
 def test_a_gated_filter_that_came_to_no_end_is_said_to(broken, tmp_path):
     gated = filters()
     gated = replace(gated, with_gate=(gated.with_gate[0], replace(gated.with_gate[1], **broken)))
-    found = facts(laser(), gated).gates
-    assert (found[0].rejected, found[0].looked, found[1]) == (2, 3, None)
+    first, second = facts(laser(), gated)["gates"]
+    assert (first["rejected"], first["looked"], second) == (2, 3, None)
     text = text_of(section(tmp_path, [Trial(laser_log(), "slam", (laser(), gated))]))
     assert "With that gate and unscaled covariances it stopped before the end." in text
 
@@ -134,7 +134,7 @@ def test_a_gated_filter_that_came_to_no_end_is_said_to(broken, tmp_path):
 def test_of_a_filter_that_stopped_or_has_no_gated_twin_nothing_is_said_of_gates():
     for run in (replace(filters(), failure=STOPPED), replace(filters(), with_gate=None)):
         found = facts(laser(), run)
-        assert (found.ungated, found.gates) == (None, ())
+        assert (found["ungated"], found["gates"]) == (None, ())
 
 
 def test_without_truth_the_gates_are_told_without_an_error_and_with_relations_against_them(tmp_path):
@@ -152,7 +152,7 @@ def test_runs_stand_against_the_relations_filter_first_and_wheels_last():
     wheels = replace(run_with_error(np.zeros(3), estimator="dead-reckoning", mapped=False), association="none")
     log = laser_log(relations=stretched())
     trial = Trial(log, "slam", (wheels, laser(), filters(), laser("batch")))
-    assert [(a.estimator, a.phase) for a in against(trial)] == [
+    assert [(a["estimator"], a["phase"]) for a in against(trial)] == [
         ("ekf", "online"), ("ekf", "last state"), ("isam2", "online"), ("isam2", "final"), ("dead-reckoning", "online"),
     ]  # fmt: skip
     assert against_relations(trial).startswith(

@@ -17,7 +17,7 @@ from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.replay.run import compare
 from eval.report.run_files import write_run
-from eval.report.systematic import best, errors_table, estimated, told
+from eval.report.systematic import best, determined, errors_table, estimated
 from eval.report.words import plus_minus, say
 from tests.eval.report.trust.said_by_hand import TURN, blamed, said
 
@@ -61,7 +61,7 @@ def test_batch_has_the_last_word(trial):
 
 def test_an_error_is_told_if_a_tenth_of_its_sigma_is_gone():
     sigma = np.tile([0.091, 0.044], (5, 1))
-    assert told(ERRORS, Systematics(ERRORS.names, 0.0 * sigma, sigma)) == (False, True)
+    assert determined(ERRORS, Systematics(ERRORS.names, 0.0 * sigma, sigma)) == (False, True)
 
 
 @pytest.mark.parametrize(
@@ -78,7 +78,7 @@ def test_facts_say_why_these_which_are_not_told_and_what_the_battery_says(trial)
     )
     facts = estimated(trial, named, trial.runs)
     assert (facts.names, facts.why, facts.judged, facts.untold) == (ERRORS.names, NAMED, True, ("curvature",))
-    assert facts.before.judged.objected == 2
+    assert facts.before.judged["objected"] == 2
     assert facts.after is None
     text = say("systematic", facts)
     assert text.startswith(

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from eval.referee.effects import effects
 from eval.referee.residuals import Used
-from eval.report.trust_facts import Terms, Told, terms_of
+from eval.report.trust_facts import Explanation, Terms, terms_of
 from eval.report.words import say, sized
 from tests.eval.handmade import LANDMARKS, circle_log, true_path
 
@@ -28,7 +28,8 @@ COMMON = (
 def phrase(name, terms, size, error):
     """A systematic error of a size in SI units, in words."""
     unit, factor = terms.unit(name)
-    return say("effects#systematic", e=Told("systematic", name, factor * size, factor * error, unit), terms=terms)
+    e = Explanation("systematic", name, factor * size, factor * error, unit)
+    return say("effects#systematic", e=e, terms=terms)
 
 
 def noise(name, factor, terms=POLAR):

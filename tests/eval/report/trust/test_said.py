@@ -33,7 +33,7 @@ def test_a_length_below_a_centimetre_is_said_in_millimetres(value, text):
 def test_filters_come_first_then_our_smoothers_then_others_and_who_was_not_measured_is_not_there():
     trust = with_apart(said(), theirs=1.0, isam2=2.0, **{"ekf-iterated": 3.0}, ekf=4.0, batch=math.nan)
     found = facts_of(trust, POLAR).apart
-    assert [(a.estimator, a.filters) for a in found] == [
+    assert [(a["estimator"], a["filters"]) for a in found] == [
         ("ekf", True), ("ekf-iterated", True), ("isam2", False), ("theirs", False),
     ]  # fmt: skip
 
@@ -41,7 +41,7 @@ def test_filters_come_first_then_our_smoothers_then_others_and_who_was_not_measu
 def test_twins_stand_beside_the_log_as_the_range_from_the_least_to_the_largest_that_are_known():
     def apart(trust):
         (a,) = facts_of(trust, POLAR).apart
-        return a.rms, a.twins, a.beside_twins
+        return a["rms"], a["twins"], a["beside_twins"]
 
     trust = said(twins=3)
     assert apart(trust) == (13.0, pytest.approx((0.5, 0.7)), True)
@@ -67,7 +67,7 @@ MEDIAN, SHARE = ("ekf", "filter_smoother_median"), ("ekf", "filter_smoother_semi
 )
 def test_of_the_difference_only_what_is_known_is_a_fact(measured, median, semidefinite):
     (a,) = facts_of(with_measured(said(), measured), POLAR).apart
-    assert (a.median, a.semidefinite) == (median, semidefinite)
+    assert (a["median"], a["semidefinite"]) == (median, semidefinite)
 
 
 def slopes(**sizes):
@@ -92,12 +92,12 @@ def test_systematic_errors_beyond_three_standard_errors_are_named_the_largest_fi
 @pytest.mark.parametrize(("objected", "p"), [(0, 0.6), (2, 1 / 21)])
 def test_how_many_statistics_are_outside_is_counted(objected, p):
     judged = facts_of(blamed(objected=objected), POLAR).judged
-    assert (judged.objected, judged.tested, judged.p) == (objected, 9, p)
+    assert (judged["objected"], judged["tested"], judged["p"]) == (objected, 9, p)
 
 
 def test_a_p_that_is_not_known_is_none():
     trust = blamed()
-    assert facts_of(replace(trust, blame=replace(trust.blame, p=math.nan)), POLAR).judged.p is None
+    assert facts_of(replace(trust, blame=replace(trust.blame, p=math.nan)), POLAR).judged["p"] is None
 
 
 def power(terms=POLAR, **detectable):

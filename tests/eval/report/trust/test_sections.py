@@ -14,7 +14,7 @@ from eval.referee.score import Trial
 from eval.referee.trust import Measured
 from eval.report.page.blocks import Folded, Table
 from eval.report.pictures import FILTER_SMOOTHER, draw, kinds
-from eval.report.trust import MOST, first_said, of_trial, statistic_words, trust_frame, trust_section
+from eval.report.trust import MOST, first_page_words, of_trial, statistic_words, trust_frame, trust_section
 from eval.report.trust_facts import Terms
 from tests.eval.handmade import SIGMA, circle_log, run_with_error
 from tests.eval.report.trust.said_by_hand import MEASURED, TURN, blamed, said
@@ -103,9 +103,9 @@ def test_ways_of_association_are_told_apart_where_they_have_twins():
 
 def test_a_log_with_truth_is_told_on_the_first_page_only_what_twins_say():
     measured = replace(TRIAL, log=circle_log(name="home"))
-    assert first_said(measured, [said()]) == ""
-    assert "found nothing**: none of 9" in first_said(measured, [blamed()])
-    assert "`--twins 100`" in first_said(TRIAL, [said()])
+    assert first_page_words(measured, [said()]) == ""
+    assert "found nothing**: none of 9" in first_page_words(measured, [blamed()])
+    assert "`--twins 100`" in first_page_words(TRIAL, [said()])
 
 
 def test_the_figure_is_drawn_where_the_smoother_made_the_same_decisions():

@@ -11,7 +11,7 @@ import pytest
 from data.notice import Code, notice
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, Finding
 from eval.report.trust import first_words
-from eval.report.trust_facts import Step, Terms, advice, facts_of, groups_of, told
+from eval.report.trust_facts import Step, Terms, advice, explanations, facts_of, groups_of
 from eval.report.words import say
 from tests.eval.report.trust.said_by_hand import TURN, blamed, said
 
@@ -82,11 +82,11 @@ def test_each_kind_of_finding_has_its_words():
         (replace(LINEAR, size=0.5), "its covariance is too large"),
         (alike, "(or, not distinguishable on this log, a drift of the odometry's heading)"),
     ):
-        assert text in say("trust#finding", f=told([f], POLAR)[0], terms=POLAR)
+        assert text in say("trust#finding", f=explanations([f], POLAR)[0], terms=POLAR)
 
 
 def test_phases_of_an_estimator_share_the_finding_that_is_furthest_off():
-    found = told([SIGMA, TAILS, LINEAR, replace(LINEAR, size=1.6), replace(LINEAR, size=1.5)], POLAR)
+    found = explanations([SIGMA, TAILS, LINEAR, replace(LINEAR, size=1.6), replace(LINEAR, size=1.5)], POLAR)
     assert [(t.kind, t.size) for t in found] == [("sigma", 0.2), ("tails", 38), ("linearization", 1.6)]
 
 
@@ -123,7 +123,7 @@ def test_a_calibration_is_told_with_what_it_left():
     assert [(t.kind, t.name, t.size) for t in facts.done] == [
         ("systematic", "odometry_theta_turn", -5.0), ("sigma", "z1", 0.5),
     ]  # fmt: skip
-    assert (facts.after.judged.objected, facts.after.apart[0].rms) == (1, 1.2)
+    assert (facts.after.judged["objected"], facts.after.apart[0]["rms"]) == (1, 1.2)
     text = text_of(trust)
     assert (
         "1 of 9 statistics lies outside the range of 20 bootstrap replicates (family-wise p 0.048); before, 5 of 9 did."
@@ -142,7 +142,7 @@ def test_a_calibration_that_came_to_nothing_says_so_without_a_number():
 
 
 def test_an_objection_without_a_name_is_admitted():
-    assert facts_of(blamed(cause=NOISE, objected=2), POLAR).judged.unexplained
+    assert facts_of(blamed(cause=NOISE, objected=2), POLAR).judged["unexplained"]
     assert "No modelled error explains them" in text_of(blamed(cause=NOISE, objected=2))
 
 

@@ -14,7 +14,7 @@ from eval.plan.flags.options import read_options
 from eval.plan.tutorials import ABOUT
 from eval.referee.score import Trial, score
 from eval.report.page.blocks import Picture, Table
-from eval.report.tutorials import beside_note, tutorial_sections
+from eval.report.tutorials import tutorial_sections, variant_note
 from tests.eval.handmade import circle_log, run_with_error
 
 
@@ -43,7 +43,7 @@ def test_the_originals_numbers_stand_beside_their_row_alone(trials, tmp_path):
     assert row.loc["tutorial-step4", "Σ e² [m²]"] == pytest.approx(40 * 0.25)
     assert "Octave" in table.caption
     metrics = score(trials).metrics
-    notes = [beside_note(t, metrics[metrics["log"] == t.log.name]) for t in trials[1:]]
+    notes = [variant_note(t, metrics[metrics["log"] == t.log.name]) for t in trials[1:]]
     assert "The original program: 14924 m², position RMSE 0.448 m." in notes[0]
     assert "original program" not in notes[1]
 
