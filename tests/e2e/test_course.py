@@ -15,7 +15,7 @@ from eval.plan.flags.options import read_options
 
 ROOT = Path(__file__).parents[2]
 SHEET = (ROOT / "docs" / "course.md").read_text(encoding="utf-8")
-ROW = re.compile(r"^\| .* \| `([a-z_0-9/]+\.py)` \| (.+) \|$", re.MULTILINE)
+ROW = re.compile(r"^\| .* \| `([a-z_0-9/]+\.py)`: (.+) \|$", re.MULTILINE)
 NAMED = [(file, name) for file, names in ROW.findall(SHEET) for name in re.findall(r"`([\w.]+)`", names)]
 COMMANDS = [
     shlex.split(line)

@@ -16,13 +16,13 @@ HEAD = f"""\
 
 Every file and column that `slamref run` writes (default: `results/report`).
 
-* Units are SI and radians unless a name ends in a unit. The second column is the type (`text`, `count`, `number`) or
-  the unit of a number; shares lie between 0 and 1.
+* Units are SI and radians unless a name ends in a unit. In brackets: the type (text, count, number) or the unit of a
+  number; shares lie between 0 and 1.
 * A blank cell is unknown or does not apply, never zero.
 * In file names `:`, `+` and `/` of a log's name become `_`.
 * Later versions may append columns, but never reorder or rename them.
 * The same inputs and seed give the same bytes. Exceptions are measured times (`timing.csv`, `provenance.json`,
-  `run.log`, tables that quote them) and, with `--lab corridor:...`, `figures/lab-update-time.*` and `report.html`.
+  `run.log`, tables that quote them) and, with `slamref lab`, `figures/lab-update-time.*` and `report.html`.
 
 **Landmark numbers** are at least 0: the order of creation in SLAM, the map's ids in localization. A decision of `-1`
 initialized a landmark, `-2` discarded the observation. A truth of `-1` means that no landmark of the map is right.
@@ -63,11 +63,12 @@ def _section(file: File, first: dict[Column, str]) -> str:
             types = [""]
         elif len(set(types)) > 1:
             names = [f"`{c.name}`" + f" {c.unit}" * bool(c.unit and not c.name.endswith(f"_{c.unit}")) for c in columns]
-            types = [columns[0].kind]
-        rows.append(f"| {', '.join(names)} | {types[0]} | {about.replace('|', chr(92) + '|')} |")
+            types = [""]
+        bracket = f" [{types[0]}]" if types[0] else ""
+        rows.append(f"| {', '.join(names)}{bracket} | {about.replace('|', chr(92) + '|')} |")
     first |= {c: file.name for c in file.columns if c not in first}
     head = f"### `{file.path}`\n\n{about_file}\n"
-    return "\n".join([head, "| column | type, unit | meaning |", "|---|---|---|", *rows, ""])
+    return "\n".join([head, "| column [type or unit] | meaning |", "|---|---|", *rows, ""])
 
 
 def main() -> int:

@@ -1,7 +1,7 @@
 """The intervals on trial: how often they hold what they should, and how often p is small where nothing differs.
 
 Squared position errors are of two AR(1) coordinates, so the right mean is known; arenas and circles are simulated, and
-the right mean is that over all their logs. The tables printed here are those of docs/verdicts.md.
+the right mean is that over all their logs. The tables printed here are those of docs/notes/verdicts.md.
 """
 
 from __future__ import annotations

@@ -63,7 +63,7 @@ def test_the_numbers_are_those_counted_by_hand(tmp_path):
     # two of ten observations of the log without people: point 2 taken for 1, and point 1 initialized twice
     assert rows.loc["nn", ["FP", "FN"]].tolist() == [1, 1]
     assert rows.loc["nn", "RMSE [m]"] == pytest.approx(0.3 * np.sqrt(0.8))
-    assert "1 of 10 pairings are wrong, the first in frame 2" in first.blocks[0]
+    assert "1 of 7 pairings are wrong, the first in frame 2" in first.blocks[0]
     assert "No fewer" not in second.blocks[0]
     assert third.blocks[1].frame["condition"].tolist() == ["plain", "plain", "people", "people"]
 

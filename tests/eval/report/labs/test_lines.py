@@ -45,7 +45,7 @@ def sections(tmp_path, errors=ERRORS):
 
 def test_each_answer_has_its_own_runs_numbers(tmp_path):
     assert [s.blocks[0] for s in sections(tmp_path)] == [
-        "**It pairs each observation alone with the nearest landmark: 1 of 10 pairings are wrong, the first in frame 2."
+        "**It pairs each observation alone with the nearest landmark: 1 of 7 pairings are wrong, the first in frame 2."
         " RMSE 0.268 m, with labels 0.00894 m.**",
         "**It has fewer wrong pairings than NN (0 instead of 1), but leaves 3 observations of mapped points unused."
         " RMSE 0.0447 m instead of 0.268 m.**",
