@@ -32,7 +32,7 @@ AS_THEN, AT_THE_END = "as then", "as at the end"
 class History:
     """Changes (C,) of landmarks, in the order of their frames."""
 
-    frame: IntArray  # with number: (C,) after which frame, of which landmark
+    frame: IntArray  # frame, number: (C,) after which frame, of which landmark
     number: IntArray
     there: BoolArray  # (C,) false where it left the map
     xy: Array  # (C, 2) m, covariance: (C, 2, 2) m^2, world frame
@@ -208,19 +208,6 @@ def write(image: Image, text: str, at: tuple[int, int], colour: Colour = BLACK, 
     cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, size, colour, 1, cv2.LINE_AA)
 
 
-def scale_bar(image: Image, canvas: Canvas) -> None:
-    """How long a metre is, in the lower right corner."""
-    wanted = 0.18 * canvas.width / canvas.scale
-    power = 10.0 ** np.floor(np.log10(wanted))
-    length = max(f * power for f in (1.0, 2.0, 5.0) if f * power <= wanted)
-    right, base = canvas.width - 24, canvas.height - 20
-    left = right - round(length * canvas.scale)
-    cv2.line(image, (left, base), (right, base), BLACK, 2)
-    for x in (left, right):
-        cv2.line(image, (x, base - 5), (x, base + 5), BLACK, 1)
-    write(image, f"{length:g} m", (left, base - 10), size=0.45)
-
-
 HEADER = 56  # px above the scene for names and time
 VISIBLE = 0.025  # share of the picture's side that the robot's ellipse is enlarged to: it must show around the robot
 TRAIL, BANDS, FADED = 5.0, 10, 0.35
@@ -255,7 +242,6 @@ def _scene(log: Log, run: Run, phase: str, pace: Pace, history: History | None) 
 
 
 def _backdrop(scene: _Scene) -> Image:
-    """The landmarks' true places and the scale bar."""
     canvas = scene.canvas
     image: Image = np.full((canvas.height, canvas.width, 3), 255, np.uint8)
     known = true_landmarks(scene.log)
@@ -264,7 +250,16 @@ def _backdrop(scene: _Scene) -> Image:
         for x, y in known.xy:
             canvas.line(image, np.array([[x - arm, y], [x + arm, y]]), GREY)
             canvas.line(image, np.array([[x, y - arm], [x, y + arm]]), GREY)
-    scale_bar(image, canvas)
+    # how long a metre is, in the lower right corner
+    wanted = 0.18 * canvas.width / canvas.scale
+    power = 10.0 ** np.floor(np.log10(wanted))
+    length = max(f * power for f in (1.0, 2.0, 5.0) if f * power <= wanted)
+    right, base = canvas.width - 24, canvas.height - 20
+    left = right - round(length * canvas.scale)
+    cv2.line(image, (left, base), (right, base), BLACK, 2)
+    for x in (left, right):
+        cv2.line(image, (x, base - 5), (x, base + 5), BLACK, 1)
+    write(image, f"{length:g} m", (left, base - 10), size=0.45)
     return image
 
 
@@ -289,7 +284,6 @@ def _draw_paths(image: Image, scene: _Scene, begin: int, end: int, share: float)
 
 
 def _draw_landmarks(image: Image, scene: _Scene, standing: IntArray) -> None:
-    """The landmarks of these rows of the history."""
     h = scene.landmarks
     outlines = ellipses(h.xy[standing], h.covariance[standing], SIGMAS * scene.landmark_factor)
     for xy, outline in zip(h.xy[standing], outlines, strict=True):

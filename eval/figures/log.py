@@ -13,10 +13,10 @@ from matplotlib.lines import Line2D
 from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.result import DISCARD, NEW, Run
-from data.se2 import Array, BoolArray, dead_reckoned, transform_points
+from data.se2 import Array, BoolArray, dead_reckoned
 from data.terminal import counted
 from eval.figures.paper import page_width
-from eval.figures.plane import draw_start, draw_walls
+from eval.figures.plane import draw_start, draw_walls, feet
 from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing, settle, style_of
 
 SEEN_COLOUR = "#56B4E9"
@@ -43,7 +43,7 @@ def log_figure(log: Log) -> Figure:
         if inputs.sensor.sees_points:
             xy = inputs.sensor.inverse(pose[o.frame[placed]], o.z[placed])[0]
         else:  # where the wall is nearest to the sensor
-            xy = transform_points(pose[o.frame[placed]], inputs.sensor.body_points(o.z[placed], o.R[placed])[0])
+            xy = feet(log, pose)[placed]
         label = log.granted
         clutter = np.zeros(len(placed), bool) if label is None else label[placed] == CLUTTER
         name = f"{len(placed)} of {counted(len(o.frame), 'observation')}, from {origin}"
@@ -97,7 +97,7 @@ def loop_states(run: Run) -> dict[str, BoolArray]:
 def loop_state_figure(log: Log, runs: Sequence[Run]) -> Figure:
     """Observations placed from each run's last path, by what became of them; a map per run, no truth used."""
     runs = list(runs)[:MOST]
-    places = [_world(log, run) for run in runs]
+    places = [feet(log, run.trajectory(run.phases[-1]).pose) for run in runs]
     paths = [run.trajectory(run.phases[-1]).pose[:, :2] for run in runs]
     low, high = _scene([*places, *paths])
     w, h = high - low
@@ -139,15 +139,6 @@ def _draw(ax: Axes, run: Run, xy: Array, path: Array, points: bool) -> None:
         draw_walls(ax, run.map.xy, "black", zorder=4)
     counted = ", ".join(f"{int(rows.sum())} {name}" for name, rows in loop_state.items() if rows.any())
     ax.set_title(f"{style_of(run.estimator).label}, {run.association}\n{counted}", loc="left")
-
-
-def _world(log: Log, run: Run) -> Array:
-    """Observations (M, 2) in the world frame, from the last path."""
-    o, sensor = log.recorded.observations, log.recorded.sensor
-    if len(o.frame) == 0:
-        return np.zeros((0, 2))
-    points, _ = sensor.body_points(o.z, o.R)
-    return transform_points(run.trajectory(run.phases[-1]).pose[o.frame], points)
 
 
 def _scene(parts: Sequence[Array]) -> tuple[Array, Array]:

@@ -164,7 +164,10 @@ def _fit(fig: Figure, ax: Axes, m: _Map, runs: Sequence[Run], width: float, hand
     narrow = 1 if any(len(s.label) > LONG_LABEL for s in m.shown) else 2
     columns = 1 if at_side else (3 if width > 5.0 else narrow)
     across = width - (2.7 if at_side else 0.65)
-    title = _title(m.log, runs, m.view, round(15.0 * across))
+    tasks = sorted({"SLAM" if r.task == "slam" else r.task for r in runs})
+    titles = [f"{m.log.name}: {' and '.join(tasks)}" if tasks else m.log.name]
+    titles += [f"not shown in full: {', '.join(m.view.leaving)}"] if m.view.leaving else []
+    title = "\n".join(fill(line, round(15.0 * across)) for line in titles)
     ax.set_title(title, loc="left")
     lines = sum(str(handle.get_label()).count("\n") + 1 for handle in handles)
     legend_rows = 0 if at_side else -(-lines // columns)
@@ -172,14 +175,6 @@ def _fit(fig: Figure, ax: Axes, m: _Map, runs: Sequence[Run], width: float, hand
     fig.set_size_inches(width, scene + 0.6 + 0.14 * title.count("\n") + 0.155 * legend_rows)
     fig.legend(handles=handles, loc="outside right upper" if at_side else "outside lower left", ncols=columns)
     settle(fig)
-
-
-def _title(log: Log, runs: Sequence[Run], view: plane.View, characters: int) -> str:
-    tasks = sorted({"SLAM" if r.task == "slam" else r.task for r in runs})
-    title = f"{log.name}: {' and '.join(tasks)}" if tasks else log.name
-    if view.leaving:
-        title += f"\nnot shown in full: {', '.join(view.leaving)}"
-    return "\n".join(fill(line, characters) for line in title.split("\n"))
 
 
 def _walls(

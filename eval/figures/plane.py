@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -60,7 +61,7 @@ def _anchor(log: Log, shown: Sequence[Series]) -> Array:
     path = _box(np.concatenate(points))
     if not log.recorded.sensor.sees_points:
         seen_from = truth if truth is not None else None if stand_in is None else stand_in.trajectory.pose
-        points.append(np.empty((0, 2)) if seen_from is None else _feet(log, seen_from))
+        points.append(np.empty((0, 2)) if seen_from is None else feet(log, seen_from))
     elif known is not None:
         points.append(known.xy)
     elif stand_in is not None and stand_in.run.map is not None and path is not None:
@@ -70,8 +71,8 @@ def _anchor(log: Log, shown: Sequence[Series]) -> Array:
     return np.concatenate(points)
 
 
-def _feet(log: Log, path: Array) -> Array:
-    """Where the walls that were read are nearest to the sensor (M, 2), seen from a path (N, 3)."""
+def feet(log: Log, path: Array) -> Array:
+    """Points observed, or where walls are nearest to the sensor (M, 2), seen from a path (N, 3)."""
     o = log.recorded.observations
     return transform_points(path[o.frame], log.recorded.sensor.body_points(o.z, o.R)[0]).reshape(-1, 2)
 
@@ -113,18 +114,9 @@ def draw_start(
     ax: Axes, pose: Array, colour: str = "white", effects: Sequence[AbstractPathEffect] = ()
 ) -> list[Line2D]:
     """An arrowhead at a pose (3,), along the robot's heading; what the legend shows of it."""
-    return ax.plot(
-        pose[0],
-        pose[1],
-        marker=(3, 0, float(np.degrees(pose[2])) - 90.0),
-        markersize=8.0,
-        color=colour,
-        markeredgecolor="black",
-        linestyle="none",
-        label="start",
-        zorder=6,
-        path_effects=list(effects),
-    )
+    arrow: dict[str, Any] = {"marker": (3, 0, float(np.degrees(pose[2])) - 90.0), "markersize": 8.0, "color": colour}
+    arrow |= {"markeredgecolor": "black", "linestyle": "none", "path_effects": list(effects)}
+    return ax.plot(*pose[:2], label="start", zorder=6, **arrow)
 
 
 def view_of(log: Log, shown: Sequence[Series], paths: Mapping[str, Array], maps: Mapping[str, Array]) -> View:

@@ -95,30 +95,19 @@ STYLES: dict[str, Style] = {
     "isam2": Style("#009E73", "iSAM2", SOLID, "D"),
     "fixed-lag": Style("#999933", "fixed lag", LONG, "X"),
 }
-METHOD_COLOURS = {
-    "known": "#000000",
-    "nn": "#D55E00",
-    "ml": "#E69F00",
-    "ml-ratio": "#7B3F00",
-    "singles": "#CC79A7",
-    "gnn": "#999933",
-    "jcbb": "#0072B2",
-    "jcbb-first": "#56B4E9",
-    "jcbb-hindsight": "#332288",
-    "scan": "#117733",
-}  # association methods, where these differ and not the estimators; independent tests warm, joint ones blue
-METHOD_LINES: dict[str, Line] = {
-    "known": SOLID,
-    "scan": SOLID,
-    "jcbb": DASHDOT,
-    "jcbb-hindsight": LONG,
-    "jcbb-first": DASHDOTDOT,
-    "nn": DOTTED,
-    "singles": (0, (2.2, 1.2)),
-    "ml": (0, (6.0, 1.2, 2.2, 1.2)),
-    "ml-ratio": (0, (1.0, 1.2, 1.0, 3.0)),
-    "gnn": (0, (1.0, 3.0)),
-}  # where one estimator was run with several association methods; dashed is its online path beside a final one
+METHODS: dict[str, tuple[str, Line]] = {
+    "known": ("#000000", SOLID),
+    "nn": ("#D55E00", DOTTED),
+    "ml": ("#E69F00", (0, (6.0, 1.2, 2.2, 1.2))),
+    "ml-ratio": ("#7B3F00", (0, (1.0, 1.2, 1.0, 3.0))),
+    "singles": ("#CC79A7", (0, (2.2, 1.2))),
+    "gnn": ("#999933", (0, (1.0, 3.0))),
+    "jcbb": ("#0072B2", DASHDOT),
+    "jcbb-first": ("#56B4E9", DASHDOTDOT),
+    "jcbb-hindsight": ("#332288", LONG),
+    "scan": ("#117733", SOLID),
+}
+"""Colour and line of association methods, where one estimator was run with several; joint tests are blue."""
 OTHERS = (("#8000E0", "*"), ("#800000", "h"), ("#806080", "d"), ("#E00040", "1"), ("#E040E0", "2"), ("#C080C0", "3"))
 """Colour and marker of names that are not ours, as far from ours and from each other as colours go (CIELAB, for all
 colour-blind readers): each with every one of these lines, so that so many names look different."""
@@ -134,9 +123,14 @@ def style_of(estimator: str) -> Style:
     return Style(colour, estimator, line, marker)
 
 
+def style_of_method(association: str) -> tuple[str, Line]:
+    """Colour and line of an association method; of its own for a name that is not ours."""
+    return METHODS.get(association) or _other(association)[:2]
+
+
 def colour_of_method(association: str) -> str:
-    """The colour of an association method; one of its own for a name that is not ours."""
-    return METHOD_COLOURS.get(association) or _other(association)[0]
+    """The colour of an association method."""
+    return style_of_method(association)[0]
 
 
 def _other(name: str) -> tuple[str, Line, str]:
@@ -173,11 +167,7 @@ def series(runs: Sequence[Run]) -> list[Series]:
         if run.association != "none" and (several or len(tasks) > 1):
             extra += f", {run.association}" if several else ""
             extra += f", {run.task}" if len(tasks) > 1 else ""
-            line = (
-                METHOD_LINES.get(run.association) or _other(run.association)[1]
-                if several
-                else cycle[tasks.index(run.task)]
-            )
+            line = style_of_method(run.association)[1] if several else cycle[tasks.index(run.task)]
         if isinstance(run, GivenRun) and run.aligned != "none":
             extra += ", aligned"
         for phase in run.phases:

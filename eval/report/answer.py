@@ -58,7 +58,7 @@ class AnswerFacts:
     association: str | None  # under which they are compared; None: nothing decides
     several: bool  # whether there are others
     outcome: Outcome  # what came of the comparison
-    filtered: Scored | None  # with smoothed: their rows, of the online and the final phase; None: none ran
+    filtered: Scored | None  # filtered, smoothed: their rows, of the online and the final phase; None: none ran
     smoothed: Scored | None
     lost_to_linearization: bool  # whether the filter alone is lost, with observations that fit the smoother far better
     newest: Scored | None  # the online row of a smoother that steps, if its error is known

@@ -88,13 +88,11 @@ def _percent(column: pd.Series) -> pd.Series:
 
 
 def _interval(lower: pd.Series, upper: pd.Series) -> pd.Series:
-    texts: list[str | None] = []
+    texts = []
     for low, high in zip(lower.tolist(), upper.tolist(), strict=True):
-        if is_blank(low) or is_blank(high):
-            texts.append(None)
-        else:
-            digits = 3 if high - low < 0.1 else 2
-            texts.append(f"{low:.{digits}f}–{high:.{digits}f}")
+        known = not (is_blank(low) or is_blank(high))
+        digits = 3 if known and high - low < 0.1 else 2
+        texts.append(f"{low:.{digits}f}–{high:.{digits}f}" if known else None)
     return pd.Series(texts, index=lower.index, dtype=object)
 
 
@@ -153,7 +151,6 @@ def parts(table: Table) -> list[Table]:
 
 
 def _same(values: pd.Series, others: pd.Series) -> bool:
-    """Whether two columns say the same in every row."""
     pairs = zip(values.tolist(), others.tolist(), strict=True)
     return all(
         is_blank(a) == is_blank(b) and (is_blank(a) or abs(float(a) - float(b)) <= SAME * abs(float(b)))

@@ -31,9 +31,8 @@ from eval.report.log_sections import association_sections, trial_sections
 from eval.report.overview import attribution_sections, introduction, overview
 from eval.report.overview_facts import conclusion, facts_of
 from eval.report.page.blocks import READING, Block, Folded, Report, Section, Table
-from eval.report.publish import publish
+from eval.report.publish import publish, write_truths
 from eval.report.render import write_report
-from eval.report.run_files import write_truths
 from eval.report.studies import study_sections
 from eval.report.tutorials import tutorial_sections
 from eval.report.visual import visual_sections
@@ -67,7 +66,15 @@ def write_results(
     lost = Unfinished(options.execution.jobs, messages=list(outcome.missing))
     found = notices(trials, scores)
     found += [n.about(log=t.log, task=t.task, association=t.association) for t in outcome.trust for n in t.notices]
-    _write_tables(folder, outcome, scores, judged)
+    result_files.METRICS.write(scores.metrics, folder)
+    result_files.DECISION_COUNTS.write(scores.association, folder)
+    result_files.TIMING.write(scores.timing, folder)
+    result_files.CONSISTENCY.write(consistency_table(judged), folder)
+    result_files.TRUST.write(trust_table(outcome.trust), folder)
+    if len(scores.relations):
+        result_files.RELATIONS.write(scores.relations, folder)
+    if outcome.published:
+        result_files.PUBLISHED.write(published_frame(outcome.published), folder)
     (folder / "runs").mkdir()
     write_truths(folder, trials)
     published = publish(folder, output, options.setup, trials, lost, options.execution, progress)
@@ -106,19 +113,6 @@ def write_results(
     _write_provenance(folder, options, outcome, arguments)
     result_files.NOTICES.write(notices_table([*found, *lost.messages]), folder)
     return Written(tuple(lost.messages), tuple(s.answer for s in answers if s.answer))
-
-
-def _write_tables(folder: Path, outcome: Outcome, scores: Scores, judged: Sequence[Judged]) -> None:
-    """The CSV files at the top of the folder."""
-    result_files.METRICS.write(scores.metrics, folder)
-    result_files.DECISION_COUNTS.write(scores.association, folder)
-    result_files.TIMING.write(scores.timing, folder)
-    result_files.CONSISTENCY.write(consistency_table(judged), folder)
-    result_files.TRUST.write(trust_table(outcome.trust), folder)
-    if len(scores.relations):
-        result_files.RELATIONS.write(scores.relations, folder)
-    if outcome.published:
-        result_files.PUBLISHED.write(published_frame(outcome.published), folder)
 
 
 def warnings_section(found: Sequence[Notice]) -> list[Section]:

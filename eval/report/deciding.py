@@ -62,7 +62,7 @@ class MethodOutcome:
 class Deciding:
     """How the association methods without labels did on one log and task."""
 
-    first: MethodOutcome  # with worst: by their decisions alone; the same if there is one
+    first: MethodOutcome  # first, worst: by their decisions alone, the same if there is one
     worst: MethodOutcome
     best: MethodOutcome  # by its decisions, of those with a usable path (of all, where none has one)
     usable: bool  # whether one has: not lost, and nearer to the truth than dead reckoning
@@ -123,17 +123,11 @@ COLUMNS = (
 )
 
 
-def groups(run: Run) -> dict[tuple[int, str], list[Event]]:
-    """Events by frame and reason, in order."""
-    found: dict[tuple[int, str], list[Event]] = {}
-    for e in run.events:
-        found.setdefault((e.frame, e.why), []).append(e)
-    return found
-
-
 def example(run: Run) -> Example | None:
     """The revision that shows most: landmarks merged or pairings made anew before others, then the longest."""
-    shown = {key: events for key, events in groups(run).items() if key[1] not in LATE}
+    shown: dict[tuple[int, str], list[Event]] = {}
+    for e in (e for e in run.events if e.why not in LATE):
+        shown.setdefault((e.frame, e.why), []).append(e)
     if not shown:
         return None
 

@@ -37,7 +37,7 @@ class Headline:
     estimator: str
     association: str
     rmse: float  # of the position [m]
-    nees: float  # with nis: means; of the pose, and per degree of freedom
+    nees: float  # nees, nis: means; of the pose, and per degree of freedom
     nis: float
     verdict: str  # on NIS, over the runs of a study on NEES; or the status of a run that is not `ok`
     wrong: tuple[int, int] | None = None  # wrong pairings, and all
@@ -101,7 +101,6 @@ def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[Headline]:
 
 
 def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[Headline]:
-    """A row for each estimator of a study, at its last phase."""
     for study in studies:
         phases = {key[:3]: key for key in study.samples}
         for key in phases.values():
@@ -140,7 +139,6 @@ def _verdict(row: Row) -> str:
 
 
 def _wrong(row: Row | None) -> tuple[int, int] | None:
-    """Wrong pairings, and all."""
     if row is None or is_blank(row["fp"]):
         return None
     return int(value_of(row, "fp")), int(value_of(row, "tp") + value_of(row, "fp"))

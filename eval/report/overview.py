@@ -19,8 +19,7 @@ from eval.report.overview_facts import LogFacts, conclusion
 from eval.report.page.blocks import Block, Cell, Mark, Overview, OverviewRow, Section, Sketch, Value, folded
 from eval.report.page.tables import number
 from eval.report.rows import Scored, stem
-from eval.report.trust import HEADING, first_words, of_trial
-from eval.report.trust_facts import terms_of
+from eval.report.trust import HEADING, first_words, of_trial, terms_of
 from eval.report.words import paragraph
 from eval.studies.trusted import Trust
 
@@ -72,7 +71,7 @@ def claims(f: LogFacts) -> Mark | None:
 
 
 def attribution_sections(trials: Sequence[tuple[Trial, LogFacts]], diagnoses: Sequence[Trust]) -> list[Section]:
-    """What the logs without truth say of themselves, one paragraph each; none where all have one."""
+    """The diagnosis of each log without truth, one paragraph each; none where all have one."""
     blocks: list[Block] = []
     for trial, f in trials:
         for trust in of_trial(trial, diagnoses)[: not f.measured]:
@@ -137,7 +136,6 @@ def _associations(f: LogFacts) -> tuple[Value | None, Value | None]:
 
 
 def _failed(f: LogFacts) -> Value:
-    """How many, and which."""
     if not f.failed:
         return Value("0")
     named = ", ".join(" ".join(names) for names in f.failed[:NAMED])

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, Finding, component_of
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, component_of
 from eval.referee.consistency import OVERCONFIDENT
 from eval.referee.diagnostics import unused
 from eval.referee.headline import Claim, Objected, Preference, Verdict, headline, usable
@@ -19,9 +19,8 @@ from eval.report.answer import LINEARIZATION, chosen_association, pick
 from eval.report.comparison import difference_of
 from eval.report.deciding import SAME, Deciding, MethodOutcome, deciding_facts
 from eval.report.rows import Row, Scored, filters_in, rows_of, scored, smoothers_in, value_of
-from eval.report.trust import of_trial
-from eval.report.trust_facts import STANDS_OUT
-from eval.studies.trusted import Blame, Trust
+from eval.report.trust import STANDS_OUT, of_trial
+from eval.studies.trusted import Trust
 
 
 class Online(StrEnum):
@@ -50,11 +49,11 @@ class LogFacts:
     log: str
     task: str
     association: str | None  # under which filter and smoother are compared, None: nothing decides
-    filtered: Scored | None  # with smoothed: their rows; None: none ran
+    filtered: Scored | None  # filtered, smoothed: their rows; None: none ran
     smoothed: Scored | None
     # trusted: which of these two reached the end, are plausible, not lost, and more than dead reckoning
     trusted: tuple[bool, bool]
-    unused: tuple[str, ...]  # names of those that are no more
+    unused: tuple[str, ...]  # names of those that are no more than dead reckoning
     newest: Scored | None  # the online row of a smoother that steps, plausible
     online: Online  # what it says
     measured: bool  # whether errors are known at all
@@ -63,9 +62,9 @@ class LogFacts:
     errors: tuple[float, float]
     related: bool
     apart: float  # RMS distance [m] of the filter from the smoother
-    best: MethodOutcome | None  # with worst: association methods without labels
+    best: MethodOutcome | None  # best, worst: association methods without labels
     worst: MethodOutcome | None
-    runs: int  # how many
+    runs: int
     failed: tuple[tuple[str, str], ...]  # those that did not get to the end, are implausible, lost, or dead reckoning
     given: tuple[str, ...]  # results that were handed in
     given_best: Scored | None  # the one with the least RMSE
@@ -222,14 +221,10 @@ def _p_of_difference(trial: Trial, scores: Scores, filtered: Scored | None, smoo
     if trial.task != "slam":
         found = difference_of(rows_of(scores.differences), filtered, smoothed)
         return math.nan if found is None else found.p
-    runs = [
-        next((r for r in trial.runs if (r.estimator, r.association) == (s.estimator, s.association)), None)
-        for s in (filtered, smoothed)
-    ]
-    paths = [
-        None if run is None or run.flaw is not None or run.handed_in else run.trajectory(s.phase).pose
-        for run, s in zip(runs, (filtered, smoothed), strict=True)
-    ]
+    paths = []
+    for s in (filtered, smoothed):
+        run = trial.find(s.estimator, s.association)
+        paths.append(None if run is None or run.flaw is not None or run.handed_in else run.trajectory(s.phase).pose)
     truth = trial.log.truth.pose
     if truth is None or paths[0] is None or paths[1] is None:
         return math.nan
@@ -270,24 +265,18 @@ ODOMETRY, SENSOR = "odometry", "sensor"
 
 
 def cause_word(trust: Trust) -> str:
-    """The violated assumption; without bootstrap replicates the largest residual effect is a hint."""
-    return _judged(trust, trust.blame) if trust.blame is not None else _hinted(trust)
-
-
-def _judged(trust: Trust, blame: Blame) -> str:
-    """The cause of the verdict; of a noise, the side whose component it is of."""
+    """The violated assumption, of a noise the side whose component it is of; without replicates a hint."""
+    blame = trust.blame
+    if blame is None:
+        return _hinted(trust)
     if blame.cause in (NOTHING, ASSOCIATIONS, ESTIMATOR):
         return blame.cause
-    for found in blame.findings:
-        if found.cause == blame.cause:
-            return side(_component(found))
+    found = next((f for f in blame.findings if f.cause == blame.cause), None)
+    if found is not None:
+        return side(component_of(found.name) if found.kind == "systematic" else found.name)
     # no finding has a name: the side of the residuals furthest outside the range of the replicates
     sides = [side(name.split("_", 1)[1]) for _, name in blame.objected if name.startswith(("slope_", "residual_"))]
     return max(dict.fromkeys(sides), key=sides.count) if sides else _largest(_spreads(trust)) or SENSOR
-
-
-def _component(found: Finding) -> str:
-    return component_of(found.name) if found.kind == "systematic" else found.name
 
 
 def side(component: str) -> str:
@@ -325,11 +314,11 @@ def _largest(sizes: Mapping[str, float]) -> str:
 class Conclusion:
     """All logs and tasks together; logs are named with their task where several rows are on them."""
 
-    logs: int  # how many
-    filters: tuple[str, ...]  # with smoothers: names of those compared, three at most
+    logs: int
+    filters: tuple[str, ...]  # filters, smoothers: names of those compared, three at most
     smoothers: tuple[str, ...]
     given: int  # results handed in
-    smoother: tuple[str, ...]  # to neither: logs with truth with this verdict
+    smoother: tuple[str, ...]  # smoother to neither: logs with truth with this verdict
     either: tuple[str, ...]
     filter: tuple[str, ...]
     neither: tuple[str, ...]

@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from data.result import Run
 from eval.figures.association import bars, confusion_figure
-from eval.figures.claims import claims_figure, filter_smoother_figure, systematic_figure
-from eval.figures.consistency import nees_figure
+from eval.figures.claims import claims_figure, filter_smoother_figure, nees_figure, systematic_figure
 from eval.figures.error import difference_figure, error_figure, longest_sigma
 from eval.figures.growth import closing_frame, growth_figure, state_figure, state_is_informative
 from eval.figures.log import loop_state_figure

@@ -107,17 +107,15 @@ def scored(row: Row) -> Scored:
 
 def filters_in(rows: Sequence[Scored]) -> tuple[str, ...]:
     """The estimators that do not revise their past: ours, and of others those that have no final row."""
-    return (*FILTERS, *(name for name in _others(rows) if name not in _finals(rows)))
+    return (*FILTERS, *_others(rows, final=False))
 
 
 def smoothers_in(rows: Sequence[Scored]) -> tuple[str, ...]:
     """The estimators that do."""
-    return (*BATCH, *INCREMENTAL, *(name for name in _others(rows) if name in _finals(rows)))
+    return (*BATCH, *INCREMENTAL, *_others(rows, final=True))
 
 
-def _others(rows: Sequence[Scored]) -> list[str]:
-    return list(dict.fromkeys(r.estimator for r in rows if r.estimator not in ESTIMATORS))
-
-
-def _finals(rows: Sequence[Scored]) -> set[str]:
-    return {r.estimator for r in rows if r.phase == "final"}
+def _others(rows: Sequence[Scored], *, final: bool) -> list[str]:
+    finals = {r.estimator for r in rows if r.phase == "final"}
+    names = dict.fromkeys(r.estimator for r in rows if r.estimator not in ESTIMATORS)
+    return [name for name in names if (name in finals) == final]

@@ -15,7 +15,7 @@ from scipy import special
 
 from data.log import folder_name
 from data.terminal import counted
-from eval.figures.consistency import anees_figure
+from eval.figures.claims import anees_figure
 from eval.figures.studies import Seen, coverage_figure, outlier_figure, power_figure, run_end_figure
 from eval.figures.style import save
 from eval.plan.execute import Outcome
@@ -136,7 +136,7 @@ def _groups(found: Sequence[Examined]) -> dict[tuple[str, float], list[Examined]
 
 
 def detected(e: Examined) -> bool:
-    """Whether a fault shows: the battery objects, or the NEES on twins is off where the filter is what is broken."""
+    """Whether a fault shows: the battery rejects, or the NEES on replicates is off for a broken filter."""
     return e.objected or (e.convicted and e.fault in BROKEN)
 
 

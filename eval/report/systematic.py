@@ -21,7 +21,7 @@ from eval.report.page.blocks import Block, FinePrint, Picture, Section
 from eval.report.page.files import written_table
 from eval.report.page.tables import number
 from eval.report.rows import SYSTEMATIC, stem
-from eval.report.trust_facts import TrustFacts, facts_of, terms_of
+from eval.report.trust import TrustFacts, facts_of, terms_of
 from eval.report.words import plus_minus, say
 
 UNTOLD = 0.9

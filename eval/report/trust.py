@@ -3,26 +3,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from data.notice import Code
+from data.inputs import Inputs
+from data.notice import Code, Notice
 from data.se2 import Array
+from data.sensors import RangeBearing
 from eval.plan.flags.table import Output
 from eval.referee import battery
+from eval.referee.attribution import POWER, Finding
 from eval.referee.score import Trial
+from eval.replay.settings import ESTIMATORS, FILTERS
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import written_table
 from eval.report.page.tables import drop_blank_columns, number
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.rows import stem
 from eval.report.shown_runs import associations
-from eval.report.trust_facts import STANDS_OUT, Terms, facts_of, online, terms_of
 from eval.report.words import plus_minus, say
-from eval.studies.trusted import Row, Trust
+from eval.studies.trusted import Blame, Row, Trust
 
 MOST = 18  # rows of a table; trust.csv has all
 HEADLINE = (
@@ -160,3 +165,297 @@ def trust_section(
     blocks += [p for p in pictures if p.stem == stem(trial, FILTER_SMOOTHER)]
     heading = f"{HEADING}: {trial.log.name}, {trial.task}"
     return [Section(heading, tuple(blocks), 3, tuple(facts), page=stem(trial))] if blocks else []
+
+
+STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
+SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
+METRES, SECONDS, DRIFT = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0)
+UNITS = {
+    "odometry_x_distance": SHARE,
+    "odometry_x_turn": METRES,
+    "odometry_y_distance": ANGLE,
+    "odometry_y_turn": METRES,
+    "odometry_theta_distance": CURVATURE,
+    "odometry_theta_turn": SHARE,
+    "odometry_theta_time": DRIFT,
+    "z1_constant": METRES,
+    "z1_range": SHARE,
+    "z2_constant": ANGLE,
+    "z2_range": CURVATURE,
+}  # a person's unit of each systematic error and its factor from SI; those not named here are times
+OF_POINTS = {"z2_constant": METRES, "z2_range": ANGLE}
+OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
+"""Units of a log without stamps, whose time is the number of the frame."""
+SIGMA = "sigma_"  # prefix of a factor of a stated sigma among what a calibration did
+LATE = ("speed", "turn_rate")  # regressors of observations with wrong time stamps
+FITTED = {
+    "odometry_x_distance": "odometry",
+    "odometry_theta_turn": "odometry",
+    "z1_constant": "bias",
+    "z2_constant": "bias",
+}  # groups of `eval.tune` that have a parameter for a systematic error
+GROUPS = ("motion", "sensor", "bias", "odometry")
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Names of a log's quantities: ranges and bearings, else points; time in seconds, else frames."""
+
+    polar: bool = True
+    stamped: bool = True
+
+    def unit(self, name: str) -> tuple[str, float]:
+        """The unit of a systematic error for a person, and its factor from SI."""
+        unit = UNITS.get(name, SECONDS) if self.polar else OF_POINTS.get(name, UNITS.get(name, SECONDS))
+        return unit if self.stamped else OF_FRAMES.get(unit, unit)
+
+
+def terms_of(inputs: Inputs) -> Terms:
+    """The terms of a log."""
+    return Terms(isinstance(inputs.sensor, RangeBearing), not inputs.time_is_index)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A finding in a person's unit: kind, name and others as of a `Finding`."""
+
+    kind: str
+    name: str
+    size: float
+    error: float = math.nan
+    unit: str = ""
+    other: tuple[str, ...] = ()
+    sigmas: float = math.nan  # its size in standard errors, where it was found without replicates
+
+
+@dataclass(frozen=True)
+class Decided:
+    """Estimators that decide alike: wrong pairings, missed ones, all decisions, share of right ones (means)."""
+
+    estimators: tuple[str, ...]
+    wrong: float
+    missed: float
+    decisions: float
+    right: float
+
+
+class Step(StrEnum):
+    """What to do about findings."""
+
+    FIT = "fit"
+    CORRECT = "correct"
+    SHIFT = "shift"
+    BY_HAND = "by-hand"
+    REVISE = "revise"
+    ROBUST = "robust"
+    DECIDE_OTHERWISE = "decide-otherwise"
+    RELINEARIZE = "relinearize"
+    DISTRUST = "distrust"
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What to do, in order."""
+
+    steps: tuple[Step, ...]
+    groups: tuple[str, ...]  # of `eval.tune --fit` that have parameters for what was found
+    by_hand: tuple[str, ...]  # systematic errors without a parameter
+    off: tuple[str, ...]  # estimators whose covariances are
+    labels: bool  # whether known association can be granted
+
+
+@dataclass(frozen=True)
+class TrustFacts:
+    """What a log with one association method says about itself."""
+
+    log: str
+    task: str
+    association: str
+    terms: Terms
+    twins: int
+    judged: dict[str, object] | None  # by the battery; None: too few replicates
+    apart: tuple[dict[str, object], ...]  # online paths against the smoothed one, filters first
+    asked: tuple[Explanation, ...]  # systematic errors beyond `STANDS_OUT` standard errors, each alone, largest first
+    findings: tuple[Explanation, ...]  # the weightiest first
+    main: tuple[Explanation, ...]  # those for a first page
+    power: tuple[Explanation, ...]  # what would have been seen with a probability of `power_share`
+    brief_power: tuple[Explanation, ...]  # of this the first page's
+    power_share: float
+    nees: tuple[tuple[str, str, float], ...]  # mean pose NEES on the replicates by estimator and phase
+    deciding: tuple[Decided, ...]  # what to expect of the association method
+    todo: Advice
+    done: tuple[Explanation, ...]  # done, after: what a calibration changed, and what the log says then
+    after: TrustFacts | None
+    notices: tuple[Notice, ...]
+
+
+def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
+    """The facts of a log; `labels`: whether known association can be granted."""
+    blame = trust.blame
+    found = () if blame is None else blame.findings
+    power = () if blame is None else _power(blame, terms)
+    return TrustFacts(
+        trust.log,
+        trust.task,
+        trust.association,
+        terms,
+        len(trust.twins),
+        None if blame is None else _verdict(blame),
+        tuple(_apart(trust, name) for name in online(trust)),
+        _asked(trust, terms),
+        explanations(found, terms),
+        explanations(_main(found), terms),
+        power,
+        tuple(p for p in power if p.name in ("odometry_theta_turn", _turned(terms), "z1_range")),
+        POWER,
+        _nees(trust),
+        _deciding(trust),
+        advice(found, labels=labels),
+        _done(trust.done, terms),
+        None if trust.after is None else facts_of(trust.after, terms, labels=labels),
+        trust.notices,
+    )
+
+
+def online(trust: Trust) -> list[str]:
+    """Estimators that have a distance from the smoothed path, filters first."""
+    names = (*ESTIMATORS, *(name for name in trust.real.apart if name not in ESTIMATORS))
+    found = [name for name in names if math.isfinite(trust.real.apart.get(name, math.nan))]
+    return sorted(found, key=lambda name: name not in FILTERS)
+
+
+def _apart(trust: Trust, name: str) -> dict[str, object]:
+    """Distance [m] of an online path from the smoothed one; empty or None: not known."""
+    twins = [s.apart[name] for s in trust.twins if math.isfinite(s.apart.get(name, math.nan))]
+    median = trust.real.measured.get((name, "filter_smoother_median"))
+    share = trust.real.measured.get((name, "filter_smoother_semidefinite"))
+    known = median is not None and math.isfinite(median.value) and math.isfinite(median.expected)
+    return {
+        "estimator": name,
+        "filters": name in FILTERS,
+        "rms": trust.real.apart[name],
+        "twins": (min(twins), max(twins)) if twins else (),  # least and largest on the replicates
+        "beside_twins": bool(trust.twins),
+        # of the quadratic form of the difference, and what is expected
+        "median": (median.value, median.expected) if median is not None and known else (),
+        # share of the frames in which P_f - P_s is
+        "semidefinite": share.value if share is not None and math.isfinite(share.value) else None,
+    }
+
+
+def _verdict(blame: Blame) -> dict[str, object]:
+    """Cause, rejected statistics of those tested, and the smallest p; unexplained: nothing rejected has a name."""
+    unexplained = bool(blame.objected and not blame.findings)
+    counts = {"objected": len(blame.objected), "tested": blame.tested, "unexplained": unexplained}
+    return {"cause": blame.cause, "p": blame.p if math.isfinite(blame.p) else None, **counts}
+
+
+def _systematic(name: str, size: float, error: float, terms: Terms, **more: float | tuple[str, ...]) -> Explanation:
+    unit, factor = terms.unit(name)
+    return Explanation("systematic", name, factor * size, factor * error, unit, **more)  # type: ignore[arg-type]
+
+
+def _asked(trust: Trust, terms: Terms) -> tuple[Explanation, ...]:
+    """Slopes of the residuals that stand out."""
+    found = []
+    for (_, name), m in trust.real.measured.items():
+        if name.startswith("slope_") and math.isfinite(m.value) and m.se > 0.0 and abs(m.value) / m.se > STANDS_OUT:
+            what = name.removeprefix("slope_")
+            found.append(_systematic(what, m.value, m.se, terms, sigmas=abs(m.value) / m.se))
+    return tuple(sorted(found, key=lambda t: -t.sigmas))
+
+
+def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Explanation, ...]:
+    """Findings whose size is known, in their order; an estimator's phases share the one that is furthest off."""
+    shown: dict[tuple[str, str], Finding] = {}
+    for f in (f for f in findings if math.isfinite(f.size)):
+        same = shown.get((f.kind, f.name))
+        if same is None or abs(math.log(abs(f.size))) > abs(math.log(abs(same.size))):
+            shown[f.kind, f.name] = f
+    return tuple(
+        _systematic(f.name, f.size, f.error, terms, other=f.other)
+        if f.kind == "systematic"
+        else Explanation(f.kind, f.name, f.size, f.error)
+        for f in shown.values()
+    )
+
+
+def _main(findings: Sequence[Finding]) -> list[Finding]:
+    """The weightiest finding, and the weightiest systematic error if that is another one."""
+    first = list(findings[:1])
+    return first + [f for f in findings[1:] if f.kind == "systematic" and first[0].kind != "systematic"][:1]
+
+
+def _turned(terms: Terms) -> str:
+    """The error of a sensor that is turned on its mount."""
+    return "z2_constant" if terms.polar else "z2_range"
+
+
+def _power(blame: Blame, terms: Terms) -> tuple[Explanation, ...]:
+    """Faults that would have been seen: systematic errors, then noises by the factor of their sigma."""
+    names = ("odometry_theta_turn", "odometry_x_distance", "odometry_theta_distance", _turned(terms), "z1_range")
+    found = [_systematic(name, blame.detectable.get(name, math.nan), math.nan, terms) for name in names]
+    for name in ("z1", "z2", "odometry_theta"):
+        found.append(Explanation("sigma", name, blame.detectable.get(f"residual_{name}_spread", math.nan)))
+    return tuple(t for t in found if math.isfinite(t.size))
+
+
+def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:
+    """Means over the replicates that have one."""
+    found = []
+    for name, phase in dict.fromkeys(k for s in trust.twins for k in s.nees):
+        known = [v for s in trust.twins if math.isfinite(v := s.nees.get((name, phase), math.nan))]
+        if known:
+            found.append((name, phase, float(np.mean(known))))
+    return tuple(found)
+
+
+def _deciding(trust: Trust) -> tuple[Decided, ...]:
+    """Mean confusion counts over the replicates; empty with labels and without replicates."""
+    alike: dict[tuple[float, ...], list[str]] = {}
+    for name in dict.fromkeys(n for s in trust.twins for n in s.counts if trust.association != "known"):
+        counts = np.array([s.counts[name] for s in trust.twins if name in s.counts], float)
+        if counts.sum() > 0.0:
+            alike.setdefault(tuple(counts.mean(axis=0).tolist()), []).append(name)
+    return tuple(
+        Decided(tuple(names), fp, fn, tp + tn + fp + fn, (tp + tn) / (tp + tn + fp + fn))
+        for (tp, tn, fp, fn), names in alike.items()
+    )
+
+
+def _done(done: Mapping[str, float], terms: Terms) -> tuple[Explanation, ...]:
+    """Systematic errors taken out, then factors of stated sigmas; sizes that are unknown or nothing are left out."""
+    sizes = {name: size for name, size in done.items() if math.isfinite(size) and size != 0.0}
+    taken = [_systematic(name, size, math.nan, terms) for name, size in sizes.items() if not name.startswith(SIGMA)]
+    noises = [
+        Explanation("sigma", n.removeprefix(SIGMA), s) for n, s in sizes.items() if n.startswith(SIGMA) and s > 0.0
+    ]
+    return (*taken, *noises)
+
+
+def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
+    """Groups of `eval.tune --fit` that have parameters for what was found."""
+    wanted = {"motion" if f.name.startswith("odometry") else "sensor" for f in findings if f.kind == "sigma"}
+    wanted |= {FITTED[f.name] for f in findings if f.kind == "systematic" and f.name in FITTED}
+    return tuple(name for name in GROUPS if name in wanted)
+
+
+def advice(findings: Sequence[Finding], *, labels: bool) -> Advice:
+    """What to do about findings."""
+    groups, kinds = groups_of(findings), {f.kind for f in findings}
+    unfitted = [f.name for f in findings if f.kind == "systematic" and f.name not in FITTED]
+    by_hand = tuple(name for name in unfitted if name.split("_", 1)[1] not in LATE)
+    off = tuple(dict.fromkeys(f.name for f in findings if f.kind in ("linearization", "innovations")))
+    filters = any(name in FILTERS for name in off)
+    steps = {
+        Step.FIT: bool(groups) and labels,
+        Step.CORRECT: bool(groups) and not labels,
+        Step.SHIFT: len(unfitted) > len(by_hand),
+        Step.BY_HAND: bool(by_hand),
+        Step.REVISE: "pairings" in kinds,
+        Step.ROBUST: "tails" in kinds,
+        Step.DECIDE_OTHERWISE: "decisions" in kinds,
+        Step.RELINEARIZE: filters,
+        Step.DISTRUST: bool(off) and not filters,
+    }
+    return Advice(tuple(step for step, wanted in steps.items() if wanted), groups, by_hand, off, labels)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -56,8 +55,10 @@ class Row:
 
 def rows_of(log: str, trials: Sequence[Trial], scores: Scores) -> list[Row]:
     """Rows of the tutorials on a log by what is given, after each group our runs; of two phases the final one."""
-    counts = _by_run(scores.association[scores.association["phase"] == "online"])
-    metrics = _by_run(scores.metrics)  # the last row of a run is its final phase
+    counts, metrics = (
+        {(r["log"], r["task"], r["estimator"], r["association"]): r for r in table.to_dict("records")}
+        for table in (scores.association[scores.association["phase"] == "online"], scores.metrics)
+    )  # the last row of a run is its final phase
     made = []
     for trial in trials:
         if trial.log.name != log and not (trial.variant_of == log and is_tutorial(trial)):
@@ -75,11 +76,6 @@ def rows_of(log: str, trials: Sequence[Trial], scores: Scores) -> list[Row]:
             made.append(Row(name, known, run.estimator, run.association, tutorial, last, counted, original))
     order = ["map and labels", "map", "labels", "nothing"]
     return sorted(made, key=lambda r: (order.index(r.given), not r.tutorial))
-
-
-def _by_run(table: pd.DataFrame) -> dict[tuple[str, ...], dict[Hashable, Any]]:
-    """The last row of each run."""
-    return {(r["log"], r["task"], r["estimator"], r["association"]): r for r in table.to_dict("records")}
 
 
 def table_of(rows: Sequence[Row]) -> pd.DataFrame:

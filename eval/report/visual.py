@@ -7,6 +7,7 @@ The equations in `templates/models/` are those of `data.motion.velocity.step`, `
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -66,6 +67,14 @@ def models_latex() -> str:
     return say("models/all", models=MODELS) + "\n"
 
 
+def write_models(folder: Path, wanted: Output, log: Log) -> None:
+    """Write the fragment below `tables/`, where LaTeX is asked for."""
+    if "tex" in wanted.formats:
+        (folder / "tables").mkdir(parents=True, exist_ok=True)
+        place = folder / "tables" / f"{folder_name(log.name)}-models.tex"
+        place.write_text(models_latex(), encoding="utf-8", newline="\n")
+
+
 @dataclass(frozen=True)
 class PictureStatistics:
     """How well one picture was found; None: unknown, because the truth is."""
@@ -90,10 +99,9 @@ class PictureStatistics:
 
 def detection_table(stats: Sequence[PictureStatistics]) -> pd.DataFrame:
     """A row per picture; a column for each reason it was not found for, most frequent first. Unknown is blank."""
-    total: dict[str, int] = {}
+    total: Counter[str] = Counter()
     for s in stats:
-        for reason, count in s.refused.items():
-            total[reason] = total.get(reason, 0) + count
+        total.update(s.refused)
     reasons = sorted(total, key=lambda reason: (-total[reason], reason))
     rows = [
         {
@@ -152,21 +160,20 @@ def _with_truth(s: PictureStatistics, found: Found, truth: InView, shown: IntArr
 
 def tiles_of(evidence: Evidence) -> list[Tile]:
     """The frames kept to look at, with what was found in them and, where the truth is known, what was not."""
-    return [_tile(evidence, frame, image) for frame, image in evidence.found.tiles]
-
-
-def _tile(evidence: Evidence, frame: int, image: bytes) -> Tile:
-    found, truth = evidence.found, evidence.in_view
-    rgb: NDArray[np.uint8] = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR_RGB)  # type: ignore[assignment]
-    here = np.flatnonzero(found.frame == frame)
-    detections = [
-        Detection(int(found.picture[d]), found.pixels[d], found.points[d], int(found.inliers[d])) for d in here
-    ]
-    notes = []
-    if truth is not None:
-        missed = sorted(set(truth.picture[truth.frame == frame].tolist()) - set(found.picture[here].tolist()))
-        notes += [f"in view, not found: {', '.join(map(str, missed))}"] if missed else []
-    return Tile(f"frame {frame}, {found.time[frame] - found.time[0]:.1f} s", rgb, detections, notes)
+    found, truth, tiles = evidence.found, evidence.in_view, []
+    for frame, image in found.tiles:
+        rgb: NDArray[np.uint8] = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR_RGB)  # type: ignore[assignment]
+        here = np.flatnonzero(found.frame == frame)
+        detections = [
+            Detection(int(found.picture[d]), found.pixels[d], found.points[d], int(found.inliers[d])) for d in here
+        ]
+        notes = []
+        if truth is not None:
+            missed = sorted(set(truth.picture[truth.frame == frame].tolist()) - set(found.picture[here].tolist()))
+            notes += [f"in view, not found: {', '.join(map(str, missed))}"] if missed else []
+        name = f"frame {frame}, {found.time[frame] - found.time[0]:.1f} s"
+        tiles.append(Tile(name, rgb, detections, notes))
+    return tiles
 
 
 def visual_sections(
@@ -189,10 +196,7 @@ def visual_sections(
 
 def models(folder: Path, wanted: Output, log: Log) -> Iterator[Block]:
     """Words and formulas of every model, and their constants on a log."""
-    name = folder_name(log.name)
-    if "tex" in wanted.formats:
-        (folder / "tables").mkdir(parents=True, exist_ok=True)
-        (folder / "tables" / f"{name}-models.tex").write_text(models_latex(), encoding="utf-8", newline="\n")
+    write_models(folder, wanted, log)
     for model in MODELS:
         yield f"**{model.title}.** {model.about}"
         yield model.formula

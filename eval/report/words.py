@@ -26,17 +26,8 @@ def environment() -> Environment:
     """The templates of the report, with more filters than notices need."""
     env = words.environment("eval.report")
     env.globals["zip"] = zip
-    env.filters |= {
-        "interval": interval,
-        "as_sentence": as_sentence,
-        "one_line": one_line,
-        "listed": listed,
-        "plus_minus": plus_minus,
-        "sized": sized,
-        "distance": distance,
-        "six": six,
-        "tex": tex,
-    }
+    filters = (interval, as_sentence, one_line, listed, plus_minus, sized, distance, six, tex)
+    env.filters |= {f.__name__: f for f in filters}
     env.tests["known"] = math.isfinite
     return env
 

@@ -13,7 +13,7 @@ from data.logs import open_log
 from eval.referee.consistency import nees, verdict
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
-from eval.report.run_files import trajectory_table, write_run, write_tum
+from eval.report.publish import trajectory_table, write_run, write_tum
 from eval.score import main
 
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data import se2
-from eval.report.run_files import write_tum
+from eval.report.publish import write_tum
 
 ALONG = np.arange(240)
 TIME = 0.1 * ALONG

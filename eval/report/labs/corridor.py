@@ -67,7 +67,7 @@ class Pairings:
     """A run's decisions (online) looked at more closely; distances in m, NaN where there is nothing to measure."""
 
     observations: int  # their number
-    tp: int  # to missed: the referee's counts of them
+    tp: int  # tp to missed: the referee's counts of them
     tn: int
     fp: int
     fn: int
@@ -85,7 +85,7 @@ class Pairings:
     clutter_initializing: int
     clutter_again: int
     first_wrong: int | None  # frame of the first FP, None if there is none
-    before: float  # with after: RMS position error in the frames before it, and from it on
+    before: float  # before, after: RMS position error in the frames before it, and from it on
     after: float
     apart: float  # median distance of the points confused
     # off: median distance of those observations, placed in the world from the predicted pose, from their own point
@@ -101,7 +101,7 @@ class Pairings:
 class Judged:
     """A run that reached its end as the answers tell of it; NaN: not known."""
 
-    log: str  # to status: as in metrics.csv; name: as the lab calls the association
+    log: str  # log to status: as in metrics.csv; name: as the lab calls the association
     estimator: str
     association: str
     status: str
@@ -113,7 +113,7 @@ class Judged:
     # inside: share of the frames with the position inside 3 sigma, and nees: mean pose NEES, both of the first phase
     inside: float
     nees: float
-    largest: float  # with last: m, position error at most and in the last frame
+    largest: float  # largest, last: m, position error at most and in the last frame
     last: float
     reach: float  # m from its start, at most
     pairings: Pairings | None  # None of a batch smoother, which decides nothing itself
@@ -235,14 +235,7 @@ def look(run: Run, log: Log) -> Pairings:
         apart, off = np.hypot(*(own_xy - taken_xy).T), np.hypot(*(placed - own_xy).T)
     return Pairings(
         len(own),
-        counts.tp,
-        counts.tn,
-        counts.fp,
-        counts.fn,
-        counts.spurious,
-        counts.duplicate,
-        counts.missed,
-        counts.recall,
+        **{c: getattr(counts, c) for c in ("tp", "tn", "fp", "fn", "spurious", "duplicate", "missed", "recall")},
         neighbour=int((wrong & had & (taken >= 0) & (taken != own)).sum()),
         copy=int((wrong & had & (taken == own)).sum()),
         ghost=int((wrong & ~clutter & (taken == CLUTTER)).sum()),
@@ -273,9 +266,9 @@ def reach(path: Array) -> float:
 class Motion:
     """True against stated motions, the first frame aside: Mahalanobis distances and share within 99 %."""
 
-    moves: float  # with turns: mean distance [-] of each, NaN if there is none
+    moves: float  # moves, turns: mean distance [-] of each, NaN if there is none
     turns: float
-    step_off: float  # with step_sigma: m, largest difference along x and the standard deviation claimed for it
+    step_off: float  # step_off, step_sigma: m, largest difference along x and the standard deviation claimed for it
     step_sigma: float
     within: int  # number of motions inside the 99 % ellipsoid of `count`
     count: int

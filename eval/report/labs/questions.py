@@ -133,7 +133,7 @@ class Joint:
 class Blind:
     """What happens when the wheels are not read."""
 
-    known: Judged | None  # with jcbb: filters with these
+    known: Judged | None  # known, jcbb: filters with these
     jcbb: Judged | None
     smoother: Judged | None  # batch with known association, if its result is plausible
     motion: Motion | None  # true against stated motions

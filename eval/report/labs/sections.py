@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -11,8 +12,9 @@ import pandas as pd
 from eval.plan.flags.options import Options
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import Job, work
+from eval.referee.confusion import OUTCOMES
 from eval.referee.score import Scores, Trial
-from eval.report.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Judged, Lab, find_lab
+from eval.report.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Lab, find_lab
 from eval.report.labs.pictures import NEEDED, UPDATE_TIME, draw
 from eval.report.labs.questions import NEAR, Ambiguity, Answers, ambiguity, answers, primed
 from eval.report.labs.visual import visual_hand_in
@@ -98,31 +100,21 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
 
 def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
     """Outcomes and errors, online, of the runs that a question's table shows."""
-    return pd.DataFrame(
-        [
+    rows = []
+    for r in (r for condition in question.shown for r in facts.rows(condition, question.methods)):
+        switches = (("people", r.people), ("no odometry", not r.odometry), ("maintained", r.maintained))
+        rows.append(
             {
-                "condition": _condition(r),
+                "condition": ", ".join(what for what, on in switches if on) or "plain",
                 "method": r.association,
-                "TP": r.p.tp,
-                "TN": r.p.tn,
-                "FP": r.p.fp,
-                "FN": r.p.fn,
+                **{c.upper(): getattr(r.p, c) for c in OUTCOMES},
                 "RMSE [m]": r.rmse,
                 "in 3σ [%]": round(100.0 * r.inside, 1),
                 "landmarks": r.landmarks,
-                "state": round(r.state) if r.state == r.state else None,
+                "state": None if math.isnan(r.state) else round(r.state),
             }
-            for condition in question.shown
-            for r in facts.rows(condition, question.methods)
-        ],
-        dtype=object,
-    )
-
-
-def _condition(r: Judged) -> str:
-    """What is special about a run's log."""
-    switches = (("people", r.people), ("no odometry", not r.odometry), ("maintained", r.maintained))
-    return ", ".join(what for what, on in switches if on) or "plain"
+        )
+    return pd.DataFrame(rows, dtype=object)
 
 
 def lab_sections(trials: Sequence[Trial], scores: Scores, *, answered_above: bool = False) -> list[Section]:

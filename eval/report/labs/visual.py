@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from data.log import Log, folder_name
+from data.log import Log
 from data.result import Run
 from data.se2 import Array, dead_reckoned
 from eval.figures.error import error_figure, longest_sigma
@@ -26,7 +26,7 @@ from eval.referee.errors import position_distance, rms
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, Picture, Section
 from eval.report.page.files import written_table
-from eval.report.visual import MOTION, OBSERVATION, UPDATE, constants, models_latex, statistics_of, summary, tiles_of
+from eval.report.visual import MOTION, OBSERVATION, UPDATE, constants, statistics_of, summary, tiles_of, write_models
 from eval.report.words import paragraph
 
 SHOWN = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
@@ -42,10 +42,7 @@ def visual_hand_in(folder: Path, output: Output, trials: Sequence[Trial]) -> lis
     )
     if trial is None:
         return []
-    if "tex" in output.formats:
-        (folder / "tables").mkdir(parents=True, exist_ok=True)
-        models = folder / "tables" / f"{folder_name(trial.log.name)}-models.tex"
-        models.write_text(models_latex(), encoding="utf-8", newline="\n")
+    write_models(folder, output, trial.log)
     return [_motion(folder, output, trial), _observation(folder, output, trial), _filter(folder, output, trial)]
 
 

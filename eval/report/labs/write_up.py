@@ -104,7 +104,9 @@ def log_page(folder: Path, trial: Trial, scores: Scores, sections: Sequence[Sect
     """What the page of a log shows, of the tables and figures that were written and drawn."""
     r = trial.log.recorded
     shown = [s for s in (stem(trial, k) for k in KINDS) if (folder / "figures" / f"{s}.png").exists()][:2]
-    tables = [s for s in (stem(trial, k) for k in ("comparison", "association")) if _written(folder, s)]
+    tables = [
+        s for s in (stem(trial, k) for k in ("comparison", "association")) if (folder / "tables" / f"{s}.tex").exists()
+    ]
     pictures = [b for s in sections for b in s.blocks if isinstance(b, Picture) and b.stem in shown]
     rows = rows_of(scores.metrics[(scores.metrics["log"] == trial.log.name) & (scores.metrics["task"] == trial.task)])
     best = []
@@ -116,17 +118,6 @@ def log_page(folder: Path, trial: Trial, scores: Scores, sections: Sequence[Sect
         ]
         known = [b for b in there if b.rmse >= 0.0]
         best += [min(known, key=lambda b: b.rmse)] if known else []
-    return LogPage(
-        trial.log.name,
-        trial.task,
-        len(r),
-        len(r.observations.frame),
-        tuple(best),
-        tuple(tables),
-        tuple(shown),
-        tuple(b.caption for b in pictures),
-    )
-
-
-def _written(folder: Path, name: str) -> bool:
-    return (folder / "tables" / f"{name}.tex").exists()
+    captions = tuple(b.caption for b in pictures)
+    sizes = len(r), len(r.observations.frame)
+    return LogPage(trial.log.name, trial.task, *sizes, tuple(best), tuple(tables), tuple(shown), captions)

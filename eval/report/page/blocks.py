@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -161,15 +162,12 @@ class Numbers:
     """Counts tables and figures from 1, in reading order."""
 
     def __init__(self) -> None:
-        self.tables = self.figures = 0
+        self._count: Counter[bool] = Counter()
 
     def of(self, block: Table | Picture) -> int:
         """The number of the next table or figure."""
-        if isinstance(block, Table):
-            self.tables += 1
-            return self.tables
-        self.figures += 1
-        return self.figures
+        self._count[isinstance(block, Table)] += 1
+        return self._count[isinstance(block, Table)]
 
 
 def anchor(heading: str) -> str:

@@ -166,7 +166,6 @@ def _face() -> FT2Font:
 
 @cache
 def _letter(c: str) -> float:
-    """Em."""
     if c in SPECIAL:
         return SPECIAL[c]
     if not " " < c < "\x7f":
@@ -209,7 +208,7 @@ class Cells:
 
     @property
     def narrowest(self) -> float:
-        """Pt."""
+        """Least width [pt] of its lines."""
         return NARROWEST_NAMES if self.rank is None else NARROWEST
 
     def natural(self, size: str) -> float:

@@ -29,14 +29,10 @@ def is_blank(value: object) -> bool:
     return isinstance(value, float) and not math.isfinite(value)
 
 
-def _is_number(value: object) -> bool:
-    return pd.api.types.is_number(value) and not isinstance(value, bool)
-
-
 def is_numeric(column: Sequence[Any]) -> bool:
     """Whether a column holds numbers only, blanks aside."""
     known = [v for v in column if not is_blank(v)]
-    return bool(known) and all(_is_number(v) for v in known)
+    return bool(known) and all(pd.api.types.is_number(v) and not isinstance(v, bool) for v in known)
 
 
 def _decimals(values: Sequence[float]) -> int:
@@ -51,15 +47,11 @@ def column_text(column: Sequence[Any]) -> list[str]:
     """A column as text: integers whole, others with decimals that suit the middle value (exponents from 1e6)."""
     known = [v for v in column if not is_blank(v)]
     if not is_numeric(column):
-        return ["" if is_blank(v) else _word(v) for v in column]
+        return ["" if is_blank(v) else {True: "yes", False: "no"}[v] if isinstance(v, bool) else str(v) for v in column]
     if all(float(v).is_integer() for v in known):
         return ["" if is_blank(v) else str(int(v)) for v in column]
     places = _decimals([float(v) for v in known])
     return ["" if is_blank(v) else _number(float(v), places) for v in column]
-
-
-def _word(value: object) -> str:
-    return ("yes" if value else "no") if isinstance(value, bool) else str(value)
 
 
 def _number(value: float, places: int) -> str:
@@ -79,11 +71,9 @@ def cell_texts(column: Sequence[Any]) -> list[str]:
     known = [v for v in column if not is_blank(v)]
     if not is_numeric(column) or all(float(v).is_integer() for v in known):
         return column_text(column)
-    return ["" if is_blank(v) else _significant(float(v)) for v in column]
-
-
-def _significant(value: float) -> str:
-    return "0" if abs(value) < NOTHING else number(value, DIGITS).replace("-", "−")
+    tiny = [not is_blank(v) and abs(float(v)) < NOTHING for v in column]
+    significant = ["" if is_blank(v) else number(float(v), DIGITS).replace("-", "−") for v in column]
+    return ["0" if zero else text for zero, text in zip(tiny, significant, strict=True)]
 
 
 def texts(frame: pd.DataFrame) -> list[list[str]]:

@@ -15,8 +15,7 @@ from matplotlib.patches import Patch
 from association.scans.constraints import Loops
 from data.inputs import Systematic
 from data.result import Innovations, Systematics, Trajectory
-from eval.figures.claims import claims_figure, filter_smoother_figure, systematic_figure
-from eval.figures.consistency import anees_figure, nees_figure
+from eval.figures.claims import anees_figure, claims_figure, filter_smoother_figure, nees_figure, systematic_figure
 from eval.figures.error import difference_figure, error_figure
 from eval.figures.growth import growth_figure
 from eval.figures.laser import loop_picture

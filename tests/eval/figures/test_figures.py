@@ -12,7 +12,7 @@ from matplotlib.path import Path as Outline
 from data.notice import stopped
 from data.result import Failure, MapEstimate
 from data.se2 import dead_reckoned
-from eval.figures.consistency import anees_figure, nees_figure
+from eval.figures.claims import anees_figure, nees_figure
 from eval.figures.error import MOST_BINS, difference_figure, error_figure, longest_sigma, sigmas, thinned
 from eval.figures.map import map_figure
 from eval.figures.plane import View, ellipses, enlargement

@@ -11,7 +11,7 @@ from matplotlib.text import Text
 
 import slamref
 from data.errors import UsageError
-from eval.figures.consistency import nees_figure
+from eval.figures.claims import nees_figure
 from eval.figures.error import error_figure
 from eval.figures.figure_style import FigureStyle, figure_style
 from eval.figures.map import map_figure

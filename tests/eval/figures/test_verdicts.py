@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from eval.figures.consistency import anees_figure
+from eval.figures.claims import anees_figure
 from eval.figures.studies import Seen, coverage_figure, outlier_figure, power_figure, run_end_figure
 from eval.figures.style import STYLES, save
 from tests.eval.figures.looks import within

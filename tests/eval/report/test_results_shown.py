@@ -10,7 +10,7 @@ import pytest
 from data.formats.results.path import GivenPath
 from data.logs import open_log
 from data.truth import Truth
-from eval.figures.consistency import nees_figure
+from eval.figures.claims import nees_figure
 from eval.figures.error import difference_figure, error_figure
 from eval.figures.map import map_figure
 from eval.referee.given_runs import TruePath, given_run

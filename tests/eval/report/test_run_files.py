@@ -11,7 +11,7 @@ import pytest
 from data.result import DISCARD, NEW, Innovations, Systematics
 from eval.referee.given_runs import begun_by, created_by
 from eval.referee.score import Trial
-from eval.report.run_files import trajectory_table, write_run, write_truths, write_tum
+from eval.report.publish import trajectory_table, write_run, write_truths, write_tum
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
 
 OFF = np.array([0.1, -0.1, 0.02])

@@ -10,7 +10,7 @@ from eval.figures.map import map_figure
 from eval.referee.diagnostics import ambiguity_of
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.run_files import write_run
+from eval.report.publish import write_run
 
 LOG = simulate(Corridor(people=True), 0)
 

@@ -16,7 +16,7 @@ from eval.plan.calibrate import ALL, NAMED, Calibration, with_systematic
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.run_files import write_run
+from eval.report.publish import write_run
 from eval.report.systematic import best, determined, errors_table, estimated
 from eval.report.words import plus_minus, say
 from tests.eval.report.trust.said_by_hand import TURN, blamed, said

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from eval.referee.trust import Measured
-from eval.report.trust_facts import Decided, Terms, facts_of
+from eval.report.trust import Decided, Terms, facts_of
 from eval.report.words import distance
 from tests.eval.report.trust.said_by_hand import DETECTABLE, blamed, said
 

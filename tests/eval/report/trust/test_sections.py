@@ -14,8 +14,7 @@ from eval.referee.score import Trial
 from eval.referee.trust import Measured
 from eval.report.page.blocks import Folded, Table
 from eval.report.pictures import FILTER_SMOOTHER, draw, kinds
-from eval.report.trust import MOST, first_page_words, of_trial, statistic_words, trust_frame, trust_section
-from eval.report.trust_facts import Terms
+from eval.report.trust import MOST, Terms, first_page_words, of_trial, statistic_words, trust_frame, trust_section
 from tests.eval.handmade import SIGMA, circle_log, run_with_error
 from tests.eval.report.trust.said_by_hand import MEASURED, TURN, blamed, said
 

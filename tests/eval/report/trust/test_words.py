@@ -10,8 +10,7 @@ import pytest
 
 from data.notice import Code, notice
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, Finding
-from eval.report.trust import first_words
-from eval.report.trust_facts import Step, Terms, advice, explanations, facts_of, groups_of
+from eval.report.trust import Step, Terms, advice, explanations, facts_of, first_words, groups_of
 from eval.report.words import say
 from tests.eval.report.trust.said_by_hand import TURN, blamed, said
 
