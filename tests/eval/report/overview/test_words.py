@@ -122,8 +122,9 @@ def test_the_cause_is_one_word_also_without_twins(said, word):
     assert cause_word(said) == word
     f = facts(EKF | {"rmse_position_m": math.nan}, BATCH | {"rmse_position_m": math.nan}, BLIND, said)
     assert (f.verdict, f.cause) == (Verdict.CAUSE, word)
-    assert trust_mark(f).word == f"cause: {word}"
-    assert introduction([f]).endswith(f"one referee. No ground truth on blind, cause: {word}.")
+    said = "nothing objects" if word == "nothing" else f"cause: {word}"
+    assert trust_mark(f).word == said
+    assert introduction([f]).endswith(f"one referee. No ground truth on blind, {said}.")
 
 
 def test_the_sentences_say_what_was_compared_and_how_much_better_where_both_got_there():
