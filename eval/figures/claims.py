@@ -1,4 +1,4 @@
-"""What runs claim over time: NIS and sigmas, the filter-smoother test, and systematic errors estimated along."""
+"""Claims over time: NEES of one run and of many, NIS and sigmas, online minus smoothed, and systematic errors."""
 
 from __future__ import annotations
 

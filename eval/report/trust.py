@@ -1,4 +1,4 @@
-"""The report's sections "Trust without ground truth": words, table of statistics and figure of a log and task."""
+"""The report's sections "Trust without ground truth": facts, words, table of statistics and figure of a log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The facts of the corridor lab's six questions, each a choice of runs; the words are in `templates/labs/corridor`."""
+"""The facts of the corridor lab's six questions, and of motion from two scans; words: `templates/labs/corridor`."""
 
 from __future__ import annotations
 
