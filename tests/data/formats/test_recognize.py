@@ -16,8 +16,8 @@ from tests.data.formats.mrclam import world
 
 
 def commands(text: str) -> list[list[str]]:
-    """The words after the module of each command in a text."""
-    return [shlex.split(line)[3:] for line in text.splitlines() if line.startswith("  python -m ")]
+    """The words after the name of each command in a text."""
+    return [shlex.split(line)[2:] for line in text.splitlines() if line.startswith("  slamref ")]
 
 
 def test_the_line_said_of_an_mrclam_folder_makes_a_log_that_is_then_inspected(
@@ -52,14 +52,14 @@ def test_a_mat_file_of_no_format_here_is_named_with_what_it_holds(
     assert main([str(tmp_path / "mine.mat")]) == 2
     said = capsys.readouterr().err
     assert "odom, scan" in said
-    assert "data.convert table" in said
+    assert "slamref convert table" in said
     assert said.count("\n") == 1
 
 
 def test_what_is_no_log_cannot_be_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = world.save_folder(tmp_path / "set", world.texts())
     assert main([str(source), "--plot", str(tmp_path / "a.png")]) == 2
-    assert "no log yet" in capsys.readouterr().err
+    assert "not a log yet" in capsys.readouterr().err
 
 
 def test_anything_else_is_left_to_those_who_know(tmp_path: Path) -> None:
