@@ -59,7 +59,7 @@ def test_a_mat_file_of_no_format_here_is_named_with_what_it_holds(
 def test_what_is_no_log_cannot_be_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = world.save_folder(tmp_path / "set", world.texts())
     assert main([str(source), "--plot", str(tmp_path / "a.png")]) == 2
-    assert "no log yet" in capsys.readouterr().err
+    assert "not a log yet" in capsys.readouterr().err
 
 
 def test_anything_else_is_left_to_those_who_know(tmp_path: Path) -> None:
