@@ -90,7 +90,7 @@ COMMANDS = {
     "lab": ("eval.run_all:lab", "do a whole lab and answer its questions: corridor:SEED, visual:SEED"),
     "study": ("eval.run_all:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
     "report": ("eval.open_report:main", "show a report in the browser"),
-    "inspect": ("eval.inspect:main", "print the contents of a log and what is unusual about it"),
+    "inspect": ("eval.inspect:main", "print the contents of a log and unusual values"),
     "convert": ("data.convert.__main__:main", "turn a recording or a simulation into an open log folder"),
     "score": ("eval.score:main", "score a trajectory of another program against a ground truth"),
     "check": ("eval.check:main", "check your own estimator or association method"),
@@ -107,7 +107,7 @@ COMMANDS = {
 FIRST = """\
 slamref scores EKF and smoother estimates of one robot log, and their data associations.
   slamref run arena:0      a simulated log: table on the terminal, report in results/report
-  slamref lab corridor:3   a university lab, its questions answered
+  slamref lab corridor:3   the corridor lab with its questions answered
   slamref inspect my_log   what a log of yours contains
 slamref --help lists all commands.
 """
@@ -140,6 +140,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _command(words: list[str]) -> int:
+    from data.terminal import meant
+
     name, *rest = words or [""]
     if name in COMMANDS:
         module, _, function = COMMANDS[name][0].partition(":")
@@ -151,7 +153,8 @@ def _command(words: list[str]) -> int:
         version = f"slamref {__getattr__('__version__')}\n" if name == "--version" else ""
         sys.stdout.write(version or (usage if name else FIRST))
         return 0
-    sys.stderr.write(f"slamref: {name}: no such command; type one of {', '.join(COMMANDS)}\n")
+    hint = meant(name, COMMANDS) or f"; type one of {', '.join(COMMANDS)}"
+    sys.stderr.write(f"slamref: {name}: no such command{hint}\n")
     return 2
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from data.errors import UsageError
 from data.log import Log
+from data.terminal import meant
 from data.worlds import registry
 
 if TYPE_CHECKING:
@@ -71,8 +72,9 @@ def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None]
     if path.is_dir():
         return _open_folder(path, reading, say)
     if path.exists():
-        raise UsageError(f"--log {name}: neither a folder nor a file")
-    raise UsageError(f"--log {name}: no such folder; known names: {NAMES}")
+        raise UsageError(f"{name}: neither a folder nor a file")
+    hint = meant(name, ["victoria-park", *registry.SIMULATORS]) or f"; known names: {NAMES}"
+    raise UsageError(f"{name}: no such log or folder{hint}")
 
 
 def _open_file(path: Path, reading: Reading) -> Log:
@@ -81,7 +83,7 @@ def _open_file(path: Path, reading: Reading) -> Log:
 
     if not is_named_carmen(path):
         right = f"an open log folder, a CARMEN log (.log, .clf, also .gz) or one of {NAMES}"
-        raise UsageError(f"--log {path}: a file of unknown type; expected {right}")
+        raise UsageError(f"{path}: a file of unknown type; expected {right}")
     return load_carmen(path, reading.relations)
 
 

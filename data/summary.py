@@ -24,7 +24,7 @@ Line = tuple[str, str]
 
 
 def summarize(log: Log) -> list[Line]:
-    """Name and sentence, in printed order; `odd` lines deserve attention."""
+    """Name and sentence, in printed order; `check` lines deserve attention."""
     return [
         ("name", log.name),
         *(("source", f"{key} = {_plain(value)}") for key, value in log.source.items()),
@@ -37,7 +37,7 @@ def summarize(log: Log) -> list[Line]:
         *_truth(log),
         *_relations(log),
         *_landmarks(log),
-        *(("odd", oddity) for oddity in _oddities(log)),
+        *(("check", oddity) for oddity in _oddities(log)),
     ]
 
 
@@ -68,7 +68,7 @@ def longest_run(mask: BoolArray) -> tuple[int, int]:
 def _frames(log: Log) -> list[Line]:
     time = log.recorded.time
     n, span, unit = len(time), float(time[-1] - time[0]), _unit(log)
-    lines = [("frames", counted(n, "frame") + (", without stamps (t is a frame number)" if unit == "steps" else ""))]
+    lines = [("frames", str(n) + (", without stamps (t is a frame number)" if unit == "steps" else ""))]
     text = f"{span:.6g} {unit}, from {time[0]:.15g} to {time[-1]:.15g}"
     lines.append(("span", text + (f"; rate {(n - 1) / span:.4g} per s" if n > 1 and unit == "s" else "")))
     if n > 1:
@@ -89,11 +89,11 @@ def _increments(log: Log) -> list[Line]:
     still = int((~mean.any(axis=1)).sum())
     turned = np.degrees(np.abs(mean[:, 2]).sum())
     path = np.hypot(mean[:, 0], mean[:, 1]).sum()
-    lines = [("increments", f"path {path:.6g} m, turned {turned:.6g} deg in all; {_share(still, len(mean))} at rest")]
+    lines = [("increments", f"path {path:.6g} m, turned {turned:.0f} deg in all; {_share(still, len(mean))} at rest")]
     sigma = np.sqrt(np.median(np.diagonal(covariance, axis1=1, axis2=2), axis=0))
-    text = f"median sigma {sigma[0]:.3g} m, {sigma[1]:.3g} m, {np.degrees(sigma[2]):.3g} deg"
+    text = f"median σ forward {sigma[0]:.3g} m, sideways {sigma[1]:.3g} m, heading {np.degrees(sigma[2]):.3g} deg"
     if inputs.covariance_floor > 0.0:
-        text += f"; {_share(inputs.floored, len(mean))} got the covariance floor {inputs.covariance_floor:g}"
+        text += f"; covariance raised to the minimum {inputs.covariance_floor:g} in {_share(inputs.floored, len(mean))}"
     else:
         singular = int((np.linalg.eigvalsh(covariance)[:, 0] <= 0.0).sum())
         text += f"; no covariance floor, {singular} singular"
@@ -125,12 +125,15 @@ def _observations(log: Log) -> list[Line]:
     first, blind = longest_run(per_frame == 0)
     without = _share(int((per_frame == 0).sum()), len(per_frame))
     where = f"; longest stretch {counted(blind, 'frame')} from frame {first}" if blind else ""
-    lines.append(("unseen", f"{without} frames without observation{where}"))
+    lines.append(("blind frames", f"{without} without observation{where}"))
     polar = sensor.polar(o.z)
     bearing = np.degrees(polar[:, 1])
     text = f"range {polar[:, 0].min():.4g} to {polar[:, 0].max():.4g} m, "
     text += f"bearing {bearing.min():.4g} to {bearing.max():.4g} deg"
-    return [*lines, ("seen", f"{text}; {_share(len(_out_of_view(log)), m)} outside the stated field of view")]
+    return [
+        *lines,
+        ("measured", f"{text}; {_share(len(_out_of_view(log)), m)} outside the stated range or field of view"),
+    ]
 
 
 def _scans(log: Log) -> list[Line]:
@@ -247,7 +250,7 @@ def _oddities(log: Log) -> list[str]:
 
     if log.truth.pose is not None:
         add("without a true pose", "frame", np.flatnonzero(~_known(log.truth.pose)))
-    add("outside the stated field of view", "observation", _out_of_view(log))
+    add("outside the stated range or field of view", "observation", _out_of_view(log))
     if len(inputs.time) > 1:
         speed = np.hypot(*inputs.increments.mean[1:, :2].T) / np.diff(inputs.time)
         moving = speed[speed > 0.0]

@@ -9,8 +9,9 @@ import errno
 import os
 import stat
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
+from difflib import get_close_matches
 from pathlib import Path
 
 from data.errors import SlamrefError
@@ -46,6 +47,12 @@ def ended(body: Callable[[], int | None], interrupted: Callable[[], str] | str =
         return _wrong(message_of(fault))
     except KeyboardInterrupt:
         return _wrong(interrupted if isinstance(interrupted, str) else interrupted(), INTERRUPTED, "")
+
+
+def meant(word: str, known: Iterable[str]) -> str:
+    """A question that names the known word nearest to an unknown one; empty if none is near."""
+    near = get_close_matches(word.partition(":")[0], list(known), 1)
+    return f". Did you mean {near[0] + ''.join(word.partition(':')[1:])}?" if near else ""
 
 
 def unread() -> bool:

@@ -95,6 +95,7 @@ def test_an_unknown_subcommand_is_one_line_and_exit_2():
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith("slamref: walk: no such command; type one of run, lab, ")
     assert done.stderr.count("\n") == 1
+    assert command("inspekt").stderr == "slamref: inspekt: no such command. Did you mean inspect?\n"
 
 
 def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_path):

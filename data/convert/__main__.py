@@ -49,8 +49,12 @@ def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentPar
         epilog=EXAMPLES.replace(PROG, prog),
     )
     kinds = top.add_subparsers(dest="kind", metavar="KIND", required=True)
+
+    def add(name: str, *, help: str, description: str, epilog: str) -> argparse.ArgumentParser:
+        return kinds.add_parser(name, help=help, description=description, epilog=epilog.replace(PROG, prog))
+
     for source in SOURCES:
-        source.add_parsers(kinds.add_parser, parameters=simulators)
+        source.add_parsers(add, parameters=simulators)
     return top
 
 

@@ -17,7 +17,7 @@ EXAMPLES = """\
 examples:
   python -m data.convert visual my_lab --seed 0                   configuration, images and stereo points, rendered
   python -m data.convert visual my_lab --seed 3 --form npz --frames 40
-  python -m eval.run_all --log my_lab
+  slamref run my_lab
 """
 
 

@@ -43,7 +43,7 @@ def _mrclam(path: Path) -> list[str]:
     logs = {n: shlex.quote(f"logs/{out}-robot{n}") for n in robots}
     return [
         f"{name_of(path)} is a UTIAS MRCLAM dataset, {who}. Convert a robot's data to a log:",
-        *(f"  python -m data.convert mrclam {source} {log} --robot {n}{landmarks}" for n, log in logs.items()),
+        *(f"  slamref convert mrclam {source} {log} --robot {n}{landmarks}" for n, log in logs.items()),
     ]
 
 
@@ -57,18 +57,18 @@ def _mat(path: Path) -> list[str]:
     if set(NEEDED) <= set(names):
         return [
             f"{name_of(path)} is a recorded run of a published study. Replay it:",
-            f"  python -m eval.run_all --scenario esde-replay --data {folder}",
+            f"  slamref study esde-replay --data {folder}",
         ]
     if is_lab(path.absolute().parent):
         out = shlex.quote(f"logs/{path.absolute().parent.name}")
         return [
             f"{name_of(path)} belongs to a recording of the visual lab, whose folder is a log. As an open log:",
-            f"  python -m data.convert lab {folder} {out}",
+            f"  slamref convert lab {folder} {out}",
         ]
     listed = ", ".join(names[:MOST]) + (", ..." if len(names) > MOST else "")
     raise UsageError(
         f"{path}: a MATLAB file with {listed}, in no known format; save its numbers as CSV and convert them: "
-        "python -m data.convert table --help"
+        "slamref convert table --help"
     )
 
 

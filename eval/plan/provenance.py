@@ -15,7 +15,6 @@ import numpy as np
 
 from data.log import Log
 from eval.plan.first_use import kernels
-from eval.plan.flags.help import PROG
 from eval.plan.flags.table import Options
 from eval.plan.foreign import sources_of
 from eval.replay.external.spec import shown
@@ -29,15 +28,24 @@ def command_of(options: Options) -> str:
 
     A config file that must be read again is followed by all its keys, so that flags override it as before.
     """
-    words = PROG.split()
+    selection = options.selection
+    command, positional = ("lab", "lab") if selection.lab is not None else ("study", "scenario")
+    if selection.lab is None and not selection.scenario:
+        command, positional = "run", "log"
+    named, words = list[str](), list[str]()
     for row in rows(Options).values():
         value = row.of(options)
-        by_lab = row.name == "new_gate" and options.selection.lab is not None  # its default differs in a lab
+        by_lab = row.name == "new_gate" and selection.lab is not None  # its default differs in a lab
         if row.numbers and (value != row.default or row.name in options.stated or by_lab):
             if row.name in ("estimator", "association"):
                 value = tuple(shown(text) for text in value)
-            words += row.words(value)
-    return shlex.join(words)
+            found = row.words(value)
+            if row.name == positional:
+                dashed = any(word.startswith("-") for word in found if word != row.option)
+                named = found if dashed else found[1::2]
+            else:
+                words += found
+    return shlex.join(["slamref", command, *named, *words])
 
 
 def provenance(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -14,7 +15,7 @@ from eval.replay.settings import INCREMENTAL, Setup
 from eval.report.comparison import Difference, difference_of
 from eval.report.deciding import SAME, Deciding, deciding_facts
 from eval.report.rows import Scored, filters_in, rows_of, scored, smoothers_in
-from eval.report.words import paragraph
+from eval.report.words import one_line, paragraph, say
 
 LINEARIZATION = 2.0
 """So many times the RMSE of a smoother with the same data at the same instants: linearization, not luck."""
@@ -104,7 +105,8 @@ def answer_facts(
 
 def answer(facts: AnswerFacts, trust: str = "") -> str:
     """The facts in a few sentences; `trust`, the diagnosis, comes first without ground truth."""
-    return paragraph("answer", facts, trust=trust)
+    points = re.split(r"\n(?=\* )", say("answer", facts, trust=trust))
+    return "\n".join(map(one_line, points))
 
 
 def _outcome(filtered: Scored | None, smoothed: Scored | None) -> Outcome:

@@ -13,6 +13,7 @@ from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee.diagnostics import ambiguity_of, minima, naming, unused
 from eval.referee.given_runs import is_truth_alone
+from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
 from eval.report.answer import AnswerFacts, answer, answer_facts
 from eval.report.comparison import (
@@ -38,7 +39,8 @@ from eval.report.tutorials import variant_note
 from eval.report.words import fine_print, of_runs, paragraph, say
 from eval.studies.trusted import Trust
 
-IN_FULL, WHY_MISSING = "Filter and smoother in full", "Why intervals are missing"
+IN_FULL, WHY_MISSING = "The comparison in words", "Why intervals are missing"
+IN_SUMMARY = {"errors": "rmse_position_m", "nees": "nees_pose", "nis": "nis", "decided": "fp"}
 VARIANTS, NOTES = "Additional variants", "Notes on the log and its runs"  # what folded texts are called
 IN_FRONT = ("map", "error", "nees", "difference", "claims")
 """Pictures of the report itself; the others are on the log's page."""
@@ -114,7 +116,8 @@ def _comparison(folder: Path, output: Output, trial: Trial, group: Sequence[Tria
 def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) -> Table:
     """The same rows with the columns that matter most."""
     frame = summary_table(*(_rows(t, group) for t in (scores.metrics, scores.association)))
-    caption = paragraph("comparison#summary", where=_where(trial), decided="FP" in frame)
+    shown = {what: heads((column,))[column] in frame for what, column in IN_SUMMARY.items()}
+    caption = paragraph("comparison#summary", where=_where(trial), **shown)
     return Table(frame, caption + aligned_statement(trial), fine=wide.fine, apart=wide.apart)
 
 
@@ -129,8 +132,8 @@ def _answer_facts(trial: Trial, scores: Scores) -> AnswerFacts:
 def _front(trial: Trial, f: LogFacts, made: AnswerFacts, scores: Scores, trust: str) -> list[Block]:
     """Filter and smoother on one log and task: at most three lines in front, the rest folded."""
     theirs = results_statement(trial, rows_of(of_trial(scores.metrics, trial)))
-    whole = "" if theirs and is_truth_alone(trial.log) else answer(made, trust)
-    text = " ".join(s for s in (against_relations(trial), whole, theirs) if s)
+    whole = "" if theirs and is_truth_alone(trial.log) else answer(made, trust if f.measured else "")
+    text = "\n\n".join(s for s in (against_relations(trial), whole, theirs) if s)
     nothing = " ".join(of_runs(map(unused, trial.runs)))
     front = " ".join(s for s in (in_short(f), nothing or gauge_statement(f)) if s)
     return [front, Folded(IN_FULL, (text,))] if text else [front]

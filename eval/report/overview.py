@@ -23,12 +23,12 @@ from eval.report.trust import HEADING, first_words, of_trial, terms_of
 from eval.report.words import paragraph
 from eval.studies.trusted import Trust
 
-ATTRIBUTION = "Diagnosis without ground truth"
+ATTRIBUTION = HEADING
 HEADS = (
-    *("log, task", "trust", "map", "filter [m]", "smoother [m]", "handed in [m]", "ratio", "filter's covariance"),
-    *("best association", "worst", "failed runs"),
+    *("log, task", "use", "map", "filter", "smoother", "handed in", "ratio or distance", "filter's NIS test"),
+    *("best association", "worst", "unusable runs"),
 )
-GIVEN = HEADS.index("handed in [m]")
+GIVEN = HEADS.index("handed in")
 IN_DETAIL = (HEADS.index("worst"),)  # columns of the details alone
 NOTHING_KNOWN = "–"
 NAMED = 2  # failed runs that are named
@@ -52,13 +52,14 @@ def gauge_statement(f: LogFacts) -> str:
 def trust_mark(f: LogFacts) -> Mark:
     """The estimator to trust for the path; of a log without truth what is to blame."""
     sound = f.verdict in (Verdict.SMOOTHER, Verdict.EITHER) and all(f.trusted)
-    if (sound and not f.objections) or (f.verdict == Verdict.CAUSE and f.cause == NOTHING):
+    rejected = next((r for r in (f.filtered, f.smoothed) if r and r.nis_verdict not in ("", CONSISTENT)), None)
+    if (sound and not f.objections) or (f.verdict == Verdict.CAUSE and f.cause == NOTHING and rejected is None):
         tone = "good"
     elif f.verdict in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER, Verdict.CAUSE):
         tone = "fair"
     else:
         tone = "bad" if f.verdict == Verdict.NEITHER else "none"
-    return Mark(paragraph("overview#trust", f=f), tone, paragraph("overview#trust_note", f=f))
+    return Mark(paragraph("overview#trust", f=f), tone, paragraph("overview#trust_note", f=f, rejected=rejected))
 
 
 def claims(f: LogFacts) -> Mark | None:
@@ -106,7 +107,7 @@ def _error(f: LogFacts, row: Scored | None, error: float) -> Value | None:
         return None
     if math.isfinite(error):
         related, flag = " (relations)" if f.related else "", "" if row.status == "ok" else f", {row.status}"
-        return Value(number(error), f"{row.estimator}{related}{flag}")
+        return Value(f"{number(error)} m", f"{row.estimator}{related}{flag}")
     if row.status not in ("ok", "implausible"):
         return Value(row.status, row.estimator)
     return Value(f"NIS {number(row.nis)}" if math.isfinite(row.nis) else NOTHING_KNOWN, row.estimator)
@@ -115,7 +116,7 @@ def _error(f: LogFacts, row: Scored | None, error: float) -> Value | None:
 def _given(f: LogFacts) -> Value | None:
     """The best of the results that were handed in."""
     if f.given_best is not None:
-        return Value(number(f.given_best.rmse), f.given_best.estimator)
+        return Value(f"{number(f.given_best.rmse)} m", f.given_best.estimator)
     return Value(NOTHING_KNOWN, ", ".join(f.given)) if f.given else None
 
 
@@ -130,7 +131,7 @@ def _ratio(f: LogFacts) -> Value | None:
 
 def _associations(f: LogFacts) -> tuple[Value | None, Value | None]:
     if f.best is None or f.worst is None:
-        return (Value("labels") if f.association == "known" else None, None)
+        return None, None
     best, worst = (Value(w.association, f"{w.fp} FP / {w.fn} FN ({w.estimator})") for w in (f.best, f.worst))
     return best, None if f.best == f.worst else worst
 

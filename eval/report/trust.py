@@ -1,4 +1,4 @@
-"""The report's sections "Trust without ground truth": facts, words, table of statistics and figure of a log."""
+"""The report's sections "Diagnosis without ground truth": facts, words, table of statistics and figure of a log."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ HEADLINE = (
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
 """How statistics end that are shares of the frames, shown in percent."""
 OWN = "own_smoother"
-HEADING = "Trust without ground truth"
+HEADING = "Diagnosis without ground truth"
 FINE = FinePrint(
     "Consistency without ground truth",
     "P_f and P_s are the covariances of the online and of the smoothed pose, d is their difference. All statistics:"

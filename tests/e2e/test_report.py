@@ -169,7 +169,7 @@ def test_same_inputs_and_seed_give_the_same_bytes_with_any_number_of_processes_a
 
 
 @pytest.mark.parametrize(("arguments", "words"), [
-    (["--log", "no_such_log"], "no such folder"),
+    (["--log", "no_such_log"], "no such log or folder"),
     (["--log", "arena:x"], "whole number"),
     (["--log", "victoria-park", "--task", "localization"], "has no map"),
     (["--log", "arena:0", "--log", "arena:0"], "two logs are named 'arena:0'"),

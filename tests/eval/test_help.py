@@ -72,7 +72,7 @@ def test_a_subcommand_is_the_module_under_another_name(name, module):
 @pytest.mark.parametrize(("name", "wrong", "words"), [
     ("run", ["--gate", "1"], "slamref: --gate 1: a probability"),
     ("step", [], "slamref: no log: one log is needed"),
-    ("inspect", ["nowhere"], "slamref: --log nowhere: no such folder"),
+    ("inspect", ["nowhere"], "slamref: nowhere: no such log or folder"),
     ("convert", ["moon"], "slamref convert: argument KIND: invalid choice: 'moon'"),
 ])  # fmt: skip
 def test_a_subcommand_hands_on_its_exit_status(name, wrong, words):

@@ -64,7 +64,7 @@ def said(log: Log, key: str) -> str:
 
 
 def odd(log: Log) -> str:
-    return "\n".join(text for name, text in summarize(log) if name == "odd")
+    return "\n".join(text for name, text in summarize(log) if name == "check")
 
 
 def test_summary_says_what_the_log_holds():
@@ -72,17 +72,18 @@ def test_summary_says_what_the_log_holds():
     assert said(log, "name") == "by-hand"
     assert [text for name, text in summarize(log) if name == "source"] == ["maker = hand", "seed = 3"]
     assert said(log, "note") == "one of a kind"
-    assert said(log, "frames") == "12 frames"
+    assert said(log, "frames") == "12"
     assert said(log, "span") == "13 s, from 0 to 13; rate 0.8462 per s"
     assert said(log, "gaps") == "largest 3 s, before frame 6; median 1 s; 1 longer than 1 s"
     assert said(log, "increments").startswith("path 62 m, turned 0 deg in all; 0 of 11")
     assert said(log, "noise").startswith(
-        "median sigma 0.2 m, 0.1 m, 0.573 deg; 3 of 11 (27.3 %) got the covariance floor"
+        "median σ forward 0.2 m, sideways 0.1 m, heading 0.573 deg; covariance raised to the minimum"
     )
+    assert said(log, "noise").endswith("in 3 of 11 (27.3 %)")
     assert said(log, "sensor") == "range_bearing, up to 10 m, -180 to 180 deg"
     assert said(log, "observations") == "6, per frame 0 to 3, mean 0.5; 0.4615 per s"
-    assert said(log, "unseen") == "9 of 12 (75.0 %) frames without observation; longest stretch 6 frames from frame 3"
-    assert said(log, "seen").startswith("range 1 to 11 m, bearing -28.65 to 90 deg; 1 of 6 (16.7 %) outside")
+    assert said(log, "blind frames") == "9 of 12 (75.0 %) without observation; longest stretch 6 frames from frame 3"
+    assert said(log, "measured").startswith("range 1 to 11 m, bearing -28.65 to 90 deg; 1 of 6 (16.7 %) outside")
     assert said(log, "labels").startswith(
         "sensed; 3 distinct, seen 1 to 3 times, median 1; 1 of 6 (16.7 %) unlabelled, 0 clutter"
     )
@@ -97,7 +98,7 @@ def test_summary_says_what_the_log_holds():
 def test_odd_rows_are_counted_and_the_first_ones_named():
     text = odd(small_log())
     assert "without a true pose: 2 frames 3, 4" in text
-    assert "outside the stated field of view: 1 observation 5" in text
+    assert "outside the stated range or field of view: 1 observation 5" in text
     assert "moved more than 10 times faster than the usual 1 m/s: 1 frame 9" in text
     assert "label repeated in the same frame: 1 observation 3" in text
     assert "not in the map: 1 label 7" in text
@@ -138,7 +139,7 @@ def test_a_log_of_one_frame_or_no_observations_is_summarized():
         covariance_floor=0.0,
     )
     single = Log("one", one, Truth(landmark_of=np.zeros(0, np.int64)))
-    assert said(single, "frames") == "1 frame, without stamps (t is a frame number)"
+    assert said(single, "frames") == "1, without stamps (t is a frame number)"
     assert said(single, "observations") == "none"
     assert said(single, "sensor").startswith("range_bearing, any range")
     assert said(single, "span") == "0 steps, from 5 to 5"

@@ -211,7 +211,7 @@ def test_without_a_terminal_it_never_pauses(monkeypatch, capsys):
 
 @pytest.mark.parametrize(("arguments", "words"), [
     ([], "no log: one log is needed"),
-    (["--log", "nowhere"], "no such folder"),
+    (["--log", "nowhere"], "no such log or folder"),
     (["--log", "corridor:0", "--log", "arena:0"], "one log is needed"),
     (["--log", "corridor:0", "--gate", "1"], "between 0 and 1"),
     (["--log", "corridor:0", "--gate", ""], "a number is needed"),

@@ -364,7 +364,9 @@ class Columns:
         for q, c in columns.items():
             fine = np.isfinite(values[q])
             if q not in may_be_blank and not fine.all():
-                raise table.error(int(np.argmin(fine)), file.names[c], "blank; a number is needed")
+                row = int(np.argmin(fine))
+                field = file.text(c, keep)[row]
+                raise table.error(row, file.names[c], f"{repr(field) if field else 'blank'}; a number is needed")
         found = {q: file.text(c, keep) for q in texts if (c := self.find(file, role, q)) is not None}
         return table, found, int(empty.sum()) if not may_be_blank else 0
 

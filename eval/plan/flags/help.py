@@ -45,7 +45,7 @@ RUN = {
 LAB = {
     "lab": (
         Everyday("LAB", "corridor:SEED, visual:SEED, or a folder of recorded runs", "corridor:3"),
-        Everyday("--gate P", "the lab's one gate, a chi-square probability", "corridor:3 --gate 0.95"),
+        Everyday("--gate P", "probability of the chi-square gate (default 0.99)", "corridor:3 --gate 0.95"),
         Everyday("--ellipses FACTOR", "enlarge the ellipses of the visual lab", "visual:0 --ellipses auto"),
     ),
     "output": (
@@ -82,8 +82,9 @@ GROUPS = {
 }
 """Titles of `--help-all`, by the part of `Options` that holds the flag."""
 STATUS = """\
-exit status: 0 fine, 1 an estimator that is declared consistent was rejected,
-2 wrong usage or bad data"""
+exit status: 0 fine,
+1 (studies) an estimator that should be consistent failed its test,
+2 wrong usage, bad data or too little memory"""
 
 
 ABOUT = {

@@ -16,8 +16,8 @@ from tests.data.formats.mrclam import world
 
 
 def commands(text: str) -> list[list[str]]:
-    """The words after the module of each command in a text."""
-    return [shlex.split(line)[3:] for line in text.splitlines() if line.startswith("  python -m ")]
+    """The words after the name of each command in a text."""
+    return [shlex.split(line)[2:] for line in text.splitlines() if line.startswith("  slamref ")]
 
 
 def test_the_line_said_of_an_mrclam_folder_makes_a_log_that_is_then_inspected(
@@ -52,7 +52,7 @@ def test_a_mat_file_of_no_format_here_is_named_with_what_it_holds(
     assert main([str(tmp_path / "mine.mat")]) == 2
     said = capsys.readouterr().err
     assert "odom, scan" in said
-    assert "data.convert table" in said
+    assert "slamref convert table" in said
     assert said.count("\n") == 1
 
 

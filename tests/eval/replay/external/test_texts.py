@@ -105,4 +105,4 @@ def test_an_installed_name_that_clashes_is_an_error_even_where_only_ours_are_ask
 
 def test_the_command_in_the_report_names_files_from_here(here):
     options = read_options(["--log", "arena:0", "--estimator", "ekf,m=./mine.py:Filter"])
-    assert command_of(options).endswith("--log arena:0 --estimator ekf,m=./mine.py:Filter")
+    assert command_of(options).endswith("run arena:0 --estimator ekf,m=./mine.py:Filter")

@@ -40,7 +40,7 @@ def test_at_most_900_characters_stand_above_the_overview(blind):
 
 def test_the_first_screen_names_the_cause_of_a_log_without_truth(blind):
     row = next(line for line in blind[1][:4000].splitlines() if line.startswith("| [blind, slam]"))
-    assert re.search(r"\*\*(cause: (odometry|sensor|estimator|associations)|nothing objects)\*\*", row)
+    assert re.search(r"\*\*(cause: (odometry|sensor|estimator|associations)|path: smoother)\*\*", row)
     assert "## Diagnosis without ground truth" in blind[1][:4000]
     assert "NIS " in row
 
@@ -60,7 +60,7 @@ def test_a_row_tells_whom_to_trust_and_how_decisions_went(blind):
 
 def test_prose_is_folded_and_at_most_three_lines_stand_in_front(blind):
     section = blind[1].partition("\n## arena:0, slam\n")[2].partition("\n## ")[0]
-    assert "<summary>Filter and smoother in full</summary>\n\nFilter and smoother are compared" in section
+    assert "<summary>The comparison in words</summary>\n\nFilter and smoother are compared" in section
     open_text = re.sub(r"<details>.*?</details>", "", section, flags=re.S)
     lines = [p for p in open_text.split("\n\n") if not p.lstrip().startswith(("|", "**Table", "#", "!"))]
     assert max(map(len, lines)) < 460

@@ -122,9 +122,25 @@ def test_the_cause_is_one_word_also_without_twins(said, word):
     assert cause_word(said) == word
     f = facts(EKF | {"rmse_position_m": math.nan}, BATCH | {"rmse_position_m": math.nan}, BLIND, said)
     assert (f.verdict, f.cause) == (Verdict.CAUSE, word)
-    said = "nothing objects" if word == "nothing" else f"cause: {word}"
+    said = "path: smoother" if word == "nothing" else f"cause: {word}"
     assert trust_mark(f).word == said
     assert introduction([f]).endswith(f"one referee. No ground truth on blind, {said}.")
+
+
+@pytest.mark.parametrize(
+    ("nis", "tone", "note"),
+    [
+        (1.0, "good", "no fault found; --twins 100 looks for the cause"),
+        (0.81, "fair", "covariances too large (NIS 0.81, 95 % bounds 0.88-1.03); --twins 100 looks for the cause"),
+        (1.6, "fair", "covariances too small (NIS 1.6, 95 % bounds 0.88-1.03); --twins 100 looks for the cause"),
+    ],
+)
+def test_a_rejected_nis_is_named_where_nothing_else_was_found(nis, tone, note):
+    blank = {"rmse_position_m": None}
+    own = {"nis": nis, "nis_lower": 0.88, "nis_upper": 1.03}
+    slight = trust(measured={("batch", "slope_z1_constant"): Measured(0.02, 0.0, 0.01)})
+    mark = trust_mark(facts(EKF | blank | own, BATCH | blank, BLIND, slight))
+    assert (mark.word, mark.tone, mark.note) == ("path: smoother", tone, note)
 
 
 def test_the_sentences_say_what_was_compared_and_how_much_better_where_both_got_there():
@@ -151,7 +167,7 @@ def test_rows_of_one_log_are_told_apart_by_their_task():
 @pytest.mark.parametrize(
     ("rmse", "online", "note"),
     [
-        (0.4041, Online.EQUAL, "offline; online both are equal"),
+        (0.4041, Online.EQUAL, "offline; online, ekf and isam2 are equally accurate"),
         (0.3, Online.OTHER, "online isam2 0.300 m"),
         (0.1, Online.FAR_BETTER, "online, too (isam2 0.100 m)"),
         (None, Online.UNKNOWN, "offline"),

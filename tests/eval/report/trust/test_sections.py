@@ -81,7 +81,7 @@ def test_a_section_has_words_table_and_figure(tmp_path):
     picture = draw(tmp_path, TRIAL, FILTER_SMOOTHER)
     (section,) = trust_section(tmp_path, Output(), TRIAL, [picture], [trust])
     words, table, more, shown = section.blocks
-    assert section.heading == "Trust without ground truth: home, slam"
+    assert section.heading == "Diagnosis without ground truth: home, slam"
     assert words.startswith("**Cause: the noise model.**")
     assert isinstance(more, Folded)
     assert len(words) < 450
