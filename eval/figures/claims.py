@@ -292,7 +292,7 @@ def nees_figure(log: Log, runs: Sequence[Run]) -> Figure:
         ax.set_ylabel("pose NEES [–]")
     _scale(axes, curves, lower, upper)
     time_axis(axes[-1], log.recorded)
-    fig.suptitle(f"{log.name}: pose NEES, description, one run (no verdict){remark}", x=0.01, ha="left")
+    fig.suptitle(f"{log.name}: pose NEES of one run{remark}", x=0.01, ha="left")
     handles = _handles(POSE_DOF, f"95 % of single values, χ² with dof {POSE_DOF}")
     fig.legend(handles=handles, loc="outside lower center", ncols=2)
     return fig

@@ -199,7 +199,8 @@ def _ellipse_handles(m: _Map) -> list[Line2D | Patch]:
     others = [s for s in m.shown if s.run.estimator != "dead-reckoning" and s.run.flaw is None]
     of_maps = bool(m.maps) and m.log.recorded.sensor.sees_points
     larger = "" if m.factor == 1 else f", drawn {m.factor} times larger"
-    which = "\n(first filter and smoother)" if len(m.estimates) < len(others) else ""
+    names = " and ".join(dict.fromkeys(s.run.estimator for s in m.estimates))
+    which = f"\n(of {names})" if len(m.estimates) < len(others) else ""
     found: list[Line2D | Patch] = []
     if of_maps:
         dot = Line2D([], [], color=GREY, marker="o", markersize=2.5, linestyle="none", label="estimated landmarks")

@@ -205,5 +205,4 @@ def drawn(lines: Sequence[tuple[Array, tuple[str, float]]]) -> str:
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x.tolist(), y.tolist(), strict=True))
         parts.append(f'<polyline points="{points}" stroke="{colour}" stroke-width="{width:g}"/>')
     box = f'width="{WIDTH:g}" height="{HEIGHT:g}" viewBox="0 0 {WIDTH:g} {HEIGHT:g}"'
-    inside = f'<rect {box.split(" viewBox")[0]} fill="#ffffff"/><g fill="none" stroke-linejoin="round">'
-    return f"<svg {box}>{inside}{''.join(parts)}</g></svg>"
+    return f'<svg {box}><g fill="none" stroke-linejoin="round">{"".join(parts)}</g></svg>'

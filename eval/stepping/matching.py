@@ -17,7 +17,7 @@ from matplotlib.ticker import MaxNLocator
 
 from data.inputs import IntArray
 from data.result import NEW
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from eval.figures.paper import page_width
 from eval.figures.style import drawing
 from eval.stepping.plane import (
@@ -141,7 +141,7 @@ def _background_handles(gate: float | None) -> list[Line2D | Patch]:
     inside = f"d² inside {SHOWN_WITHOUT_GATE:g} (no gate: every pair is compatible)"
     return [
         _mark("+", "predicted landmark, 3σ ellipse", DULL),
-        _mark("$7$", "number of a landmark", LANDMARK, markersize=4.0),
+        _mark("$7$", "landmark number", LANDMARK, markersize=4.0),
         _stroke(inside if gate is None else "individually compatible pair", FAINT, linewidth=0.8),
     ]
 
@@ -296,7 +296,8 @@ def closer_figure(m: Matching, method: str) -> Figure:
         robot_axes(right, left=False)
         left.set_title("compatibility: pairs inside the gate, with their d²", loc="left")
         right.set_title(f"matching by {called(method)}: {_tally(truth)}", loc="left")
-        fig.legend(handles=_handles(m), loc="lower center", ncols=4)
+        seen = np.all(np.abs(p.xy - middle) <= half, axis=1)
+        fig.legend(handles=_handles(m, [method], seen), loc="lower center", ncols=4)
         fig.suptitle(m.title, x=0.01, ha="left")
         return fig
 
@@ -322,7 +323,8 @@ def methods_figure(m: Matching, methods: Sequence[str]) -> Figure:
             truth = m.truth.get(name)
             draw_decisions(ax, p, made, truth, all_numbers=True, size=SIZE - 0.5)
             ax.set_title(f"{called(name)}: {_tally(truth)}", loc="left")
-        fig.legend(handles=_handles(m), loc="lower center", ncols=4)
+        seen = np.all(np.abs(p.xy - middle) <= half, axis=1)
+        fig.legend(handles=_handles(m, methods, seen), loc="lower center", ncols=4)
         fig.suptitle(m.title, x=0.01, ha="left")
         return fig
 
@@ -354,17 +356,20 @@ def _scene(ax: Axes, p: Plane, middle: Array, half: float, wrong: IntArray | Non
         write_numbers(ax, p.xy, [str(i) for i in range(len(p.xy))], "#202020", SIZE)
 
 
-def _handles(m: Matching) -> list[Line2D | Patch]:
+def _handles(m: Matching, methods: Sequence[str], seen: BoolArray) -> list[Line2D | Patch]:
+    """What is drawn of the decisions of some methods, of the observations (k,) that are in the picture."""
+    made = {n: d[seen] for n in methods if not isinstance(d := m.decisions[n], str)}
+    wrong = any(np.any(seen[wrong_of(m.truth.get(n))]) for n in made)
     handles: list[Line2D | Patch] = [
-        _mark("o", "observation, its number black"),
+        _mark("o", "observation (number in black)"),
         _mark("+", "predicted landmark, 3σ", DULL),
-        _mark("$7$", "number of a landmark", LANDMARK),
+        _mark("$7$", "landmark number", LANDMARK),
         _stroke("compatible pair", FAINT, linewidth=0.9),
         _stroke("pairing"),
-        _mark("*", "NEW"),
-        _mark("x", "discarded"),
     ]
-    if m.right is not None:
+    handles += [_mark("*", "NEW")] if any(np.any(d == NEW) for d in made.values()) else []
+    handles += [_mark("x", "discarded")] if any(np.any(d < NEW) for d in made.values()) else []
+    if wrong:
         handles.append(_stroke("wrong", BAD, marker="o", linestyle=DASHES))
         handles.append(_stroke("to the right landmark", BAD, linewidth=0.9, linestyle=":"))
     return handles

@@ -16,6 +16,7 @@ from data.log import Log
 from data.result import NEW, Run
 from data.se2 import Array, between, compose, wrap_angle
 from eval.plan.lab import switched_on
+from eval.referee.confusion import OUTCOMES
 from eval.referee.errors import landmark_true_ids, position_distance, rms
 from eval.referee.score import Scores, Trial, confusion_of
 from eval.report.rows import Row, rows_of, value_of
@@ -122,6 +123,8 @@ class Judged:
     removed_people: int  # of these, on people
     state: float  # mean length of the state
     entries: float  # of its covariance, summed over the frames
+    # counts of TP, TN, FP and FN of the final decisions; empty where no outcome was revised
+    revised: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -320,6 +323,7 @@ class Judge:
         people, odometry = switched_on(log)
         removed = np.empty(0, np.int64) if run.removed is None else np.flatnonzero(run.removed >= 0)
         size = np.empty(0) if run.state_size is None else np.asarray(run.state_size, float)
+        counts, revised = ({o: getattr(confusion_of(run, log, q), o) for o in OUTCOMES} for q in ("online", "final"))
         return Judged(
             log.name,
             run.estimator,
@@ -341,6 +345,7 @@ class Judge:
             removed_people=int((landmark_true_ids(run.created, truth, removed) == CLUTTER).sum()),
             state=float(size.mean()) if len(size) else math.nan,
             entries=float((size**2).sum()) if len(size) else math.nan,
+            revised=revised if revised != counts else {},
         )
 
     def runs(self, trial: Trial | None) -> Runs:

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -23,7 +23,7 @@ from data.words import number
 from eval.figures.error import error_figure, ticks, time_label
 from eval.figures.paper import page_width
 from eval.figures.plane import true_landmarks
-from eval.figures.style import DASHED, SOLID, TRUTH_COLOUR, Line, colour_of_method, drawing, save
+from eval.figures.style import DASHED, SOLID, Line, colour_of_method, drawing, save
 from eval.referee.errors import landmark_true_ids, named, position_distance, rms
 from eval.referee.score import Trial
 from eval.replay.frontend import FrontEnd
@@ -40,6 +40,7 @@ from eval.report.labs.corridor import (
     has,
     look,
     maintained_pair,
+    reach,
     run_of,
 )
 from eval.report.page.blocks import Picture
@@ -48,6 +49,8 @@ from eval.stepping.matching import closer_figure, methods_figure, wrong_of
 from eval.stepping.plane import BAD, FAINT
 from eval.stepping.problem import Matching, problems_of
 
+TRUE_PATH = "#A0A0A0"  # grey, as estimated paths by labels are black
+STILL = 1.0  # m from its start that a path reaches at most if it is called still
 REPEATS = 15  # runs measured; of each frame the fastest counts, as whatever else the machine does only adds time
 
 
@@ -113,7 +116,7 @@ def _maps(shown: Sequence[tuple[Shown, str]]) -> tuple[Figure, GridSpec]:
         ax = fig.add_subplot(grid[0, k])
         _draw_map(ax, s, left=k == 0)
         ax.set_title(title, loc="left")
-    fig.legend(handles=_map_handles(), loc="outside lower center", ncols=5)
+    fig.legend(handles=_map_handles([s for s, _ in shown]), loc="outside lower center", ncols=4)
     return fig, grid
 
 
@@ -122,23 +125,24 @@ def paths_figure(quiet: Sequence[Shown], busy: Sequence[Shown]) -> Figure:
     with drawing():
         columns = 3
         rows = -(-len(quiet) // columns)
-        fig = Figure(figsize=(page_width(), 0.5 + 2.6 * rows))
+        fig = Figure(figsize=(page_width(), 0.5 + 2.75 * rows))
         axes = fig.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
         for k, s in enumerate(quiet):
             ax = axes.flat[k]
             _draw_map(ax, s, left=k % columns == 0, size=2.5)
-            title = f"{s.run.association}: RMSE {number(rms(_error(s)))} m"
+            title = f"{s.run.association}\nRMSE {number(rms(_error(s)))} m"
             other = next((b for b in busy if b.run.association == s.run.association), None)
             if other is not None:
                 path, colour = other.run.trajectory("online").pose[:, :2], colour_of_method(other.run.association)
                 ax.plot(*path.T, color=colour, linestyle=DASHED, linewidth=0.9, zorder=2.8)
+                _mark_end(ax, path, colour)
                 title += f", with people {number(rms(_error(other)))} m"
             ax.set_title(title, loc="left", fontsize=7.0)
             ax.set_xlabel("x [m]" if k + columns >= len(quiet) else "")
         for ax in axes.flat[len(quiet) :]:
             ax.set_axis_off()
         dashed = Line2D([], [], color="#404040", linestyle=DASHED, linewidth=0.9, label="with people")
-        fig.legend(handles=[*_map_handles(), dashed], loc="outside lower center", ncols=4)
+        fig.legend(handles=[*_map_handles(quiet), *([dashed] if busy else [])], loc="outside lower center", ncols=4)
         return fig
 
 
@@ -161,7 +165,7 @@ def maintenance_figure(plain: Shown, kept: Shown) -> Figure:
 
 
 def update_time_figure(log: Log, times: Sequence[tuple[str, str, Times]], repeats: int) -> Figure:
-    """Measured time of each frame's update, by label and association method. Never the same twice."""
+    """Measured time of each frame's update, by label and association method. Times differ from run to run."""
     with drawing():
         fig = Figure(figsize=(page_width(), 2.5))
         ax = fig.add_subplot()
@@ -202,8 +206,10 @@ def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
     if known is not None:
         ax.plot(*known.xy.T, "+", color=FAINT, markersize=1.6 * size, markeredgewidth=0.7, zorder=1)
     if truth is not None:
-        ax.plot(*truth[:, :2].T, color=TRUTH_COLOUR, linewidth=1.0, zorder=2)
-    ax.plot(*run.trajectory("online").pose[:, :2].T, color=colour, linewidth=1.2, zorder=3)
+        ax.plot(*truth[:, :2].T, color=TRUE_PATH, linewidth=1.0, zorder=2)
+    path = run.trajectory("online").pose[:, :2]
+    ax.plot(*path.T, color=colour, linewidth=1.2, zorder=3)
+    _mark_end(ax, path, colour)
     if run.map is not None and len(run.map):
         person = landmark_true_ids(named(run), s.log.truth, run.map.number) == CLUTTER
         ax.plot(*run.map.xy[~person].T, ".", color=colour, markersize=1.3 * size, zorder=4)
@@ -220,6 +226,11 @@ def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
     ax.set_aspect("equal")
 
 
+def _mark_end(ax: Axes, path: Array, colour: str) -> None:
+    """A diamond where a path (N, 2) ends."""
+    ax.plot(*path[-1:].T, "D", color=colour, markersize=4.0, markeredgecolor="white", markeredgewidth=0.6, zorder=6)
+
+
 def removed_places(s: Shown) -> Array:
     """Places where removed landmarks had been initialized (r, 2), from the pose of that frame."""
     run, o = s.run, s.log.recorded.observations
@@ -231,23 +242,32 @@ def removed_places(s: Shown) -> Array:
     return np.asarray(s.log.recorded.sensor.inverse(pose, o.z[rows])[0])
 
 
-def _map_handles() -> list[Line2D]:
+def _map_handles(shown: Sequence[Shown]) -> list[Line2D]:
+    """What is drawn on at least one of the maps."""
     grey = "#404040"
-    return [
-        Line2D([], [], color=TRUTH_COLOUR, linewidth=1.0, label="true path"),
+    maps = [s for s in shown if s.run.map is not None and len(s.run.map)]
+    person = any(
+        np.any(landmark_true_ids(named(s.run), s.log.truth, s.run.map.number) == CLUTTER) for s in maps if s.run.map
+    )
+
+    def mark(marker: str, colour: str, label: str, **look: Any) -> Line2D:
+        return Line2D([], [], marker=marker, color=colour, linestyle="none", label=label, **look)
+
+    handles = [
+        Line2D([], [], color=TRUE_PATH, linewidth=1.0, label="true path"),
         Line2D([], [], color=grey, linewidth=1.2, label="estimated path (colour of the method)"),
-        Line2D([], [], marker="+", color=FAINT, linestyle="none", label="true point"),
-        Line2D([], [], marker=".", color=grey, linestyle="none", label="landmark"),
-        Line2D(
-            [], [], marker="s", color=BAD, linestyle="none", markerfacecolor="none", label="initialized on a person"
-        ),
-        Line2D([], [], marker="x", color="#808080", linestyle="none", label="removed"),
+        mark("D", grey, "end of the path", markersize=4.0),
     ]
+    handles += [mark("+", FAINT, "true point")] if any(true_landmarks(s.log) is not None for s in shown) else []
+    handles += [mark(".", grey, "landmark")] if maps else []
+    handles += [mark("s", BAD, "initialized on a person", markerfacecolor="none")] if person else []
+    handles += [mark("x", "#808080", "removed")] if any(len(removed_places(s)) for s in shown) else []
+    return handles
 
 
 Drawn = tuple[Figure, str, str]  # figure, caption (Markdown), and what it shows in a sentence
 TIME_HEADS = ("run", "median [ms]", "largest [ms]", "whole run [ms]", "removing landmarks [ms]")
-UPDATE_TIME = "update-time"  # the one picture that is never the same twice
+UPDATE_TIME = "update-time"  # the one picture that differs from run to run
 
 
 def draw(folder: Path, kind: str, lab: Lab, setup: Setup, tables: tuple[str, ...]) -> Picture:
@@ -324,9 +344,11 @@ def _methods(lab: Lab, setup: Setup) -> Drawn:
 
 def _paths(lab: Lab, setup: Setup) -> Drawn:
     quiet, busy = ([Shown(lab.trials[c], r) for r in _online(lab.trials[c])] for c in (BLIND, BLIND_PEOPLE))
+    still = [s.run.association for s in quiet if reach(s.run.trajectory("online").pose) < STILL]
+    text = f" The estimate stands still near the start with {', '.join(still)}." if still else ""
     return (
         paths_figure(quiet, busy),
-        f"`{quiet[0].log.name}`: true path and online path of each method; the map is the one without people.",
+        f"`{quiet[0].log.name}`: true path and online path of each method; the map is the one without people.{text}",
         f"True and estimated paths without odometry of {', '.join(s.run.association for s in quiet)}",
     )
 
@@ -368,7 +390,7 @@ def _update_time(folder: Path, lab: Lab, setup: Setup, tables: tuple[str, ...]) 
     write_table(pd.DataFrame(rows, columns=list(TIME_HEADS)), folder / "tables", f"lab-{UPDATE_TIME}", caption, tables)
     return (
         update_time_figure(log, times, REPEATS),
-        f"`{log.name}`: measured time of each frame's update, new landmarks included. Never the same twice.",
+        f"`{log.name}`: measured time of each frame's update, new landmarks included. Times differ from run to run.",
         f"Measured time of an update over the frames of {log.name}, without and with map maintenance",
     )
 

@@ -51,13 +51,13 @@ QUESTIONS = (
     Question("maintenance", UPKEEP, UPKEEP, (CROWDED, TIDIED), LAB, ("maintenance", UPDATE_TIME)),
 )
 HEADS = (
-    "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: share of the frames (98.9 % expected);"
-    " landmarks: at the end; state: mean length. "
+    "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: frames [%] with the position error"
+    " inside 3σ (98.9 expected); landmarks: at the end; state: mean number of state entries. "
 )
 LOST = "A run that this question needs stopped before the end; see Failures."
 NAMES_OF_METHODS = (
-    "Methods by their names on the command line: jcbb-first is the lab's JCBB (of solutions with equally many pairings"
-    " the first), jcbb takes the one with the least joint distance, jcbb-hindsight may revise; known: by labels."
+    "Methods by their names on the command line: known: by labels; jcbb-first: the lab's JCBB, keeps the first of"
+    " equally large hypotheses; jcbb: the one with the least joint distance; jcbb-hindsight: may revise decisions."
 )
 
 
@@ -82,9 +82,7 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
     sections = []
     for n, question in enumerate(QUESTIONS, start=1):
         q = getattr(facts, question.name)
-        caption = (
-            f"Question {n}. {HEADS}{NAMES_OF_METHODS}" if n == 1 else f"Question {n}; heads as in the first table."
-        )
+        caption = f"Question {n}. {HEADS}{NAMES_OF_METHODS}" if n == 1 else f"Question {n}; columns as in Table 1."
         more = {"measured": f"tables/lab-{UPDATE_TIME}.csv"} if question.name == "maintenance" else {}
         line = paragraph(f"{TEMPLATE}#{question.name}_line", q=q)
         blocks: list[Block] = [
@@ -105,7 +103,7 @@ def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
         switches = (("people", r.people), ("no odometry", not r.odometry), ("maintained", r.maintained))
         rows.append(
             {
-                "condition": ", ".join(what for what, on in switches if on) or "plain",
+                "condition": ", ".join(what for what, on in switches if on) or "no people",
                 "method": r.association,
                 **{c.upper(): getattr(r.p, c) for c in OUTCOMES},
                 "RMSE [m]": r.rmse,
@@ -114,6 +112,10 @@ def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
                 "state": None if math.isnan(r.state) else round(r.state),
             }
         )
+        if question.name == "jcbb" and r.revised:
+            revised = {c.upper(): n for c, n in r.revised.items()}
+            rows.append({**dict.fromkeys(rows[-1]), **revised, "condition": rows[-1]["condition"]})
+            rows[-1]["method"] = f"{r.association}, final decisions"
     return pd.DataFrame(rows, dtype=object)
 
 

@@ -227,7 +227,7 @@ def test_nees_of_one_sigma_in_each_coordinate_is_three_and_is_called_a_descripti
     fig = nees_figure(circle_log(), [run_with_error(SIGMA)])
     assert fig.axes[0].lines[-1].get_ydata() == pytest.approx(3.0)
     assert "mean 3" in fig.axes[0].get_title(loc="left")
-    assert "description, one run" in fig.get_suptitle()
+    assert "pose NEES of one run" in fig.get_suptitle()
 
 
 def test_nees_axis_is_logarithmic_only_where_it_must_be():

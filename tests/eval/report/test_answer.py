@@ -148,7 +148,7 @@ def test_the_best_by_its_decisions_is_no_good_with_a_path_worse_than_dead_reckon
     rows[0] |= {"rmse_position_m": 5.0}
     text = decided([reckoned, *rows], outcomes)
     assert "jcbb (ekf: 0 FP and 2 FN in 100 decisions, F1 0.99) decides best (path 5.00 m" in text
-    assert "accurate path has nn (ekf: 20" in text
+    assert "; nn (ekf: 20 FP and 10 FN in 100 decisions, F1 0.80) has the most accurate path" in text
 
 
 def test_a_way_of_deciding_that_is_lost_is_not_the_best():

@@ -65,7 +65,7 @@ def test_the_numbers_are_those_counted_by_hand(tmp_path):
     assert rows.loc["nn", "RMSE [m]"] == pytest.approx(0.3 * np.sqrt(0.8))
     assert "1 of 7 pairings are wrong, the first in frame 2" in first.blocks[0]
     assert "No fewer" not in second.blocks[0]
-    assert third.blocks[1].frame["condition"].tolist() == ["plain", "plain", "people", "people"]
+    assert third.blocks[1].frame["condition"].tolist() == ["no people", "no people", "people", "people"]
 
 
 def test_jcbb_first_is_the_lab_s_jcbb_and_jcbb_stands_for_it_where_it_was_not_run():

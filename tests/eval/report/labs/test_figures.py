@@ -9,7 +9,15 @@ from matplotlib.colors import to_hex
 from data.words import number
 from eval.figures.style import colour_of_method
 from eval.referee.score import Trial
-from eval.report.labs.pictures import Shown, Times, maintenance_figure, paths_figure, people_figure, update_time_figure
+from eval.report.labs.pictures import (
+    TRUE_PATH,
+    Shown,
+    Times,
+    maintenance_figure,
+    paths_figure,
+    people_figure,
+    update_time_figure,
+)
 from tests.eval.handmade_lab import FRAMES, NEW, POINTS, lab_log, lab_run
 
 
@@ -56,7 +64,7 @@ def test_a_map_has_true_points_and_path_faintly_below_and_people_that_are_landma
     assert points.get_xydata() == pytest.approx(POINTS.xy)
     assert len(dots.get_xydata()) == 2
     assert len(persons.get_xydata()) == 1
-    assert to_hex(truth.get_color()) == "#000000"
+    assert truth.get_color() == TRUE_PATH
     assert to_hex(believed.get_color()).upper() == to_hex(dots.get_color()).upper() == colour_of_method("nn")
     assert dots.get_markersize() <= points.get_markersize() <= 6.0
     assert dots.get_markersize() >= 3.0
@@ -67,7 +75,7 @@ def test_a_map_has_true_points_and_path_faintly_below_and_people_that_are_landma
 def test_the_believed_path_is_a_little_thicker_than_the_true_one_below_it(people, kept, paths):
     for fig, maps in ((people, 1), (kept, 2), (paths, 4)):
         for ax in fig.axes[:maps]:
-            truth, believed, *_ = sorted(paths_in(ax), key=lambda x: x.get_color() != "#000000")
+            truth, believed, *_ = sorted(paths_in(ax), key=lambda x: x.get_color() != TRUE_PATH)
             assert 1.0 <= believed.get_linewidth() / truth.get_linewidth() <= 1.5
             assert believed.get_linewidth() <= 1.3
 
@@ -126,8 +134,8 @@ def test_only_the_left_maps_and_the_lowest_of_a_column_have_their_axes_named(kep
 def test_paths_with_people_are_dashed_between_truth_and_belief_and_both_rmse_are_said(paths):
     rms = np.sqrt(0.8)
     titles = [ax.get_title(loc="left") for ax in paths.axes[:4]]
-    assert titles[0] == f"known: RMSE {number(0.2 * rms)} m"
-    assert titles[1] == f"nn: RMSE {number(0.2 * rms)} m, with people {number(0.4 * rms)} m"
+    assert titles[0] == f"known\nRMSE {number(0.2 * rms)} m"
+    assert titles[1] == f"nn\nRMSE {number(0.2 * rms)} m, with people {number(0.4 * rms)} m"
     for k, ax in enumerate(paths.axes[:4]):
         dashed = [x for x in paths_in(ax) if x.get_linestyle() == "--"]
         assert len(dashed) == (k > 0)
