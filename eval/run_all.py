@@ -181,13 +181,15 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     plan = make_plan(options, console.say)
     begin = time.time()
     console.kept = lambda: store.kept_since(options.output.kept, begin)
+    in_lab = options.selection.lab is not None  # which prints its answers; its report has the warnings
+    warn = console.detail if in_lab else console.say
     for e in plan.experiments:
         console.detail(f"{e.log.name}: {e.task}, {counted(len(e.log.recorded), 'frame')}")
         for note in e.log.notes:
             console.detail(f"{e.log.name}: {note}")
     for log in {e.log.name: e.log for e in plan.experiments if e.variant_of is None}.values():
         for question in ask(log):
-            console.say(asked(question))
+            warn(asked(question))
     with _bar("estimating", console.quiet, check) as progress:
         outcome = execute(plan, options, progress)
     judged = [j for study in outcome.studies for j in judge(study)]
@@ -197,18 +199,16 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
                 f = run.flaw
                 where = f"{trial.log.name}, {run.task}: {run.estimator}"
                 where += f" ({run.association})" if run.implausible is not None else ""
-                console.say(
-                    f"{where} {f.status} {'at' if run.implausible is None else 'from'} frame {f.frame}: {f.why}"
-                )
+                warn(f"{where} {f.status} {'at' if run.implausible is None else 'from'} frame {f.frame}: {f.why}")
                 if f.trace:
                     console.detail(f.trace.rstrip())
             for found in run.notes:
                 if found.severity is not Severity.INFO or run.handed_in:
-                    console.say(f"{trial.log.name}, {run.task}: {run.estimator}: {sentence(found)}")
+                    warn(f"{trial.log.name}, {run.task}: {run.estimator}: {sentence(found)}")
     for trial in outcome.trials:
         found_in_runs = (n for run in trial.runs for n in questions_of_run(run, trial.log.recorded))
         for question in together(n.about(log=trial.log.name, task=trial.task) for n in found_in_runs):
-            console.say(asked(question))
+            warn(asked(question))
     for study in outcome.studies:
         for text in study_lines(study):
             console.say(text)
@@ -217,7 +217,6 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
     scores = score(outcome.trials)
-    in_lab = options.selection.lab is not None  # which prints its answers instead
     for text in [] if in_lab else lines(headlines(scores, outcome.trials, outcome.studies, judged)):
         console.say(text)
     for trial in outcome.trials:

@@ -103,7 +103,7 @@ def _convert(argv: Sequence[str] | None, prog: str) -> None:
     for note in made.notes:
         print(f"- {note}")
     for question in ask(made):
-        print(f"question ({title(question)}): {sentence(question)}")
+        print(f"warning: {sentence(question)} ({title(question)})")
     print(f"written: {Path(args.out).absolute()}")
 
 

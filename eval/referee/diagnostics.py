@@ -48,17 +48,18 @@ def questions_of_run(run: Run, inputs: Inputs) -> list[Notice]:
     """Questions about one run, without truth."""
     if run.association == "none" or run.failure is not None:
         return []
-    return [found for found in (unused(run), _crowded(run, inputs)) if found is not None]
+    return [found for found in (unused(run, inputs), _crowded(run, inputs)) if found is not None]
 
 
-def unused(run: Run) -> Notice | None:
-    """A notice where hardly any observation was paired."""
+def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
+    """A notice where hardly any observation was paired; with `inputs` it says whether there is odometry to check."""
     if run.association == "none" or run.failure is not None:
         return None
     used, seen = int((run.final_decisions >= 0).sum()), len(run.final_decisions)
     if seen < FEWEST or used >= UNUSED * seen:
         return None
-    return _of(run, Code.UNUSED, used=used, readings=seen, task=run.task)
+    moves = inputs is None or bool(np.any(inputs.increments.mean))
+    return _of(run, Code.UNUSED, used=used, readings=seen, task=run.task, moves=moves)
 
 
 def _crowded(run: Run, inputs: Inputs) -> Notice | None:

@@ -29,7 +29,7 @@ from eval.report.labs.write_up import write_up
 from eval.report.laser import laser_sections
 from eval.report.log_sections import association_sections, trial_sections
 from eval.report.overview import attribution_sections, introduction, overview
-from eval.report.overview_facts import conclusion, facts_of
+from eval.report.overview_facts import LogFacts, conclusion, facts_of
 from eval.report.page.blocks import READING, Block, Folded, Report, Section, Table
 from eval.report.publish import publish, write_truths
 from eval.report.render import write_report
@@ -93,8 +93,7 @@ def write_results(
         sections += association_sections(folder, output, trials, scores)
         sections += revision_section(folder, output, trials)
         sections += lab_sections(trials, scores, answered_above=bool(answers))
-    if trials or lost.messages:
-        sections.append(_failure_section(trials, lost.messages))
+    sections += _failure_section(trials, [f for _, f in main], lost.messages)
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
     declared = _declared(judged)
     blocks: list[Block] = [introduction(facts)]
@@ -107,7 +106,13 @@ def write_results(
         blocks += [paragraph("settings#declared", d=declared), Folded("Tests and exit status", (which,))]
     if output.write_up:
         write_up(folder, trials, scores, answers, sections)
-    write_report(folder, Report(TITLE, command_of(options), tuple(blocks), tuple(sections), tuple(first)))
+    title = TITLE
+    if options.selection.lab is not None:  # its answers come first
+        camera = any(t.log.evidence is not None for t in trials)
+        title = f"{'Visual' if camera else 'Corridor'} lab: {options.selection.lab}"
+        first.insert(len(answers), Section("Filter or smoother", tuple(blocks)))
+        blocks = []
+    write_report(folder, Report(title, command_of(options), tuple(blocks), tuple(sections), tuple(first)))
     first_screen = {"conclusion": conclusion(facts), "logs": facts, "declared": declared, "missing": lost.messages}
     write_facts(folder, first_screen, [*first, *sections])
     _write_provenance(folder, options, outcome, arguments)
@@ -125,7 +130,8 @@ def warnings_section(found: Sequence[Notice]) -> list[Section]:
     return [Section("Warnings", (say("questions#about"), shown, *folded))]
 
 
-def _failure_section(trials: Sequence[Trial], missing: Sequence[Notice]) -> Section:
+def _failure_section(trials: Sequence[Trial], facts: Sequence[LogFacts], missing: Sequence[Notice]) -> list[Section]:
+    """The runs that stopped early or are implausible, and what is missing; nothing where there are none."""
     failed = [
         {"log": t.log.name, "task": t.task, "estimator": r.estimator, "association": r.association, "status": r.status}
         | {"frame": r.flaw.frame, "why": r.flaw.notice, "origin": origin(r, t)}
@@ -133,10 +139,16 @@ def _failure_section(trials: Sequence[Trial], missing: Sequence[Notice]) -> Sect
         for r in t.runs
         if r.flaw is not None
     ]
-    blocks: list[Block] = [paragraph("failures#count", runs=failed, of=sum(len(t.runs) for t in trials))]
+    lost = sum(len(f.failed) for f in facts) - sum(
+        r.flaw is not None for t in trials if t.variant_of is None for r in t.runs
+    )
+    if not (failed or lost or missing):
+        return []
+    of = sum(len(t.runs) for t in trials)
+    blocks: list[Block] = [paragraph("failures#count", runs=failed, lost=lost, of=of)] if failed or lost else []
     blocks += [Folded("Which, and why", (say("failures#stopped", runs=failed),))] if failed else []
     blocks += [say("failures#missing", texts=[described(n) for n in missing])] if missing else []
-    return Section("Failures", tuple(blocks), facts=failed)
+    return [Section("Failures", tuple(blocks), facts=failed)]
 
 
 def _declared(judged: Sequence[Judged]) -> dict[str, object] | None:

@@ -134,7 +134,7 @@ def _front(trial: Trial, f: LogFacts, made: AnswerFacts, scores: Scores, trust: 
     theirs = results_statement(trial, rows_of(of_trial(scores.metrics, trial)))
     whole = "" if theirs and is_truth_alone(trial.log) else answer(made, trust if f.measured else "")
     text = "\n\n".join(s for s in (against_relations(trial), whole, theirs) if s)
-    nothing = " ".join(of_runs(map(unused, trial.runs)))
+    nothing = " ".join(of_runs(unused(r, trial.log.recorded) for r in trial.runs))
     front = " ".join(s for s in (in_short(f), nothing or gauge_statement(f)) if s)
     return [front, Folded(IN_FULL, (text,))] if text else [front]
 

@@ -140,8 +140,8 @@ def described(notice: Notice) -> str:
 
 
 def asked(question: Notice) -> str:
-    """A question as the terminal shows it."""
-    return f"question ({whose(question)}, {title(question)}): {sentence(question)}"
+    """A warning as the terminal shows it."""
+    return f"warning: {sentence(question)} ({whose(question).replace(': ', ', ')}, {title(question)})"
 
 
 def of_runs(found: Iterable[Notice | None]) -> list[str]:

@@ -67,7 +67,9 @@ def test_a_run_that_used_nothing_says_so_in_the_headline():
     trial = Trial(log, "localization", tuple(runs))
     seen = len(log.recorded.observations.z)
     assert unused(runs[0]) is None
-    assert all(unused(run).named == {"used": 0, "readings": seen, "task": "localization"} for run in runs[1:])
+    assert all(
+        unused(run).named == {"used": 0, "readings": seen, "task": "localization", "moves": True} for run in runs[1:]
+    )
     found = questions(notices([trial]))
     assert [(n.code, n.estimator) for n in found if n.task] == [(Code.UNUSED, "ekf, batch")]
     assert Code.PRIOR in [n.code for n in found]
@@ -96,9 +98,9 @@ def test_questions_stand_in_inspect_on_the_terminal_in_the_log_and_in_the_report
     ]
     assert main(words) == 0
     said = capsys.readouterr().out
-    assert "question (lost, prior): from the prior" in said
+    assert "warning: from the prior" in said
     assert "observations are used" in said
-    assert "question (lost, prior)" in (out / "run.log").read_text()
+    assert "(lost, prior)" in (out / "run.log").read_text()
     report = (out / "report.md").read_text()
     row = next(line for line in report.splitlines() if line.startswith("| [lost, localization]"))
     assert "✗ **neither** (ekf lost from frame 0)" in row
