@@ -233,4 +233,4 @@ class TestCommands:
         assert inspect([name]) == 0
         out = capsys.readouterr().out
         assert name in out
-        assert "44 frames" in out
+        assert "frames        44," in out
