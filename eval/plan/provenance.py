@@ -35,8 +35,9 @@ def command_of(options: Options) -> str:
     named, words = list[str](), list[str]()
     for row in rows(Options).values():
         value = row.of(options)
-        by_lab = row.name == "new_gate" and selection.lab is not None  # its default differs in a lab
-        if row.numbers and (value != row.default or row.name in options.stated or by_lab):
+        in_lab = row.name == "new_gate" and selection.lab is not None
+        default = options.setup.gate if in_lab else row.default  # a lab has one gate unless two are stated
+        if row.numbers and (value != default or row.name in options.stated):
             if row.name in ("estimator", "association"):
                 value = tuple(shown(text) for text in value)
             found = row.words(value)

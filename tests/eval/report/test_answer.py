@@ -28,7 +28,7 @@ def test_the_answer_compares_filter_and_smoother_in_at_most_five_sentences():
     text = answered(FILTER, SMOOTHER)
     assert "position RMSE of 0.120 m" in text
     assert "has one of 0.100 m: the filter's is 1.20 times the smoother's" in text
-    assert "is 4.10 (median 2.50) for the filter and 2.90 (median 2.50) for the smoother (expected: mean 3" in text
+    assert "is 4.10 (median 2.50), the smoother's 2.90 (median 2.50); expected are a mean of 3" in text
     assert "so one run is no verdict" in text
     assert "Offline, use the smoother" in text
     assert [line.split(".**")[0] for line in text.splitlines()] == ["* **Accuracy", "* **NEES", "* **NIS"]
@@ -60,7 +60,7 @@ def test_without_truth_the_difference_is_not_called_an_error():
     text = answered(
         FILTER | {"rmse_position_m": None, "nees_pose": None}, SMOOTHER | {"rmse_position_m": None, "nees_pose": None}
     )
-    assert ("0.0500 m RMS from the batch solution. Later data moved the path by that much; it is not an error") in text
+    assert "by its distance from the batch solution (see the table), which is not an error" in text
     assert "NEES" not in text
 
 
@@ -190,7 +190,7 @@ def test_a_filter_that_is_lost_where_the_smoother_fits_is_lost_by_its_linearizat
 
 def test_frames_of_nearly_singular_covariance_are_counted_beside_the_mean():
     text = answered(FILTER | {"nees_left_out": 1}, SMOOTHER)
-    assert "4.10 (median 2.50, 1 frame of nearly singular covariance left out) for the filter" in text
+    assert "4.10 (median 2.50, 1 frame of nearly singular covariance left out), the smoother" in text
 
 
 def test_pairing_nothing_is_not_the_best_and_a_poor_best_is_called_poor():

@@ -61,8 +61,8 @@ def test_only_the_pair_that_is_compared_is_spoken_of():
 def test_the_answer_has_the_sentence_beside_the_errors():
     metrics, apart = frame_of([FILTER, SMOOTHER], METRICS), frame_of([ROW], DIFFERENCES)
     text = answer(answer_facts(metrics, differences=apart))
-    assert f"times the smoother's. {sentence()} Mean pose NEES" in text
-    assert answer(answer_facts(metrics)) == text.replace(f" {sentence()}", "")
+    assert f"* **Significance.** {sentence()}\n* **NEES.** The filter's" in text
+    assert answer(answer_facts(metrics)) == text.replace(f"* **Significance.** {sentence()}\n", "")
 
 
 def test_the_table_has_a_row_for_each_pair_and_names_the_association_only_where_there_are_several():

@@ -124,13 +124,16 @@ def test_the_cause_is_one_word_also_without_twins(said, word):
     assert (f.verdict, f.cause) == (Verdict.CAUSE, word)
     said = "path: smoother" if word == "nothing" else f"cause: {word}"
     assert trust_mark(f).word == said
-    assert introduction([f]).endswith(f"one referee. No ground truth on blind, {said}.")
+    told = f"No ground truth on blind, {said}"
+    if word == "nothing":
+        told = "Without ground truth, use the smoother's path on blind"
+    assert introduction([f]).endswith(f"one referee. {told}.")
 
 
 @pytest.mark.parametrize(
     ("nis", "tone", "note"),
     [
-        (1.0, "good", "no fault found; --twins 100 looks for the cause"),
+        (1.0, "good", "no fault found; --twins 100 tests this"),
         (0.81, "fair", "covariances too large (NIS 0.81, 95 % bounds 0.88-1.03); --twins 100 looks for the cause"),
         (1.6, "fair", "covariances too small (NIS 1.6, 95 % bounds 0.88-1.03); --twins 100 looks for the cause"),
     ],
