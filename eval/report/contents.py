@@ -109,7 +109,7 @@ def write_results(
     title = TITLE
     if options.selection.lab is not None:  # its answers come first
         camera = any(t.log.evidence is not None for t in trials)
-        title = f"{'Visual' if camera else 'Corridor'} lab: {options.selection.lab}"
+        title = f"{'Visual' if camera else 'Corridor'} lab: {Path(options.selection.lab).resolve().name}"
         first.insert(len(answers), Section("Filter or smoother", tuple(blocks)))
         blocks = []
     write_report(folder, Report(title, command_of(options), tuple(blocks), tuple(sections), tuple(first)))
@@ -167,7 +167,7 @@ SIZES = {
     "known_poses": "with truth",
     "observations": "observations",
     "sensor": "sensor",
-    "floored": "raised to the floor",
+    "floored": "raised to the minimum",
 }  # heads of the table of logs
 
 

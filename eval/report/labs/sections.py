@@ -57,7 +57,8 @@ HEADS = (
 LOST = "A run that this question needs stopped before the end; see Failures."
 NAMES_OF_METHODS = (
     "Methods by their names on the command line: known: by labels; jcbb-first: the lab's JCBB, keeps the first of"
-    " equally large hypotheses; jcbb: the one with the least joint distance; jcbb-hindsight: may revise decisions."
+    " equally large hypotheses; jcbb: the one with the least joint distance; jcbb-hindsight: revises decisions"
+    " (final: after the last frame)."
 )
 
 
@@ -115,7 +116,7 @@ def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
         if question.name == "jcbb" and r.revised:
             revised = {c.upper(): n for c, n in r.revised.items()}
             rows.append({**dict.fromkeys(rows[-1]), **revised, "condition": rows[-1]["condition"]})
-            rows[-1]["method"] = f"{r.association}, final decisions"
+            rows[-1]["method"] = f"{r.association}, final"
     return pd.DataFrame(rows, dtype=object)
 
 
