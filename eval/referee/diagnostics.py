@@ -67,6 +67,8 @@ def _crowded(run: Run, inputs: Inputs) -> Notice | None:
     if run.task != "slam" or run.map is None or 2 * len(run.map) < FEWEST or not inputs.sensor.sees_points:
         return None
     o, places = inputs.observations, run.map
+    if not len(o.z):  # corners of scans are the landmarks
+        return None
     _, spread = inputs.sensor.body_points(o.z, o.R)
     reach = ON_TOP * float(np.sqrt(np.median(np.trace(spread, axis1=1, axis2=2))))
     near = scipy.spatial.cKDTree(places.xy).query_pairs(reach, output_type="ndarray")

@@ -53,7 +53,9 @@ def run(command: list[str], folder: Path, environment: dict[str, str]) -> Cost:
     for line in process.stdout:
         if "trust" in line:
             cpu, wall = processor_time(process.pid), time.monotonic() - begin
+    process.stdout.close()
     _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
     if status:
         raise SystemExit(f"{' '.join(command)}: status {status}")
     return Cost(cpu, wall, used.ru_utime + used.ru_stime, time.monotonic() - begin)

@@ -103,8 +103,8 @@ def test_twins_are_judged_behind_the_gate_of_their_log(sensed):
 def test_what_is_said_of_it(sensed, tmp_path, capsys):
     assert "beyond the 0.9999 quantile" in gate_sentence(Setup(), sensed=True)
     assert "default for labels read by a sensor" in gate_sentence(Setup(), sensed=True)
-    assert gate_sentence(Setup(), sensed=False).startswith("Observations paired by label pass no gate (default")
-    assert gate_sentence(Setup(gate_known=None), sensed=True) == "Observations paired by label pass no gate."
+    assert gate_sentence(Setup(), sensed=False).startswith("Pairings by label are not gated (default")
+    assert gate_sentence(Setup(gate_known=None), sensed=True) == "Pairings by label are not gated."
     assert "smoothers keep them" in gate_sentence(Setup(gate_smoothers=False), sensed=True)
     write_folder(sensed, tmp_path / "log")
     assert inspect([str(tmp_path / "log")]) == 0
