@@ -51,7 +51,7 @@ def run(command: list[str], folder: Path, environment: dict[str, str]) -> Cost:
     assert process.stdout is not None
     cpu = wall = float("nan")
     for line in process.stdout:
-        if "trust" in line:
+        if line.startswith("arena:0, localization:"):
             cpu, wall = processor_time(process.pid), time.monotonic() - begin
     process.stdout.close()
     _, status, used = os.wait4(process.pid, 0)
