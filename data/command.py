@@ -11,32 +11,32 @@ COMPLETION = "_ARGCOMPLETE"
 """Environment variable by which the shell asks for completions (argcomplete)."""
 
 
-class Command(argparse.ArgumentParser):
+class Parser(argparse.ArgumentParser):
+    """Reports errors in one line; flags must be written out, and texts keep their layout."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
+
+    def error(self, message: str) -> NoReturn:
+        """One line, status 2."""
+        self.exit(2, f"{self.prog}: {message}; {self.prog} --help shows the flags\n")
+
+
+class Command(Parser):
     """The parser of a command.
 
     Args:
-        prog: what the command is called; `module` in the examples is replaced by it.
-        description, examples: what `--help` shows first and last.
+        prog: name of the command; it replaces `module` in the examples.
+        description, examples: the beginning and the end of `--help`.
     """
 
     def __init__(self, prog: str, module: str, description: str, examples: str = "", **options: Any) -> None:
-        super().__init__(
-            prog=prog,
-            description=description,
-            epilog=examples.replace(module, prog),
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-            allow_abbrev=False,
-            **options,
-        )
+        super().__init__(prog=prog, description=description, epilog=examples.replace(module, prog), **options)
 
     def read(self, argv: Sequence[str] | None = None) -> argparse.Namespace:
         """Values by name. Positional words and flags may be mixed; ends the process as argparse does."""
         complete(self)
         return self.parse_intermixed_args(argv)
-
-    def error(self, message: str) -> NoReturn:
-        """One line, status 2."""
-        self.exit(2, f"{self.prog}: {message}; {self.prog} --help shows the flags\n")
 
 
 def complete(parser: argparse.ArgumentParser) -> None:

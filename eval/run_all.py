@@ -154,7 +154,7 @@ def staged(out: Path) -> Iterator[Path]:
         yield partial
 
 
-def _run(options: Options, console: Console, folder: Path, arguments: Sequence[str], check: Callable[[], None]) -> int:
+def _run(options: Options, console: Console, folder: Path, command: Sequence[str], check: Callable[[], None]) -> int:
     from data.questions import ask
     from eval.figures.figure_style import figure_style
     from eval.plan.appearance import figure_style_of, require_latex
@@ -225,7 +225,7 @@ def _run(options: Options, console: Console, folder: Path, arguments: Sequence[s
             mark = trust_mark(facts)
             console.say(trust_line(facts, mark), COLOURS.get(mark.tone, ""))
     with _bar("writing", console.quiet, check) as progress, figure_style(style):
-        missing, answers = write_results(folder, options, outcome, scores, judged, arguments, progress)
+        missing, answers = write_results(folder, options, outcome, scores, judged, command, progress)
     failed = failed_declarations(judged)
     for j in failed:
         task, estimator, _, phase = j.key

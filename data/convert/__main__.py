@@ -9,9 +9,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from data.command import COMPLETION, complete
+from data.command import COMPLETION, Parser, complete
 from data.convert import g2o, mrclam, recordings, table, visual, worlds
-from data.convert.parsers import Parser
 from data.terminal import counted, ended
 from data.worlds.registry import SIMULATORS
 

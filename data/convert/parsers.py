@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from typing import Any, NoReturn, Protocol
+from typing import Protocol
 
 
 class Add(Protocol):
@@ -11,14 +11,3 @@ class Add(Protocol):
 
     def __call__(self, name: str, *, help: str, description: str, epilog: str) -> argparse.ArgumentParser:
         """The parser, to which flags are added."""
-
-
-class Parser(argparse.ArgumentParser):
-    """Reports errors in one line; flags must be written out, and texts keep their layout."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
-
-    def error(self, message: str) -> NoReturn:
-        """One line, status 2."""
-        self.exit(2, f"{self.prog}: {message} (see --help)\n")

@@ -17,9 +17,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO
 
+from data.terminal import ROOT
 from eval.plan.flags.table import Options
 
-ROOT = Path(__file__).parents[2]
 INTERPRETED = "NUMBA_DISABLE_JIT"
 SMALL = 16_000
 """Most observations, times estimators, methods and tasks, for interpreted kernels: 20 s at the measured 0.3 to 1.2 ms

@@ -13,7 +13,8 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from data.terminal import ROOT
+
 PACKAGES = ("association", "data", "ekf", "eval", "graph")
 KEPT = ROOT / "ekf" / "__pycache__" / ".slamref-sources.json"
 """sha256 of what each module with kernels was compiled from."""

@@ -72,7 +72,6 @@ class Claim:
     status: str = "ok"
     lost_frame: float = math.nan
     idle: bool = False
-    error: float = math.nan
     nees: float = math.nan
     nees_lower: float = math.nan
     wrong: float = math.nan

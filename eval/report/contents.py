@@ -58,7 +58,7 @@ def write_results(
     outcome: Outcome,
     scores: Scores,
     judged: Sequence[Judged],
-    arguments: Sequence[str],
+    command: Sequence[str],
     progress: Callable[[int, int], None],
 ) -> Written:
     """Fill the result folder."""
@@ -115,7 +115,7 @@ def write_results(
     write_report(folder, Report(title, command_of(options), tuple(blocks), tuple(sections), tuple(first)))
     first_screen = {"conclusion": conclusion(facts), "logs": facts, "declared": declared, "missing": lost.messages}
     write_facts(folder, first_screen, [*first, *sections])
-    _write_provenance(folder, options, outcome, arguments)
+    _write_provenance(folder, options, outcome, command)
     result_files.NOTICES.write(notices_table([*found, *lost.messages]), folder)
     return Written(tuple(lost.messages), tuple(s.answer for s in answers if s.answer))
 
@@ -200,7 +200,7 @@ def _source_section(trials: Sequence[Trial], setup: Setup) -> Section:
     return Section("Logs and settings", (Folded("Sizes, sensors and gates", blocks),), facts=sources)
 
 
-def _write_provenance(folder: Path, options: Options, outcome: Outcome, arguments: Sequence[str]) -> None:
+def _write_provenance(folder: Path, options: Options, outcome: Outcome, command: Sequence[str]) -> None:
     """Inputs with their digests, and estimators and association methods by flag and scenario file."""
     results: dict[str, dict[str, str]] = {}
     for run in (r for t in outcome.trials for r in t.runs if isinstance(r, GivenRun)):
@@ -209,5 +209,5 @@ def _write_provenance(folder: Path, options: Options, outcome: Outcome, argument
     used = [*options.selection.estimator, *options.selection.association]
     used += [*(m.name for s in studied for m in s.members), *(a for s in studied for a in s.association)]
     logs = {t.log.name: t.log for t in outcome.trials}.values()
-    text = provenance(options, logs, arguments, used, results)
+    text = provenance(options, logs, command, used, results)
     (folder / "provenance.json").write_text(text, encoding="utf-8")

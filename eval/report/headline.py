@@ -28,7 +28,7 @@ Line = tuple[str, ...]
 
 
 @dataclass(frozen=True)
-class Headline:
+class MainNumbers:
     """A run, or an estimator of a study; NaN, blank and None: not known."""
 
     rank: int  # how soon it is wanted (0: first)
@@ -49,7 +49,7 @@ class Group(NamedTuple):
 
     log: str
     task: str
-    rows: tuple[Headline, ...]
+    rows: tuple[MainNumbers, ...]
     more: int
 
 
@@ -57,13 +57,13 @@ def headlines(
     scores: Scores, trials: Sequence[Trial], studies: Sequence[Study], judged: Sequence[Judged]
 ) -> list[Group]:
     """The rows of every log and study; none where nothing was estimated."""
-    groups: dict[tuple[str, str], list[Headline]] = {}
+    groups: dict[tuple[str, str], list[MainNumbers]] = {}
     for row in [*_of_logs(scores, trials), *_of_studies(studies, judged)]:
         groups.setdefault((row.log, row.task), []).append(row)
     return [_shown(log, task, rows, alone=len(groups) == 1) for (log, task), rows in groups.items()]
 
 
-def _shown(log: str, task: str, rows: list[Headline], alone: bool) -> Group:
+def _shown(log: str, task: str, rows: list[MainNumbers], alone: bool) -> Group:
     """All rows of a log that is alone, up to `ROWS`, those wanted first; else the best and the worst by RMSE."""
     if alone:
         order = sorted(range(len(rows)), key=lambda i: (rows[i].rank, i))[:ROWS]
@@ -74,7 +74,7 @@ def _shown(log: str, task: str, rows: list[Headline], alone: bool) -> Group:
     return Group(log, task, tuple(rows[i] for i in (sorted(order) if alone else order)), len(rows) - len(order))
 
 
-def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[Headline]:
+def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[MainNumbers]:
     """A row for each run, with what is known in the end; filter and last smoother of each log are wanted first."""
     variants = {t.log.name for t in trials if t.variant_of is not None}
     decided = {_key(r): r for r in records(scores.association)}
@@ -97,10 +97,10 @@ def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[Headline]:
         log, task, estimator, association = (str(r[c]) for c in ("log", "task", "estimator", "association"))
         numbers = (related if by_relations else rmse, value_of(r, "nees_pose"), value_of(r, "nis"))
         wrong = _wrong(decided.get(_key(r)))
-        yield Headline(rank, log, task, estimator, association, *numbers, _verdict(r), wrong, by_relations)
+        yield MainNumbers(rank, log, task, estimator, association, *numbers, _verdict(r), wrong, by_relations)
 
 
-def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[Headline]:
+def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[MainNumbers]:
     for study in studies:
         phases = {key[:3]: key for key in study.samples}
         for key in phases.values():
@@ -112,7 +112,7 @@ def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[
             mean = {name: math.nan if v is None else v.mean for name, v in (("nees", nees), ("nis", nis))}
             rank, name = 3 if estimator == "dead-reckoning" else 0, f"{study.scenario.name} x{len(study.seeds)}"
             verdict = "" if nees is None else nees.word
-            yield Headline(rank, name, task, estimator, association, rmse, mean["nees"], mean["nis"], verdict)
+            yield MainNumbers(rank, name, task, estimator, association, rmse, mean["nees"], mean["nis"], verdict)
 
 
 def _key(row: Row) -> tuple[object, ...]:
@@ -157,7 +157,7 @@ def lines(groups: Sequence[Group]) -> list[str]:
         more = f" ({say('headline#more', rows=g.more)})" if g.more else ""
         text += ["", f"{g.log}, {TASKS[g.task]}{more}", table[0], *table[place : place + len(g.rows)]]
         place += len(g.rows)
-    wanted = [name for name in ("NEES", "related", "verdict") if name in named]
+    wanted: list[str] = [name for name in ("NEES", "verdict") if name in named]
     wanted += ["related"] if any(row.by_relations for g in groups for row in g.rows) else []
     return [*text[1:], *(f"({say(f'headline#{name}')})" for name in wanted)]
 
@@ -167,7 +167,7 @@ def trust_line(facts: LogFacts, mark: Mark) -> str:
     return paragraph("headline#trust", f=facts, mark=mark)
 
 
-def _cells(row: Headline) -> Line:
+def _cells(row: MainNumbers) -> Line:
     return (
         row.estimator,
         row.association,

@@ -51,9 +51,8 @@ def gauge_statement(f: LogFacts) -> str:
 
 def trust_mark(f: LogFacts) -> Mark:
     """The estimator to trust for the path; of a log without truth what is to blame."""
-    sound = f.verdict in (Verdict.SMOOTHER, Verdict.EITHER) and all(f.trusted)
     rejected = next((r for r in (f.filtered, f.smoothed) if r and r.nis_verdict not in ("", CONSISTENT)), None)
-    if (sound and not f.objections) or (f.verdict == Verdict.CAUSE and f.cause == NOTHING and rejected is None):
+    if f.sound or (f.verdict == Verdict.CAUSE and f.cause == NOTHING and rejected is None):
         tone = "good"
     elif f.verdict in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER, Verdict.CAUSE):
         tone = "fair"

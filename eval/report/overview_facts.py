@@ -11,7 +11,7 @@ from enum import StrEnum
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, component_of
 from eval.referee.consistency import OVERCONFIDENT
 from eval.referee.diagnostics import unused
-from eval.referee.headline import Claim, Objected, Preference, Verdict, headline, usable
+from eval.referee.headline import Claim, Headline, Objected, Preference, Verdict, headline, usable
 from eval.referee.intervals import aligned_difference
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import INCREMENTAL
@@ -80,6 +80,11 @@ class LogFacts:
         return f"{self.log}, {self.task}"
 
     @property
+    def sound(self) -> bool:
+        """Whether nothing objects to the verdict, and both estimates are usable."""
+        return Headline(self.verdict, self.objections).sound and all(self.trusted)
+
+    @property
     def ratio(self) -> float:
         """The filter's error over the smoother's, where both are to be trusted."""
         a, b = self.errors
@@ -94,18 +99,22 @@ def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> LogFacts:
         for table in (scores.metrics, scores.association)
     )
     rows = [scored(r) for r in metrics]
-    own = [r for r in rows if r.association == chosen_association(rows)]
-    pair = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
     return log_facts(
         trial,
         rows,
         relations=_relations(scores) if trial.log.truth.relations is not None else {},
-        decided=deciding_facts([scored(r) for r in metrics], metrics, outcomes),
+        decided=deciding_facts(rows, metrics, outcomes),
         trust=next(iter(of_trial(trial, trust)), None),
         idle=frozenset((r.estimator, r.association) for r in trial.runs if unused(r) is not None),
         wrong={(str(r["estimator"]), str(r["association"]), str(r["phase"])): _wrong_share(r) for r in outcomes},
-        p=_p_of_difference(trial, scores, *pair),
+        p=_p_of_difference(trial, scores, *_compared(rows)),
     )
+
+
+def _compared(rows: Sequence[Scored]) -> tuple[Scored | None, Scored | None]:
+    """The rows of the filter and the smoother that are compared, under one association method."""
+    own = [r for r in rows if r.association == chosen_association(rows)]
+    return pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
 
 
 def _wrong_share(row: Row) -> float:
@@ -132,7 +141,7 @@ def log_facts(
     log, truth = trial.log.name, trial.log.truth
     chosen = chosen_association(rows)
     own = [r for r in rows if r.association == chosen]
-    filtered, smoothed = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
+    filtered, smoothed = _compared(rows)
     newest = pick([r for r in own if r.ok], INCREMENTAL, "online")
 
     errors = [math.nan if r is None else r.rmse for r in (filtered, smoothed)]
@@ -150,14 +159,14 @@ def log_facts(
         apart = filtered.from_batch
     measured, slam = truth.known_poses > 0 or truth.relations is not None, trial.task == "slam"
 
-    def claim(row: Scored | None, error: float = math.nan) -> Claim | None:
+    def claim(row: Scored | None) -> Claim | None:
         if row is None:
             return None
         unused = (row.estimator, row.association) in idle
         share = wrong.get((row.estimator, row.association, row.phase), math.nan)
-        return _claim(row, error, share, idle=unused, slam=slam)
+        return _claim(row, share, idle=unused, slam=slam)
 
-    a, b = claim(filtered, errors[0]), claim(smoothed, errors[1])
+    a, b = claim(filtered), claim(smoothed)
     trusted = usable(a, measured), usable(b, measured)
     compared = errors
     if slam and not related and filtered is not None and smoothed is not None:
@@ -195,17 +204,14 @@ def log_facts(
     )
 
 
-def _claim(row: Scored | None, error: float, wrong: float, *, idle: bool, slam: bool) -> Claim | None:
+def _claim(row: Scored, wrong: float, *, idle: bool, slam: bool) -> Claim:
     """What a row of metrics.csv claims; in SLAM an interval of one log says nothing of the frame's error."""
-    if row is None:
-        return None
     lost = row.lost_frame if row.lost_why else math.nan
     return Claim(
         row.estimator,
         row.status,
         0.0 if row.lost_why and not math.isfinite(lost) else lost,
         idle,
-        error,
         row.nees,
         math.nan if slam else row.nees_lower,
         wrong,

@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -46,7 +48,13 @@ def run(command: list[str], folder: Path, environment: dict[str, str]) -> Cost:
     """Run a command to its end. The table stands there with the line that says whom to trust."""
     begin = time.monotonic()
     process = subprocess.Popen(
-        command, cwd=folder, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+        command,
+        cwd=folder,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        start_new_session=True,  # its background compiler stays in this group
     )
     assert process.stdout is not None
     cpu = wall = float("nan")
@@ -56,15 +64,11 @@ def run(command: list[str], folder: Path, environment: dict[str, str]) -> Cost:
     process.stdout.close()
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
+    with suppress(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGTERM)
     if status:
         raise SystemExit(f"{' '.join(command)}: status {status}")
     return Cost(cpu, wall, used.ru_utime + used.ru_stime, time.monotonic() - begin)
-
-
-def wait_for_background() -> None:
-    """Until no process compiles in the background."""
-    while subprocess.run(["pgrep", "-f", "eval.warm --background"], capture_output=True, check=False).stdout:
-        time.sleep(1.0)
 
 
 def size(folder: Path) -> float:
@@ -90,7 +94,6 @@ def measure(here: bool) -> list[tuple[str, str]]:
             rows.append(("installed size", f"{size(Path(place) / 'venv'):.0f} MB"))
         asked = [*command, "run", "arena:0", "--out", str(work / "out")]
         first = run(asked, work, environment)
-        subprocess.run(["pkill", "-f", "eval.warm --background"], check=False)
         rows.append(("first run: table", f"{first.table_cpu:.1f} s, {first.table_wall:.1f} s wall"))
         rows.append(("first run: report", f"{first.cpu:.1f} s, {first.wall:.1f} s wall"))
         warm = run([*command, "warm"], work, environment)

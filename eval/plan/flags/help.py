@@ -20,12 +20,14 @@ class Everyday(NamedTuple):
     example: str
 
 
-_OUTPUT = (
-    Everyday("--out DIR", "the result folder (default: results/report)", "arena:0 --out results/arena"),
-    Everyday("--quick", "a short report: fewer frames and figures", "--quick"),
-    Everyday("--no-plots", "tables without figures", "arena:0 --no-plots"),
-    Everyday("--open", "show the report in the browser", "arena:0 --open"),
-)
+def _report(words: str, folder: str) -> tuple[Everyday, Everyday]:
+    """The flags of every report, with examples after these words."""
+    return (
+        Everyday("--out DIR", "the result folder (default: results/report)", f"{words} --out results/{folder}"),
+        Everyday("--open", "show the report in the browser", f"{words} --open"),
+    )
+
+
 RUN = {
     "input": (
         Everyday("LOG ...", "log folders, recordings or simulated logs (default: a suite of logs)", "arena:0 my_log/"),
@@ -40,7 +42,11 @@ RUN = {
         Everyday("--twins N", "diagnosis without ground truth, from N bootstrap replicates", "my_log/ --twins 100"),
         Everyday("--calibrate", "estimate systematic errors of odometry and sensor", "my_log/ --calibrate"),
     ),
-    "output": _OUTPUT,
+    "output": (
+        *_report("arena:0", "arena"),
+        Everyday("--quick", "a short report: fewer frames and figures", "--quick"),
+        Everyday("--no-plots", "tables without figures", "arena:0 --no-plots"),
+    ),
 }
 LAB = {
     "lab": (
@@ -51,10 +57,10 @@ LAB = {
     "output": (
         Everyday("--write-up", "a LaTeX text to hand in", "corridor:3 --write-up"),
         Everyday("--lab-text", "each run's steps as the lab's program prints them", "corridor:3 --lab-text"),
-        *(flag._replace(example=flag.example.replace("arena", "corridor")) for flag in (_OUTPUT[0], _OUTPUT[3])),
+        *_report("corridor:3", "corridor"),
     ),
 }
-STUDY = {
+STUDY: dict[str, tuple[Everyday, ...]] = {
     "study": (
         Everyday("NAME|FILE ...", "shipped studies, or TOML files; all: every shipped one", "arena"),
         Everyday("--runs N", "number of simulated logs", "arena --runs 100"),
@@ -64,10 +70,10 @@ STUDY = {
     "execution and output": (
         Everyday("--jobs N", "processes (default: one per core)", "arena --runs 100 --jobs 2"),
         Everyday("--scheduler ADDRESS", "a Dask cluster", "arena --runs 1000 --scheduler tcp://host:8786"),
-        *(flag._replace(example=flag.example.replace(":0", "")) for flag in (_OUTPUT[0], _OUTPUT[3])),
+        *_report("arena", "arena"),
     ),
 }
-EVERYDAY = {"log": RUN, "lab": LAB, "scenario": STUDY}
+EVERYDAY: dict[str, dict[str, tuple[Everyday, ...]]] = {"log": RUN, "lab": LAB, "scenario": STUDY}
 """The flags of everyday use, in groups, by the flag whose values words without a flag are."""
 GROUPS = {
     "selection": "input, estimators and association",

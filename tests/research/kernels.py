@@ -1,6 +1,6 @@
 """Processor time of compilation by kernel, exclusive of the kernels that it calls, in a cache of its own.
 
-`python -m tests.research compilation`: a row for each kernel: s, how often it was compiled, its signatures.
+`python -m tests.research.kernels [-v]`: a row for each kernel: s, how often it was compiled, its signatures.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from typing import Any
 def measure() -> tuple[dict[str, float], dict[str, list[Any]], float]:
     """Exclusive processor time [s] and signatures by kernel, and the total, of compiling everything."""
     os.environ["NUMBA_CACHE_DIR"] = tempfile.mkdtemp()
-    from numba.core import compiler
     from numba.core.dispatcher import _FunctionCompiler
 
     from eval.plan.warming import PARTS
@@ -43,7 +42,6 @@ def measure() -> tuple[dict[str, float], dict[str, list[Any]], float]:
     begin = time.process_time()
     for part in PARTS.values():
         part()
-    assert compiler is not None
     return seconds, signatures, time.process_time() - begin
 
 
