@@ -30,9 +30,10 @@ from eval.report.words import plus_minus, say
 from eval.studies.trusted import Blame, Row, Trust
 
 MOST = 18  # rows of a table; trust.csv has all
+LAG1 = "innovation_lag1"
 HEADLINE = (
     "nis",
-    "innovation_lag1",
+    LAG1,
     *(f"filter_smoother_{what}" for what in ("median", "semidefinite", "rms_x", "rms_y", "rms_theta", "largest")),
 )  # statistics that are shown whatever they say
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
@@ -242,6 +243,7 @@ class Decided:
 class Step(StrEnum):
     """What to do about findings."""
 
+    CORRELATED = "correlated"
     FIT = "fit"
     CORRECT = "correct"
     SHIFT = "shift"
@@ -310,7 +312,7 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
         POWER,
         _nees(trust),
         _deciding(trust),
-        advice(found, labels=labels),
+        advice(found, labels=labels, correlated=blame is not None and any(n == LAG1 for _, n in blame.objected)),
         _done(trust.done, terms),
         None if trust.after is None else facts_of(trust.after, terms, labels=labels),
         trust.notices,
@@ -440,14 +442,15 @@ def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     return tuple(name for name in GROUPS if name in wanted)
 
 
-def advice(findings: Sequence[Finding], *, labels: bool) -> Advice:
-    """What to do about findings."""
+def advice(findings: Sequence[Finding], *, labels: bool, correlated: bool = False) -> Advice:
+    """What to do about findings; `correlated`: innovations are."""
     groups, kinds = groups_of(findings), {f.kind for f in findings}
     unfitted = [f.name for f in findings if f.kind == "systematic" and f.name not in FITTED]
     by_hand = tuple(name for name in unfitted if name.split("_", 1)[1] not in LATE)
     off = tuple(dict.fromkeys(f.name for f in findings if f.kind in ("linearization", "innovations")))
     filters = any(name in FILTERS for name in off)
     steps = {
+        Step.CORRELATED: correlated and any(f.kind == "sigma" for f in findings),
         Step.FIT: bool(groups) and labels,
         Step.CORRECT: bool(groups) and not labels,
         Step.SHIFT: len(unfitted) > len(by_hand),
