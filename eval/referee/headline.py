@@ -49,11 +49,15 @@ class Objection(StrEnum):
     NEES = "nees"
     ASSOCIATION = "association"
     NIS = "nis"
+    CAUSE = "cause"
 
 
 @dataclass(frozen=True)
 class Objected:
-    """An objection to an estimator with the number behind it (frame, NEES, share of wrong pairings, NIS per dof)."""
+    """An objection to an estimator with the number behind it (frame, NEES, share of wrong pairings, NIS per dof).
+
+    `CAUSE` is one to the log: the estimator is blank, and the number the smallest family-wise p of the diagnosis.
+    """
 
     objection: Objection
     estimator: str
@@ -157,8 +161,12 @@ def headline(
     *,
     measured: bool,
     caused: bool = False,
+    rejected: float = math.nan,
 ) -> Headline:
-    """Whom to trust on a log and task; `caused`: without ground truth, a diagnosis names a cause instead."""
+    """Whom to trust on a log and task; `caused`: without ground truth, a diagnosis names a cause instead.
+
+    `rejected`: the diagnosis found a violated assumption, with this family-wise p (NaN: none found).
+    """
     both = [c for c in (filtered, smoothed) if c is not None]
     good = usable(filtered, measured), usable(smoothed, measured)
     if not both:
@@ -177,6 +185,8 @@ def headline(
         verdict = nearer(preference)
     about = {Verdict.SMOOTHER: [smoothed], Verdict.FILTER: [filtered], Verdict.ONLY: [filtered]}.get(verdict, both)
     found = [o for c in about if c is not None for o in objections(c, measured)]
+    if measured and verdict in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER) and math.isfinite(rejected):
+        found.append(Objected(Objection.CAUSE, "", rejected))
     order = list(Objection)
     return Headline(verdict, tuple(sorted(found, key=lambda o: order.index(o.objection))))
 
