@@ -97,7 +97,7 @@ def overview(
         cells += [*_associations(f), _failed(f)]
         kept = tuple(c for head, c in enumerate(cells, start=1) if head not in left_out)
         player = f"players/{folder_name(f.log)}.html"
-        links = (("play", player),) if (folder / player).exists() else ()
+        links: tuple[tuple[str, str], ...] = (("play", player),) if (folder / player).exists() else ()
         links += tuple(("evidence", place) for place in _evidence(trial, f))
         rows.append(OverviewRow(f.name, f.name, kept, links))
     heads = tuple(h for i, h in enumerate(HEADS) if i not in left_out)

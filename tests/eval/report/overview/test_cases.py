@@ -67,6 +67,7 @@ def test_a_motion_model_that_integrates_otherwise_takes_the_tick():
     assert f"NEES {facts.smoothed.nees:.3g}" in mark.note
 
 
+@pytest.mark.slow  # renders a recording
 def test_slam_prefers_no_filter_whose_path_is_no_better_after_alignment():
     facts, mark = first_screen(open_log("visual:0"), "slam", "known")
     assert facts.smoothed.aligned <= 1.1 * facts.filtered.aligned
