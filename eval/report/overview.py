@@ -26,7 +26,7 @@ from eval.studies.trusted import Trust
 ATTRIBUTION = HEADING
 HEADS = (
     *("log, task", "use", "map", "filter", "smoother", "handed in", "ratio or distance", "filter's NIS test"),
-    *("best association", "worst", "unusable runs"),
+    *("association", "worst", "unusable runs"),
 )
 GIVEN = HEADS.index("handed in")
 IN_DETAIL = (HEADS.index("worst"),)  # columns of the details alone
@@ -131,7 +131,9 @@ def _ratio(f: LogFacts) -> Value | None:
 def _associations(f: LogFacts) -> tuple[Value | None, Value | None]:
     if f.best is None or f.worst is None:
         return None, None
-    best, worst = (Value(w.association, f"{w.fp} FP / {w.fn} FN ({w.estimator})") for w in (f.best, f.worst))
+    best, worst = (Value(w.association, paragraph("overview#association", w=w)) for w in (f.best, f.worst))
+    if f.nearest is not None or not f.decides:
+        best = Value(*(paragraph(f"overview#{part}", f=f) for part in ("disputed", "disputes")))
     return best, None if f.best == f.worst else worst
 
 
