@@ -52,11 +52,12 @@ def questions_of_run(run: Run, inputs: Inputs) -> list[Notice]:
 
 
 def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
-    """A notice where hardly any observation was paired; with `inputs` it says whether there is odometry to check."""
+    """A notice where hardly any observation was paired, or (with `inputs`) where the log has none to pair."""
     if run.association == "none" or run.failure is not None:
         return None
     used, seen = int((run.final_decisions >= 0).sum()), len(run.final_decisions)
-    if seen < FEWEST or used >= UNUSED * seen:
+    nothing = not seen and inputs is not None and inputs.scans is None and not run.handed_in
+    if not nothing and (seen < FEWEST or used >= UNUSED * seen):
         return None
     moves = inputs is None or bool(np.any(inputs.increments.mean))
     return _of(run, Code.UNUSED, used=used, readings=seen, task=run.task, moves=moves)
