@@ -64,7 +64,7 @@ def seed_jobs(log: Log, setup: Setup) -> list[Job[str]]:
         return []
     _, _, rest = log.name.removeprefix("corridor:").partition(":")
     names = [f"corridor:{seed + k}" + (f":{rest}" if rest else "") for k in range(SEEDS)]
-    if names[0] != log.name or input_digest(open_log(names[0])) != input_digest(log):
+    if not names or names[0] != log.name or input_digest(open_log(names[0])) != input_digest(log):
         return []
     return [Job(name, partial(one_seed, name, setup)) for name in names]
 
