@@ -137,7 +137,7 @@ def report(rows: Sequence[Row]) -> str:
         "association",
         "task",
         "objects",
-        "of these strong by the numbers",
+        "of these strong",
         "filter preferred",
         "objections",
     )
