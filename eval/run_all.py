@@ -217,7 +217,7 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
     scores = score(outcome.trials)
-    for text in [] if in_lab else lines(headlines(scores, outcome.trials, outcome.studies, judged)):
+    for text in [] if in_lab else lines(headlines(scores, outcome.trials, outcome.studies, judged, outcome.trust)):
         console.say(text)
     for trial in outcome.trials:
         if trial.variant_of is None and not in_lab:

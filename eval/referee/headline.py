@@ -105,6 +105,11 @@ class Headline:
         return self.verdict in (Verdict.SMOOTHER, Verdict.EITHER) and not self.objections
 
 
+def overconfident(nees: float, lower: float = math.nan) -> bool:
+    """Whether the mean pose NEES of one log is too large; `lower`: bound of its interval, unknown in SLAM."""
+    return nees > NEES_LIMIT or lower > NEES_MARGIN * NEES_EXPECTED
+
+
 def objections(claim: Claim, measured: bool) -> tuple[Objected, ...]:
     """What speaks against an estimate, the strongest first; `measured`: whether there is ground truth.
 
@@ -122,7 +127,7 @@ def objections(claim: Claim, measured: bool) -> tuple[Objected, ...]:
         found.append(Objected(Objection.IDLE, claim.estimator))
     if found:  # its numbers are of no use then
         return tuple(found)
-    if known and (claim.nees > NEES_LIMIT or claim.nees_lower > NEES_MARGIN * NEES_EXPECTED):
+    if known and overconfident(claim.nees, claim.nees_lower):
         found.append(Objected(Objection.NEES, claim.estimator, claim.nees))
     if claim.wrong > WRONG_LIMIT:
         found.append(Objected(Objection.ASSOCIATION, claim.estimator, claim.wrong))

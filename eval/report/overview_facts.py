@@ -9,16 +9,14 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNTELLABLE, component_of
-from eval.referee.consistency import OVERCONFIDENT
 from eval.referee.diagnostics import unused
 from eval.referee.headline import Claim, Headline, Objected, Preference, Verdict, headline, usable
-from eval.referee.intervals import aligned_difference
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import INCREMENTAL
 from eval.report.answer import LINEARIZATION, chosen_association, pick
 from eval.report.comparison import difference_of
 from eval.report.deciding import SAME, Deciding, MethodOutcome, deciding_facts
-from eval.report.rows import Row, Scored, filters_in, rows_of, scored, smoothers_in, value_of
+from eval.report.rows import Row, Scored, filters_in, rows_of, scored_rows, smoothers_in, value_of
 from eval.report.trust import STANDS_OUT, Explanation, Terms, main_findings, of_trial, terms_of
 from eval.studies.trusted import Trust
 
@@ -101,7 +99,7 @@ def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> LogFacts:
         [r for r in rows_of(table) if all(r[k] == v for k, v in here.items())]
         for table in (scores.metrics, scores.association)
     )
-    rows = [scored(r) for r in metrics]
+    rows = scored_rows(metrics, trust)
     return log_facts(
         trial,
         rows,
@@ -110,7 +108,7 @@ def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> LogFacts:
         trust=next(iter(of_trial(trial, trust)), None),
         idle=frozenset((r.estimator, r.association) for r in trial.runs if unused(r, trial.log.recorded)),
         wrong={(str(r["estimator"]), str(r["association"]), str(r["phase"])): _wrong_share(r) for r in outcomes},
-        p=_p_of_difference(trial, scores, *_compared(rows)),
+        p=_p_of_difference(scores, *_compared(rows), log=trial.log.name, task=trial.task),
     )
 
 
@@ -225,25 +223,17 @@ def _claim(row: Scored, wrong: float, *, idle: bool, slam: bool) -> Claim:
         math.nan if slam else row.nees_lower,
         wrong,
         row.nis / row.nis_expected if math.isfinite(row.nis_expected) else row.nis,
-        row.nis_verdict == OVERCONFIDENT,
+        row.nis > row.nis_upper,
     )
 
 
-def _p_of_difference(trial: Trial, scores: Scores, filtered: Scored | None, smoothed: Scored | None) -> float:
+def _p_of_difference(scores: Scores, filtered: Scored | None, smoothed: Scored | None, log: str, task: str) -> float:
     """P of no difference between the RMSEs of filter and smoother, in SLAM after alignment; NaN: not known."""
     if filtered is None or smoothed is None:
         return math.nan
-    if trial.task != "slam":
-        found = difference_of(rows_of(scores.differences), filtered, smoothed)
-        return math.nan if found is None else found.p
-    paths = []
-    for s in (filtered, smoothed):
-        run = trial.find(s.estimator, s.association)
-        paths.append(None if run is None or run.flaw is not None or run.handed_in else run.trajectory(s.phase).pose)
-    truth = trial.log.truth.pose
-    if truth is None or paths[0] is None or paths[1] is None:
-        return math.nan
-    return aligned_difference(paths[0], paths[1], truth).p
+    own = [r for r in rows_of(scores.differences) if (r["log"], r["task"]) == (log, task)]
+    found = difference_of(own, filtered, smoothed)
+    return math.nan if found is None else found.p
 
 
 def _online(filtered: float, online: float) -> Online:

@@ -30,9 +30,10 @@ from eval.report.words import plus_minus, say
 from eval.studies.trusted import Blame, Row, Trust
 
 MOST = 18  # rows of a table; trust.csv has all
+LAG1 = "innovation_lag1"
 HEADLINE = (
     "nis",
-    "innovation_lag1",
+    LAG1,
     *(f"filter_smoother_{what}" for what in ("median", "semidefinite", "rms_x", "rms_y", "rms_theta", "largest")),
 )  # statistics that are shown whatever they say
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
@@ -245,6 +246,7 @@ class Decided:
 class Step(StrEnum):
     """What to do about findings."""
 
+    CORRELATED = "correlated"
     FIT = "fit"
     CORRECT = "correct"
     SHIFT = "shift"
@@ -316,7 +318,12 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
         POWER,
         _nees(trust),
         _deciding(trust),
-        advice(found, labels=labels, association=trust.association),
+        advice(
+            found,
+            labels=labels,
+            association=trust.association,
+            correlated=blame is not None and any(name == LAG1 for _, name in blame.objected),
+        ),
         _done(trust.done, terms),
         None if trust.after is None else facts_of(trust.after, terms, labels=labels),
         trust.notices,
@@ -453,8 +460,11 @@ def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     return tuple(name for name in GROUPS if name in wanted)
 
 
-def advice(findings: Sequence[Finding], *, labels: bool, association: str = "") -> Advice:
-    """What to do about findings of a run with an association method; never what is running already."""
+def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", correlated: bool = False) -> Advice:
+    """What to do about findings of a run with an association method; never what is running already.
+
+    `correlated`: innovations are.
+    """
     groups, kinds = groups_of(findings), {f.kind for f in findings}
     unfitted = [f.name for f in findings if f.kind == "systematic" and f.name not in FITTED]
     by_hand = tuple(name for name in unfitted if name.split("_", 1)[1] not in LATE)
@@ -462,6 +472,7 @@ def advice(findings: Sequence[Finding], *, labels: bool, association: str = "") 
     filters = any(name in FILTERS for name in off)
     revised = association == HINDSIGHT
     steps = {
+        Step.CORRELATED: correlated and any(f.kind == "sigma" for f in findings),
         Step.FIT: bool(groups) and labels,
         Step.CORRECT: bool(groups) and not labels,
         Step.SHIFT: len(unfitted) > len(by_hand),

@@ -89,7 +89,8 @@ def test_an_estimate_that_used_no_reading_is_not_to_be_trusted():
 
 
 @pytest.mark.parametrize(
-    ("nis", "word", "tone"), [(1.0, "consistent", "good"), (1.6, "overconfident", "bad"), (0.5, "conservative", "fair")]
+    ("nis", "word", "tone"),
+    [(1.0, "innovations fit", "good"), (1.6, "NIS too large", "bad"), (0.5, "NIS too small", "fair")],
 )
 def test_what_the_filter_claims_is_a_word_a_colour_and_a_number(nis, word, tone):
     mark = claims(facts(EKF | {"nis": nis}))
