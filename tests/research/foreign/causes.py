@@ -64,13 +64,16 @@ class Row(NamedTuple):
 
 
 def cases(faults: Sequence[str], shapes: Sequence[str], count: int, sound: int, method: str, first: int) -> list[Case]:
-    """`count` logs of each fault and `sound` sound ones, over shapes and tasks in turn."""
+    """`count` logs of each fault and `sound` sound ones, over shapes and tasks in turn, all faults before the next."""
     found = []
-    for fault, number, seed in (("", sound, SOUND), *((f, count, FAULTY) for f in faults)):
-        tasks = FAULTS[fault].tasks if fault else ("localization", "slam")
-        for i in range(first, first + number):
-            lap = i // len(shapes) if len(shapes) % 2 == 0 else 0  # so that every shape gets both tasks
-            found.append(Case(shapes[i % len(shapes)], seed + i, fault, tasks[::-1][(i + lap) % len(tasks)], method))
+    groups = [("", sound, SOUND), *((f, count, FAULTY) for f in faults)]
+    for i in range(first, first + max(count, sound)):
+        lap = i // len(shapes) if len(shapes) % 2 == 0 else 0  # so that every shape gets both tasks
+        for fault, number, seed in groups:
+            tasks = FAULTS[fault].tasks if fault else ("localization", "slam")
+            task = tasks[::-1][(i + lap) % len(tasks)]
+            if i < first + number:
+                found.append(Case(shapes[i % len(shapes)], seed + i, fault, task, method))
     return found
 
 
