@@ -90,7 +90,10 @@ def test_run_step_and_play_have_one_default_task_and_say_it(tmp_path, monkeypatc
     plan = make_plan(read_options(["corridor:3"]), said.append)
     assert [e.task for e in plan.experiments] == ["localization"]
     assert said == [line]
-    assert stepped(capsys, "corridor:3")[0] == line
+    assert step.main(["corridor:3", "--run-through"]) == 0
+    out = capsys.readouterr().out
+    assert out.split("\n")[0] == line
+    assert "corridor:3: localization, ekf, jcbb" in out
     assert play.main(["corridor:3", "--estimator", "ekf", "--out", "page.html"]) == 0
     assert capsys.readouterr().out.split("\n")[0] == line
     said.clear()
