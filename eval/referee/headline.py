@@ -42,6 +42,7 @@ class Verdict(StrEnum):
 class Objection(StrEnum):
     """What speaks against an estimate, the strongest first."""
 
+    MAP = "map"
     STOPPED = "stopped"
     IMPLAUSIBLE = "implausible"
     IDLE = "idle"
@@ -53,7 +54,10 @@ class Objection(StrEnum):
 
 @dataclass(frozen=True)
 class Objected:
-    """An objection to an estimator with the number behind it (frame, NEES, share of wrong pairings, NIS per dof)."""
+    """An objection to an estimator with the number behind it (frame, NEES, share of wrong pairings, NIS per dof).
+
+    Of the map: neither.
+    """
 
     objection: Objection
     estimator: str
