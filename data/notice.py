@@ -76,6 +76,7 @@ class Code(StrEnum):
     AMBIGUOUS = "ambiguous"
     DOUBLE = "double"
     TWO_MINIMA = "two-minima"
+    DISPUTED = "disputed"
     NAMING = "naming"
     # implausible, and where it began
     NIS = "nis"

@@ -9,7 +9,7 @@ import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from importlib.metadata import version
+from importlib.metadata import distributions, version
 
 import numpy as np
 
@@ -20,7 +20,8 @@ from eval.plan.foreign import sources_of
 from eval.replay.external.spec import shown
 from eval.replay.flag import rows
 
-PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-python-headless")
+PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib")
+IMAGES = "opencv-python-headless"  # if it is installed
 
 
 def command_of(options: Options) -> str:
@@ -68,6 +69,7 @@ def provenance(
             "slamref": version("slamref"),
             "python": platform.python_version(),
             **{p: version(p) for p in PACKAGES},
+            **{d.name: d.version for d in distributions(name=IMAGES)},
         },
         "platform": f"{sys.platform} {platform.machine()}",
         "seed": options.study.seed,

@@ -28,6 +28,8 @@ THRESHOLD = 3.0  # sigma, least significance of a systematic error or a wrong no
 WRONG_PAIRINGS = 0.01  # share of wrong pairings above which the decisions are to blame: one in a hundred ruins a path
 POWER = 0.9
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
+UNTELLABLE = "unknown"
+"""The cause where the solution that the twins are drawn around is itself broken."""
 
 
 @dataclass(frozen=True)

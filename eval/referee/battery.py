@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy import special
 
 from data.se2 import Array
 
@@ -26,6 +27,22 @@ def rank_p(value: float, twins: Array) -> float:
         return math.nan
     smaller = min(1 + int(np.sum(known >= value)), 1 + int(np.sum(known <= value)))
     return min(1.0, 2.0 * smaller / (len(known) + 1))
+
+
+def bounds(twins: Array, level: float = 0.95) -> tuple[float, float]:
+    """Bounds that one more draw is within with probability `level`, given N draws (N,); NaN below three.
+
+    Order statistics where there are enough (39 at 95 %), else those of a Gaussian (Student's t).
+    """
+    known = np.sort(twins[np.isfinite(twins)])
+    n, tail = len(known), 0.5 * (1.0 - level)
+    k = math.floor((n + 1) * tail + 1e-9)
+    if k >= 1:
+        return float(known[k - 1]), float(known[n - k])
+    if n < 3:
+        return math.nan, math.nan
+    half = float(special.stdtrit(n - 1, 1.0 - tail) * known.std(ddof=1) * math.sqrt(1.0 + 1.0 / n))
+    return float(known.mean()) - half, float(known.mean()) + half
 
 
 def standardized(real: Array, twins: Array) -> tuple[Array, Array]:

@@ -132,6 +132,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     path = path or along(run, phase, log)
     if log.truth.pose is not None and path is not None:
         row |= _path_columns(run.trajectory(phase), log.truth.pose, log.recorded.time, path)
+        row |= _intervals(path) if run.task != "slam" else {}
     row |= _map_columns(run, phase, log)
     if phase == "final":
         row |= {"iterations": run.iterations, "last_step_sigma": run.last_step_sigma}
@@ -187,7 +188,7 @@ def _counts(run: Run, phase: str) -> dict[str, object]:
 
 
 def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) -> dict[str, object]:
-    """Errors, consistency and proper scores of a path, with bootstrap intervals."""
+    """Errors, consistency and proper scores of a path."""
     pose, distance = estimate.pose, path.distance
     return {
         "rmse_position_m": errors.rms(distance),
@@ -201,13 +202,12 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
         **{f"nees_{quantity}": consistency.mean_or_nan(values) for quantity, values in path.nees.items()},
         "inside_3sigma": consistency.inside_3sigma(path.nees["position"]),
         **mean_scores(pose, estimate.covariance, truth, np.isfinite(path.nees["pose"])),
-        **_intervals(path),
         **rpe_columns(pose, truth),
     }
 
 
 def _intervals(path: Along) -> dict[str, object]:
-    """Intervals of RMSE and mean NEES; blank where the log is too short."""
+    """Intervals of RMSE and mean NEES; blank where the log is too short. In SLAM the frame's error is one draw."""
     rmse, nees = run_intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
     row: dict[str, object] = {"block_frames": next((i.block for i in (rmse, nees) if not i.why), None)}
     for name, found in (("rmse_position", rmse), ("nees_pose", nees)):

@@ -17,9 +17,9 @@ from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.plan.flags.table import Output
 from eval.referee import battery
-from eval.referee.attribution import POWER, Finding
+from eval.referee.attribution import NOTHING, POWER, UNTELLABLE, Finding
 from eval.referee.score import Trial
-from eval.replay.settings import ESTIMATORS, FILTERS
+from eval.replay.settings import ESTIMATORS, FILTERS, HINDSIGHT
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import written_table
 from eval.report.page.tables import drop_blank_columns, number
@@ -30,9 +30,10 @@ from eval.report.words import plus_minus, say
 from eval.studies.trusted import Blame, Row, Trust
 
 MOST = 18  # rows of a table; trust.csv has all
+LAG1 = "innovation_lag1"
 HEADLINE = (
     "nis",
-    "innovation_lag1",
+    LAG1,
     *(f"filter_smoother_{what}" for what in ("median", "semidefinite", "rms_x", "rms_y", "rms_theta", "largest")),
 )  # statistics that are shown whatever they say
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
@@ -167,6 +168,7 @@ def trust_section(
     return [Section(heading, tuple(blocks), 3, tuple(facts), page=stem(trial))] if blocks else []
 
 
+ITERATED = "ekf-iterated"
 STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
 SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
 METRES, SECONDS, DRIFT = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0)
@@ -194,6 +196,8 @@ FITTED = {
     "z1_constant": "bias",
     "z2_constant": "bias",
 }  # groups of `eval.tune` that have a parameter for a systematic error
+MOUNTED = ("z1_constant", "z2_constant", "z2_range", "odometry_x_turn", "odometry_y_turn")
+"""Systematic errors that a sensor mounted elsewhere than stated leaves."""
 GROUPS = ("motion", "sensor", "bias", "odometry")
 
 
@@ -242,9 +246,11 @@ class Decided:
 class Step(StrEnum):
     """What to do about findings."""
 
+    CORRELATED = "correlated"
     FIT = "fit"
     CORRECT = "correct"
     SHIFT = "shift"
+    MOUNT = "mount"
     BY_HAND = "by-hand"
     REVISE = "revise"
     ROBUST = "robust"
@@ -262,6 +268,8 @@ class Advice:
     by_hand: tuple[str, ...]  # systematic errors without a parameter
     off: tuple[str, ...]  # estimators whose covariances are
     labels: bool  # whether known association can be granted
+    revised: bool  # whether later frames revise the pairings already
+    iterated: bool  # whether `ekf-iterated` is among those that are off
 
 
 @dataclass(frozen=True)
@@ -304,13 +312,18 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
         tuple(_apart(trust, name) for name in online(trust)),
         _asked(trust, terms),
         explanations(found, terms),
-        explanations(_main(found), terms),
+        main_findings(trust, terms),
         power,
         tuple(p for p in power if p.name in ("odometry_theta_turn", _turned(terms), "z1_range")),
         POWER,
         _nees(trust),
         _deciding(trust),
-        advice(found, labels=labels),
+        advice(
+            found,
+            labels=labels,
+            association=trust.association,
+            correlated=blame is not None and any(name == LAG1 for _, name in blame.objected),
+        ),
         _done(trust.done, terms),
         None if trust.after is None else facts_of(trust.after, terms, labels=labels),
         trust.notices,
@@ -386,6 +399,13 @@ def _main(findings: Sequence[Finding]) -> list[Finding]:
     return first + [f for f in findings[1:] if f.kind == "systematic" and first[0].kind != "systematic"][:1]
 
 
+def main_findings(trust: Trust, terms: Terms) -> tuple[Explanation, ...]:
+    """What the first page names; none without replicates, and where the cause cannot be determined."""
+    if trust.blame is None or trust.blame.cause in (NOTHING, UNTELLABLE):
+        return ()
+    return explanations(_main(trust.blame.findings), terms)
+
+
 def _turned(terms: Terms) -> str:
     """The error of a sensor that is turned on its mount."""
     return "z2_constant" if terms.polar else "z2_range"
@@ -440,22 +460,30 @@ def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     return tuple(name for name in GROUPS if name in wanted)
 
 
-def advice(findings: Sequence[Finding], *, labels: bool) -> Advice:
-    """What to do about findings."""
+def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", correlated: bool = False) -> Advice:
+    """What to do about findings of a run with an association method; never what is running already.
+
+    `correlated`: innovations are.
+    """
     groups, kinds = groups_of(findings), {f.kind for f in findings}
     unfitted = [f.name for f in findings if f.kind == "systematic" and f.name not in FITTED]
     by_hand = tuple(name for name in unfitted if name.split("_", 1)[1] not in LATE)
     off = tuple(dict.fromkeys(f.name for f in findings if f.kind in ("linearization", "innovations")))
     filters = any(name in FILTERS for name in off)
+    revised = association == HINDSIGHT
     steps = {
+        Step.CORRELATED: correlated and any(f.kind == "sigma" for f in findings),
         Step.FIT: bool(groups) and labels,
         Step.CORRECT: bool(groups) and not labels,
         Step.SHIFT: len(unfitted) > len(by_hand),
+        Step.MOUNT: any(f.kind == "systematic" and f.name in MOUNTED for f in findings),
         Step.BY_HAND: bool(by_hand),
-        Step.REVISE: "pairings" in kinds,
+        Step.REVISE: "pairings" in kinds and (labels or not revised),
         Step.ROBUST: "tails" in kinds,
-        Step.DECIDE_OTHERWISE: "decisions" in kinds,
+        Step.DECIDE_OTHERWISE: "decisions" in kinds and (labels or not revised),
         Step.RELINEARIZE: filters,
         Step.DISTRUST: bool(off) and not filters,
     }
-    return Advice(tuple(step for step, wanted in steps.items() if wanted), groups, by_hand, off, labels)
+    return Advice(
+        tuple(step for step, wanted in steps.items() if wanted), groups, by_hand, off, labels, revised, ITERATED in off
+    )

@@ -16,7 +16,8 @@ from data.notice import Code, Notice, notice
 from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee import attribution, battery, effects, residuals, trust
-from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, Finding
+from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
+from eval.referee.headline import NEES_LIMIT
 from eval.referee.plausibility import with_plausibility
 from eval.referee.residuals import Used
 from eval.referee.result_files import TRUST
@@ -49,7 +50,7 @@ class Row:
 class Blame:
     """Diagnosis of a log."""
 
-    cause: str  # `NOISE`, `ASSOCIATIONS`, `ESTIMATOR` or `NOTHING`
+    cause: str  # `NOISE`, `ASSOCIATIONS`, `ESTIMATOR`, `NOTHING` or `UNTELLABLE`
     findings: tuple[Finding, ...]  # evidence for it and for other causes, the strongest first
     objected: tuple[Key, ...]  # statistics rejected family-wise; `tested`: their number in all
     tested: int
@@ -127,17 +128,29 @@ def _blame(made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -> Blame:
     if objected:
         findings = _noise(made, inputs, smoother, threshold)
         findings.sort(key=lambda f: -f.gain)
+    mispaired: list[Finding] = []
     if made.association != "known":
         names = dict.fromkeys(name for s in made.twins for name in s.counts)
-        findings += attribution.decision_errors({n: [s.counts[n] for s in made.twins if n in s.counts] for n in names})
-    findings += _estimators(made.twins)
+        counts = {n: [s.counts[n] for s in made.twins if n in s.counts] for n in names}
+        mispaired = attribution.decision_errors(counts)
+    findings += mispaired + _estimators(made.twins)
     cause = NOTHING
-    if findings:
+    if objected and _broken(made.twins):
+        cause = UNTELLABLE
+    elif mispaired and not objected:
+        pass  # a method's errors on this geometry with everything as stated: no finding about the log
+    elif findings:
         cause = findings[0].cause
     elif objected:
         # no named cause: rejections of the smoother's residuals are due to the log, others to the estimator
         cause = NOISE if any(e == smoother.estimator for e, _ in objected) else ESTIMATOR
     return Blame(cause, tuple(findings), objected, len(tested), p, _detectable(made, drawn))
+
+
+def _broken(twins: Sequence[Sample]) -> bool:
+    """Whether the smoother is lost on most twins, though their noise is as stated: the solution itself is broken."""
+    nees = [s.nees[PLAIN, "final"] for s in twins if (PLAIN, "final") in s.nees]
+    return bool(nees) and float(np.median(nees)) > NEES_LIMIT
 
 
 def _estimators(twins: Sequence[Sample]) -> list[Finding]:

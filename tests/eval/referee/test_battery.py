@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from eval.referee import battery
 from eval.referee.battery import critical, family_p, rank_p, standardized
 
 
@@ -93,3 +94,16 @@ def test_the_critical_value_is_exceeded_by_one_twin_in_twenty():
     largest = np.abs(standardized(np.median(twins, axis=0), twins)[1]).max(axis=1)
     assert np.mean(largest > critical(twins)) <= 0.05
     assert np.mean(largest >= critical(twins)) >= 0.05
+
+
+@pytest.mark.parametrize("n", [5, 19, 39, 99])
+def test_one_more_draw_is_within_the_bounds_of_the_others_in_95_of_100(n):
+    rng = np.random.default_rng(n)
+    drawn = rng.standard_normal((4000, n + 1))
+    bounds = np.array([battery.bounds(row[1:]) for row in drawn])
+    inside = np.mean((bounds[:, 0] <= drawn[:, 0]) & (drawn[:, 0] <= bounds[:, 1]))
+    assert inside == pytest.approx(0.95, abs=0.014)
+
+
+def test_two_draws_bound_nothing():
+    assert np.isnan(battery.bounds(np.array([1.0, 2.0, np.nan]))).all()

@@ -13,6 +13,7 @@ from eval.referee.attribution import (
     ESTIMATOR,
     NOISE,
     NOTHING,
+    UNTELLABLE,
     decision_errors,
     estimator_errors,
     innovation_errors,
@@ -183,7 +184,8 @@ def test_one_statistic_that_no_twin_reaches_is_objected_to(arena, key, cause):
     assert found.p == pytest.approx(0.05) if key else found.p > 0.05
 
 
-def test_wrong_decisions_on_twins_are_the_cause_before_the_estimators_that_suffer_from_them(arena):
+@pytest.mark.parametrize(("factor", "cause"), [(1.0, NOTHING), (100.0, ASSOCIATIONS)])
+def test_wrong_decisions_on_twins_are_a_cause_only_where_the_log_differs_from_its_twins(arena, factor, cause):
     log, twins = arena
     nis = "ekf", "nis"
     drawn = [
@@ -194,9 +196,19 @@ def test_wrong_decisions_on_twins_are_the_cause_before_the_estimators_that_suffe
         )
         for s in twins
     ]
-    found = judged(log, "slam", "jcbb", twins[0], drawn, smoothed(log, "jcbb")).blame
+    m = twins[0].measured[nis]
+    real = replace(twins[0], measured={**twins[0].measured, nis: m._replace(value=1.2 * factor * m.value)})
+    found = judged(log, "slam", "jcbb", real, drawn, smoothed(log, "jcbb")).blame
     assert [f.kind for f in found.findings] == ["decisions", "innovations"]
-    assert found.cause == ASSOCIATIONS
+    assert found.cause == cause
+
+
+def test_no_cause_is_named_where_the_smoother_is_lost_on_most_twins(arena):
+    log, twins = arena
+    m = twins[0].measured["ekf", "nis"]
+    real = replace(twins[0], measured={**twins[0].measured, ("ekf", "nis"): m._replace(value=100.0 * m.value)})
+    lost = [replace(s, nees={("batch", "final"): 392.0 if i % 3 else 3.0}) for i, s in enumerate(twins)]
+    assert judged(log, "slam", "known", real, lost, smoothed(log, "known")).blame.cause == UNTELLABLE
 
 
 def test_an_estimator_is_judged_in_each_of_its_phases():

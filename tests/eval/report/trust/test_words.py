@@ -101,8 +101,19 @@ def test_what_to_do_names_the_parameters_that_can_be_fitted():
     assert advice([PAIRINGS, TAILS], labels=True).steps == (Step.REVISE, Step.ROBUST)
     assert advice([Finding(ASSOCIATIONS, "decisions", "ekf", 0.034)], labels=False).steps == (Step.DECIDE_OTHERWISE,)
     assert advice([LINEAR], labels=True).steps == (Step.RELINEARIZE,)
+    assert advice([bias], labels=True).steps == (Step.FIT, Step.MOUNT)
     off = advice([replace(LINEAR, name="batch")], labels=True)
     assert (off.steps, off.off) == ((Step.DISTRUST,), ("batch",))
+
+
+def test_what_runs_already_is_never_advised():
+    decisions = Finding(ASSOCIATIONS, "decisions", "ekf", 0.034)
+    for labels in (True, False):
+        todo = advice([PAIRINGS, decisions], labels=labels, association="jcbb-hindsight")
+        assert "jcbb-hindsight" not in say("trust#advice", todo=todo, terms=POLAR)
+        assert bool(todo.steps) == labels
+    todo = advice([replace(LINEAR, name="ekf-iterated")], labels=True)
+    assert "ekf-iterated" not in say("trust#advice", todo=todo, terms=POLAR)
 
 
 @pytest.mark.parametrize("step", Step)
