@@ -8,13 +8,15 @@ from pathlib import Path
 
 from association.decide import METHODS
 from association.scans.constraints import SCAN
+from data.command import stretch
 from data.errors import UsageError
 from data.formats.recordings.esde import NAME, find_esde
 from data.log import Log, folder_name, shortened
 from data.logs import Reading, find_logs, open_log
+from data.truth_windows import without, without_bad_truth
 from eval.plan.calibrate import check_calibrated
 from eval.plan.experiment import Experiment, Work, check_possible_on
-from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
+from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Opening, Options, Selection
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.lab import VISUAL, lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
@@ -72,10 +74,10 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         experiments = lab_experiments(s.lab, s.estimator, options.setup, reading_of(options), say)
     else:
         experiments = [] if s.log else _default(options, say)
-    asked = [open_log(name, reading_of(options), say) for name in s.log]
+    asked = [_scored(open_log(name, reading_of(options), say), options.opening) for name in s.log]
     if asked and given.results:
         asked, given = [given.settled(asked[0])[0]], given.settled(asked[0])[1]
-    asked += [log for folder in s.data for log in _found(folder, say)]
+    asked += [_scored(log, options.opening) for folder in s.data for log in _found(folder, say)]
     for log in asked:
         check_calibrated(log, options.setup.calibrate, s.association)
         experiments += [
@@ -95,6 +97,12 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     if runs is None:
         runs = 0 if s.log or s.lab or alone else QUICK_RUNS if options.output.quick else DEFAULT_RUNS
     return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else (), given=given)
+
+
+def _scored(log: Log, opening: Opening) -> Log:
+    """The log with the ground truth that is scored."""
+    stretches = [stretch(text) for text in opening.exclude_truth]
+    return without(log, stretches) if opening.keep_truth else without_bad_truth(without(log, stretches))
 
 
 def _found(folder: str, say: Callable[[str], None]) -> list[Log]:

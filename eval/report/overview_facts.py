@@ -8,9 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
+from data import questions
+from data.notice import Notice
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNTELLABLE, component_of
 from eval.referee.diagnostics import unused
-from eval.referee.headline import Claim, Headline, Objected, Preference, Verdict, headline, usable
+from eval.referee.headline import Claim, Headline, Objected, Objection, Preference, Verdict, headline, usable
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import INCREMENTAL
 from eval.report.answer import LINEARIZATION, chosen_association, pick
@@ -73,6 +75,7 @@ class LogFacts:
     twins: int | None  # number of replicates; None: unknown
     verdict: Verdict
     objections: tuple[Objected, ...]
+    map_rows: Notice | None  # rows of the map that look swapped or shifted
     gauge: Gauge | None
 
     @property
@@ -174,6 +177,7 @@ def log_facts(
         aligned = [filtered.aligned, smoothed.aligned]
         compared = aligned if all(map(math.isfinite, aligned)) else errors
     preference = Preference(compared[0], compared[1], p)
+    map_rows = None if slam else next(iter(questions.map_rows(trial.log)), None)
     blame = None if trust is None else trust.blame
     rejected = blame.p if blame is not None and blame.objected else math.nan
     decided_by = headline(a, b, preference, measured=measured, caused=trust is not None, rejected=rejected)
@@ -206,9 +210,14 @@ def log_facts(
         finding=None if trust is None else next(iter(main_findings(trust, terms)), None),
         twins=None if trust is None or trust.blame is None else len(trust.twins),
         verdict=decided_by.verdict,
-        objections=decided_by.objections,
+        objections=(*_of_map(map_rows), *decided_by.objections),
+        map_rows=map_rows,
         gauge=_gauge(filtered, smoothed) if trial.task == "slam" else None,
     )
+
+
+def _of_map(rows: Notice | None) -> tuple[Objected, ...]:
+    return () if rows is None else (Objected(Objection.MAP, "", math.nan),)
 
 
 def _claim(row: Scored, wrong: float, *, idle: bool, slam: bool) -> Claim:
