@@ -25,7 +25,7 @@ from eval.studies.trusted import Trust
 
 ATTRIBUTION = HEADING
 HEADS = (
-    *("log, task", "use", "map", "filter", "smoother", "handed in", "ratio or distance", "filter's NIS test"),
+    *("log, task", "use", "map", "filter", "smoother", "handed in", "ratio or distance", "the filter's claims"),
     *("best association", "worst", "unusable runs"),
 )
 GIVEN = HEADS.index("handed in")
