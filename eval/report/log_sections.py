@@ -11,7 +11,7 @@ import pandas as pd
 from data.words import sentence
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
-from eval.referee.diagnostics import ambiguity_of, minima, naming, unused
+from eval.referee.diagnostics import ambiguity_of, disputed, minima, naming, unused
 from eval.referee.given_runs import is_truth_alone
 from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
@@ -151,7 +151,9 @@ def _differences(folder: Path, output: Output, trial: Trial, rows: pd.DataFrame)
 
 def _notes(trial: Trial) -> list[str]:
     notes = [*trial.log.notes, *(f"{r.estimator}: {sentence(n)}." for r in trial.runs for n in r.notes)]
-    notes += of_runs([*minima(trial), *(n for run in trial.runs for n in ambiguity_of(run, trial.log.recorded))])
+    notes += of_runs(
+        [*minima(trial), *disputed(trial), *(n for run in trial.runs for n in ambiguity_of(run, trial.log.recorded))]
+    )
     return list(dict.fromkeys(notes))
 
 

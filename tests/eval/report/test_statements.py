@@ -55,5 +55,5 @@ def test_behind_a_gate_less_is_expected():
 def test_whatever_weakens_the_nis_test_is_said():
     text = innovations(rejected=28, association="jcbb")
     assert "28 observations were left out" in text
-    assert "Wrong pairings that fit each other do not show in it." in text
+    assert "Wrong pairings that fit each other do not show in it;" in text
     assert innovations(nis=math.nan) == ""
