@@ -15,7 +15,14 @@ from data.log import Log, folder_name, shortened
 from data.logs import Reading, find_logs, open_log
 from data.truth_windows import without, without_bad_truth
 from eval.plan.calibrate import check_calibrated
-from eval.plan.experiment import Experiment, Work, check_possible_on
+from eval.plan.experiment import (
+    Experiment,
+    Work,
+    check_maintained,
+    check_possible_on,
+    default_task,
+    default_task_line,
+)
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Opening, Options, Selection
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.lab import VISUAL, lab_experiments
@@ -78,6 +85,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     if asked and given.results:
         asked, given = [given.settled(asked[0])[0]], given.settled(asked[0])[1]
     asked += [_scored(log, options.opening) for folder in s.data for log in _found(folder, say)]
+    if not s.task and (line := default_task_line(asked)):
+        say(line)
     for log in asked:
         check_calibrated(log, options.setup.calibrate, s.association)
         experiments += [
@@ -90,8 +99,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             seen = [e for e in experiments if has_depth_noise(e.log)]
             experiments += with_depth_noise(seen) if seen else []
     _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
-    if options.setup.manages_map and not any(e.task == "slam" for e in experiments):
-        raise UsageError("--maintain, --forget-after, --deactivate-after: for slam only; type --task slam")
+    check_maintained(options.setup, [e.task for e in experiments])
     check_possible(experiments)
     runs = options.study.runs
     if runs is None:
@@ -174,7 +182,7 @@ def _asked(study: Validation, options: Options) -> Validation:
 def _tasks(log: Log, asked: Selection) -> Sequence[str]:
     """The tasks of a given log."""
     check_possible_on(log, asked.task, ())
-    return asked.task or (("slam",) if log.recorded.map is None else ("localization",))
+    return asked.task or (default_task(log),)
 
 
 def _work(log: Log, asked: Selection) -> tuple[Work, ...]:

@@ -63,8 +63,10 @@ class LogFacts:
     errors: tuple[float, float]
     related: bool
     apart: float  # RMS distance [m] of the filter from the smoother
-    best: MethodOutcome | None  # best, worst: association methods without labels
+    best: MethodOutcome | None  # best, worst: association methods without labels, by their decisions
     worst: MethodOutcome | None
+    nearest: MethodOutcome | None  # the one with a more accurate path than `best`, if one has
+    decides: bool  # whether one of them gives a usable path and pairs rightly more often than not
     runs: int
     failed: tuple[tuple[str, str], ...]  # those that did not get to the end, are implausible, lost, or dead reckoning
     given: tuple[str, ...]  # results that were handed in
@@ -201,6 +203,8 @@ def log_facts(
         apart=apart,
         best=decided.best if decided else None,
         worst=decided.worst if decided else None,
+        nearest=decided.nearest if decided else None,
+        decides=decided is not None and decided.usable and not decided.best.mostly_wrong,
         runs=len(last),
         failed=tuple(key for key, r in last.items() if not usable(claim(r), measured)),
         given=tuple(sorted(names)),

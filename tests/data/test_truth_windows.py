@@ -101,7 +101,7 @@ def faulty(log: Log, rng: np.random.Generator) -> Iterator[tuple[str, Log]]:
 
 
 def wrongly(seeds: range) -> list[tuple[str, str, bool]]:
-    """Logs with true ground truth in which a window is found."""
+    """Logs with true ground truth and a right map in which a bad window or map row is found."""
     found = []
     for seed in seeds:
         for world in WORLDS:
@@ -109,17 +109,17 @@ def wrongly(seeds: range) -> list[tuple[str, str, bool]]:
             for named in (True, False):
                 rng = np.random.default_rng(seed)
                 for fault, changed in faulty(log if named else nameless(log), rng):
-                    if bad_truth(changed):
+                    if bad_truth(changed) or misplaced(changed):
                         found.append((log.name, fault, named))
     return found
 
 
-def test_no_window_in_a_simulated_log_whatever_is_wrong_with_its_odometry_and_sensor():
-    assert wrongly(range(2)) == []
+def test_nothing_is_found_in_a_simulated_log_whatever_is_wrong_with_its_odometry_and_sensor():
+    assert wrongly(range(1)) == []
 
 
 @pytest.mark.slow
-def test_at_most_one_log_in_300_has_a_window():
+def test_at_most_one_log_in_300_has_a_bad_window_or_row():
     found = wrongly(range(100, 115))  # 3600 logs
     assert len(found) <= 12, found
 
