@@ -199,8 +199,9 @@ def _write_png(fig: Figure, path: Path) -> None:
     before = fig.dpi
     fig.set_dpi(PNG_DPI)
     canvas = FigureCanvasAgg(fig)
-    canvas.draw()
-    pixels = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    canvas.draw()  # type: ignore[no-untyped-call]
+    rgba = np.asarray(canvas.buffer_rgba())  # type: ignore[no-untyped-call]
+    pixels = Image.fromarray(rgba).convert("RGB")
     pixels.save(path, dpi=(PNG_DPI, PNG_DPI), compress_level=COMPRESS_LEVEL)
     fig.set_dpi(before)
 

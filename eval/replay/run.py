@@ -57,7 +57,8 @@ def one_thread() -> AbstractContextManager[object]:
     modules = len(sys.modules)
     if _found is None or _found[0] != modules:
         _found = modules, ThreadpoolController()
-    return _found[1].limit(limits=1)
+    limited: AbstractContextManager[object] = _found[1].limit(limits=1)
+    return limited
 
 
 def dead_reckoning(inputs: Inputs, task: str) -> Run:
