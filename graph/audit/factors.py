@@ -153,12 +153,18 @@ def noncentrality(rank: int) -> float:
     return float(brentq(lambda v: ncx2.sf(gate, rank, v) - POWER, 1e-3, 1e3))
 
 
-def holm(p: Array) -> Array:
-    """Family-wise p values of the finite ones (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays."""
+def holm(p: Array, share: float = 1.0) -> Array:
+    """Family-wise p values of the finite ones (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays.
+
+    `share`: independent tests over all tests, as each other's residuals tell of the same errors.
+    """
     out = np.full(p.shape, np.nan)
     at = np.flatnonzero(np.isfinite(p))
     order = at[np.argsort(p[at], kind="stable")]
-    out[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)), 1.0)
+    left = np.maximum(share * np.arange(len(order), 0, -1), 1.0)
+    with np.errstate(divide="ignore"):
+        steps = -np.expm1(left * np.log1p(-p[order])) if share < 1.0 else np.minimum(p[order] * left, 1.0)
+    out[order] = np.maximum.accumulate(steps)
     return out
 
 

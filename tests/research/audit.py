@@ -149,7 +149,9 @@ STRUCTURES: dict[str, Callable[[int, int], Structure]] = {
 }  # fmt: skip
 
 
-def examined(s: Structure, rng: np.random.Generator, relinearized: bool, draws: int = 0, **how: object) -> AuditReport:
+def examined(
+    s: Structure, rng: np.random.Generator, relinearized: bool, draws: int = 100, **how: object
+) -> AuditReport:
     """The audit of a drawn graph."""
     graph, values = s.graph(rng, **how)  # type: ignore[arg-type]
     return audit(graph, optimized(graph, values) if relinearized else values, draws=draws)
