@@ -28,6 +28,8 @@ THRESHOLD = 3.0  # sigma, least significance of a systematic error or a wrong no
 WRONG_PAIRINGS = 0.01  # share of wrong pairings above which the decisions are to blame: one in a hundred ruins a path
 POWER = 0.9
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
+UNLISTED = "unlisted"
+"""The cause where no explanation removes what stands out."""
 UNTELLABLE = "unknown"
 """The cause where the solution that the twins are drawn around is itself broken."""
 
@@ -44,6 +46,8 @@ class Finding:
     error: float = math.nan  # standard error of the size
     gain: float = math.nan  # of log-likelihood
     other: tuple[str, ...] = ()  # systematic errors that cannot be distinguished from it
+    first: int = -1  # first, last: frames of a jump, a burst, or a change of the noise
+    last: int = -1
 
 
 def component_of(name: str) -> str:

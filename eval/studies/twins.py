@@ -30,7 +30,7 @@ from data.se2 import Array
 from data.sensors import RELATIVE_POINT
 from data.truth import Truth
 from eval.compare import compare
-from eval.referee import attribution, effects, residuals
+from eval.referee import attribution, effects, residuals, trust
 from eval.referee.plausibility import with_plausibility
 from eval.replay.batch import batch
 from eval.replay.external.load import digests
@@ -187,7 +187,8 @@ def calibrated(
             break
         used = residuals.used_by(smoother, inputs)
         source = source_of(replace(log, recorded=_recorded(log, inputs)), smoother, (), setup)
-        usual = [_typical(source, seed) for seed in range(number * TWINS, (number + 1) * TWINS)]
+        drawn = [smoothed_twin(source, seed) for seed in range(number * TWINS, (number + 1) * TWINS)]
+        usual = [s.typical for s in drawn if s is not None]
         rest = corrected_inputs(inputs, smoother.errors_final)
         found = residuals.smoothed_residuals(rest, smoother.final.pose, used)
         factors = attribution.factors_of(residuals.typical(found, outliers=True), usual)
@@ -207,16 +208,11 @@ def calibrated(
     return replace(log, recorded=_recorded(log, inputs)), done
 
 
-def _typical(source: Source, seed: int) -> dict[str, float]:
-    """Spread of a twin's residuals under the smoother's decisions."""
-    made = twin(source, seed)
-    inputs = inputs_of(made, source.task, "known")
+def smoothed_twin(source: Source, seed: int) -> trust.Smoothed | None:
+    """Statistics of the smoother on a twin, with the twin's own pairings; None where it failed."""
+    inputs = inputs_of(twin(source, seed), source.task, "known")
     (smoother,) = compare(inputs, source.task, ("batch",), "known", source.setup)
-    if smoother.flaw is not None or smoother.final is None:
-        return {}
-    used = residuals.used_by(smoother, inputs)
-    rest = corrected_inputs(inputs, smoother.errors_final)
-    return residuals.typical(residuals.smoothed_residuals(rest, smoother.final.pose, used), outliers=True)
+    return None if smoother.flaw is not None else trust.of_smoother(smoother, inputs)
 
 
 def _recorded(log: Log, inputs: Inputs) -> Inputs:
