@@ -86,7 +86,7 @@ ERRORS, INNOVATIONS, WHITENESS = (
 )  # fmt: skip
 LAG1_ERRORS, LAG1_LEAST = 3.3, 0.1
 """Standard errors (0.1 % of white series) and size from which innovations of one log are correlated. A correlation of
-0.1 adds a fifth to the variance of a mean. Of 99 sound logs with labels none is beyond both."""
+0.1 adds a fifth to the variance of a mean. Of 170 sound logs with labels none is beyond both."""
 
 
 def squared_distance(error: Array, covariance: Array) -> Array:

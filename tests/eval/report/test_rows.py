@@ -104,6 +104,6 @@ def test_the_terminal_prints_the_nis_that_is_expected_behind_the_gate():
     differing = shown(row("ekf", 0.764, "NIS too large", 0.712), row("batch", 0.886, "NIS too small", 0.9535))
     assert "0.764 (0.71)  NIS too large" in differing
     assert "0.886 (0.95)  NIS too small" in differing
-    assert "(NIS per dof (expected))" in differing
+    assert "(NIS per dof, expected in brackets)" in differing
     assert "(NIS per dof, expected 0.954)" in shown(*[row("ekf", 0.764, "NIS too small", 0.9535)] * 2)
     assert "(NIS per dof, expected 1)" in shown(row("ekf", 1.0, "innovations fit", 1.0))

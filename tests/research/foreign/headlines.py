@@ -61,10 +61,12 @@ class Row(NamedTuple):
 
 
 def cases(sound: int, faulty: int, first: int = 0) -> list[Case]:
-    """Logs over all shapes in turn, faults in turn; each with both tasks (faults of the map: one) and methods."""
-    shapes, faults = list(SHAPES), list(FAULTS)
-    logs = [(shapes[i % len(shapes)], first + i, "") for i in range(sound)]
-    logs += [(shapes[i % len(shapes)], FAULTY + first + i, faults[i % len(faults)]) for i in range(faulty)]
+    """Logs over all shapes and faults in turn; each with both tasks (faults of the map: one) and methods."""
+    shapes, faults, logs = list(SHAPES), list(FAULTS), []
+    for i in range(max(sound, faulty)):
+        shape = shapes[i % len(shapes)]
+        logs += [(shape, first + i, "")] if i < sound else []
+        logs += [(shape, FAULTY + first + i, faults[i % len(faults)])] if i < faulty else []
     return [
         Case(shape, seed, fault, task, method)
         for shape, seed, fault in logs
