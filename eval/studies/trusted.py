@@ -33,6 +33,8 @@ from eval.studies.sampled import PLAIN, STAND_IN, Sample
 from eval.studies.twins import inputs_of, smoothed_twin, source_of
 
 COLUMNS = TRUST.names
+SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
+"""How statistics end that are shares of frames: next to discrete, and left out of the family."""
 FEWEST = 19  # least number of twins for a family-wise level of 5 %
 
 
@@ -82,7 +84,11 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     keys = list(real.measured)
     values = np.array([real.measured[k].value for k in keys])
     drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
-    family = battery.family_p(values, drawn)
+    z = np.array([_in_errors(real.measured[k]) for k in keys])
+    theory = np.array([name.startswith("slope_") for _, name in keys], bool) & np.isfinite(z)
+    compared = np.array([not name.endswith(SHARES) for _, name in keys], bool)
+    family = np.full(len(keys), np.nan)
+    family[compared] = battery.shared_p(values[compared], drawn[:, compared], z[compared], theory[compared])
     rows = []
     for i, (estimator, name) in enumerate(keys):
         m, own = real.measured[estimator, name], drawn[:, i]
@@ -97,6 +103,11 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     if len(twins) < FEWEST or smoother is None or smoother.flaw is not None:
         return made
     return replace(made, blame=_blame(log, made, inputs_of(log, task, association), smoother, drawn))
+
+
+def _in_errors(m: Measured) -> float:
+    """A statistic in its own standard errors from what is expected."""
+    return (m.value - m.expected) / m.se if m.se > 0.0 and math.isfinite(m.expected) else math.nan
 
 
 def is_exact(covariance: Array) -> bool:
