@@ -109,21 +109,6 @@ def noise_errors(factors: Mapping[str, float], twins: Sequence[Mapping[str, floa
     return sorted(found, key=lambda f: -f.gain)
 
 
-def outlier_errors(
-    outlying: int, elsewhere: int, twins: Sequence[int], squared_excess: float = math.nan
-) -> list[Finding]:
-    """Outliers: wrong pairings if most fit another landmark, else tails of the sensor's noise.
-
-    Empty unless their number is significantly larger (Poisson) than those of the `twins`.
-    """
-    usual = max(float(np.mean(twins)) if len(twins) else 0.0, 0.1)
-    if not float(special.pdtrc(outlying - 1, usual)) < SURE or outlying < 2:
-        return []
-    if 2 * elsewhere >= outlying:
-        return [Finding(ASSOCIATIONS, "pairings", "readings", elsewhere, gain=squared_excess)]
-    return [Finding(NOISE, "tails", "readings", outlying, gain=squared_excess)]
-
-
 def decision_errors(counts: Mapping[str, Sequence[tuple[int, int, int, int]]]) -> list[Finding]:
     """Estimators with too many wrong pairings even on twins; `counts`: tp, tn, fp, fn of each twin, by estimator."""
     found = []

@@ -65,11 +65,9 @@ def _motion(inputs: Inputs, path: Array) -> dict[str, Array]:
         "theta_turn": (zero, zero, turn),
         "theta_time": (zero, zero, time),
         "integration": (-0.5 * turn * dy, 0.5 * turn * dx, zero),
-        "latency": -_rate(step, inputs.time),
     }
-    return {
-        name: parts if isinstance(parts, np.ndarray) else np.stack(parts, axis=1) for name, parts in columns.items()
-    }
+    found = {name: np.stack(parts, axis=1) for name, parts in columns.items()}
+    return found | {"latency": -_rate(step, inputs.time)}
 
 
 def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:

@@ -13,6 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy import special
 
 from data.inputs import Inputs, IntArray
@@ -61,13 +62,13 @@ class Evidence:
     @property
     def observations(self) -> Array:
         """Residuals of observations (M, 2) in their usual spread."""
-        return self.residuals.observations / np.array([self.usual.get(c, 1.0) for c in COMPONENTS[3:]])
+        return np.asarray(self.residuals.observations / np.array([self.usual.get(c, 1.0) for c in COMPONENTS[3:]]))
 
     @property
     def odometry(self) -> Array:
         """Residuals of odometry (N, 3) in their usual spread; NaN where it is hardly redundant."""
         usual = np.array([self.usual.get(c, 0.0) for c in COMPONENTS[:3]])
-        return self.residuals.odometry / np.where(usual > 0.0, usual, np.nan)
+        return np.asarray(self.residuals.odometry / np.where(usual > 0.0, usual, np.nan))
 
 
 def explanations(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
@@ -91,6 +92,7 @@ def _penalty(e: Evidence, parameters: int, places: int = 1) -> float:
 def _linear(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
     """Systematic errors, jumps and bursts of the motion, and displaced landmarks of a known map."""
     plain = effects(e.inputs, e.path, e.used)
+    groups: list[tuple[Finding, tuple[Effect, ...], int]]
     groups = [(Finding(NOISE, "systematic", x.name, math.nan), (x,), 1) for x in plain]
     groups += [*_jumps(e), *_bursts(e), *(_displaced(e) if e.inputs.map is not None else [])]
     hypotheses = [x for _, columns, _ in groups for x in columns]
@@ -202,10 +204,10 @@ def _displaced(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
 # noises
 
 
-def _of_variance(squares: Array | float, dof: Array | float) -> Array | float:
+def _of_variance(squares: ArrayLike, dof: ArrayLike) -> Array:
     """Gain of a variance of its own, (F - 1 - ln F) dof / 2, with F the mean square over the expected one."""
     F = np.maximum(squares, 1e-12)
-    return 0.5 * dof * (F - 1.0 - np.log(F))
+    return np.asarray(0.5 * np.asarray(dof) * (F - 1.0 - np.log(F)))
 
 
 def _spreads(e: Evidence) -> list[Explanation]:
