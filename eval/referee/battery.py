@@ -71,15 +71,15 @@ def standardized(real: Array, twins: Array) -> tuple[Array, Array]:
 def evened(own: Array, others: Array) -> tuple[Array, Array]:
     """Absolute standardized statistics (S,) and twins (N, S) with tails no heavier than a Gaussian's.
 
-    Beyond its 95 % quantile or the mean of its largest twentieth, whichever is heavier, a statistic is raised to the
-    power that brings these to 1.96 and 2.34. Otherwise one heavy tail sets the critical value of all.
+    If the mean of its largest twentieth, without the very largest value, exceeds that of a Gaussian, a statistic is
+    raised to the power that makes them equal. Otherwise one heavy tail sets the critical value of all.
     """
     pooled = np.abs(np.vstack([own, others]))
-    largest = np.sort(pooled, axis=0)[-max(len(pooled) // 20, 2) :].mean(axis=0)
-    power = np.ones(pooled.shape[1])
-    for value, gaussian in ((np.quantile(pooled, 0.95, axis=0), 1.96), (largest, 2.34)):
-        power = np.minimum(power, math.log(gaussian) / np.log(np.maximum(value, gaussian)))
-    even = pooled**power
+    n = len(pooled)
+    ranks = np.arange(2, max(n // 20, 2) + 2)
+    gaussian = float(special.ndtri(1.0 - 0.5 * (ranks - 0.5) / n).mean())
+    tail = np.sort(pooled, axis=0)[-ranks].mean(axis=0)
+    even = pooled ** np.minimum(1.0, math.log(gaussian) / np.log(np.maximum(tail, gaussian)))
     return even[0], even[1:]
 
 
