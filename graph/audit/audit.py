@@ -12,6 +12,7 @@ from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
 from graph.audit.components import Components, Estimator
+from graph.audit.condition import Condition, condition
 from graph.audit.draws import family, smallest_p
 from graph.audit.factors import Tested, directions, examine, holm
 from graph.audit.fronts import Factored, factorize, ordering
@@ -19,6 +20,7 @@ from graph.audit.kinds import Grouping, Kinds, kinds, positions_of
 from graph.audit.linear import System, linearize
 
 DRAWS = 200
+FAMILY = 0.05  # family-wise level of a rejection
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,8 @@ class Audit:
         gained: decrease of the sum of squares that this step promises.
         freedom: degrees of freedom.
         f: the factored system.
+        condition: what the graph does not determine.
+        place: (V, 3) position of each variable of the system, NaN where it has none.
     """
 
     keys: Sequence[tuple[int, ...]]
@@ -53,9 +57,17 @@ class Audit:
     gained: float
     freedom: int
     f: Factored
+    condition: Condition
+    place: Array
+
+    @property
+    def rejected(self) -> bool:
+        """Whether anything is rejected at a family-wise 5 %."""
+        p = np.concatenate([self.p_family, self.p_kind, self.p_axis])
+        return bool(np.any(p < FAMILY))
 
 
-def audit(
+def examined(
     graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, by: Grouping = None, draws: int = DRAWS, seed: int = 0
 ) -> Audit:
     """Examine a graph around its values. Raises DataError as `linearize`, and for a graph without factors."""
@@ -80,8 +92,38 @@ def audit(
     gained = max(whole - f.square, 0.0)
     return Audit(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k], adjusted[n + k :],
-        float(np.sqrt(gained)), gained, system.rows - f.rank, f,
+        float(np.sqrt(gained)), gained, system.rows - f.rank, f, condition(f, parts(system), firsts(system)),
+        places(values, system.keys),
     )  # fmt: skip
+
+
+def places(values: gtsam.Values, keys: Sequence[int]) -> Array:
+    """Positions (V, 3), NaN of variables without one; in the plane z is 0."""
+    out = np.full((len(keys), 3), np.nan)
+    at = {key: k for k, key in enumerate(keys)}
+    planar, spatial = gtsam.utilities.allPose2s(values), gtsam.utilities.allPose3s(values)
+    for some, wide in ((planar, 2), (spatial, 3)):
+        found = list(some.keys())
+        if found:
+            extract = gtsam.utilities.extractPose2 if wide == 2 else gtsam.utilities.extractPose3
+            xyz = (
+                np.asarray(extract(some)).reshape(len(found), -1)[:, :2]
+                if wide == 2
+                else np.asarray(extract(some))[:, -3:]
+            )
+            rows = [(at[key], n) for n, key in enumerate(found) if key in at]
+            for v, n in rows:
+                out[v, :wide], out[v, wide:] = xyz[n], 0.0
+    poses = {*planar.keys(), *spatial.keys()}
+    dims = values.dims()
+    for key, v in at.items():
+        if key not in poses and dims[key] in (2, 3):
+            try:
+                point = values.atPoint2(key) if dims[key] == 2 else values.atPoint3(key)
+            except RuntimeError:
+                continue
+            out[v, : dims[key]], out[v, dims[key] :] = point, 0.0
+    return out
 
 
 def firsts(system: System) -> list[int]:

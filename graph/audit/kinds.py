@@ -42,13 +42,12 @@ class Kinds:
 
 
 def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
-    """The kinds of a graph's factors; `by`: names of the user's own, or a function of number and factor."""
+    """The kinds of a graph's factors; `by`: own names, or a function of number and factor; empty: ours."""
     present = [i for i in range(graph.size()) if graph.exists(i)]
     factors = {i: graph.at(i) for i in present}
-    if by is None:
-        names = _divided(factors, _roles(factors))
-    else:
-        names = {i: str(by(i, f)) if callable(by) else str(by[i]) for i, f in factors.items()}
+    own = {} if by is None else {i: str(by(i, f)) if callable(by) else str(by[i]) for i, f in factors.items()}
+    roles = _roles({i: f for i, f in factors.items() if not own.get(i)})
+    names = _divided(factors, roles | {i: name for i, name in own.items() if name}) if roles else own
     known = list(dict.fromkeys(names.values()))
     place = {name: k for k, name in enumerate(known)}
     of = np.full(graph.size(), -1)

@@ -17,6 +17,8 @@ from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
 
+Graph = gtsam.NonlinearFactorGraph
+Values = gtsam.Values
 EXACT = 1e5  # weight of a constraint, a noise of zero, over the largest coefficient of all other rows
 IGNORED = 1e-9  # weight of a factor that its robust noise ignores: what it alone determines stays determined
 

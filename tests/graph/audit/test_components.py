@@ -6,7 +6,7 @@ import pytest
 from gtsam.symbol_shorthand import L, X
 from scipy.stats import kstest
 
-from graph.audit.audit import audit
+from graph.audit.audit import examined as audit
 from tests.graph.audit import graphs
 
 N = gtsam.noiseModel
