@@ -1,8 +1,8 @@
 """Twins of a log: parametric bootstrap replicates, drawn from its own noise model.
 
 Path and map of the batch smoother are the truth. Prior, increments and observations are drawn with the stated
-covariances, at the same frames, of the same landmarks; unused observations are copied. So every statistic of the log
-has a reference distribution that includes linearization, geometry and gates.
+covariances, at the same frames, of the same landmarks; unused observations that fit none are copied. So every
+statistic of the log has a reference distribution that includes linearization, geometry and gates.
 
 Twins do not show an error that the smoother absorbed into this truth, such as a scale common to distances and
 observations.
@@ -91,10 +91,30 @@ def source_of(
     if not (used.number >= 0).any():
         raise UsageError(f"no twins of {log.name}: batch used no observation, so nothing is known beside the odometry")
     landmarks = LandmarkMap(used.identity, used.landmarks)
-    landmark_of = np.where(used.number >= 0, used.identity[np.maximum(used.number, 0)], CLUTTER)
+    row = np.where(used.number >= 0, used.number, _gated(inputs, smoother.final.pose, used))
+    landmark_of = np.where(row >= 0, used.identity[np.maximum(row, 0)], CLUTTER)
     wanted = tuple(dict.fromkeys([*estimators, "batch"]))
     again = association or smoother.association
     return Source(log, smoother.task, again, wanted, setup, smoother.final.pose, landmarks, landmark_of)
+
+
+def _gated(inputs: Inputs, path: Array, used: residuals.Used) -> IntArray:
+    """Row of the landmark (M,) that an unused observation fits although a gate left it out; -1: none.
+
+    Copied as clutter, it would be paired rightly again and counted as wrong.
+    """
+    o, sensor = inputs.observations, inputs.sensor
+    row = np.full(len(o.frame), -1)
+    for i in np.flatnonzero(used.number < 0):
+        same = o.frame == o.frame[i]
+        nu = sensor.residual(o.z[i], sensor.predict(path[o.frame[i]], used.landmarks))
+        squared = np.einsum("li,li->l", nu, np.linalg.solve(o.R[i], nu.T).T)
+        squared[used.number[same & (used.number >= 0)]] = np.inf
+        squared[row[same & (row >= 0)]] = np.inf
+        best = int(np.argmin(squared))
+        if squared[best] < residuals.OUTLYING:
+            row[i] = best
+    return row
 
 
 def twin(source: Source, seed: int) -> Log:
