@@ -232,17 +232,6 @@ def reading_of(options: Options) -> Reading:
     return Reading(o.camera_translation, o.camera_reading, o.corner_noise, o.trust_pickle, cache, relations)
 
 
-def _gallery(say: Callable[[str], None]) -> list[tuple[str, str, tuple[Work, ...]]]:
-    """The row of the rendered camera, where OpenCV is installed."""
-    name = f"visual:0:frames={SHORT_GALLERY}"
-    try:
-        import data.opencv  # noqa: F401
-    except UsageError as missing:
-        say(f"{name} is left out: {missing}")
-        return []
-    return [(name, "localization", (Work("known", VISUAL),))]
-
-
 def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     """The default suite; given estimators or association methods replace its own."""
     s, quick, full = options.selection, options.output.quick, options.study.full
@@ -259,7 +248,7 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     rows += [(name, "slam", lab) for name in corridors]
     if not quick:
         rows.append((PRIMED, "slam", PRIMED_WORK))
-        rows += _gallery(say)
+        rows.append((f"visual:0:frames={SHORT_GALLERY}", "localization", (Work("known", VISUAL),)))
     rows = [row for row in rows if not s.task or row[1] in s.task]
     logs = {name: _cut(open_log(name, reading_of(options), say), options) for name, _, _ in rows}
     experiments = []

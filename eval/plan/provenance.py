@@ -9,7 +9,7 @@ import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from importlib.metadata import distributions, version
+from importlib.metadata import version
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from eval.plan.foreign import sources_of
 from eval.replay.external.spec import shown
 from eval.replay.flag import rows
 
-PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib")
-IMAGES = "opencv-python-headless"  # if it is installed
+PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-python-headless")
 
 
 def command_of(options: Options) -> str:
@@ -70,7 +69,6 @@ def provenance(
             "slamref": version("slamref"),
             "python": platform.python_version(),
             **{p: version(p) for p in PACKAGES},
-            **{d.name: d.version for d in distributions(name=IMAGES)},
         },
         "platform": f"{sys.platform} {platform.machine()}",
         "seed": options.study.seed,

@@ -28,6 +28,8 @@ THRESHOLD = 3.0  # sigma, least significance of a systematic error or a wrong no
 WRONG_PAIRINGS = 0.01  # share of wrong pairings above which the decisions are to blame: one in a hundred ruins a path
 POWER = 0.9
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
+UNLISTED = "unlisted"
+"""The cause where no explanation removes what stands out."""
 UNTELLABLE = "unknown"
 """The cause where the solution that the twins are drawn around is itself broken."""
 
@@ -44,6 +46,8 @@ class Finding:
     error: float = math.nan  # standard error of the size
     gain: float = math.nan  # of log-likelihood
     other: tuple[str, ...] = ()  # systematic errors that cannot be distinguished from it
+    first: int = -1  # first, last: frames of a jump, a burst, or a change of the noise
+    last: int = -1
 
 
 def component_of(name: str) -> str:
@@ -103,21 +107,6 @@ def noise_errors(factors: Mapping[str, float], twins: Sequence[Mapping[str, floa
             F, dof = factor**2, 0.5 / spread**2
             found.append(Finding(NOISE, "sigma", name, factor, gain=0.5 * dof * (F - 1.0 - math.log(F))))
     return sorted(found, key=lambda f: -f.gain)
-
-
-def outlier_errors(
-    outlying: int, elsewhere: int, twins: Sequence[int], squared_excess: float = math.nan
-) -> list[Finding]:
-    """Outliers: wrong pairings if most fit another landmark, else tails of the sensor's noise.
-
-    Empty unless their number is significantly larger (Poisson) than those of the `twins`.
-    """
-    usual = max(float(np.mean(twins)) if len(twins) else 0.0, 0.1)
-    if not float(special.pdtrc(outlying - 1, usual)) < SURE or outlying < 2:
-        return []
-    if 2 * elsewhere >= outlying:
-        return [Finding(ASSOCIATIONS, "pairings", "readings", elsewhere, gain=squared_excess)]
-    return [Finding(NOISE, "tails", "readings", outlying, gain=squared_excess)]
 
 
 def decision_errors(counts: Mapping[str, Sequence[tuple[int, int, int, int]]]) -> list[Finding]:

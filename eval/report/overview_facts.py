@@ -10,7 +10,7 @@ from enum import StrEnum
 
 from data import questions
 from data.notice import Notice
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNTELLABLE, component_of
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.diagnostics import unused
 from eval.referee.headline import Claim, Headline, Objected, Objection, Preference, Verdict, headline, usable
 from eval.referee.score import Scores, Trial
@@ -19,7 +19,7 @@ from eval.report.answer import LINEARIZATION, chosen_association, pick
 from eval.report.comparison import difference_of
 from eval.report.deciding import SAME, Deciding, MethodOutcome, deciding_facts
 from eval.report.rows import Row, Scored, filters_in, rows_of, scored_rows, smoothers_in, value_of
-from eval.report.trust import STANDS_OUT, Explanation, Terms, main_findings, of_trial, terms_of
+from eval.report.trust import LATE, STANDS_OUT, Explanation, Terms, main_findings, of_trial, terms_of
 from eval.studies.trusted import Trust
 
 
@@ -287,14 +287,23 @@ def cause_word(trust: Trust) -> str:
     blame = trust.blame
     if blame is None:
         return _hinted(trust)
-    if blame.cause in (NOTHING, ASSOCIATIONS, ESTIMATOR, UNTELLABLE):
+    if blame.cause in (NOTHING, ASSOCIATIONS, ESTIMATOR, UNLISTED, UNTELLABLE):
         return blame.cause
     found = next((f for f in blame.findings if f.cause == blame.cause), None)
     if found is not None:
-        return side(component_of(found.name) if found.kind == "systematic" else found.name)
+        return side_of(found)
     # no finding has a name: the side of the residuals furthest outside the range of the replicates
     sides = [side(name.split("_", 1)[1]) for _, name in blame.objected if name.startswith(("slope_", "residual_"))]
     return max(dict.fromkeys(sides), key=sides.count) if sides else _largest(_spreads(trust)) or SENSOR
+
+
+def side_of(found: Finding) -> str:
+    """What a finding is a fault of: odometry, sensor, map or time stamps."""
+    if found.name in LATE:
+        return "time stamps"
+    if found.kind in ("displaced", "landmark") or found.name == "map_scale":
+        return "map"
+    return side(found.name)
 
 
 def side(component: str) -> str:

@@ -190,7 +190,7 @@ FAULTS = (
           changed("data.formats.mrclam.load._course", {"-calibration.latency": "0.0"})),
     Fault(21, "MRCLAM: two landmarks exchanged in the survey", SURVEY_FITS,
           replaced("data.formats.mrclam.load.read_landmarks", two_landmarks_exchanged),
-          match="seen where 20 should be"),
+          match="landmark 7 is seen 3.7 m away"),
     Fault(21, "MRCLAM: bad ground truth not left out", BAD_TRUTH, bad_stretches_forgotten),
     Fault(22, "covariance that does not grow over a gap", GAP, changed(PREINTEGRATE, NO_GROWTH)),
     Fault(24, "(sigma dt)^2 for each piece of a sample", CUT, changed(PREINTEGRATE, SQUARED_PIECES)),
