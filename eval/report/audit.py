@@ -38,6 +38,18 @@ class One:
 
 
 @dataclass(frozen=True)
+class Together:
+    """A cluster in a sentence."""
+
+    count: int
+    some: str
+    deleted: float
+    rank: int
+    p: float
+    moved: float
+
+
+@dataclass(frozen=True)
 class Scale:
     """A wrong variance in a sentence."""
 
@@ -81,6 +93,7 @@ class AuditFacts:
     scaled: tuple[str, ...]
     component: Scale | None
     worst: One | None
+    cluster: Together | None
     least: One
     unchecked: int
     unchecked_kinds: tuple[str, ...]
@@ -113,6 +126,16 @@ class AuditReport:
     components: pd.DataFrame
     audit: Audit
     second: Second | None = None
+
+    @property
+    def clusters(self) -> pd.DataFrame:
+        """Loops that agree with each other, tested together: factors, deleted (T), rank, p, p_family, influence_m."""
+        rows = [
+            (c.factors, c.T, c.rank, c.p, p, c.moved)
+            for c, p in zip(self.audit.clusters, self.audit.p_cluster, strict=True)
+        ]
+        frame = pd.DataFrame(rows, columns=["factors", "deleted", "rank", "p", "p_family", "influence_m"])
+        return frame.sort_values("p", kind="stable", ignore_index=True)
 
     @property
     def rejected(self) -> bool:
@@ -245,11 +268,21 @@ def _facts(report: AuditReport) -> AuditFacts:
         loose.append(f"{len(a.condition.loose) - SHOWN} more")
     return AuditFacts(
         int(factors["chi2"].notna().sum()), a.freedom, float(factors["chi2"].sum()), a.rejected, len(wrong),
-        tuple(scaled), component, least if least.p < FAMILY else None, least, len(unchecked),
+        tuple(scaled), component, least if least.p < FAMILY else None, _cluster(report), least, len(unchecked),
         tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in counts.items()),
         hidden, a.decrement, a.gained, report.second, a.condition.gauge, tuple(loose), a.condition.parts,
         tuple(f"{i} and {j}" for i, j in a.condition.duplicates), int((factors["weight"] < 1.0).sum()),
     )  # fmt: skip
+
+
+def _cluster(report: AuditReport) -> Together | None:
+    """The worst rejected cluster."""
+    some = report.clusters[report.clusters["p_family"] < FAMILY]
+    if not len(some):
+        return None
+    row = some.iloc[0]
+    names = ", ".join(map(str, row["factors"][:TEN])) + ", ..." * (len(row["factors"]) > TEN)
+    return Together(len(row["factors"]), names, row["deleted"], row["rank"], row["p_family"], row["influence_m"])
 
 
 def _keys(factors: pd.DataFrame, i: int) -> str:
@@ -290,6 +323,9 @@ def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> 
         Section("Kinds of factors", tuple(first)),
         Section("Worst factors", (Table(shown(report.worst().reset_index()), caption("factors")),)),
     ]
+    if (some := report.clusters[report.clusters["p_family"] < FAMILY].head(TEN)).size:
+        listed = some.assign(factors=[" ".join(map(str, c)) for c in some["factors"]])
+        sections.append(Section("Clusters", (Table(shown(listed), caption("clusters")),)))
     if np.isfinite(report.audit.place).any() and any(len(keys) > 1 for keys in report.audit.keys):
         save(report.figure(), folder / "figures", "graph", ("png",))
         alt = "The graph's edges, coloured by p value and by redundancy"

@@ -11,9 +11,10 @@ import numpy as np
 from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
+from graph.audit.clusters import Cluster, clusters
 from graph.audit.components import Components, Estimator
 from graph.audit.condition import Condition, condition
-from graph.audit.draws import family, smallest_p
+from graph.audit.draws import family, independent, smallest_p
 from graph.audit.factors import Tested, directions, examine, holm
 from graph.audit.fronts import Factored, factorize, ordering
 from graph.audit.kinds import Grouping, Kinds, kinds, positions_of
@@ -31,10 +32,11 @@ class Audit:
         keys: (F,) of each factor; empty in an empty slot.
         kinds: of the factors.
         factors: statistics of each factor.
-        p_family: (F,) Holm's, over all factors and components.
+        p_family: (F,) Holm's, over all factors, components and clusters; of as many independent tests as draws show.
         p_drawn: (F,) from the smallest p value of draws; NaN without draws.
         by_kind, by_axis: components of the kinds, and of the axes of each; `axis` (K, 2) kind and axis, -1: whole.
         p_kind, p_axis: Holm's, in the same family as the factors.
+        clusters, p_cluster: loops that agree with each other, tested together; Holm's, in the same family.
         decrement: length of the step to the minimum of the linearized problem, in sigmas.
         gained: decrease of the sum of squares that this step promises.
         freedom: degrees of freedom.
@@ -53,6 +55,8 @@ class Audit:
     axis: IntArray
     p_kind: Array
     p_axis: Array
+    clusters: Sequence[Cluster]
+    p_cluster: Array
     decrement: float
     gained: float
     freedom: int
@@ -63,7 +67,7 @@ class Audit:
     @property
     def rejected(self) -> bool:
         """Whether anything is rejected at a family-wise 5 %."""
-        p = np.concatenate([self.p_family, self.p_kind, self.p_axis])
+        p = np.concatenate([self.p_family, self.p_kind, self.p_axis, self.p_cluster])
         return bool(np.any(p < FAMILY))
 
 
@@ -77,21 +81,28 @@ def examined(
     order = ordering(system, firsts(system))
     f = factorize(system, order)
     seen = directions(f)
-    t = examine(f, seen, positions_of(values, system.keys))
+    metres = positions_of(values, system.keys)
+    t = examine(f, seen, metres)
     rng = np.random.default_rng(seed)
     of = kinds(graph, by)
     axis, rows = axes_of(of, system)
     estimator = Estimator(f, order, rows, axis[:, 0], rng)
     by_kind, by_axis = estimator.by_kind(), estimator.by_axis()
-    family_of = np.concatenate([t.p, by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan)])
-    adjusted = holm(family_of)
+    together, all_ = clusters(f, seen, t, np.flatnonzero(of.loops).tolist(), metres)
+    p_cluster = np.concatenate([[c.p for c in together], np.ones(all_ - len(together))])
+    family_of = np.concatenate([t.p, by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan), p_cluster])
+    drawn = smallest_p(f, seen, draws, rng) if draws else np.zeros(0)
+    tests, several = int(np.isfinite(t.p).sum()), int(np.isfinite(family_of).sum())
+    alone = min(independent(drawn), tests) if draws and tests else tests
+    adjusted = holm(family_of, (alone + several - tests) / max(several, 1))
     n, k = len(t.p), len(of.names)
-    p_drawn = family(t.p, smallest_p(f, seen, draws, rng)) if draws else np.full(n, np.nan)
+    p_drawn = family(t.p, drawn) if draws else np.full(n, np.nan)
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
     gained = max(whole - f.square, 0.0)
     return Audit(
-        keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k], adjusted[n + k :],
+        keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
+        adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
         float(np.sqrt(gained)), gained, system.rows - f.rank, f, condition(f, parts(system), firsts(system)),
         places(values, system.keys),
     )  # fmt: skip

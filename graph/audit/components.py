@@ -29,20 +29,33 @@ SMALLEST, NONE = 1e-6, 0.5  # component of residuals that are all zero; redundan
 
 @dataclass(frozen=True, eq=False)
 class Components:
-    """Arrays (K,): component, its standard error, redundancy at the stated weights; NaN where nothing is redundant."""
+    """Arrays (K,): component, its standard error, redundancy at the stated weights; NaN where nothing is redundant.
+
+    `ratio` is the sum of squares over the redundancy, both at the stated weights; `freedom` that of its chi-square.
+    """
 
     component: Array
     error: Array
     redundancy: Array
+    ratio: Array
+    freedom: Array
 
     @property
     def p(self) -> Array:
-        """Two-sided p values of the component 1; the estimate is a chi-square of 2 (component / error)^2 freedoms."""
+        """P values of the component 1: the larger one of two two-sided tests by a chi-square (Satterthwaite).
+
+        The sum of squares at the stated weights has the right size, but answers to the noise of other kinds; the
+        estimate does not, but is no chi-square where it has few degrees of freedom. The larger p has both virtues.
+        """
         with np.errstate(invalid="ignore", divide="ignore"):
-            freedom = 2.0 * (self.component / self.error) ** 2
-            x = self.component * freedom
-            out: Array = np.minimum(2.0 * np.minimum(chi2.sf(x, freedom), chi2.cdf(x, freedom)), 1.0)
-        return np.where(np.isfinite(self.component), out, np.nan)
+            own = _two_sided(self.component, 2.0 * (self.component / self.error) ** 2)
+            return np.where(np.isfinite(self.component), np.fmax(own, _two_sided(self.ratio, self.freedom)), np.nan)
+
+
+def _two_sided(ratio: Array, freedom: Array) -> Array:
+    x = ratio * freedom
+    out: Array = np.minimum(2.0 * np.minimum(chi2.sf(x, freedom), chi2.cdf(x, freedom)), 1.0)
+    return out
 
 
 def weighted_rows(f: Factored, scale: Sequence[Array] | None = None) -> csr_matrix:
@@ -113,9 +126,10 @@ class Estimator:
         S, q = share.T @ S @ share, share.T @ q
         redundancy = S.sum(1)
         live = redundancy > NONE
-        if not live.any():
-            return Components(np.full(len(theta), np.nan), np.full(len(theta), np.nan), redundancy)
+        stated, freedom = q / np.maximum(redundancy, NONE), redundancy**2 / np.maximum(np.diagonal(S), NONE**2)
         error = np.full(len(theta), np.nan)
+        if not live.any():
+            return Components(error, error, redundancy, stated, freedom)
         for turn in range(most := MOST if len(theta) == len(share) else POOLED):
             # Fisher's scoring; where that leads too far, the almost-unbiased estimate
             part = np.ix_(live, live)
@@ -131,4 +145,4 @@ class Estimator:
                 break
             S, q = self._equations(share @ theta)
             S, q = share.T @ S @ share, share.T @ q
-        return Components(np.where(live, theta, np.nan), error, redundancy)
+        return Components(np.where(live, theta, np.nan), error, redundancy, stated, freedom)

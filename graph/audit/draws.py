@@ -40,6 +40,16 @@ def smallest_p(f: Factored, seen: Sequence[Directions], count: int, rng: np.rand
     return out
 
 
+def independent(smallest: Array) -> float:
+    """Number of independent tests whose least p value is distributed as those drawn, where it is small.
+
+    It is exponential in -log(1 - p); the maximum-likelihood rate from the lower half, the rest is censored.
+    """
+    y = -np.log1p(-np.sort(smallest))
+    k = (len(y) + 1) // 2
+    return float(k / max(y[:k].sum() + (len(y) - k) * y[k - 1], 1e-300))
+
+
 def family(p: Array, smallest: Array) -> Array:
     """Family-wise p values (F,) of p values, from the smallest of each draw; NaN stays."""
     below = np.searchsorted(np.sort(smallest), p, side="right")

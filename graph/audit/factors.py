@@ -30,8 +30,8 @@ UNCHECKED = 0.05  # share of its dimension below which the redundancy of a facto
 SIGNIFICANCE, POWER = 1e-3, 0.8  # of the smallest error that is found (Baarda 1968)
 INEXACT = 1e-9  # error of the sum of all redundancies, to the degrees of freedom, beyond which leverages are redone
 QUICK = 2e5  # fronts times rows up to which they are taken by rows at once
-BUDGET = 2e9  # factors times coefficients up to which the influence of every factor is solved for
-WORST = 512  # factors whose influence is solved for beyond that
+BUDGET = 3e8  # factors times coefficients up to which the influence of every factor is solved for
+WORST = 768  # factors whose influence is solved for beyond that
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,12 +153,18 @@ def noncentrality(rank: int) -> float:
     return float(brentq(lambda v: ncx2.sf(gate, rank, v) - POWER, 1e-3, 1e3))
 
 
-def holm(p: Array) -> Array:
-    """Family-wise p values of the finite ones (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays."""
+def holm(p: Array, share: float = 1.0) -> Array:
+    """Family-wise p values of the finite ones (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays.
+
+    `share`: independent tests over all tests, as each other's residuals tell of the same errors.
+    """
     out = np.full(p.shape, np.nan)
     at = np.flatnonzero(np.isfinite(p))
     order = at[np.argsort(p[at], kind="stable")]
-    out[order] = np.minimum(np.maximum.accumulate(p[order] * np.arange(len(order), 0, -1)), 1.0)
+    left = np.maximum(share * np.arange(len(order), 0, -1), 1.0)
+    with np.errstate(divide="ignore"):
+        steps = -np.expm1(left * np.log1p(-p[order])) if share < 1.0 else np.minimum(p[order] * left, 1.0)
+    out[order] = np.maximum.accumulate(steps)
     return out
 
 
@@ -228,12 +234,13 @@ def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArra
     chosen[ranked if size * f.system.size <= BUDGET else ranked[:WORST]] = True
     point = positions(f, metres)
     for k, g in enumerate(f.system.groups):
-        some, index = np.flatnonzero(chosen[g.factor]), f.index(g)
+        some, index, home = np.flatnonzero(chosen[g.factor]), f.index(g), f.home[k]
+        some = some[np.argsort(home[some], kind="stable")]
         for first in range(0, len(some), PART):
             part = some[first : first + PART]
             b = np.zeros((f.columns, len(part)))
             np.add.at(b, (index[part], np.arange(len(part))[:, None]), right[k][part])
-            out.moved[g.factor[part]] = point(solved(f, b))
+            out.moved[g.factor[part]] = point(solved(f, b, np.unique(home[part])))
             out.exact[g.factor[part]] = 1.0
 
 
@@ -242,5 +249,10 @@ def positions(f: Factored, metres: Sequence[IntArray]) -> Callable[[Array], Arra
     at = [f.at[v] + m for v, m in enumerate(metres) if len(m)]
     if not at:
         return lambda x: np.zeros(x.shape[1])
-    columns, start = np.concatenate(at), np.cumsum([0] + [len(a) for a in at])[:-1]
-    return lambda x: np.sqrt(np.add.reduceat(x[columns] ** 2, start, axis=0).max(axis=0))
+    by_size = [np.array([a for a in at if len(a) == d]) for d in {len(a) for a in at}]
+
+    def farthest(x: Array) -> Array:
+        square = [sum(x[columns[:, j]] ** 2 for j in range(columns.shape[1])).max(axis=0) for columns in by_size]
+        return np.asarray(np.sqrt(np.max(square, axis=0)))
+
+    return farthest

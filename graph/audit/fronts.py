@@ -260,10 +260,13 @@ def step(f: Factored) -> Array:
     return x
 
 
-def solved(f: Factored, right: Array) -> Array:
-    """Solution (N, c) of the normal equations  A' W A x = right (N, c), which may be overwritten."""
+def solved(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
+    """Solution (N, c) of the normal equations  A' W A x = right (N, c), which may be overwritten.
+
+    `homes`: fronts in which alone `right` is not zero, or all.
+    """
     y = np.zeros_like(right)
-    for front in f.fronts:
+    for front in f.fronts if homes is None else _above(f, homes):
         z = front.inverse.T @ right[front.kept]
         y[front.kept] = z
         if len(front.after):
@@ -271,6 +274,16 @@ def solved(f: Factored, right: Array) -> Array:
     for front in reversed(f.fronts):
         y[front.kept] = front.inverse @ y[front.kept] + front.W @ y[front.after]
     return y
+
+
+def _above(f: Factored, homes: IntArray) -> Iterator[Front]:
+    """The fronts on the ways from some to their roots, children before parents."""
+    seen = set[int]()
+    for home in homes.tolist():
+        while home >= 0 and home not in seen:
+            seen.add(home)
+            home = f.fronts[home].parent
+    return (f.fronts[k] for k in sorted(seen))
 
 
 def joint_covariances(f: Factored) -> list[Array]:

@@ -10,6 +10,7 @@ import gtsam
 import numpy as np
 
 from data.inputs import IntArray
+from data.se2 import BoolArray
 
 ODOMETRY, LOOP, PRIOR = "odometry", "loop", "prior"
 MOST_NOISES, FEWEST = 4, 20  # noise models that divide a kind: at most, and each of at least so many factors
@@ -33,12 +34,14 @@ Grouping = Callable[[int, gtsam.NonlinearFactor], str] | Sequence[str] | None
 class Kinds:
     """Kind of each factor, -1 of an empty slot: `of` (F,), names, and per kind the names of its components.
 
-    A kind without names of components has a noise that is not diagonal, or one residual.
+    `loops` (F,): relations of variables that are no neighbours. A kind without names of components has a noise that is
+    not diagonal, or one residual.
     """
 
     of: IntArray
     names: tuple[str, ...]
     axes: tuple[tuple[str, ...], ...]
+    loops: BoolArray
 
 
 def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
@@ -46,7 +49,8 @@ def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
     present = [i for i in range(graph.size()) if graph.exists(i)]
     factors = {i: graph.at(i) for i in present}
     own = {} if by is None else {i: str(by(i, f)) if callable(by) else str(by[i]) for i, f in factors.items()}
-    roles = _roles({i: f for i, f in factors.items() if not own.get(i)})
+    every = _roles(factors)
+    roles = {i: name for i, name in every.items() if not own.get(i)}
     names = _divided(factors, roles | {i: name for i, name in own.items() if name}) if roles else own
     known = list(dict.fromkeys(names.values()))
     place = {name: k for k, name in enumerate(known)}
@@ -59,7 +63,8 @@ def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
         if axes[k] is None or axes[k]:
             mine = _axes(factor)
             axes[k] = mine if axes[k] in (None, mine) else ()
-    return Kinds(of, tuple(known), tuple(a or () for a in axes))
+    loops = np.array([every.get(i, "").startswith(LOOP) for i in range(graph.size())], bool)
+    return Kinds(of, tuple(known), tuple(a or () for a in axes), loops)
 
 
 def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
