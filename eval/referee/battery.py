@@ -126,13 +126,3 @@ def shared_p(real: Array, twins: Array, z: Array, theory: BoolArray) -> Array:
     result[theory] = gaussian_p(z[theory]) / THEORY
     result[~theory] = family_p(real[~theory], twins[:, ~theory]) / (1.0 - THEORY)
     return np.minimum(result, 1.0)
-
-
-def critical(twins: Array) -> float:
-    """Critical value of the largest standardized statistic of a log at `LEVEL`; twins (N, S)."""
-    if not len(twins):
-        return math.nan
-    known = np.isfinite(twins).any(axis=0)
-    middle = np.nanmedian(twins[:, known], axis=0)
-    largest = evened(*standardized(middle, twins[:, known]))[1].max(axis=1, initial=0.0)
-    return float(np.quantile(largest, 1.0 - LEVEL, method="higher"))

@@ -17,7 +17,7 @@ from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.plan.flags.table import Output
 from eval.referee import battery
-from eval.referee.attribution import NOTHING, POWER, UNLISTED, UNTELLABLE, Finding
+from eval.referee.attribution import NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATORS, FILTERS, HINDSIGHT
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
@@ -294,9 +294,6 @@ class TrustFacts:
     asked: tuple[Explanation, ...]  # systematic errors beyond `STANDS_OUT` standard errors, each alone, largest first
     findings: tuple[Explanation, ...]  # the weightiest first
     main: tuple[Explanation, ...]  # those for a first page
-    power: tuple[Explanation, ...]  # what would have been seen with a probability of `power_share`
-    brief_power: tuple[Explanation, ...]  # of this the first page's
-    power_share: float
     nees: tuple[tuple[str, str, float], ...]  # mean pose NEES on the replicates by estimator and phase
     deciding: tuple[Decided, ...]  # what to expect of the association method
     todo: Advice
@@ -309,7 +306,6 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
     """The facts of a log; `labels`: whether known association can be granted."""
     blame = trust.blame
     found = () if blame is None else blame.findings
-    power = () if blame is None else _power(blame, terms)
     return TrustFacts(
         trust.log,
         trust.task,
@@ -321,9 +317,6 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
         _asked(trust, terms),
         explanations(found, terms),
         main_findings(trust, terms),
-        power,
-        tuple(p for p in power if p.name in ("odometry_theta_turn", _turned(terms), "z1_range")),
-        POWER,
         _nees(trust),
         _deciding(trust),
         advice(
@@ -412,20 +405,6 @@ def main_findings(trust: Trust, terms: Terms) -> tuple[Explanation, ...]:
     if trust.blame is None or trust.blame.cause in (NOTHING, UNLISTED, UNTELLABLE):
         return ()
     return explanations(_main(trust.blame.findings), terms)
-
-
-def _turned(terms: Terms) -> str:
-    """The error of a sensor that is turned on its mount."""
-    return "z2_constant" if terms.polar else "z2_range"
-
-
-def _power(blame: Blame, terms: Terms) -> tuple[Explanation, ...]:
-    """Faults that would have been seen: systematic errors, then noises by the factor of their sigma."""
-    names = ("odometry_theta_turn", "odometry_x_distance", "odometry_theta_distance", _turned(terms), "z1_range")
-    found = [_systematic(name, blame.detectable.get(name, math.nan), math.nan, terms) for name in names]
-    for name in ("z1", "z2", "odometry_theta"):
-        found.append(Explanation("sigma", name, blame.detectable.get(f"residual_{name}_spread", math.nan)))
-    return tuple(t for t in found if math.isfinite(t.size))
 
 
 def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:

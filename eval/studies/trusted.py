@@ -1,4 +1,4 @@
-"""A log against its twins: p value of every statistic, cause of rejections, and power."""
+"""A log against its twins: p value of every statistic, and the cause of rejections."""
 
 from __future__ import annotations
 
@@ -60,7 +60,6 @@ class Blame:
     objected: tuple[Key, ...]  # statistics rejected family-wise; `tested`: their number in all
     tested: int
     p: float  # the smallest family-wise p value
-    detectable: dict[str, float]  # sizes detectable with a power of 90 %, by name
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +158,7 @@ def _blame(log: Log, made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -
     elif objected:
         # no named cause: rejections of the smoother's residuals are due to the log, others to the estimator
         cause = NOISE if any(e == smoother.estimator for e, _ in objected) else ESTIMATOR
-    return Blame(cause, tuple(findings), objected, len(tested), p, _detectable(made, drawn))
+    return Blame(cause, tuple(findings), objected, len(tested), p)
 
 
 def _broken(twins: Sequence[Sample]) -> bool:
@@ -317,14 +316,6 @@ def _path(smoother: Run) -> Array:
 
 def _as_front(smoother: Run) -> Run:
     return replace(smoother, online=smoother.final)
-
-
-def _detectable(made: Trust, drawn: Array) -> dict[str, float]:
-    names = [n for _, n in made.real.measured]
-    of = {n: drawn[:, i] for i, n in enumerate(names)}
-    slopes = {n.removeprefix("slope_"): v.tolist() for n, v in of.items() if n.startswith("slope_")}
-    spreads = {n: v.tolist() for n, v in of.items() if n.endswith("_spread")}
-    return attribution.detectable(slopes, spreads, battery.critical(drawn))
 
 
 def trust_table(all_trust: Sequence[Trust]) -> pd.DataFrame:

@@ -57,17 +57,17 @@ def test_the_word_follows_the_errors_and_who_got_to_the_end(filtered, smoothed, 
 
 def test_a_violated_assumption_takes_the_tick_and_names_its_size():
     turned = Finding(NOISE, "systematic", "z2_constant", 0.0332, 0.002, gain=100.0)
-    found = Trust("home", "slam", "known", Sample({}), (), (), Blame(NOISE, (turned,), (("batch", "s"),), 40, 0.01, {}))
+    found = Trust("home", "slam", "known", Sample({}), (), (), Blame(NOISE, (turned,), (("batch", "s"),), 40, 0.01))
     mark = trust_mark(facts(trust=found))
     assert (mark.word, mark.tone) == ("smoother", "fair")
     assert "1.90° ± 0.11° too far to the left" in mark.note
-    sound = replace(found, blame=Blame(NOTHING, (), (), 40, 0.4, {}))
+    sound = replace(found, blame=Blame(NOTHING, (), (), 40, 0.4))
     assert trust_mark(facts(trust=sound)).tone == "good"
 
 
 def test_no_cause_is_named_where_the_solution_itself_is_broken():
     off = Finding(NOISE, "systematic", "z2_constant", 0.0332, 0.002, gain=100.0)
-    blame = Blame(UNTELLABLE, (off,), (("batch", "s"),), 40, 0.01, {})
+    blame = Blame(UNTELLABLE, (off,), (("batch", "s"),), 40, 0.01)
     found = Trust("blind", "slam", "known", Sample({}), (), (), blame)
     mark = trust_mark(facts(log=BLIND, trust=found))
     assert (mark.word, mark.tone) == ("cannot be told", "bad")
@@ -101,7 +101,7 @@ def test_what_the_filter_claims_is_a_word_a_colour_and_a_number(nis, word, tone)
 
 
 def trust(cause=None, *findings, measured=None, objected=()):
-    blame = None if cause is None else Blame(cause, tuple(findings), tuple(objected), 40, 0.01, {})
+    blame = None if cause is None else Blame(cause, tuple(findings), tuple(objected), 40, 0.01)
     return Trust("blind", "slam", "known", Sample(measured or {}), (), (), blame)
 
 

@@ -39,16 +39,9 @@ def test_a_wrong_noise_model_is_named_with_how_far_filter_and_smoother_are_apart
     )
 
 
-def test_nothing_to_object_to_comes_with_what_would_have_been_seen():
-    text = first_words(blamed(), terms=POLAR)
-    assert "**found nothing**: none of 9 statistics lies outside" in text
-    assert (
-        "log would show, with 90 % probability, a wrong scale of the odometry's turns of 5.0 %, "
-        "a bias of the bearings of 0.40° or"
-    ) in text
-    whole = text_of(blamed())
-    assert ("a noise of the odometry's heading at least 1.45 times as large as stated. Each is meant alone.") in whole
-    assert "What to do" not in whole
+def test_nothing_to_object_to_is_said_with_what_was_tested():
+    assert "**found nothing**: none of 9 statistics lies outside" in first_words(blamed(), terms=POLAR)
+    assert "What to do" not in text_of(blamed())
 
 
 @pytest.mark.parametrize("cause", [NOISE, ASSOCIATIONS, ESTIMATOR])
