@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.collections import LineCollection
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from data.inputs import IntArray
@@ -13,6 +14,7 @@ from data.se2 import Array
 from eval.figures.style import drawing
 
 LEAST = -8.0  # log10 of the smallest p value that has a colour of its own
+SUSPICION = LinearSegmentedColormap.from_list("suspicion", ["#500000", "#d7301f", "#f0a030", "#8899aa"])
 FLAT = 1e-9  # m of height of a graph in the plane
 
 
@@ -35,7 +37,7 @@ def audit_figure(place: Array, ends: IntArray, p: Array, share: Array, rejected:
         log_p = np.clip(np.log10(np.maximum(np.nan_to_num(p, nan=1.0), 1e-300)), LEAST, 0.0)
         for row, (i, j, x, y) in zip(axes, views, strict=True):
             for ax, value, cmap, low, high, title in (
-                (row[0], log_p, "inferno", LEAST, 0.0, "log10 of p"),
+                (row[0], log_p, SUSPICION, LEAST, 0.0, "log10 of p"),
                 (row[1], share, "viridis", 0.0, 1.0, "redundancy / dimension"),
             ):
                 order = np.flatnonzero(drawn)[np.argsort(-value[drawn], kind="stable")]

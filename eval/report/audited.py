@@ -13,8 +13,9 @@ from data.errors import UsageError
 from data.formats.graph_file import GraphFile, read_graph_file, with_information
 from eval.report.audit import AuditReport, Second, reported
 from graph.audit.audit import DRAWS, examined, places
-from graph.audit.cure import LEVELS, Cure, coverage, cure
+from graph.audit.cure import LEVELS, Cure, coverage, cure, known
 from graph.audit.files import another_start, build, built_by, optimized
+from graph.audit.kinds import ODOMETRY
 from graph.audit.linear import Graph, Values, name
 
 LARGEST = 6000  # factors up to which a second start is tried
@@ -48,10 +49,12 @@ def opened(place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0)
         return _of_file(read_graph_file(Path(place)), optimize is not False, draws, seed)
 
 
-def _of_file(file: GraphFile, optimize: bool, draws: int, seed: int) -> Opened:
+def _of_file(file: GraphFile, optimize: bool, draws: int, seed: int, near: Values | None = None) -> Opened:
     graph, values, names = build(file)
+    if near is not None:
+        values.update(known(near, values))
     report, values = _audit(graph, values, names, optimize, draws, seed)
-    if optimize and graph.size() <= LARGEST:
+    if near is None and optimize and graph.size() <= LARGEST:
         report = replace(report, second=_second(file, graph, values, report))
     return Opened(report, graph, values, file)
 
@@ -89,14 +92,19 @@ def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0) -> pd.Da
     with threadpool_limits(1):
         made = cure(before.file, before.report.audit, before.values)
         out.write_text(with_information(before.file, made.information, made.left_out), encoding="utf-8", newline="\n")
-        after = _of_file(read_graph_file(out), True, draws, seed)
+        after = _of_file(read_graph_file(out), True, draws, seed, before.values)
         rows = [_row("before", before, Cure({}, set())), _row("after", after, made)]
     return pd.DataFrame(rows)
 
 
 def _row(title: str, o: Opened, made: Cure) -> dict[str, object]:
     a = o.report.audit
-    share, count = coverage(o.graph, o.values, np.flatnonzero(a.kinds.loops))
+    loops = np.flatnonzero(a.kinds.loops)
+    if not len(loops):  # observations of landmarks close the loops
+        odometry = [k for k, each in enumerate(a.kinds.names) if each.startswith(ODOMETRY)]
+        two = np.array([len(keys) == 2 for keys in a.keys])
+        loops = np.flatnonzero(two & ~np.isin(a.kinds.of, odometry))
+    share, count = coverage(o.graph, o.values, loops)
     chi2 = float(np.nansum(a.factors.chi2))
     return {
         "graph": title, "factors": int(np.isfinite(a.factors.chi2).sum()), "left_out": len(made.left_out),

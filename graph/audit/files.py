@@ -24,6 +24,7 @@ from graph.audit.linear import System, linearize
 
 N = gtsam.noiseModel
 MOST, CLOSE = 30, 1e-3  # steps; length of a step in sigmas that ends them
+COPIES = 2e6  # callbacks times variables up to which gtsam optimizes: it copies all values for each callback
 LAST_FIRST = [3, 4, 5, 0, 1, 2]  # gtsam has the rotation first
 
 
@@ -213,8 +214,8 @@ def moved(system: System, at: IntArray, x: Array, values: gtsam.Values) -> gtsam
 
 def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
     """The minimum near the values: Levenberg-Marquardt, then Gauss-Newton while the cost falls; gauge freedom stays."""
-    plain = not any(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
-    if plain:
+    own = sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
+    if own * values.size() < COPIES:
         held = gtsam.NonlinearFactorGraph(graph)
         hold(held, values)
         with suppress(RuntimeError):  # indeterminate: what follows leaves such directions alone
