@@ -37,6 +37,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     cure = "write the graph with variance components applied and rejected factors left out; examine it, too"
     parser.add_argument("--rescale", metavar="FILE", type=Path, help=cure)
     parser.add_argument("--draws", metavar="N", type=_count, default=200, help="draws of the graph (default: 200)")
+    parser.add_argument("--full", action="store_true", help="draw measurements and optimize each graph again (slow)")
     parser.add_argument("--seed", metavar="S", type=_count, default=0, help="random seed (default: 0)")
     return ended(lambda: _audit(parser.read(argv), prog))
 
@@ -53,7 +54,7 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
     from eval.report.audited import cured, opened
 
     optimize = options.optimize if options.optimize or options.as_given else None
-    found = opened(options.graph, optimize, options.draws, options.seed)
+    found = opened(options.graph, optimize, options.draws, options.seed, full=options.full)
     report = found.report
     columns = ["keys", "kind", "chi2", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
     kinds = report.kinds.drop(columns=["p", "unchecked"]).reset_index()

@@ -179,6 +179,7 @@ def audit(
     groups: Grouping = None,
     draws: int = DRAWS,
     seed: int = 0,
+    full: bool = False,
 ) -> AuditReport:
     """Examine any gtsam graph at its optimum: which factor is wrong, which noise is wrong, what is unchecked.
 
@@ -189,6 +190,7 @@ def audit(
             name, or nothing: by type, odometry or loop, and noise.
         draws: number of draws of the graph's own noise for `p_drawn`; 0: none.
         seed: of the draws, and of the probes of the variance components.
+        full: each draw is a graph of drawn measurements, optimized again: exact, and many times slower.
 
     Returns:
         The report: `factors`, `kinds`, `components` (pandas), `words()`, `figure()`, `rejected`.
@@ -197,7 +199,7 @@ def audit(
         DataError: a factor without its variable's value, a residual that is not finite, or no factor.
     """
     with threadpool_limits(1):
-        return reported(examined(graph, values, groups, draws, seed))
+        return reported(examined(graph, values, groups, draws, seed, full=full))
 
 
 def reported(a: Audit) -> AuditReport:

@@ -32,7 +32,7 @@ class Opened:
     file: GraphFile | None
 
 
-def opened(place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0) -> Opened:
+def opened(place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0, *, full: bool = False) -> Opened:
     """The audit of a graph file, or of a `FILE.py:FUNCTION`.
 
     Args:
@@ -40,20 +40,23 @@ def opened(place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0)
         optimize: first; None: a file yes, the values of a function not.
         draws: as of `audit`.
         seed: as of `audit`.
+        full: as of `audit`.
     """
     script, _, function = place.rpartition(":")
     with threadpool_limits(1):
         if script.endswith(".py") and function.isidentifier():
             graph, values = built_by(place)
-            return Opened(_audit(graph, values, None, bool(optimize), draws, seed)[0], graph, values, None)
-        return _of_file(read_graph_file(Path(place)), optimize is not False, draws, seed)
+            return Opened(_audit(graph, values, None, bool(optimize), draws, seed, full)[0], graph, values, None)
+        return _of_file(read_graph_file(Path(place)), optimize is not False, draws, seed, full=full)
 
 
-def _of_file(file: GraphFile, optimize: bool, draws: int, seed: int, near: Values | None = None) -> Opened:
+def _of_file(
+    file: GraphFile, optimize: bool, draws: int, seed: int, near: Values | None = None, *, full: bool = False
+) -> Opened:
     graph, values, names = build(file)
     if near is not None:
         values.update(known(near, values))
-    report, values = _audit(graph, values, names, optimize, draws, seed)
+    report, values = _audit(graph, values, names, optimize, draws, seed, full)
     if near is None and optimize and graph.size() <= LARGEST:
         report = replace(report, second=_second(file, graph, values, report))
     return Opened(report, graph, values, file)
@@ -76,10 +79,10 @@ def _second(file: GraphFile, graph: Graph, values: Values, report: AuditReport) 
 
 
 def _audit(
-    graph: Graph, values: Values, names: list[str] | None, optimize: bool, draws: int, seed: int
+    graph: Graph, values: Values, names: list[str] | None, optimize: bool, draws: int, seed: int, full: bool
 ) -> tuple[AuditReport, Values]:
     values = optimized(graph, values) if optimize else values
-    return reported(examined(graph, values, names, draws, seed)), values
+    return reported(examined(graph, values, names, draws, seed, full=full)), values
 
 
 def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0) -> pd.DataFrame:

@@ -19,6 +19,7 @@ from graph.audit.factors import Tested, directions, examine, holm
 from graph.audit.fronts import Factored, factorize, ordering
 from graph.audit.kinds import Grouping, Kinds, kinds, positions_of
 from graph.audit.linear import System, linearize
+from graph.audit.simulated import smallest_p_optimized
 
 DRAWS = 200
 FAMILY = 0.05  # family-wise level of a rejection
@@ -72,9 +73,18 @@ class Audit:
 
 
 def examined(
-    graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, by: Grouping = None, draws: int = DRAWS, seed: int = 0
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    by: Grouping = None,
+    draws: int = DRAWS,
+    seed: int = 0,
+    *,
+    full: bool = False,
 ) -> Audit:
-    """Examine a graph around its values. Raises DataError as `linearize`, and for a graph without factors."""
+    """Examine a graph around its values. Raises DataError as `linearize`, and for a graph without factors.
+
+    `full`: draws are measurements, optimized again, instead of residuals of the linearized problem.
+    """
     system = linearize(graph, values)
     if not system.rows or not len(system.keys):
         raise DataError("the graph has no factor of a variable; at least one is needed")
@@ -91,7 +101,9 @@ def examined(
     together, all_ = clusters(f, seen, t, np.flatnonzero(of.loops).tolist(), metres)
     p_cluster = np.concatenate([[c.p for c in together], np.ones(all_ - len(together))])
     family_of = np.concatenate([t.p, by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan), p_cluster])
-    drawn = smallest_p(f, seen, draws, rng) if draws else np.zeros(0)
+    drawn = np.zeros(0)
+    if draws:
+        drawn = smallest_p_optimized(graph, values, draws, rng) if full else smallest_p(f, seen, draws, rng)
     tests, several = int(np.isfinite(t.p).sum()), int(np.isfinite(family_of).sum())
     alone = min(independent(drawn), tests) if draws and tests else tests
     adjusted = holm(family_of, (alone + several - tests) / max(several, 1))

@@ -201,6 +201,17 @@ def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray])
     return out
 
 
+def p_values(seen: Sequence[Directions]) -> list[Array]:
+    """Per group, the p values (n,) of the factors, NaN where nothing is seen."""
+    out = []
+    for s in seen:
+        rank = np.sum(s.R > 0.0, 1)
+        p = np.full(len(rank), np.nan)
+        p[rank > 0] = chi2.sf(s.tested(s.r[:, :, None])[rank > 0, 0], rank[rank > 0])
+        out.append(p)
+    return out
+
+
 def pushes(f: Factored, k: int, s: Directions) -> Array:
     """Right-hand sides (n, c) of the normal equations whose solution is the motion without each factor."""
     u = np.einsum("nij,ni->nj", s.V, s.r)

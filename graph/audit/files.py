@@ -212,10 +212,13 @@ def moved(system: System, at: IntArray, x: Array, values: gtsam.Values) -> gtsam
     return values.retract(vector)
 
 
-def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> gtsam.Values:
-    """The minimum near the values: Levenberg-Marquardt, then Gauss-Newton while the cost falls; gauge freedom stays."""
+def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, quick: bool = False) -> gtsam.Values:
+    """The minimum near the values: Levenberg-Marquardt, then Gauss-Newton while the cost falls; gauge freedom stays.
+
+    `quick`: the minimum is near, Gauss-Newton alone.
+    """
     own = sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
-    if own * values.size() < COPIES:
+    if not quick and own * values.size() < COPIES:
         held = gtsam.NonlinearFactorGraph(graph)
         hold(held, values)
         with suppress(RuntimeError):  # indeterminate: what follows leaves such directions alone

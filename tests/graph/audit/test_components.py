@@ -7,6 +7,8 @@ from gtsam.symbol_shorthand import L, X
 from scipy.stats import kstest
 
 from graph.audit.audit import examined
+from graph.audit.linear import linearize
+from graph.audit.simulated import simulated
 from tests.graph.audit import graphs
 
 N = gtsam.noiseModel
@@ -89,3 +91,24 @@ def test_a_kind_that_nothing_checks_has_no_component():
     a = examined(graph, values, draws=10)
     assert np.isnan(a.by_kind.component).all()
     assert np.isnan(a.p_family).all()
+
+
+def test_full_draws_are_those_of_the_linear_problem_where_noise_is_small():
+    graph, values = ring(np.random.default_rng(3), 30, 20)
+    linear, full = examined(graph, values, draws=150), examined(graph, values, draws=150, full=True)
+    few = linear.p_drawn < 0.5
+    assert np.nanmean(np.abs(linear.p_drawn - full.p_drawn)) < 0.08
+    assert few.any() or np.nanmin(full.p_drawn) > 0.35
+
+
+@pytest.mark.parametrize("make", [graphs.planar, graphs.spatial, graphs.inertial])
+def test_every_kind_of_factor_can_be_drawn(make):
+    graph, values = make(4)
+    drawn = simulated(graph, values, np.random.default_rng(0))
+    assert drawn.size() == graph.size()
+    whitened = []
+    for seed in range(30):
+        drawn = simulated(graph, values, np.random.default_rng(seed))
+        for group in linearize(drawn, values).groups:
+            whitened.append(group.r.ravel())
+    assert np.concatenate(whitened).std() == pytest.approx(1.0, abs=0.05)
