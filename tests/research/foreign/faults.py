@@ -47,7 +47,7 @@ LATE = ("systematic z?_speed", "systematic z?_turn_rate", "latency *", "systemat
 """Odometry that is early and readings that are late are one thing."""
 MOUNT = ("systematic odometry_?_turn", "mount *", "systematic mount*")
 MAP = ("localization",)
-MAPPED = ("map *", "landmark *", "systematic map*")
+MAPPED = ("map *", "landmark *", "displaced *", "systematic map*")
 JUMP = ("jump *", "burst *", "bursts *")
 
 FAULTS: Mapping[str, Fault] = {
