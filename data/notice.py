@@ -24,6 +24,8 @@ class Code(StrEnum):
     """Every possible finding about a log or a run; `templates/notices.j2` holds their words."""
 
     # about a log, for its author
+    MAP_ROWS = "map-rows"
+    BAD_TRUTH = "bad-truth"
     TRUTH_RATE = "truth-rate"
     LABELS = "labels"
     LABEL_NAMES = "label-names"

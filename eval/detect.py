@@ -41,10 +41,10 @@ def _detect(image: Path, references: Sequence[Path], out: Path | None) -> None:
     """Print the detections; write the photo with outlines to `out`, if given."""
     if out is not None and out.suffix.lower() != ".png":
         raise UsageError(f"--out {out}: a file name that ends in .png is needed")
+    import cv2
     import numpy as np
 
     from data.formats.lab.folder import read_image
-    from data.opencv import cv2
     from data.visual.detector import Detector
 
     photo = read_image(image)

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data.opencv import cv2
 from data.se2 import Array
 
 Points = NDArray[np.float32]

@@ -8,11 +8,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
+import cv2
 import numpy as np
 from threadpoolctl import ThreadpoolController
 
 from data.errors import DataError
-from data.opencv import cv2
 from data.pictures import CORNERS, Detection
 from data.se2 import Array
 from data.visual.checks import OUTSIDE, Pinhole, Points, corner_points, overlap, pinhole, shape_fault, size_fault

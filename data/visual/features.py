@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data.opencv import cv2
 from data.se2 import Array, BoolArray
 
 Image = NDArray[np.uint8]

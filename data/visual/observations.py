@@ -15,6 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from data.digest import program_digest
@@ -22,7 +23,6 @@ from data.errors import UsageError
 from data.inputs import Increments, Inputs, LandmarkMap, Observations
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
-from data.opencv import cv2
 from data.pictures import (
     COMMAND_SIGMA,
     CORNERS,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from data.opencv import cv2
 from data.pictures import Found, VisualRecording
 from data.se2 import Array
 

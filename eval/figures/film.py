@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from data.errors import SlamrefError
 from data.inputs import Inputs, IntArray, read_only
 from data.log import Log
-from data.opencv import cv2
 from data.result import NEW, Run
 from data.se2 import Array, BoolArray, transform_points
 from eval.figures.plane import SIGMAS, View, along_path, ellipses, enlargement, longest_axis, true_landmarks, view_of

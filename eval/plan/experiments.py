@@ -8,13 +8,22 @@ from pathlib import Path
 
 from association.decide import METHODS
 from association.scans.constraints import SCAN
+from data.command import stretch
 from data.errors import UsageError
 from data.formats.recordings.esde import NAME, find_esde
 from data.log import Log, folder_name, shortened
 from data.logs import Reading, find_logs, open_log
+from data.truth_windows import without, without_bad_truth
 from eval.plan.calibrate import check_calibrated
-from eval.plan.experiment import Experiment, Work, check_possible_on
-from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
+from eval.plan.experiment import (
+    Experiment,
+    Work,
+    check_maintained,
+    check_possible_on,
+    default_task,
+    default_task_line,
+)
+from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Opening, Options, Selection
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.lab import VISUAL, lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
@@ -72,10 +81,12 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         experiments = lab_experiments(s.lab, s.estimator, options.setup, reading_of(options), say)
     else:
         experiments = [] if s.log else _default(options, say)
-    asked = [open_log(name, reading_of(options), say) for name in s.log]
+    asked = [_scored(open_log(name, reading_of(options), say), options.opening) for name in s.log]
     if asked and given.results:
         asked, given = [given.settled(asked[0])[0]], given.settled(asked[0])[1]
-    asked += [log for folder in s.data for log in _found(folder, say)]
+    asked += [_scored(log, options.opening) for folder in s.data for log in _found(folder, say)]
+    if not s.task and (line := default_task_line(asked)):
+        say(line)
     for log in asked:
         check_calibrated(log, options.setup.calibrate, s.association)
         experiments += [
@@ -88,13 +99,18 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             seen = [e for e in experiments if has_depth_noise(e.log)]
             experiments += with_depth_noise(seen) if seen else []
     _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
-    if options.setup.manages_map and not any(e.task == "slam" for e in experiments):
-        raise UsageError("--maintain, --forget-after, --deactivate-after: for slam only; type --task slam")
+    check_maintained(options.setup, [e.task for e in experiments])
     check_possible(experiments)
     runs = options.study.runs
     if runs is None:
         runs = 0 if s.log or s.lab or alone else QUICK_RUNS if options.output.quick else DEFAULT_RUNS
     return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else (), given=given)
+
+
+def _scored(log: Log, opening: Opening) -> Log:
+    """The log with the ground truth that is scored."""
+    stretches = [stretch(text) for text in opening.exclude_truth]
+    return without(log, stretches) if opening.keep_truth else without_bad_truth(without(log, stretches))
 
 
 def _found(folder: str, say: Callable[[str], None]) -> list[Log]:
@@ -166,7 +182,7 @@ def _asked(study: Validation, options: Options) -> Validation:
 def _tasks(log: Log, asked: Selection) -> Sequence[str]:
     """The tasks of a given log."""
     check_possible_on(log, asked.task, ())
-    return asked.task or (("slam",) if log.recorded.map is None else ("localization",))
+    return asked.task or (default_task(log),)
 
 
 def _work(log: Log, asked: Selection) -> tuple[Work, ...]:
@@ -216,17 +232,6 @@ def reading_of(options: Options) -> Reading:
     return Reading(o.camera_translation, o.camera_reading, o.corner_noise, o.trust_pickle, cache, relations)
 
 
-def _gallery(say: Callable[[str], None]) -> list[tuple[str, str, tuple[Work, ...]]]:
-    """The row of the rendered camera, where OpenCV is installed."""
-    name = f"visual:0:frames={SHORT_GALLERY}"
-    try:
-        import data.opencv  # noqa: F401
-    except UsageError as missing:
-        say(f"{name} is left out: {missing}")
-        return []
-    return [(name, "localization", (Work("known", VISUAL),))]
-
-
 def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     """The default suite; given estimators or association methods replace its own."""
     s, quick, full = options.selection, options.output.quick, options.study.full
@@ -243,7 +248,7 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
     rows += [(name, "slam", lab) for name in corridors]
     if not quick:
         rows.append((PRIMED, "slam", PRIMED_WORK))
-        rows += _gallery(say)
+        rows.append((f"visual:0:frames={SHORT_GALLERY}", "localization", (Work("known", VISUAL),)))
     rows = [row for row in rows if not s.task or row[1] in s.task]
     logs = {name: _cut(open_log(name, reading_of(options), say), options) for name, _, _ in rows}
     experiments = []

@@ -9,7 +9,7 @@ import shlex
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
-from importlib.metadata import distributions, version
+from importlib.metadata import version
 
 import numpy as np
 
@@ -20,8 +20,7 @@ from eval.plan.foreign import sources_of
 from eval.replay.external.spec import shown
 from eval.replay.flag import rows
 
-PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib")
-IMAGES = "opencv-python-headless"  # if it is installed
+PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-python-headless")
 
 
 def command_of(options: Options) -> str:
@@ -56,11 +55,12 @@ def provenance(
     command: Sequence[str],
     foreign: Iterable[str] = (),
     results: Mapping[str, Mapping[str, str]] = {},
+    lab: Mapping[str, object] = {},
 ) -> str:
     """The text of provenance.json.
 
     `foreign`: names of estimators and association methods, foreign or built in; `results`: sha256 of each result by
-    file.
+    file; `lab`: a lab's settings by log.
     """
     content: dict[str, object] = {
         "command": list(command),
@@ -69,13 +69,14 @@ def provenance(
             "slamref": version("slamref"),
             "python": platform.python_version(),
             **{p: version(p) for p in PACKAGES},
-            **{d.name: d.version for d in distributions(name=IMAGES)},
         },
         "platform": f"{sys.platform} {platform.machine()}",
         "seed": options.study.seed,
         "foreign": sources_of(foreign),
         "inputs": {log.name: {**_plain(log), "sha256": input_digest(log)} for log in logs},
     }
+    if lab:
+        content["lab"] = lab
     if results:
         content["results"] = {name: dict(files) for name, files in results.items()}
     return json.dumps(content, indent=2, sort_keys=True) + "\n"

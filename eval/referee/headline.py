@@ -42,6 +42,7 @@ class Verdict(StrEnum):
 class Objection(StrEnum):
     """What speaks against an estimate, the strongest first."""
 
+    MAP = "map"
     STOPPED = "stopped"
     IMPLAUSIBLE = "implausible"
     IDLE = "idle"
@@ -56,7 +57,7 @@ class Objection(StrEnum):
 class Objected:
     """An objection to an estimator with the number behind it (frame, NEES, share of wrong pairings, NIS per dof).
 
-    `CAUSE` is one to the log: the estimator is blank, and the number the smallest family-wise p of the diagnosis.
+    `MAP`, `CAUSE` are to the log: the estimator is blank, and the number of `CAUSE` the least family-wise p.
     """
 
     objection: Objection

@@ -23,6 +23,7 @@ from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majorit
 from eval.referee.consistency import gated, nis_bounds
 from eval.referee.errors import Along, along, rpe_columns
 from eval.referee.given_runs import GivenRun, Match, log_of, match
+from eval.referee.headline import NEES_LIMIT
 from eval.referee.intervals import SEED, difference_rows, run_intervals
 from eval.referee.laser import closure_counts, kept, relation_rows
 from eval.referee.lost import lost
@@ -150,7 +151,14 @@ def lost_of(run: Run, log: Log) -> Notice | None:
     """Reason and first frame of a lost run; None if it is not lost, or has no decisions about this log."""
     if isinstance(run, LaserRun) or log_of(run, log) is not log:
         return None
-    return lost(run, log.recorded, log.granted if run.association == "known" else None)
+    found = lost(run, log.recorded, log.granted if run.association == "known" else None)
+    if found is None or log.truth.pose is None:
+        return found
+    # with ground truth nobody is lost whose poses from there on are where they are claimed to be
+    path = run.trajectory(run.phases[-1])
+    since = slice(found.frame or 0, None)
+    nees = consistency.nees(path.pose[since], path.covariance[since], log.truth.pose[since], "pose")
+    return None if consistency.mean_or_nan(nees) <= NEES_LIMIT else found
 
 
 def _key(run: Run, phase: str, log: Log) -> dict[str, object]:

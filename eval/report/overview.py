@@ -25,8 +25,8 @@ from eval.studies.trusted import Trust
 
 ATTRIBUTION = HEADING
 HEADS = (
-    *("log, task", "use", "map", "filter", "smoother", "handed in", "ratio or distance", "filter's NIS test"),
-    *("best association", "worst", "unusable runs"),
+    *("log, task", "use", "map", "filter", "smoother", "handed in", "ratio or distance", "the filter's claims"),
+    *("association", "worst", "unusable runs"),
 )
 GIVEN = HEADS.index("handed in")
 IN_DETAIL = (HEADS.index("worst"),)  # columns of the details alone
@@ -94,7 +94,7 @@ def overview(
     for trial, f in trials:
         errors = (_error(f, f.filtered, f.errors[0]), _error(f, f.smoothed, f.errors[1]))
         cells: list[Cell] = [trust_mark(f), _sketch(trial, f, folder, drawn), *errors, _given(f), _ratio(f), claims(f)]
-        cells += [*_associations(f), _failed(f)]
+        cells += [*associations(f), _failed(f)]
         kept = tuple(c for head, c in enumerate(cells, start=1) if head not in left_out)
         player = f"players/{folder_name(f.log)}.html"
         links: tuple[tuple[str, str], ...] = (("play", player),) if (folder / player).exists() else ()
@@ -139,10 +139,13 @@ def _ratio(f: LogFacts) -> Value | None:
     return Value(f"{number(f.apart)} m", "apart")
 
 
-def _associations(f: LogFacts) -> tuple[Value | None, Value | None]:
+def associations(f: LogFacts) -> tuple[Value | None, Value | None]:
+    """The association methods without labels by decisions and path, and the worst by its decisions."""
     if f.best is None or f.worst is None:
         return None, None
-    best, worst = (Value(w.association, f"{w.fp} FP / {w.fn} FN ({w.estimator})") for w in (f.best, f.worst))
+    best, worst = (Value(w.association, paragraph("overview#association", w=w)) for w in (f.best, f.worst))
+    if f.nearest is not None or not f.decides:
+        best = Value(*(paragraph(f"overview#{part}", f=f) for part in ("disputed", "disputes")))
     return best, None if f.best == f.worst else worst
 
 

@@ -8,16 +8,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNTELLABLE, component_of
+from data import questions
+from data.notice import Notice
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.diagnostics import unused
-from eval.referee.headline import Claim, Headline, Objected, Preference, Verdict, headline, usable
+from eval.referee.headline import Claim, Headline, Objected, Objection, Preference, Verdict, headline, usable
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import INCREMENTAL
 from eval.report.answer import LINEARIZATION, chosen_association, pick
 from eval.report.comparison import difference_of
 from eval.report.deciding import SAME, Deciding, MethodOutcome, deciding_facts
 from eval.report.rows import Row, Scored, filters_in, rows_of, scored_rows, smoothers_in, value_of
-from eval.report.trust import STANDS_OUT, Explanation, Terms, main_findings, of_trial, terms_of
+from eval.report.trust import LATE, STANDS_OUT, Explanation, Terms, main_findings, of_trial, terms_of
 from eval.studies.trusted import Trust
 
 
@@ -61,8 +63,10 @@ class LogFacts:
     errors: tuple[float, float]
     related: bool
     apart: float  # RMS distance [m] of the filter from the smoother
-    best: MethodOutcome | None  # best, worst: association methods without labels
+    best: MethodOutcome | None  # best, worst: association methods without labels, by their decisions
     worst: MethodOutcome | None
+    nearest: MethodOutcome | None  # the one with a more accurate path than `best`, if one has
+    decides: bool  # whether one of them gives a usable path and pairs rightly more often than not
     runs: int
     failed: tuple[tuple[str, str], ...]  # those that did not get to the end, are implausible, lost, or dead reckoning
     given: tuple[str, ...]  # results that were handed in
@@ -73,6 +77,7 @@ class LogFacts:
     twins: int | None  # number of replicates; None: unknown
     verdict: Verdict
     objections: tuple[Objected, ...]
+    map_rows: Notice | None  # rows of the map that look swapped or shifted
     gauge: Gauge | None
 
     @property
@@ -174,6 +179,7 @@ def log_facts(
         aligned = [filtered.aligned, smoothed.aligned]
         compared = aligned if all(map(math.isfinite, aligned)) else errors
     preference = Preference(compared[0], compared[1], p)
+    map_rows = None if slam else next(iter(questions.map_rows(trial.log)), None)
     blame = None if trust is None else trust.blame
     rejected = blame.p if blame is not None and blame.objected else math.nan
     decided_by = headline(a, b, preference, measured=measured, caused=trust is not None, rejected=rejected)
@@ -197,6 +203,8 @@ def log_facts(
         apart=apart,
         best=decided.best if decided else None,
         worst=decided.worst if decided else None,
+        nearest=decided.nearest if decided else None,
+        decides=decided is not None and decided.usable and not decided.best.mostly_wrong,
         runs=len(last),
         failed=tuple(key for key, r in last.items() if not usable(claim(r), measured)),
         given=tuple(sorted(names)),
@@ -206,9 +214,14 @@ def log_facts(
         finding=None if trust is None else next(iter(main_findings(trust, terms)), None),
         twins=None if trust is None or trust.blame is None else len(trust.twins),
         verdict=decided_by.verdict,
-        objections=decided_by.objections,
+        objections=(*_of_map(map_rows), *decided_by.objections),
+        map_rows=map_rows,
         gauge=_gauge(filtered, smoothed) if trial.task == "slam" else None,
     )
+
+
+def _of_map(rows: Notice | None) -> tuple[Objected, ...]:
+    return () if rows is None else (Objected(Objection.MAP, "", math.nan),)
 
 
 def _claim(row: Scored, wrong: float, *, idle: bool, slam: bool) -> Claim:
@@ -274,14 +287,23 @@ def cause_word(trust: Trust) -> str:
     blame = trust.blame
     if blame is None:
         return _hinted(trust)
-    if blame.cause in (NOTHING, ASSOCIATIONS, ESTIMATOR, UNTELLABLE):
+    if blame.cause in (NOTHING, ASSOCIATIONS, ESTIMATOR, UNLISTED, UNTELLABLE):
         return blame.cause
     found = next((f for f in blame.findings if f.cause == blame.cause), None)
     if found is not None:
-        return side(component_of(found.name) if found.kind == "systematic" else found.name)
+        return side_of(found)
     # no finding has a name: the side of the residuals furthest outside the range of the replicates
     sides = [side(name.split("_", 1)[1]) for _, name in blame.objected if name.startswith(("slope_", "residual_"))]
     return max(dict.fromkeys(sides), key=sides.count) if sides else _largest(_spreads(trust)) or SENSOR
+
+
+def side_of(found: Finding) -> str:
+    """What a finding is a fault of: odometry, sensor, map or time stamps."""
+    if found.name in LATE:
+        return "time stamps"
+    if found.kind in ("displaced", "landmark") or found.name == "map_scale":
+        return "map"
+    return side(found.name)
 
 
 def side(component: str) -> str:

@@ -17,7 +17,7 @@ from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.plan.flags.table import Output
 from eval.referee import battery
-from eval.referee.attribution import NOTHING, POWER, UNTELLABLE, Finding
+from eval.referee.attribution import NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATORS, FILTERS, HINDSIGHT
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
@@ -171,6 +171,7 @@ def trust_section(
 ITERATED = "ekf-iterated"
 STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
 SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
+RATE = ("ms/s", 1000.0)
 METRES, SECONDS, DRIFT = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0)
 UNITS = {
     "odometry_x_distance": SHARE,
@@ -184,19 +185,24 @@ UNITS = {
     "z1_range": SHARE,
     "z2_constant": ANGLE,
     "z2_range": CURVATURE,
+    "odometry_integration": SHARE,
+    "mount_x": METRES,
+    "mount_y": METRES,
+    "map_scale": SHARE,
+    "latency_growth": RATE,
 }  # a person's unit of each systematic error and its factor from SI; those not named here are times
 OF_POINTS = {"z2_constant": METRES, "z2_range": ANGLE}
 OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
 """Units of a log without stamps, whose time is the number of the frame."""
 SIGMA = "sigma_"  # prefix of a factor of a stated sigma among what a calibration did
-LATE = ("speed", "turn_rate")  # regressors of observations with wrong time stamps
+LATE = ("latency", "latency_growth", "odometry_latency")  # errors of time stamps
 FITTED = {
     "odometry_x_distance": "odometry",
     "odometry_theta_turn": "odometry",
     "z1_constant": "bias",
     "z2_constant": "bias",
 }  # groups of `eval.tune` that have a parameter for a systematic error
-MOUNTED = ("z1_constant", "z2_constant", "z2_range", "odometry_x_turn", "odometry_y_turn")
+MOUNTED = ("mount_x", "mount_y", "z1_constant", "z2_constant", "z2_range", "odometry_x_turn", "odometry_y_turn")
 """Systematic errors that a sensor mounted elsewhere than stated leaves."""
 GROUPS = ("motion", "sensor", "bias", "odometry")
 
@@ -230,6 +236,8 @@ class Explanation:
     unit: str = ""
     other: tuple[str, ...] = ()
     sigmas: float = math.nan  # its size in standard errors, where it was found without replicates
+    gain: float = math.nan  # of log-likelihood
+    frames: tuple[int, int] = (-1, -1)  # first and last one of a jump, a burst or a change
 
 
 @dataclass(frozen=True)
@@ -286,9 +294,6 @@ class TrustFacts:
     asked: tuple[Explanation, ...]  # systematic errors beyond `STANDS_OUT` standard errors, each alone, largest first
     findings: tuple[Explanation, ...]  # the weightiest first
     main: tuple[Explanation, ...]  # those for a first page
-    power: tuple[Explanation, ...]  # what would have been seen with a probability of `power_share`
-    brief_power: tuple[Explanation, ...]  # of this the first page's
-    power_share: float
     nees: tuple[tuple[str, str, float], ...]  # mean pose NEES on the replicates by estimator and phase
     deciding: tuple[Decided, ...]  # what to expect of the association method
     todo: Advice
@@ -301,7 +306,6 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
     """The facts of a log; `labels`: whether known association can be granted."""
     blame = trust.blame
     found = () if blame is None else blame.findings
-    power = () if blame is None else _power(blame, terms)
     return TrustFacts(
         trust.log,
         trust.task,
@@ -313,9 +317,6 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
         _asked(trust, terms),
         explanations(found, terms),
         main_findings(trust, terms),
-        power,
-        tuple(p for p in power if p.name in ("odometry_theta_turn", _turned(terms), "z1_range")),
-        POWER,
         _nees(trust),
         _deciding(trust),
         advice(
@@ -388,7 +389,7 @@ def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Explanation
     return tuple(
         _systematic(f.name, f.size, f.error, terms, other=f.other)
         if f.kind == "systematic"
-        else Explanation(f.kind, f.name, f.size, f.error)
+        else Explanation(f.kind, f.name, f.size, f.error, gain=f.gain, frames=(f.first, f.last))
         for f in shown.values()
     )
 
@@ -401,23 +402,9 @@ def _main(findings: Sequence[Finding]) -> list[Finding]:
 
 def main_findings(trust: Trust, terms: Terms) -> tuple[Explanation, ...]:
     """What the first page names; none without replicates, and where the cause cannot be determined."""
-    if trust.blame is None or trust.blame.cause in (NOTHING, UNTELLABLE):
+    if trust.blame is None or trust.blame.cause in (NOTHING, UNLISTED, UNTELLABLE):
         return ()
     return explanations(_main(trust.blame.findings), terms)
-
-
-def _turned(terms: Terms) -> str:
-    """The error of a sensor that is turned on its mount."""
-    return "z2_constant" if terms.polar else "z2_range"
-
-
-def _power(blame: Blame, terms: Terms) -> tuple[Explanation, ...]:
-    """Faults that would have been seen: systematic errors, then noises by the factor of their sigma."""
-    names = ("odometry_theta_turn", "odometry_x_distance", "odometry_theta_distance", _turned(terms), "z1_range")
-    found = [_systematic(name, blame.detectable.get(name, math.nan), math.nan, terms) for name in names]
-    for name in ("z1", "z2", "odometry_theta"):
-        found.append(Explanation("sigma", name, blame.detectable.get(f"residual_{name}_spread", math.nan)))
-    return tuple(t for t in found if math.isfinite(t.size))
 
 
 def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:
@@ -467,7 +454,7 @@ def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", 
     """
     groups, kinds = groups_of(findings), {f.kind for f in findings}
     unfitted = [f.name for f in findings if f.kind == "systematic" and f.name not in FITTED]
-    by_hand = tuple(name for name in unfitted if name.split("_", 1)[1] not in LATE)
+    by_hand = tuple(name for name in unfitted if name not in LATE)
     off = tuple(dict.fromkeys(f.name for f in findings if f.kind in ("linearization", "innovations")))
     filters = any(name in FILTERS for name in off)
     revised = association == HINDSIGHT

@@ -66,7 +66,7 @@ def write_lab(folder: Path, recording: VisualRecording, *, form: str = "mat") ->
 
 
 def _write_references(folder: Path, references: list[NDArray[np.uint8]]) -> None:
-    from data.opencv import cv2
+    import cv2
 
     digits = max(2, len(str(len(references))))
     for i, image in enumerate(references, 1):
@@ -304,7 +304,7 @@ def _reference_files(folder: Path) -> tuple[list[Path], list[str]]:
 
 def read_image(path: Path) -> NDArray[np.uint8]:
     """An image as RGB (H, W, 3); DataError for a file that is none, or states more than `MOST_PIXELS`."""
-    from data.opencv import cv2
+    import cv2
 
     content = bytes_of(path)
     try:

@@ -12,12 +12,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from data.errors import UsageError
-from data.opencv import cv2
 from data.pictures import VisualFrame
 from data.se2 import Array
 from data.visual.rendering.textures import Image, Room, View, picture

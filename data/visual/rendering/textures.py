@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from data.opencv import cv2
 from data.se2 import Array
 from data.worlds.gallery import NORMALS, Gallery
 

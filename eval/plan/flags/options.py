@@ -143,8 +143,6 @@ def _check(options: Options) -> None:
         raise UsageError("-q and -v exclude each other")
     if out.animate and out.no_plots:
         raise UsageError("--animate and --no-plots exclude each other")
-    if out.animate:
-        import data.opencv  # noqa: F401 - fails now, not after the run
     if out.speed is not None and not out.animate:
         raise UsageError(f"--speed {out.speed:g}: the speed of films; type --animate, too")
 

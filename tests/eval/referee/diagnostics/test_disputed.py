@@ -44,6 +44,6 @@ def test_a_pair_of_methods_is_told_once_and_labels_are_no_method():
     (found,) = disputed(Trial(circle_log(), "slam", tuple(runs)))
     assert (found.code, found.estimator, found.named["methods"]) == (Code.DISPUTED, "ekf", ("jcbb", "nn"))
     assert found.named["share"] == pytest.approx(0.05)
-    assert sentence(found).startswith("jcbb and nn pair 5.0 % of the observations with other landmarks")
+    assert sentence(found).startswith("jcbb and nn pair 5.00 % of the observations with other landmarks")
     alike = [made("known", other), made("jcbb", PAIRED), made("nn", PAIRED)]
     assert disputed(Trial(circle_log(), "slam", tuple(alike))) == []

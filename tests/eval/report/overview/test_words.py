@@ -14,8 +14,10 @@ from data.truth import Truth
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
 from eval.referee.score import Trial
 from eval.referee.trust import Measured
-from eval.report.overview import claims, drawn, gauge_statement, introduction, trust_mark
+from eval.report.deciding import MethodOutcome
+from eval.report.overview import associations, claims, drawn, gauge_statement, introduction, trust_mark
 from eval.report.overview_facts import Gauge, Online, Verdict, cause_word, conclusion, log_facts
+from eval.report.page.blocks import Value
 from eval.report.rows import scored
 from eval.studies.sampled import Sample
 from eval.studies.trusted import Blame, Trust
@@ -55,17 +57,17 @@ def test_the_word_follows_the_errors_and_who_got_to_the_end(filtered, smoothed, 
 
 def test_a_violated_assumption_takes_the_tick_and_names_its_size():
     turned = Finding(NOISE, "systematic", "z2_constant", 0.0332, 0.002, gain=100.0)
-    found = Trust("home", "slam", "known", Sample({}), (), (), Blame(NOISE, (turned,), (("batch", "s"),), 40, 0.01, {}))
+    found = Trust("home", "slam", "known", Sample({}), (), (), Blame(NOISE, (turned,), (("batch", "s"),), 40, 0.01))
     mark = trust_mark(facts(trust=found))
     assert (mark.word, mark.tone) == ("smoother", "fair")
     assert "1.90° ± 0.11° too far to the left" in mark.note
-    sound = replace(found, blame=Blame(NOTHING, (), (), 40, 0.4, {}))
+    sound = replace(found, blame=Blame(NOTHING, (), (), 40, 0.4))
     assert trust_mark(facts(trust=sound)).tone == "good"
 
 
 def test_no_cause_is_named_where_the_solution_itself_is_broken():
     off = Finding(NOISE, "systematic", "z2_constant", 0.0332, 0.002, gain=100.0)
-    blame = Blame(UNTELLABLE, (off,), (("batch", "s"),), 40, 0.01, {})
+    blame = Blame(UNTELLABLE, (off,), (("batch", "s"),), 40, 0.01)
     found = Trust("blind", "slam", "known", Sample({}), (), (), blame)
     mark = trust_mark(facts(log=BLIND, trust=found))
     assert (mark.word, mark.tone) == ("cannot be told", "bad")
@@ -99,7 +101,7 @@ def test_what_the_filter_claims_is_a_word_a_colour_and_a_number(nis, word, tone)
 
 
 def trust(cause=None, *findings, measured=None, objected=()):
-    blame = None if cause is None else Blame(cause, tuple(findings), tuple(objected), 40, 0.01, {})
+    blame = None if cause is None else Blame(cause, tuple(findings), tuple(objected), 40, 0.01)
     return Trust("blind", "slam", "known", Sample(measured or {}), (), (), blame)
 
 
@@ -235,3 +237,17 @@ def test_a_small_map_shows_every_path_inside_its_frame_and_is_the_same_each_time
     # standing, as the path does in the map figure
     assert max(y for _, y in first) - min(y for _, y in first) > 50.0
     assert drawn([(np.full((3, 2), np.nan), ("#000", 1.0))]) == ""
+
+
+def test_no_association_method_is_called_the_best_where_path_and_decisions_disagree():
+    """Seen: the one with the fewest wrong decisions called the best, though its path was the worst."""
+    hindsight = MethodOutcome("jcbb-hindsight", "ekf", 205, 125, 200, 71, 17.1)
+    first = MethodOutcome("jcbb-first", "ekf", 0, 194, 356, 51, 9.22)
+    agreed = replace(facts(), best=hindsight, worst=first, decides=True)
+    assert associations(agreed)[0] == Value("jcbb-hindsight", "200 FP / 71 FN, 17.1 m (ekf)")
+    disputed = replace(agreed, nearest=first)
+    both = "200 FP / 71 FN, 17.1 m (ekf); by path jcbb-first 356 FP / 51 FN, 9.22 m (ekf)"
+    assert associations(disputed)[0] == Value("by decisions jcbb-hindsight", both)
+    assert associations(replace(disputed, decides=False))[0] == Value("none; by decisions jcbb-hindsight", both)
+    assert MethodOutcome("jcbb", "ekf", 147, 80, 250, 71).mostly_wrong
+    assert not hindsight.mostly_wrong
