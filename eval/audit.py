@@ -20,6 +20,7 @@ examples:
   python -m eval.audit graph.g2o
   python -m eval.audit graph.g2o --out results/audit          factors.csv, kinds.csv, report.html
   python -m eval.audit optimized.g2o --as-given               the vertices are the estimate
+  python -m eval.audit graph.g2o --rescale better.g2o         components applied, rejected edges left out
   python -m eval.audit my_script.py:build                     a function: NonlinearFactorGraph, Values
 
 exit status: 0 fine, 1 a factor or a noise is rejected (family-wise 5 %), 2 wrong usage or bad data"""
@@ -33,6 +34,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     how.add_argument("--optimize", action="store_true", help="optimize first (default for a file)")
     how.add_argument("--as-given", action="store_true", help="take the values as they are (default for a function)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for tables and report.html")
+    cure = "write the graph with variance components applied and rejected factors left out; examine it, too"
+    parser.add_argument("--rescale", metavar="FILE", type=Path, help=cure)
     parser.add_argument("--draws", metavar="N", type=_count, default=200, help="draws of the graph (default: 200)")
     parser.add_argument("--seed", metavar="S", type=_count, default=0, help="random seed (default: 0)")
     return ended(lambda: _audit(parser.read(argv), prog))
@@ -46,14 +49,12 @@ def _count(text: str) -> int:
 
 def _audit(options: argparse.Namespace, prog: str) -> int:
     """Read, optimize, examine, print, write; returns the exit status."""
-    from eval.report.audit import opened, shown, write_audit
+    from eval.report.audit import shown, write_audit
+    from eval.report.audited import cured, opened
 
-    report = opened(
-        options.graph,
-        None if not (options.optimize or options.as_given) else options.optimize,
-        options.draws,
-        options.seed,
-    )
+    optimize = options.optimize if options.optimize or options.as_given else None
+    found = opened(options.graph, optimize, options.draws, options.seed)
+    report = found.report
     columns = ["keys", "kind", "chi2", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
     kinds = report.kinds.drop(columns=["p", "unchecked"]).reset_index()
     parts = [report.words(), shown(kinds).to_string(index=False)]
@@ -64,6 +65,9 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
     if options.out is not None:
         write_audit(report, options.out, f"Audit of {options.graph}", f"{prog} {options.graph}")
         sys.stdout.write(f"\nwritten: {options.out.absolute()}\n")
+    if options.rescale is not None:
+        table = cured(found, options.rescale, options.draws, options.seed)
+        sys.stdout.write(f"\n{shown(table).to_string(index=False)}\nwritten: {options.rescale.absolute()}\n")
     return int(report.rejected)
 
 

@@ -339,27 +339,3 @@ def shown(frame: pd.DataFrame) -> pd.DataFrame:
     for column in out.select_dtypes("float"):
         out[column] = [f"{v:.4g}" if np.isfinite(v) else ("" if np.isnan(v) else "inf") for v in out[column]]
     return out
-
-
-def opened(place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0) -> AuditReport:
-    """The audit of a graph file, or of a `FILE.py:FUNCTION`.
-
-    Args:
-        place: what a user types.
-        optimize: first; None: a file yes, the values of a function not.
-        draws: as of `audit`.
-        seed: as of `audit`.
-    """
-    from data.formats.graph_file import read_graph_file
-    from graph.audit.files import build, built_by, optimized
-
-    file, _, function = place.rpartition(":")
-    with threadpool_limits(1):
-        names: list[str] | None = None
-        if file.endswith(".py") and function.isidentifier():
-            graph, values = built_by(place)
-        else:
-            graph, values, names = build(read_graph_file(Path(place)))
-        if optimize or (optimize is None and names is not None):
-            values = optimized(graph, values)
-        return reported(examined(graph, values, names, draws, seed))

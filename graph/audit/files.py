@@ -7,6 +7,7 @@ import sys
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +168,39 @@ def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
     here: Any = values.atPose2(key) if first == POSE2 else values.atPose3(key)
     step_ = MAKE[first](z)
     return here.compose(step_ if key == edge.ends[0] else step_.inverse())
+
+
+def another_start(file: GraphFile, values: gtsam.Values) -> gtsam.Values | None:
+    """The values along the edges alone, shifted onto the first pose of `values`; None where no vertex was given."""
+    if not file.poses:
+        return None
+    start = gtsam.Values()
+    with suppress(DataError):
+        _follow(replace(file, poses={}, points={}), start)
+        first = min(key for edge in file.edges for key in edge.ends)
+        pose: Any = values.atPose2(first) if file.kind(file.edges[0])[0] == POSE2 else values.atPose3(first)
+        return _shifted(start, pose.compose(_pose_of(start, first).inverse()))
+    return None
+
+
+def _pose_of(values: gtsam.Values, key: int) -> Any:
+    planar = key in set(gtsam.utilities.allPose2s(values).keys())
+    return values.atPose2(key) if planar else values.atPose3(key)
+
+
+def _shifted(values: gtsam.Values, by: Any) -> gtsam.Values:
+    """Poses and points moved by a pose."""
+    out = gtsam.Values()
+    planar, spatial = set(gtsam.utilities.allPose2s(values).keys()), set(gtsam.utilities.allPose3s(values).keys())
+    for key in values.dims():
+        if key in planar:
+            out.insert(key, by.compose(values.atPose2(key)))
+        elif key in spatial:
+            out.insert(key, by.compose(values.atPose3(key)))
+        else:
+            point = values.atPoint2(key) if isinstance(by, gtsam.Pose2) else values.atPoint3(key)
+            out.insert(key, np.asarray(by.transformFrom(point)))
+    return out
 
 
 def moved(system: System, at: IntArray, x: Array, values: gtsam.Values) -> gtsam.Values:

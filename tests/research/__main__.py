@@ -1,4 +1,4 @@
-"""`python -m tests.research variety|sensitivity|foreign OUT`: studies too long for the suite.
+"""`python -m tests.research variety|sensitivity|foreign|audit OUT`: studies too long for the suite.
 
 `variety` and `sensitivity` are those that `jcbb-hindsight` was made with; `foreign` judges headlines and causes on
 worlds of another kind. All write a row a run to a CSV file in OUT; an interrupted study goes on with it.
@@ -44,6 +44,10 @@ def parser() -> argparse.ArgumentParser:
         help="jcbb-hindsight with each of its constants halved and doubled, on worlds of the variety and named logs"
         " (corridor with people, Victoria Park, UTIAS), to OUT/sensitivity.csv and OUT/sensitivity.md (hours)",
     )
+    audit = studies.add_parser("audit", help="size, power and speed of the audit, to OUT/audit-size.csv, -speed.csv")
+    audit.add_argument("out", metavar="OUT", type=Path)
+    audit.add_argument("--graphs", type=int, metavar="N", default=100, help="clean graphs of a structure (100)")
+    audit.add_argument("--poses", type=int, metavar="N", default=600, help="poses of a structure (600)")
     sensitivity.add_argument("out", metavar="OUT", type=Path)
     sensitivity.add_argument("--half", choices=("judge", "choose", "later"), default="judge")
     sensitivity.add_argument(
@@ -95,6 +99,11 @@ def _study(argv: Sequence[str] | None) -> None:
         _variety(args.out, args.half, args.worlds, exact=args.exact)
     elif args.study == "foreign":
         _foreign(args)
+    elif args.study == "audit":
+        from tests.research import audit
+
+        audit.speed(args.out)
+        audit.size(args.out, args.graphs, args.poses)
     else:
         _sensitivity(args)
 

@@ -11,8 +11,13 @@ import slamref
 from data.errors import DataError, UsageError
 from data.formats.graph_file import read_graph_file, with_information
 from eval.audit import main
-from eval.report.audit import opened
+from eval.report import audited
 from graph.audit.files import build, optimized
+
+
+def opened(*arguments, **how):
+    return audited.opened(*arguments, **how).report
+
 
 COLUMNS = ["keys", "kind", "dim", "chi2", "redundancy", "unchecked", "deleted", "rank", "p", "p_family",
            "minimal_error", "influence_m"]  # fmt: skip
@@ -210,3 +215,46 @@ def test_optimized_leaves_what_is_not_determined(written):
     graph, values, _ = build(read_graph_file(pathlib.Path(written(grid()))))
     better = optimized(graph, values)
     assert graph.error(better) < graph.error(values)
+
+
+def test_a_cure_is_applied_and_proved(written, tmp_path, capsys):
+    path = written(grid(seed=4, wrong=6.0, odometry=2.0))
+    out = tmp_path / "better.g2o"
+    assert main([path, "--draws", "0", "--rescale", str(out)]) == 1
+    assert "coverage_90" in capsys.readouterr().out
+    table = audited.cured(audited.opened(path, None, draws=0), out, draws=0)
+    before, after = table.to_dict("records")
+    assert after["left_out"] >= 1
+    assert out.read_text().count("# left out: EDGE_SE2") == after["left_out"]
+    assert before["chi2_per_freedom"] > 1.3
+    assert after["chi2_per_freedom"] == pytest.approx(1.0, abs=0.15)
+    assert after["rejected"] == 0
+    assert after["loops_predicted"] == 6
+
+
+def test_only_a_file_can_be_cured(written, tmp_path):
+    place = written("import gtsam\ndef build():\n    g, v = gtsam.NonlinearFactorGraph(), gtsam.Values()\n"
+                    "    v.insert(0, gtsam.Pose2())\n    g.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(),"
+                    " gtsam.noiseModel.Unit.Create(3)))\n    return g, v\n", "m.py")  # fmt: skip
+    with pytest.raises(UsageError, match="only a graph file"):
+        audited.cured(audited.opened(f"{place}:build", None, draws=0), tmp_path / "x.g2o")
+
+
+def test_another_minimum_is_named(written):
+    """A ring whose vertices never turn: the optimizer stays there."""
+    n, radius = 40, 10.0
+    true = [
+        gtsam.Pose2(radius * np.cos(a), radius * np.sin(a), a + np.pi / 2)
+        for a in np.linspace(0, 2 * np.pi, n + 1)[:-1]
+    ]
+    edges = [(k, (k + 1) % n) for k in range(n)]
+    lines = []
+    for a, b in edges:
+        z = true[a].between(true[b])
+        lines.append(f"EDGE_SE2 {a} {b} {z.x()!r} {z.y()!r} {z.theta()!r} 100 0 0 100 0 100")
+    twisted = [gtsam.Pose2(p.x(), p.y(), np.pi / 2) for p in true]
+    vertices = [f"VERTEX_SE2 {k} {p.x()!r} {p.y()!r} {p.theta()!r}" for k, p in enumerate(twisted)]
+    report = opened(written("\n".join([*vertices, *lines]) + "\n"), None, draws=0)
+    assert report.facts.second is not None
+    assert report.facts.second.error < 1e-9 < report.facts.second.ours
+    assert "another minimum" in report.words()
