@@ -45,8 +45,8 @@ class Finding:
     error: float = math.nan  # standard error of the size
     gain: float = math.nan  # of log-likelihood
     other: tuple[str, ...] = ()  # systematic errors that cannot be distinguished from it
-    first: int = -1  # first, last: frames of a jump, a burst, or a change of the noise
-    last: int = -1
+    frames: tuple[tuple[int, int], ...] = ()  # first and last of each jump, burst, or change of the noise
+    outliers: int = 0
 
 
 def component_of(name: str) -> str:

@@ -82,6 +82,11 @@ def size_of(e: Evidence) -> int:
     return int(np.isfinite(e.residuals.observations).sum() + np.isfinite(e.residuals.odometry).sum())
 
 
+def mirrored(e: Evidence) -> Explanation:
+    """Bearings, or the y of points, to the other side: its gain is that of the corrected inputs alone."""
+    return Explanation(Finding(NOISE, "mirrored", "z2", -1.0, gain=0.0), -_penalty(e, 1))
+
+
 def _penalty(e: Evidence, parameters: int, places: int = 1) -> float:
     return 0.5 * parameters * math.log(max(size_of(e), 2)) + math.log(max(places, 1))
 
@@ -95,10 +100,10 @@ def _linear(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
     groups: list[tuple[Finding, tuple[Effect, ...], int]]
     groups = [(Finding(NOISE, "systematic", x.name, math.nan), (x,), 1) for x in plain]
     groups += [*_jumps(e), *_bursts(e), *(_displaced(e) if e.inputs.map is not None else [])]
-    hypotheses = [x for _, columns, _ in groups for x in columns]
+    hypotheses = list({x.name: x for _, columns, _ in groups for x in columns}.values())
     scored = score_of(e.inputs, e.path, e.used, hypotheses)
-    ends = np.cumsum([len(columns) for _, columns, _ in groups])
-    rows = [np.arange(end - len(columns), end) for end, (_, columns, _) in zip(ends, groups, strict=True)]
+    place = {x.name: i for i, x in enumerate(hypotheses)}
+    rows = [np.array([place[x.name] for x in columns]) for _, columns, _ in groups]
     known = np.array([i for i, x in enumerate(hypotheses) if x.name in taken], np.int64)
     left = Scored(scored.names, scored.score.given(known) if len(known) else scored.score)
     gains = [_gain(left, own) for own in rows]
@@ -108,7 +113,9 @@ def _linear(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
             continue
         sizes, errors = left.together(own)
         i = int(np.argmax(np.abs(sizes[:2]))) if finding.kind == "jump" else 0
-        size = float(np.hypot(*sizes[:2])) if len(own) > 1 else float(sizes[i])
+        size = (
+            float(np.hypot(*sizes[:2])) if finding.kind in ("jump", "displaced") and len(own) > 1 else float(sizes[i])
+        )
         named = replace(finding, size=size, error=float(errors[i]), gain=gain)
         net = gain - _penalty(e, len(columns), places)
         found.append(Explanation(named, net, tuple(own.tolist())))
@@ -154,7 +161,7 @@ def _jumps(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
             motion = np.zeros((len(e.inputs), 3))
             motion[k, i] = 1.0
             columns.append(Effect(f"jump_{k}_{i}", motion=motion))
-        found.append((Finding(NOISE, "jump", "odometry", math.nan, first=k, last=k), tuple(columns), len(e.inputs)))
+        found.append((Finding(NOISE, "jump", "odometry", math.nan, frames=((k, k),)), tuple(columns), len(e.inputs)))
     return found
 
 
@@ -167,13 +174,18 @@ def _bursts(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
             break
         total = np.cumsum(np.concatenate([[0.0], np.nan_to_num(forward)]))
         sums = np.abs(total[length:] - total[:-length]) / math.sqrt(length)
-        for first in _largest(sums, length)[:2]:
+        columns, frames = [], []
+        for first in _largest(sums, length):
             motion = np.zeros_like(step)
             motion[first : first + length, :2] = step[first : first + length, :2]
-            name = Finding(NOISE, "burst", "odometry", math.nan, first=first, last=first + length - 1)
-            column = Effect(f"burst_{first}_{length}", motion=motion)
-            found.append((name, (column,), len(forward) * len(LENGTHS)))
-    return [x for x in found if np.any(x[1][0].motion)]
+            if np.any(motion):
+                columns.append(Effect(f"burst_{first}_{length}", motion=motion))
+                frames.append((first, first + length - 1))
+        # one burst, two, and so on: of the same length each
+        for count in range(1, len(columns) + 1):
+            finding = Finding(NOISE, "burst", "odometry", math.nan, frames=tuple(frames[:count]))
+            found.append((finding, tuple(columns[:count]), (len(forward) * len(LENGTHS)) ** count))
+    return found
 
 
 def _displaced(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
@@ -248,7 +260,7 @@ def _changes(e: Evidence) -> list[Explanation]:
             if gain > best[0] and within > rest:
                 best = gain, int(cuts[i]), int(cuts[j]) - 1, math.sqrt(within / rest)
     gain, first, last, factor = best
-    finding = Finding(NOISE, "change", "z", factor, gain=gain, first=first, last=last)
+    finding = Finding(NOISE, "change", "z", factor, gain=gain, frames=((first, last),))
     return [Explanation(finding, gain - _penalty(e, 2, CUTS**2))] if math.isfinite(gain) else []
 
 
@@ -292,7 +304,7 @@ def _tails(e: Evidence) -> list[Explanation]:
     net = gain - _penalty(e, 2)
     if outlying >= 2 and 2 * elsewhere >= outlying:
         return [Explanation(Finding(ASSOCIATIONS, "pairings", "readings", elsewhere, gain=gain), net)]
-    return [Explanation(Finding(NOISE, "tails", "readings", dof, gain=gain, last=outlying), net)]
+    return [Explanation(Finding(NOISE, "tails", "readings", dof, gain=gain, outliers=outlying), net)]
 
 
 def _landmarks(e: Evidence) -> list[Explanation]:
@@ -312,7 +324,15 @@ def _landmarks(e: Evidence) -> list[Explanation]:
 
 
 CORRELATION = "correlation"
-MODELLED = ("systematic", "sigma", "change", "jump", "burst")  # kinds whose corrected inputs have a likelihood
+MODELLED = (
+    "systematic",
+    "sigma",
+    "change",
+    "jump",
+    "burst",
+    "landmark",
+    "mirrored",
+)  # kinds whose corrected inputs have a likelihood
 FREED = 10.0  # times its mean squared residual, the variance of an increment that jumped: the residual is what is left
 UNINFORMATIVE = 1e6
 """Factor of the covariance of a measurement that is left out, so that its variables stay determined."""
@@ -320,6 +340,9 @@ UNINFORMATIVE = 1e6
 
 def corrected(e: Evidence, finding: Finding) -> Inputs:
     """The inputs with an explanation taken into account."""
+    if finding.kind == "mirrored":
+        o = e.inputs.observations
+        return replace(e.inputs, observations=replace(o, z=o.z * [1.0, -1.0]))
     if finding.kind == "systematic":
         return without(e.inputs, e.path, e.used, {finding.name: finding.size})
     o, increments = e.inputs.observations, e.inputs.increments
@@ -334,7 +357,8 @@ def corrected(e: Evidence, finding: Finding) -> Inputs:
         R[:, :, i] *= finding.size
     elif finding.kind == "change":
         squares = np.nansum(e.observations**2, axis=1)
-        inside = (o.frame >= finding.first) & (o.frame <= finding.last)
+        ((first, last),) = finding.frames
+        inside = (o.frame >= first) & (o.frame <= last)
         paired = np.isfinite(e.observations).any(axis=1)
         for part in (inside, ~inside):
             rows = part & paired
@@ -347,8 +371,9 @@ def corrected(e: Evidence, finding: Finding) -> Inputs:
         R *= np.nan_to_num(np.maximum((dof + squared) / (dof + 2.0), 0.5), nan=1.0)[:, None, None]
     elif finding.kind in ("landmark", "displaced"):
         row = np.flatnonzero(e.used.identity == int(finding.name))
-        R[np.isin(e.used.number, row)] *= UNINFORMATIVE
+        R[np.isin(e.used.number, row)] *= UNINFORMATIVE if finding.kind == "displaced" else finding.size**2
     elif finding.kind in ("jump", "burst"):
-        stretch = slice(finding.first, finding.last + 1)
-        Q[stretch] *= max(float(np.nanmean(e.odometry[stretch] ** 2)), 1.0) * FREED
+        for first, last in finding.frames:
+            stretch = slice(first, last + 1)
+            Q[stretch] *= max(float(np.nanmean(e.odometry[stretch] ** 2)), 1.0) * FREED
     return replace(e.inputs, increments=replace(increments, covariance=Q), observations=replace(o, R=R))

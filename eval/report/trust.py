@@ -237,7 +237,8 @@ class Explanation:
     other: tuple[str, ...] = ()
     sigmas: float = math.nan  # its size in standard errors, where it was found without replicates
     gain: float = math.nan  # of log-likelihood
-    frames: tuple[int, int] = (-1, -1)  # first and last one of a jump, a burst or a change
+    frames: tuple[tuple[int, int], ...] = ()  # first and last one of each jump, burst or change
+    outliers: int = 0
 
 
 @dataclass(frozen=True)
@@ -389,7 +390,7 @@ def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Explanation
     return tuple(
         _systematic(f.name, f.size, f.error, terms, other=f.other)
         if f.kind == "systematic"
-        else Explanation(f.kind, f.name, f.size, f.error, gain=f.gain, frames=(f.first, f.last))
+        else Explanation(f.kind, f.name, f.size, f.error, gain=f.gain, frames=f.frames, outliers=f.outliers)
         for f in shown.values()
     )
 

@@ -20,7 +20,7 @@ from data.se2 import Array
 from ekf.whole_run import run_filter
 from eval.referee import attribution, battery, effects, residuals, trust
 from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, UNLISTED, UNTELLABLE, Finding
-from eval.referee.explanations import CORRELATION, MODELLED, Evidence, corrected, explanations
+from eval.referee.explanations import CORRELATION, MODELLED, Evidence, corrected, explanations, mirrored
 from eval.referee.headline import NEES_LIMIT
 from eval.referee.plausibility import with_plausibility
 from eval.referee.residuals import Used
@@ -228,9 +228,10 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
     found, stated = explanations(e, taken), _likelihood(e.inputs, e.used)
     count = Counter[str]()
     tried: list[tuple[float, Finding, Inputs]] = []
-    for x in found:
+    for x in [*found, mirrored(e)]:
         count[x.finding.kind] += 1
-        if count[x.finding.kind] > TRIED or not x.net > max(found[0].net / HOPELESS, 0.0):
+        promising = x.finding.kind == "mirrored" or x.net > max(found[0].net / HOPELESS, 0.0)
+        if count[x.finding.kind] > TRIED or not promising:
             continue
         finding, inputs = x.finding, corrected(e, x.finding)
         if finding.kind == "systematic" and abs(finding.size) > FAR * finding.error:

@@ -73,7 +73,7 @@ def test_a_jump_is_found_at_its_frame_with_its_size(usual):
     mean[80, :2] -= [0.6, -0.8]
     moved = Increments(mean, log.recorded.increments.covariance)
     found = best(replace(log, recorded=replace(log.recorded, increments=moved)), usual)
-    assert (found.kind, found.first) == ("jump", 80)
+    assert (found.kind, found.frames) == ("jump", ((80, 80),))
     assert found.size == pytest.approx(1.0, abs=0.1)
 
 
@@ -84,7 +84,7 @@ def test_a_change_of_the_noise_is_found_with_its_frames(usual):
     found = best(with_noise(log, np.where(inside[:, None], 2.0 * noise_of(log), 0.0)), usual)
     assert found.kind == "change"
     assert found.size == pytest.approx(3.0, rel=0.15)
-    assert (abs(found.first - 60), abs(found.last - 119)) <= (10, 10)
+    assert np.abs(np.array(found.frames[0]) - [60, 119]).max() <= 10
 
 
 def test_correlated_errors_of_a_landmark_are_no_wrong_sigma(usual):

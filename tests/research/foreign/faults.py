@@ -43,11 +43,12 @@ class Fault:
         return 1.0 + (self.size - 1.0) * strength if self.kind == FACTOR else self.size * strength
 
 
-LATE = ("systematic z?_speed", "systematic z?_turn_rate", "latency *", "systematic latency*")
+TURNED = ("systematic z?_turn_rate", "latency *", "systematic latency*")
+LATE = ("systematic z?_speed", *TURNED)
 """Odometry that is early and readings that are late are one thing."""
 MOUNT = ("systematic odometry_?_turn", "mount *", "systematic mount*")
 MAP = ("localization",)
-MAPPED = ("map *", "landmark *", "systematic map*")
+MAPPED = ("map *", "landmark *", "displaced *", "systematic map*")
 JUMP = ("jump *", "burst *", "bursts *")
 
 FAULTS: Mapping[str, Fault] = {
@@ -73,7 +74,7 @@ FAULTS: Mapping[str, Fault] = {
     "map-moved": Fault(0.5, MAPPED, tasks=MAP, about="units that one landmark stands off"),
     "map-scale": Fault(1.02, MAPPED, FACTOR, tasks=MAP),
     "shared-label": Fault(1.0, ("label *", "landmark *", "pairings *"), labels=True, about="pairs of one label"),
-    "turn-first": Fault(1.0, ("systematic odometry_y_turn", "integration *", *LATE), about="share of the turn"),
+    "turn-first": Fault(1.0, ("systematic odometry_y_turn", "integration *", *TURNED), about="share of the turn"),
     "interval-end": Fault(1.0, (*LATE, "integration *", "stamp *"), about="frames that odometry is stamped late"),
     "mirrored": Fault(1.0, ("mirrored *", "mirror *"), about="bearings to the other side"),
 }
