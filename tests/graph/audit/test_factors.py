@@ -30,14 +30,19 @@ def check(graph, values):
     parts = oracle.rows(graph, values)
     _x, C, _, rank = oracle.solve(parts)
     assert f.rank == rank
+    whole = np.vstack([np.sqrt(w) * A for A, _, w in parts])
+    s = np.linalg.svd(whole / np.sqrt((whole**2).sum(0) + 1e-300), compute_uv=False)
+    loss = 1e-13 / s[s > oracle.RANK * s[0]].min() ** 2  # of double precision, where a variable is hardly determined
     assert np.nansum(t.redundancy) == pytest.approx(system.rows - rank, abs=1e-8)
     for i, (A, r, w) in enumerate(parts):
         R = np.eye(len(r)) - w * A @ C @ A.T
-        assert t.redundancy[i] == pytest.approx(np.trace(R), abs=1e-8)
+        assert t.redundancy[i] == pytest.approx(np.trace(R), abs=1e-8 + loss)
         assert t.chi2[i] == pytest.approx(r @ r, rel=1e-10)
         T, freedom = oracle.deleted(parts, i)
         if freedom == t.rank[i]:  # else a redundancy at the limit
-            assert t.deleted[i] == pytest.approx(T, rel=1e-7, abs=1e-8)
+            seen = np.linalg.eigvalsh(R)  # T divides by it: a small redundancy magnifies rounding of both solutions
+            least = min(seen[seen > 1e-6], default=1.0)
+            assert t.deleted[i] == pytest.approx(T, rel=1e-8 + 1e-9 / least + loss, abs=1e-8 + loss)
         else:
             smallest = np.linalg.eigvalsh(R)
             assert ((smallest > 1e-9) & (smallest < 1e-4)).any()
