@@ -13,9 +13,10 @@ from data.inputs import IntArray
 from data.se2 import Array
 from graph.audit.clusters import Cluster, clusters
 from graph.audit.components import Components, Estimator
-from graph.audit.condition import Condition, condition
+from graph.audit.condition import Condition, condition, curvature
 from graph.audit.draws import family, independent, smallest_p
 from graph.audit.factors import Tested, directions, examine, holm
+from graph.audit.files import moved
 from graph.audit.fronts import Factored, factorize, ordering
 from graph.audit.kinds import Grouping, Kinds, kinds, positions_of
 from graph.audit.linear import System, linearize
@@ -43,6 +44,7 @@ class Audit:
         freedom: degrees of freedom.
         f: the factored system.
         condition: what the graph does not determine.
+        curvature: least one along the weakest directions, over that of the linearized problem; negative at a saddle.
         place: (V, 3) position of each variable of the system, NaN where it has none.
     """
 
@@ -63,6 +65,7 @@ class Audit:
     freedom: int
     f: Factored
     condition: Condition
+    curvature: float
     place: Array
 
     @property
@@ -116,7 +119,7 @@ def examined(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
         float(np.sqrt(gained)), gained, system.rows - f.rank, f, condition(f, parts(system), firsts(system)),
-        places(values, system.keys),
+        curvature(f, lambda x: float(graph.error(moved(system, f.at, x, values))), rng), places(values, system.keys),
     )  # fmt: skip
 
 

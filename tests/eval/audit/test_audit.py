@@ -258,3 +258,35 @@ def test_another_minimum_is_named(written):
     assert report.facts.second is not None
     assert report.facts.second.error < 1e-9 < report.facts.second.ours
     assert "another minimum" in report.words()
+
+
+def test_a_saddle_is_told_from_a_minimum():
+    """A point between two beacons on a line with it: each range is right, and sideways both costs fall."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    noise, tight = gtsam.noiseModel.Isotropic.Sigma(1, 0.1), gtsam.noiseModel.Isotropic.Sigma(2, 1e-3)
+    for key, x in ((1, -1.0), (2, 1.0)):
+        values.insert(key, np.array([x, 0.0]))
+        graph.add(gtsam.PriorFactorPoint2(key, np.array([x, 0.0]), tight))
+        graph.add(gtsam.RangeFactor2(key, 3, 2.0, noise))
+    values.insert(3, np.array([0.0, 0.0]))
+    graph.add(gtsam.PriorFactorPoint2(3, np.zeros(2), gtsam.noiseModel.Isotropic.Sigma(2, 0.5)))
+    report = slamref.audit(graph, values, draws=0)
+    assert report.facts.curvature < 0.0
+    assert "no minimum" in report.words()
+    assert slamref.audit(*quadratic(), draws=0).facts.curvature == pytest.approx(1.0, abs=1e-6)
+
+
+def quadratic():
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k in range(4):
+        values.insert(k, np.array([float(k), 0.0]))
+        graph.add(gtsam.PriorFactorPoint2(k, np.array([k + 0.1, 0.0]), gtsam.noiseModel.Isotropic.Sigma(2, 0.5)))
+    return graph, values
+
+
+def test_a_noise_that_is_not_definite_is_named():
+    graph, values = quadratic()
+    bad = gtsam.noiseModel.Gaussian.Covariance(np.array([[1.0, 2.0], [2.0, 1.0]]))
+    graph.add(gtsam.PriorFactorPoint2(0, np.zeros(2), bad))
+    with pytest.raises(DataError, match="factor 4: its noise is not positive definite"):
+        slamref.audit(graph, values)
