@@ -13,6 +13,7 @@ from data.formats.graph_file import read_graph_file, with_information
 from eval.audit import main
 from eval.report import audited
 from graph.audit.files import build, optimized
+from tests.graph.audit import graphs
 
 
 def opened(*arguments, **how):
@@ -290,3 +291,32 @@ def test_a_noise_that_is_not_definite_is_named():
     graph.add(gtsam.PriorFactorPoint2(0, np.zeros(2), bad))
     with pytest.raises(DataError, match="factor 4: its noise is not positive definite"):
         slamref.audit(graph, values)
+
+
+@pytest.mark.parametrize("make", [graphs.planar, graphs.spatial])
+def test_a_file_that_gtsam_wrote_has_the_statistics_of_its_graph(make, tmp_path):
+    source, values = make(11)
+    graph = gtsam.NonlinearFactorGraph()
+    for i in range(source.size()):
+        factor = source.at(i)
+        if type(factor).__name__.startswith("BetweenFactorPose"):
+            plain = getattr(factor.noiseModel(), "noise", factor.noiseModel)
+            graph.add(factor.cloneWithNewNoiseModel(plain()) if hasattr(factor.noiseModel(), "noise") else factor)
+    keys = {key for i in range(graph.size()) for key in list(graph.at(i).keys())}
+    poses = gtsam.Values(values)
+    for key in set(values.dims()) - keys:
+        poses.erase(key)
+    gtsam.writeG2o(graph, poses, str(tmp_path / "g.g2o"))
+    direct = slamref.audit(graph, optimized(graph, poses), draws=0)
+    read = opened(str(tmp_path / "g.g2o"), None, draws=0)
+    assert read.factors["redundancy"].to_numpy() == pytest.approx(direct.factors["redundancy"].to_numpy(), abs=1e-3)
+    assert read.factors["chi2"].to_numpy() == pytest.approx(direct.factors["chi2"].to_numpy(), rel=0.01, abs=1e-3)
+
+
+@pytest.mark.parametrize("make", [graphs.planar, graphs.spatial, graphs.inertial])
+def test_every_graph_has_words_and_a_figure(make):
+    graph, values = make(2)
+    report = slamref.audit(graph, values, draws=20)
+    assert len(report.words().split("\n")) >= 3
+    assert len(report.figure().axes) >= 2
+    assert len(report.worst()) == 10

@@ -48,13 +48,13 @@ def check(graph, values):
             assert ((smallest > 1e-9) & (smallest < 1e-4)).any()
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.integers(0, 10**6))
 def test_in_the_plane(seed):
     check(*graphs.planar(seed))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=80, deadline=None)
 @given(st.integers(0, 10**6))
 def test_in_space(seed):
     check(*graphs.spatial(seed))
