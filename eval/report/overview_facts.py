@@ -356,6 +356,7 @@ class Conclusion:
     either: tuple[str, ...]
     filter: tuple[str, ...]
     neither: tuple[str, ...]
+    unreliable: tuple[str, ...]  # those where something objects to the estimator that is named
     everywhere: bool  # the first is all there are
     ratios: tuple[float, float] | None  # least and largest error of the filter over the smoother's, None: no pair
     filter_fails: int  # so many rows
@@ -370,7 +371,8 @@ def conclusion(facts: Sequence[LogFacts]) -> Conclusion:
     def named(found: Sequence[LogFacts]) -> tuple[str, ...]:
         return tuple(f"{f.log} ({f.task})" if tasks[f.log] > 1 else f.log for f in found)
 
-    by_verdict = {v: [f for f in facts if f.measured and f.verdict == v] for v in Verdict}
+    unreliable = [f for f in facts if f.measured and f.unreliable and f.verdict != Verdict.NEITHER]
+    by_verdict = {v: [f for f in facts if f.measured and f.verdict == v and f not in unreliable] for v in Verdict}
     smoother = by_verdict[Verdict.SMOOTHER]
     both = [f for f in smoother if all(f.trusted)]
     ratios = [f.ratio for f in both if math.isfinite(f.ratio)]
@@ -392,6 +394,7 @@ def conclusion(facts: Sequence[LogFacts]) -> Conclusion:
         either=named(by_verdict[Verdict.EITHER]),
         filter=named(by_verdict[Verdict.FILTER]),
         neither=named(by_verdict[Verdict.NEITHER]),
+        unreliable=named(unreliable),
         everywhere=len(smoother) == len(facts),
         ratios=(min(ratios), max(ratios)) if ratios else None,
         filter_fails=len(smoother) - len(both),

@@ -259,3 +259,10 @@ def test_an_overconfident_filter_beside_a_sound_smoother_takes_the_tick_and_the_
     assert (mark.word, mark.tone, f.unreliable) == ("smoother", "fair", False)
     assert "ekf is overconfident: pose NEES 13.4" in mark.note
     assert facts(EKF, BATCH | {"nees_pose": 13.4}).unreliable
+
+
+def test_the_introduction_recommends_nothing_that_something_objects_to():
+    assert "use the smoother" in introduction([facts()])
+    text = introduction([facts(EKF, BATCH | {"nees_pose": 13.4})])
+    assert "use the smoother" not in text
+    assert "something objects to the estimates on home" in text.lower()
