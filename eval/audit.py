@@ -64,7 +64,8 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
     parts.append(shown(report.worst()[columns]).to_string())
     sys.stdout.write("\n\n".join(parts) + "\n")
     if options.out is not None:
-        write_audit(report, options.out, f"Audit of {options.graph}", f"{prog} {options.graph}")
+        name = Path(options.graph).name  # where a file lies is nobody else's business
+        write_audit(report, options.out, f"Audit of {name}", f"{prog} {name}")
         sys.stdout.write(f"\nwritten: {options.out.absolute()}\n")
     if options.rescale is not None:
         table = cured(found, options.rescale, options.draws, options.seed)

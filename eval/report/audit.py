@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TEN, SHOWN = 10, 6  # rows of the worst factors; names in a sentence
+NARROW = ["factor", "keys", "kind", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
+"""Columns that fit a page; factors.csv has all."""
 
 
 @dataclass(frozen=True)
@@ -331,7 +333,7 @@ def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> 
         first.append(Table(shown(report.components), caption("axes")))
     sections = [
         Section("Kinds of factors", tuple(first)),
-        Section("Worst factors", (Table(shown(report.worst().reset_index()), caption("factors")),)),
+        Section("Worst factors", (Table(shown(report.worst().reset_index()[NARROW]), caption("factors")),)),
     ]
     if (some := report.clusters[report.clusters["p_family"] < FAMILY].head(TEN)).size:
         listed = some.assign(factors=[" ".join(map(str, c)) for c in some["factors"]])
