@@ -135,9 +135,10 @@ def root_information(covariance: Array) -> tuple[Array, Array]:
     floored at 1e-6, came out as 0.002).
     """
     n, d = len(covariance), covariance.shape[1]
-    R, pivot = np.zeros((n, d, d)), np.full(n, np.inf)
+    R, pivot = np.zeros((n, d, d)), np.empty(n)
     U = np.zeros((d, d))  # C = U U'
     for i in range(n):
+        pivot[i] = np.inf
         for c in range(d - 1, -1, -1):
             total = covariance[i, c, c]
             for q in range(c + 1, d):
