@@ -17,7 +17,7 @@ unexport PYTHONHOME PYTHONPATH VIRTUAL_ENV PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help venv report test test-slow test-browser benchmark variety sensitivity docs site lock clean
+.PHONY: help venv report test checked test-slow test-browser benchmark variety sensitivity docs site lock clean
 
 help: ## this list
 	@grep -E '^[a-z-]+:.*## ' $(firstword $(MAKEFILE_LIST)) | sed -E 's/^([a-z-]+):.*## (.*)/  \1\t\2/' | expand -t 14
@@ -28,12 +28,16 @@ venv: .venv/.warm ## make .venv and compile the kernels
 report: .venv/.warm ## write the report; ARGS='--quick --out DIR'
 	$(BIN)/python -m eval.run_all $(ARGS)
 
-test: .venv/.warm ## style, types, import rules, tests; PYTEST_ARGS='-k jcbb'
+# types are checked on one core while the kernels are compiled on another
+test: .venv/.installed ## style, types, import rules, tests; PYTEST_ARGS='-k jcbb'
+	@$(MAKE) --no-print-directory -j2 checked .venv/.warm
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)
+
+checked: .venv/.installed
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)
 
 test-slow: .venv/.warm ## the tests that take long
 	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)

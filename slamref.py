@@ -16,6 +16,8 @@ Results: `Trial`, `score`, `notices`, `Notice`, `sentence`.
 Your own estimators and association methods: `Samples`, and `check_estimator`, `check_association` (for tests),
 `estimator_findings`, `association_findings` (as lists).
 
+Factor graphs: `audit` (any gtsam graph with values).
+
 Units are m, rad and s. A pose is (x, y, theta) in the world frame; its covariance (3, 3) has the same coordinates.
 Names are loaded on first use. This module is also the command `slamref`; `slamref --help` lists its subcommands.
 """
@@ -42,6 +44,7 @@ if TYPE_CHECKING:
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
+    from eval.report.audit import audit
 
     __version__: str
 
@@ -54,6 +57,7 @@ __all__ = [
     "Trial",
     "__version__",
     "association_findings",
+    "audit",
     "check_association",
     "check_estimator",
     "compare",
@@ -68,6 +72,7 @@ __all__ = [
 
 HOMES = {
     "open_log": "data.logs",
+    "audit": "eval.report.audit",
     "compare": "eval.compare",
     "make_estimator": "eval.replay.estimators",
     "decide": "association.decide",
@@ -89,6 +94,7 @@ COMMANDS = {
     "run": ("eval.run_all:main", "run filters and smoothers on identical inputs, score them, write a report"),
     "lab": ("eval.run_all:lab", "do a whole lab and answer its questions: corridor:SEED, visual:SEED"),
     "study": ("eval.run_all:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
+    "audit": ("eval.audit:main", "examine any factor graph: g2o, Toro, or gtsam"),
     "report": ("eval.open_report:main", "show a report in the browser"),
     "inspect": ("eval.inspect:main", "print the contents of a log and unusual values"),
     "convert": ("data.convert.__main__:main", "turn a recording or a simulation into an open log folder"),

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 from collections.abc import Iterable, Sequence
 from typing import Any, NoReturn
 
 COMPLETION = "_ARGCOMPLETE"
 """Environment variable by which the shell asks for completions (argcomplete)."""
+
+
+def stretch(text: str) -> tuple[float, float]:
+    """FROM:TO in seconds, FROM before TO."""
+    begin, colon, end = text.partition(":")
+    with contextlib.suppress(ValueError):
+        if colon and float(begin) < float(end):
+            return float(begin), float(end)
+    raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO in seconds, FROM before TO")
 
 
 class Parser(argparse.ArgumentParser):

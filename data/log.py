@@ -48,6 +48,11 @@ class Log:
         return self.label is not None or self.truth.landmark_of is not None
 
     @property
+    def clock(self) -> float:
+        """Seconds from the start of the recording to `Inputs.time` 0, where flags of its conversion count from."""
+        return float(cast("float", self.source.get("clock", 0.0)))
+
+    @property
     def granted(self) -> IntArray | None:
         """The labels (M,) of known association: the sensor's, else the true ids; None: there are none."""
         if self.label is None and self.truth.landmark_of is not None:
@@ -113,6 +118,7 @@ def shortened(log: Log, n: int) -> Log:
         landmark_of=_rows(t.landmark_of, slice(m)),
         relations=None if t.relations is None else _first_relations(t.relations, n),
         errors=None if t.errors is None else t.errors._replace(mean=t.errors.mean[:n], sigma=t.errors.sigma[:n]),
+        left_out=tuple(w for w in t.left_out if w.first < n),
     )
     notes = (*log.notes, f"Only the first {n} frames (quick).")
     return replace(log, recorded=recorded, truth=truth, label=_rows(log.label, slice(m)), notes=notes)

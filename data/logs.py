@@ -35,7 +35,9 @@ class Reading:
     relations: Path | None = None
 
 
-def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None) -> Log:
+def open_log(
+    name: str | os.PathLike[str], reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None
+) -> Log:
     """Open a log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`), folder, or CARMEN file.
 
     Args:
@@ -54,6 +56,7 @@ def open_log(name: str, reading: Reading = Reading(), say: Callable[[str], None]
         >>> log = slamref.open_log("arena:0")
         >>> log.recorded.increments.mean.shape  # (N, 3): frames of dx, dy [m], dtheta [rad]
     """
+    name = os.fspath(name)
     path = Path(name)
     if os.path.isfile(path):  # unlike Path.is_file, also false for a name the system refuses
         return _open_file(path, reading)

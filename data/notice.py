@@ -24,6 +24,8 @@ class Code(StrEnum):
     """Every possible finding about a log or a run; `templates/notices.j2` holds their words."""
 
     # about a log, for its author
+    MAP_ROWS = "map-rows"
+    BAD_TRUTH = "bad-truth"
     TRUTH_RATE = "truth-rate"
     LABELS = "labels"
     LABEL_NAMES = "label-names"
@@ -74,6 +76,7 @@ class Code(StrEnum):
     AMBIGUOUS = "ambiguous"
     DOUBLE = "double"
     TWO_MINIMA = "two-minima"
+    DISPUTED = "disputed"
     NAMING = "naming"
     # implausible, and where it began
     NIS = "nis"

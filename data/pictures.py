@@ -6,6 +6,7 @@ and p_c = R p_b + T with a 2x2 rotation R: a camera that looks ahead has R = [[0
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -18,6 +19,10 @@ from data.se2 import Array
 
 CORNERS = 4
 """Corners of a picture: upper left, upper right, lower right, lower left, seen from in front."""
+COMMAND_SIGMA = (0.01, math.radians(4.0))
+"""m/s and rad/s, of a command."""
+SAME_PLACE = 0.25
+"""Largest distance of a true detection's corners, over the picture's width in the image."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,3 +151,17 @@ class Evidence:
     setup: VisualSetup
     found: Found
     in_view: InView | None = None
+
+
+def true_pictures(found: Found, in_view: InView) -> IntArray:
+    """True picture of each detection (D,): the one whose true corners are near its own; -1: none."""
+    result = np.full(len(found.frame), -1, np.int64)
+    for d in range(len(result)):
+        there = np.flatnonzero(in_view.frame == found.frame[d])
+        if len(there):
+            off = np.linalg.norm(in_view.pixels[there] - found.pixels[d], axis=2).mean(axis=1)
+            side = np.linalg.norm(in_view.pixels[there, 1] - in_view.pixels[there, 0], axis=1)
+            best = int(np.argmin(off / side))
+            if off[best] < SAME_PLACE * side[best]:
+                result[d] = in_view.picture[there[best]]
+    return result

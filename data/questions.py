@@ -16,6 +16,7 @@ from data.notice import Code, Notice, notice
 from data.se2 import Array, BoolArray, compose, wrap_angle
 from data.sensors import RELATIVE_POINT, RangeBearing
 from data.timeline import MAX_GAP
+from data.truth_windows import bad_truth, misplaced
 
 SPARSE = 0.5
 """Smallest share of frames with a true pose; recordings have at least 0.92."""
@@ -242,7 +243,47 @@ def labels_against_map(log: Log) -> list[Notice]:
     return [notice(Code.LABEL_NAMES, strange=int(strange.sum()), readings=len(named), labels=labels, ids=ids)]
 
 
+def map_rows(log: Log) -> list[Notice]:
+    """Rows of the map that look swapped or shifted."""
+    found = misplaced(log)
+    if not found:
+        return []
+    at = {r.id: r.at for r in found}
+    pairs = [(i, j) for i, j in at.items() if i < j and at.get(j) == i]
+    swapped = tuple(i for pair in pairs for i in pair)
+    return [
+        notice(
+            Code.MAP_ROWS,
+            swapped=swapped,
+            shifted=tuple(i for i in at if i not in swapped),
+            distance=max(r.distance for r in found),
+            observations=sum(r.observations for r in found),
+        )
+    ]
+
+
+def truth_windows(log: Log) -> list[Notice]:
+    """Windows of bad ground truth, left out already or not."""
+    found = log.truth.left_out or bad_truth(log)
+    if not found:
+        return []
+    off = [w.off for w in found if np.isfinite(w.off)]
+    return [
+        notice(
+            Code.BAD_TRUTH,
+            frame=found[0].first,
+            start=tuple(w.start for w in found),
+            end=tuple(w.end for w in found),
+            faults=tuple(str(w.fault) for w in found),
+            off=max(off) if off else None,
+            left_out=bool(log.truth.left_out),
+        )
+    ]
+
+
 CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
+    map_rows,
+    truth_windows,
     stamps,
     bearings,
     turn_rates,

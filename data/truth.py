@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 
@@ -37,6 +38,36 @@ class Relations(Locked):
         return len(self.row1)
 
 
+class TruthFault(StrEnum):
+    """What is wrong with a stretch of ground truth, beside the odometry."""
+
+    JUMP = "jump"
+    FROZEN = "frozen"
+    HEADING = "heading"
+    SPEED = "speed"
+
+
+@dataclass(frozen=True)
+class BadTruth:
+    """A window of bad ground truth (`data.truth_windows`).
+
+    Attributes:
+        first, last: frames.
+        start, end: s of the log's recording (`Log.clock`), rounded outwards to ms.
+        fault: what is wrong.
+        off: median distance of observations from what the truth predicts, in robust sigmas; NaN: there are none.
+        carried: the same from what the odometry predicts; NaN: it was not needed.
+    """
+
+    first: int
+    last: int
+    start: float
+    end: float
+    fault: TruthFault
+    off: float
+    carried: float
+
+
 @dataclass(frozen=True, eq=False)
 class Truth(Locked):
     """Ground truth; any part may be None, and metrics that need it are then blank.
@@ -47,6 +78,7 @@ class Truth(Locked):
         landmark_of: (M,) true id per observation, `CLUTTER` for false alarms, `UNKNOWN_ID` if unknown.
         relations: reference relations of a laser log.
         errors: true systematic errors of a simulated robot, by frame (sigma is zero).
+        left_out: windows of bad ground truth, whose poses are NaN.
     """
 
     pose: Array | None = None
@@ -54,6 +86,7 @@ class Truth(Locked):
     landmark_of: IntArray | None = None
     relations: Relations | None = None
     errors: Systematics | None = None
+    left_out: tuple[BadTruth, ...] = ()
 
     @property
     def known_poses(self) -> int:
@@ -61,4 +94,4 @@ class Truth(Locked):
         return 0 if self.pose is None else int(np.isfinite(self.pose).all(axis=1).sum())
 
 
-__all__ = ["CLUTTER", "UNKNOWN_ID", "Relations", "Truth"]
+__all__ = ["CLUTTER", "UNKNOWN_ID", "BadTruth", "Relations", "Truth", "TruthFault"]

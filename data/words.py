@@ -78,9 +78,9 @@ def number(value: float, digits: int = 3) -> str:
     return f"{value:.{max(digits - 1 - math.floor(math.log10(abs(rounded))), 0)}f}"
 
 
-def percent(share: float, digits: int = 1) -> str:
-    """A share in percent."""
-    return f"{100.0 * share:.{digits}f} %"
+def percent(share: float, decimals: int | None = None) -> str:
+    """A share in percent, as tables have it: with three significant digits, or so many decimals."""
+    return f"{number(100.0 * share) if decimals is None else f'{100.0 * share:.{decimals}f}'} %"
 
 
 def told_apart(values: tuple[float, float]) -> tuple[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +16,8 @@ from eval.replay.flag import rows
 
 PROG = "python -m eval.play"
 TABLE = rows(Options)
-TASKS = "localization, slam (default: localization where there is a map, but slam in a corridor)"
+TASKS = "localization, slam (default: localization where there is a map)"
+LAB_REPORT = "for a log of this lab: take the lab's settings (default: results/report, if it is one)"
 HOW = ("estimator", "association", "gate", "new_gate", "gate_known", "in_view")
 LONG_LOGS = ("maintain", "forget_after", "deactivate_after", "lag", "keyframe_distance")
 SHARED = (replace(TABLE["task"], help=TASKS), *(TABLE[name] for name in (*HOW, *LONG_LOGS)))
@@ -24,7 +25,7 @@ SHARED = (replace(TABLE["task"], help=TASKS), *(TABLE[name] for name in (*HOW, *
 EXAMPLES = """\
 examples:
   python -m eval.play arena:0
-  python -m eval.play corridor:0:people --association nn,singles,jcbb,known --estimator ekf
+  python -m eval.play corridor:0:people --report lab --association nn,singles,jcbb,known    as in the lab in lab/
   python -m eval.play victoria-park --association jcbb --estimator ekf,batch --out park.html
   python -m eval.play path/to/my_log --task slam --gate 0.95
 
@@ -38,6 +39,8 @@ class Wish:
     """The values of all flags."""
 
     options: Options
+    given: Mapping[str, object]  # of them what the command line states
+    report: Path | None
     out: Path | None
     frames: int | None
 
@@ -47,6 +50,7 @@ def parser(prog: str = PROG) -> Command:
     p = Command(prog, PROG, "Write a page that replays a log in the browser.", EXAMPLES)
     p.add_argument("log", metavar="LOG", help="as for `slamref run`")
     add_flags(p, SHARED)
+    p.add_argument("--report", metavar="DIR", type=Path, help=LAB_REPORT)
     p.add_argument("--frames", metavar="N", help="only the first N frames")
     p.add_argument("--out", metavar="FILE", type=Path, help="the page (default: the log's name with .html)")
     return p
@@ -59,10 +63,9 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     if out is not None and out.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"--out {out}: a file name that ends in .html is needed")
     stated: dict[str, object] = {"log": [given["log"]]}
-    stated |= {"task": "slam"} if given["log"].startswith("corridor:") else {}
     stated |= {row.name: given[row.name] for row in SHARED if row.name in given}
     frames = None if given["frames"] is None else FIRST_FRAMES("--frames", given["frames"])
-    return Wish(options_of(stated), out, frames)
+    return Wish(options_of(stated), stated, given["report"], out, frames)
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -72,15 +75,21 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 
 def _play(wish: Wish) -> None:
     from data.log import folder_name, shortened
+    from data.logs import open_log
     from eval.plan.experiments import make_plan
+    from eval.plan.lab_settings import settings_line, settings_of_lab
     from eval.plan.unfinished import estimate, wanted
     from eval.plan.warming import compile_if_needed
     from eval.player.document import played, write_page
     from eval.referee.score import Trial
 
     compile_if_needed()
+    taken = settings_of_lab(lambda: open_log(wish.options.selection.log[0]), wish.report)
+    options = options_of({**taken, **wish.given})
+    if line := settings_line(wish.options, options, wish.report):
+        print(line)
     trials = []
-    for e in make_plan(wish.options, print).experiments:
+    for e in make_plan(options, print).experiments:
         if e.variant_of is not None:
             continue
         e = e if wish.frames is None else replace(e, log=shortened(e.log, wish.frames))
@@ -91,7 +100,7 @@ def _play(wish: Wish) -> None:
         trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work))))
     path = wish.out or Path(f"{folder_name(trials[0].log.name)}.html")
     try:
-        write_page(path, played(trials)[0], wish.options.setup)
+        write_page(path, played(trials)[0], options.setup)
     except OSError as fault:
         raise UsageError(f"--out {path}: {message_of(fault)}") from fault
     print(f"player: {path} ({path.stat().st_size / 1e6:.2f} MB)")

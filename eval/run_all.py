@@ -161,7 +161,7 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
     from eval.plan.warming import compile_if_needed
-    from eval.referee.diagnostics import questions_of_run
+    from eval.referee.diagnostics import disputed, questions_of_run
     from eval.referee.score import score
     from eval.report.contents import write_results
     from eval.report.headline import headlines, lines, trust_line
@@ -209,6 +209,8 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
         found_in_runs = (n for run in trial.runs for n in questions_of_run(run, trial.log.recorded))
         for question in together(n.about(log=trial.log.name, task=trial.task) for n in found_in_runs):
             warn(asked(question))
+        for found in disputed(trial):
+            warn(f"{trial.log.name}, {trial.task}: {found.estimator}: {sentence(found)}")
     for study in outcome.studies:
         for text in study_lines(study):
             console.say(text)
@@ -217,7 +219,7 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
     scores = score(outcome.trials)
-    for text in [] if in_lab else lines(headlines(scores, outcome.trials, outcome.studies, judged)):
+    for text in [] if in_lab else lines(headlines(scores, outcome.trials, outcome.studies, judged, outcome.trust)):
         console.say(text)
     for trial in outcome.trials:
         if trial.variant_of is None and not in_lab:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
 
 PROG = "python -m eval.step"
 TABLE = rows(Options)
-TASKS = "localization or slam (default: localization where there is a map, but slam in a corridor)"
+TASKS = "localization or slam (default: localization where there is a map)"
+LAB_REPORT = "for a log of this lab: take the lab's settings (default: results/report, if it is one)"
 SHARED = (
     replace(TABLE["log"], help="open log folder, victoria-park, arena:SEED or corridor:SEED[:KEYS]"),
     replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)}, or your own (default: jcbb)"),
@@ -33,14 +34,13 @@ SHARED = (
 DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
 EXAMPLES = """\
 examples:
-  python -m eval.step corridor:0 --association jcbb               the lab, one frame at each Enter
-  python -m eval.step corridor:0:people --association nn          with people, nearest neighbour
-  python -m eval.step corridor:0 --estimator isam2 --save steps   a smoother; figures of all stages in steps/
-  python -m eval.step corridor:0 --association known --run-through
-  python -m eval.step corridor:0:people --gate 0.95 --new-gate 0.99 --maintain --run-through
-  python -m eval.step arena:0 --task localization --frames 20     a known map; the first 20 frames
+  python -m eval.step corridor:0 --association jcbb               in a lab's log, with the settings of that lab
+  python -m eval.step corridor:0:people --report lab --association nn    the lab's report is in lab/
+  python -m eval.step corridor:0 --task slam --estimator isam2 --save steps   figures of all stages in steps/
+  python -m eval.step corridor:0:people --task slam --gate 0.95 --new-gate 0.99 --maintain --run-through
+  python -m eval.step arena:0 --frames 20                         a known map; the first 20 frames
   python -m eval.step path/to/my_log --association gnn --in-view
-  python -m eval.step corridor:0 --association nn --new-gate 0.99 --run-through --lab-text
+  python -m eval.step corridor:0 --association nn --run-through --lab-text
 
 At a pause: Enter continues, r and Enter runs to the end, q and Enter (or end of file, or Ctrl-C) stops.
 Figures are shown in windows if matplotlib can open them (MPLBACKEND=Agg: never), and saved as PNG with --save.
@@ -53,6 +53,8 @@ class Wish:
     """The values of all flags."""
 
     options: Options
+    given: Mapping[str, object]  # of them what the command line states
+    report: Path | None
     save: Path | None
     run_through: bool
     frames: int | None
@@ -65,6 +67,7 @@ def parser(prog: str = PROG) -> Command:
     p.add_argument("words", nargs="*", metavar="LOG", help="the same as --log")
     add_flags(p, SHARED)
     add = p.add_argument
+    add("--report", metavar="DIR", type=Path, help=LAB_REPORT)
     add("--save", metavar="DIR", type=Path, help="write figures and text of all steps to DIR")
     add("--run-through", action="store_true", help="do not pause (never without a terminal)")
     add("--frames", metavar="N", help="only the first N frames")
@@ -78,7 +81,8 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     given["log"] = logs = [*given.pop("words"), *given.get("log", [])]
     if len(logs) != 1:
         raise UsageError(f"{' '.join(logs) or 'no log'}: one log is needed, as in `{prog} corridor:0`")
-    options = options_of(DEFAULTS | {row.name: given[row.name] for row in SHARED if row.name in given})
+    stated = {row.name: given[row.name] for row in SHARED if row.name in given}
+    options = options_of(DEFAULTS | stated)
     for name in ("association", "estimator", "task"):
         names = TABLE[name].of(options)
         if len(names) > 1 or not (names or name == "task"):
@@ -87,7 +91,7 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     if not steps(estimator):
         raise UsageError(f"--estimator {estimator}: does not work step by step; {', '.join(STEPPING)} do")
     frames = None if given["frames"] is None else FIRST_FRAMES("--frames", given["frames"])
-    return Wish(options, given["save"], given["run_through"], frames, given["lab_text"])
+    return Wish(options, stated, given["report"], given["save"], given["run_through"], frames, given["lab_text"])
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -101,15 +105,21 @@ def _step(wish: Wish) -> None:
     from eval.plan.warming import compile_if_needed
 
     compile_if_needed()
-    from eval.plan.experiment import check_possible_on
+    from eval.plan.experiment import check_maintained, check_possible_on, default_task, default_task_line
     from eval.plan.foreign import load_all
+    from eval.plan.lab_settings import settings_line
 
-    asked, setup = wish.options.selection, wish.options.setup
+    load_all(wish.options.selection.estimator, wish.options.selection.association)
+    log = open_log(wish.options.selection.log[0])
+    options = options_of({**DEFAULTS, **of_lab(log, wish.report), **wish.given})
+    asked, setup = options.selection, options.setup
     (estimator,), (association,) = asked.estimator, asked.association
-    load_all(asked.estimator, asked.association)
-    log = open_log(asked.log[0])
-    task = task_of(log, asked.task)
+    task = asked.task[0] if asked.task else default_task(log)
+    for line in (settings_line(wish.options, options, wish.report), "" if asked.task else default_task_line([log])):
+        if line:
+            print(line)
     check_possible_on(log, (task,), (association,))
+    check_maintained(setup, (task,))
     if wish.frames is not None:
         log = shortened(log, wish.frames)
     from eval.referee.plausibility import with_plausibility
@@ -146,10 +156,17 @@ def _step(wish: Wish) -> None:
         print("stopped; files written so far are complete")
 
 
-def task_of(log: Log, asked: Sequence[str]) -> str:
-    """The first of the given tasks; by default localization in a known map, but SLAM in a corridor."""
-    known_map = log.recorded.map is not None and not log.name.startswith("corridor")
-    return asked[0] if asked else "localization" if known_map else "slam"
+def of_lab(log: Log, report: Path | None) -> dict[str, object]:
+    """The settings of the lab that ran on a log, one of each; of methods the default if the lab ran it."""
+    from eval.plan.lab_settings import settings_of_lab
+
+    found = settings_of_lab(lambda: log, report)
+    for name in {"task", "association", "estimator"} & found.keys():
+        several = TABLE[name].read(TABLE[name].option, found.pop(name))
+        able = [value for value in several if name != "estimator" or steps(value)]
+        if able:
+            found[name] = DEFAULTS[name] if DEFAULTS.get(name) in able else able[0]
+    return found
 
 
 if __name__ == "__main__":

@@ -25,6 +25,11 @@ if TYPE_CHECKING:
     from eval.tuning.model import Model
 
 PROG = "python -m eval.tune"
+TUNED = "tuned"  # title of the scores and errors after the fit
+DOUBT = """\
+innovations stay correlated (lag-1 {:+.2f} ± {:.2f}, expected 0), so the sigmas, fitted as if they were white, are not \
+to be believed: NIS is right by construction, the covariance is not. Remove the cause first: a latency, a bias, slip \
+(--fit bias,odometry,latency fits no sigma)"""
 MARK = "tuned"  # key of [source] in log.toml of a tuned log: the fitted values and their log
 HELP = """\
 Fit noise of motion and sensor, observation biases, odometry scales and, with odometry.csv, observation latency.
@@ -32,8 +37,8 @@ The fit maximizes the likelihood of the innovations of an EKF with labels (local
 OUT is a copy of LOG with the fitted values.
 
 Do not report results on OUT, whose NIS is right by construction; apply its values to another log with --use.
-The fit runs the filter about 800 times and does not use the ground truth. Standard errors hold for white
-innovations; on recordings they are too small, and the lag-1 correlation measures how far from white these are.
+The fit runs the filter about 800 times and does not use the ground truth. Fitted sigmas and standard errors hold for
+white innovations. Where these stay correlated (lag-1), the first line of the report and a note in OUT warn.
 
 A factor multiplies the value stated in LOG: a standard deviation, or odometry distance or rotation (a regression
 coefficient, below 1 for noisy odometry). Bias: measured minus true. Latency: stamp minus time of observation."""
@@ -55,14 +60,21 @@ class Numbers(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """A tuned log, with scores (or the reason for none) and RMSE (position [m], heading [deg]) by title."""
+    """A tuned log, with scores (or the reason for none) and errors by title: RMSE of position [m] and heading [deg],
+    mean pose NEES.
+    """
 
     log: Log
     model: Model
     fit: Fit | None
     theta: Array
     scores: Mapping[str, Score | str]
-    errors: Mapping[str, tuple[float, float]]
+    errors: Mapping[str, tuple[float, float, float]]
+
+    @property
+    def doubtful(self) -> Score | None:
+        """The score of sigmas fitted to innovations that stay correlated; None: no such."""
+        return _doubtful(self.model, self.fit, self.scores.get(TUNED))
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -143,7 +155,20 @@ def tune(
     found, theta = (origin, origin.theta) if isinstance(origin, Fit) else (None, vector(model, origin.values))
     tuned = _tuned(log, folder, model, theta, origin)
     scores, errors = _judge(log, tuned, model, decisions, found)
+    if (s := _doubtful(model, found, scores[TUNED])) is not None:
+        tuned = replace(tuned, notes=(*tuned.notes, f"In this fit, {DOUBT.format(s.lag1, s.lag1_error)}."))
     return Tuning(tuned, model, found, theta, scores, errors)
+
+
+def _doubtful(model: Model, found: Fit | None, after: Score | str | None) -> Score | None:
+    from eval.referee.consistency import correlated
+    from eval.tuning.fit import HELD
+
+    if found is None or after is None or isinstance(after, str):
+        return None
+    fitted = (p.name for p, word in zip(model.parameters, found.status, strict=True) if word != HELD)
+    noise = any(name.startswith(("motion_", "sigma_")) for name in fitted)
+    return after if noise and correlated(after.lag1, after.lag1_error) else None
 
 
 def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fit | Numbers) -> Log:
@@ -191,9 +216,10 @@ def _truth_at(folder: Path, time: Array) -> Array:
 
 def _judge(
     log: Log, tuned: Log, model: Model, decisions: IntArray, found: Fit | None
-) -> tuple[dict[str, Score | str], dict[str, tuple[float, float]]]:
-    """Scores and RMSE before and after; after a fit also a cross-check, fitted to one half and scored on the other."""
+) -> tuple[dict[str, Score | str], dict[str, tuple[float, float, float]]]:
+    """Scores and errors before and after; after a fit a cross-check, too, fitted to one half, scored on the other."""
     from ekf.whole_run import run_filter
+    from eval.referee.consistency import mean_or_nan, nees
     from eval.referee.errors import heading_rmse_deg, position_distance, rms
     from eval.tuning.fit import fit, middle, score
     from eval.tuning.model import apply
@@ -201,9 +227,9 @@ def _judge(
     after = tuned.inputs(labels=True)
     scores: dict[str, Score | str] = {"as stated": score(model.inputs, decisions)}
     try:
-        scores["tuned"] = score(after, decisions)
+        scores[TUNED] = score(after, decisions)
     except DataError as fault:
-        scores["tuned"] = str(fault)
+        scores[TUNED] = str(fault)
     if found is not None:
         half = middle(model.inputs, decisions)
         scores["second half, as stated"] = score(model.inputs, decisions, half)
@@ -213,10 +239,11 @@ def _judge(
         except DataError as fault:
             scores["second half, tuned on the first"] = str(fault)
     errors = {}
-    for title, inputs, pose in (("as stated", model.inputs, log.truth.pose), ("tuned", after, tuned.truth.pose)):
+    for title, inputs, pose in (("as stated", model.inputs, log.truth.pose), (TUNED, after, tuned.truth.pose)):
         if pose is not None:
-            estimate = run_filter(inputs, decisions).pose
-            errors[title] = rms(position_distance(estimate, pose)), heading_rmse_deg(estimate, pose)
+            run = run_filter(inputs, decisions)
+            mean = mean_or_nan(nees(run.pose, run.covariance, pose, "pose"))
+            errors[title] = rms(position_distance(run.pose, pose)), heading_rmse_deg(run.pose, pose), mean
     return scores, errors
 
 
@@ -255,7 +282,9 @@ def _spread(model: Model, found: Fit, i: int) -> float:
 def _report(log: Log, tuning: Tuning) -> list[str]:
     """The lines of the printed report."""
     task = "SLAM" if tuning.model.inputs.map is None else "localization"
-    lines = [f"{log.name}: {counted(len(tuning.model.inputs), 'frame')}, {task}, known association", ""]
+    doubt = tuning.doubtful
+    lines = [] if doubt is None else [f"warning: {DOUBT.format(doubt.lag1, doubt.lag1_error)}", ""]
+    lines += [f"{log.name}: {counted(len(tuning.model.inputs), 'frame')}, {task}, known association", ""]
     rows = [("parameter", "value", "s.e.", "", "meaning")]
     for i, p in enumerate(tuning.model.parameters):
         value = p.value(tuning.theta[i])
@@ -273,8 +302,10 @@ def _report(log: Log, tuning: Tuning) -> list[str]:
         bounds, r = f"{s.lower:.3f} to {s.upper:.3f}", f"{s.lag1:+.3f} ± {s.lag1_error:.3f}"
         body.append((title, f"{s.log_likelihood:.1f}", str(s.dof), f"{s.nis:.3f}", bounds, r))
     lines += [*in_columns(body), ""]
-    for title, (position, heading) in tuning.errors.items():
-        lines.append(f"RMSE {title}: position {position:.4g} m, heading {heading:.3g} deg")
+    for title, (position, heading, mean) in tuning.errors.items():
+        lines.append(
+            f"RMSE {title}: position {position:.4g} m, heading {heading:.3g} deg; pose NEES {mean:.3g} (expected 3)"
+        )
     return [*lines, *(f"- {note}" for note in tuning.log.notes[len(log.notes) :])]
 
 

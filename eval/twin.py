@@ -58,7 +58,7 @@ def _run(options: argparse.Namespace) -> None:
     from data.formats.open_log.writer import write_folder
     from data.logs import open_log
     from eval.compare import compare
-    from eval.plan.experiment import check_possible_on
+    from eval.plan.experiment import check_possible_on, default_task
     from eval.plan.foreign import load_all
     from eval.plan.warming import compile_if_needed
     from eval.replay.estimators import FOR_WALLS
@@ -69,7 +69,7 @@ def _run(options: argparse.Namespace) -> None:
 
     compile_if_needed()
     log = open_log(options.log)
-    task = options.task or ("slam" if log.recorded.map is None else "localization")
+    task = options.task or default_task(log)
     association = "known" if log.has_labels else HINDSIGHT if log.recorded.sensor.sees_points else FOR_WALLS
     if options.association is not None:
         association = one_settled("--association", options.association, "association")

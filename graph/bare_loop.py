@@ -19,14 +19,15 @@ from graph.robust import is_delicate
 def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_frame: bool = False) -> Trajectory:
     """SLAM, frame by frame: add the factors, update, read the newest pose and its covariance.
 
-    Frames without observations join the next update, unless `every_frame`. Factors are made beforehand; parameters and
-    the choice of QR are those of our smoother. No recovery, no gate, no bookkeeping. Raises ValueError for a sensor of
-    walls.
+    Frames without observations join the next update, unless `every_frame`. Factors are made beforehand; parameters, the
+    choice of QR and the further updates after a jump are those of our smoother. No gate, no bookkeeping. Raises
+    ValueError for a sensor of walls.
     """
     if not inputs.sensor.sees_points:
         raise ValueError("the bare loop supports only landmarks that are points")
     problem = build(inputs, decisions, created)
-    isam = Engine(THRESHOLD, SKIP, qr=is_delicate(inputs)).isam
+    engine = Engine(THRESHOLD, SKIP, qr=is_delicate(inputs))
+    isam = engine.isam
     pose, covariance = np.empty((len(inputs), 3)), np.empty((len(inputs), 3, 3))
     graph, values, row, known = gtsam.NonlinearFactorGraph(), gtsam.Values(), 0, set()
     estimate, P = pose2(inputs.prior.mean), np.zeros((3, 3))
@@ -49,7 +50,7 @@ def bare_isam2(inputs: Inputs, decisions: IntArray, created: IntArray, *, every_
         if every_frame or row > first:
             isam.update(graph, values)
             graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-            estimate, P = isam.calculateEstimatePose2(X(k)), isam.marginalCovariance(X(k))
+            estimate, P = engine.settle(X(k), estimate), isam.marginalCovariance(X(k))
         pose[k], covariance[k] = pose_array(estimate), P
     return Trajectory(pose, in_world(pose, covariance))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from data.sensors import Sensor
 
 REFRESH = 50  # frames between two queries of all positions: a twentieth of the time of a query in every frame
 STEADY = 1.0  # m; all positions are queried after this correction of the newest pose, or half of it of a landmark
+MOST_WAITING = 20_000  # steps of the bookkeeping that wait, 10 MB
 
 UNKNOWN = 1e12  # m^2, rad^2. Stands in for the variances of a wall that were never queried
 
@@ -65,24 +67,37 @@ class Candidates:
         self.sensor, self.map = sensor, known
         self._drift, self._near = UncertaintyBounds(), PositionCache()
         self._places = Places(np.empty((0, 2)) if known is None else known.xy)
+        self._waiting = list[Callable[[], None]]()
         self._walls = np.empty((0, 2, 2))
         """By number, last known covariance of walls, an upper bound of the present one."""
 
     def move(self, increment: Increment) -> None:
         """Add the uncertainty of an increment."""
-        self._drift.move(increment)
+        self._later(partial(self._drift.move, increment))
+
+    def _later(self, step: Callable[[], None]) -> None:
+        """Do this before the next question: with labels there is none."""
+        self._waiting.append(step)
+        if len(self._waiting) >= MOST_WAITING:
+            self._catch_up()
+
+    def _catch_up(self) -> None:
+        for step in self._waiting:
+            step()
+        self._waiting.clear()
 
     def corrected(self, step: Array) -> None:
         """Add a correction (2,) [m] of the newest pose."""
-        self._near.corrected(step)
+        self._later(partial(self._near.corrected, step))
 
     def see(self, observations: FrameObservations, number: IntArray, P: Array) -> None:
         """Landmarks (m,) of SLAM were observed from a pose of covariance P (3, 3)."""
         if self.sensor.sees_points:
-            self._drift.see(self.sensor, observations, number, P)
+            self._later(partial(self._drift.see, self.sensor, observations, number, P.copy()))
 
     def know(self, number: IntArray, J: Array) -> None:
         """Joint covariance J, world frame, of some variables and, last, landmarks (n,) of SLAM."""
+        self._catch_up()
         if self.sensor.sees_points:
             self._drift.know(number, np.sqrt(np.diag(J)[-2 * len(number) :].reshape(-1, 2).sum(1)))
         elif len(number):
@@ -96,6 +111,7 @@ class Candidates:
 
     def expect(self, number: IntArray, z_hat: Array, HPHt: Array) -> None:
         """Landmarks (n,) of SLAM are expected at z_hat (n, 2), with covariances (n, 2, 2)."""
+        self._catch_up()
         if self.sensor.sees_points:
             self._drift.expect(self.sensor, number, z_hat, HPHt)
 
@@ -109,6 +125,7 @@ class Candidates:
         self, number: IntArray, pose: Array, P: Array, positions_of: Callable[[list[int]], Array]
     ) -> tuple[IntArray, Array]:
         """Landmarks among (n,) near a pose (3,) of covariance P, and their positions (m, 2)."""
+        self._catch_up()
         if not self.sensor.sees_points:
             lines = positions_of(number.tolist())
             self._room(number)

@@ -19,7 +19,7 @@ from gtsam.symbol_shorthand import L, X
 from data.errors import DataError, SlamrefError
 from data.inputs import IntArray, Prior
 from data.se2 import Array, BoolArray, covariances_in_body, world_from_body
-from data.sensors import RANGE_BEARING, Sensor
+from data.sensors import RANGE_BEARING, RELATIVE_POINT, Sensor
 
 NEAR = 3.0
 """Sigmas of a range below which an observation is taken as a point, see `is_point`. In parks with trees on the path,
@@ -43,6 +43,8 @@ def relative_point(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
     """Point (m, 2) in the body frame with covariances (m, 2, 2): exact for a sensor of points. Of ranges and bearings
     to first order in their noise, the bearing's at the expected squared range.
     """
+    if sensor.kind == RELATIVE_POINT and sensor.rotation == 0.0 and sensor.translation == (0.0, 0.0):
+        return z, R
     points, C = sensor.body_points(z, R)
     if sensor.kind == RANGE_BEARING:
         b = z[:, 1] + sensor.rotation
@@ -239,9 +241,11 @@ def with_loss(model: gtsam.noiseModel.Base, loss: str) -> gtsam.noiseModel.Base:
 def measured(sensor: Sensor, z: Array, R: Array, frame: IntArray) -> tuple[BoolArray, Array, Array]:
     """Which are points (m,), bearing and range or the point (m, 2), body frame; roots (m, 2, 2) of the information."""
     point = is_point(sensor, z, R)
-    h, C = np.empty((len(z), 2)), np.empty((len(z), 2, 2))
-    for which, convert in ((point, relative_point), (~point, bearing_range)):
-        if which.any():
+    if point.all() or not point.any():
+        h, C = (relative_point if point.any() else bearing_range)(sensor, z, R)
+    else:
+        h, C = np.empty((len(z), 2)), np.empty((len(z), 2, 2))
+        for which, convert in ((point, relative_point), (~point, bearing_range)):
             h[which], C[which] = convert(sensor, z[which], R[which])
     return point, h, observation_roots(C, R, frame)
 

@@ -146,17 +146,18 @@ class Isam2Smoother:
         if (innovations or threshold < np.inf) and used.any():
             nis, dof, likelihood = self._gate(observations, decisions, used, threshold, at)
         created = np.full(len(decisions), -1, np.int64)
-        if self.map is None:
+        if self.map is None and NEW in decisions.tolist():
             fresh = np.flatnonzero(decisions == NEW)
             created[fresh] = self.created + np.arange(len(fresh))
             self.created += len(fresh)
-        take = np.flatnonzero(used | (created >= 0))
-        if len(take):
+        number = np.maximum(np.where(used, decisions, -1), created)
+        take = number >= 0
+        if not take.all():
+            observations, number = FrameObservations(observations.z[take], observations.R[take]), number[take]
+        if len(number):
             if at is not None:
                 self._end.place(at)
-            self._extend(
-                FrameObservations(observations.z[take], observations.R[take]), np.where(used, decisions, created)[take]
-            )
+            self._extend(observations, number)
         return Updated(used, created, nis, dof, likelihood)
 
     def _gate(

@@ -15,7 +15,7 @@ import slamref
 
 ROOT = Path(__file__).parents[1]
 NAMES = [
-    *("DISCARD", "NEW", "Expectation", "Notice", "Samples", "Trial", "__version__", "association_findings"),
+    *("DISCARD", "NEW", "Expectation", "Notice", "Samples", "Trial", "__version__", "association_findings", "audit"),
     *("check_association", "check_estimator", "compare", "decide", "estimator_findings", "make_estimator"),
     *("notices", "open_log", "score", "sentence"),
 ]
@@ -40,6 +40,7 @@ def test_the_names_are_those_of_the_submodules():
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
+    from eval.report.audit import audit
 
     assert (dir(slamref), slamref.__all__) == (sorted(NAMES), NAMES)
     homes = (
@@ -52,6 +53,7 @@ def test_the_names_are_those_of_the_submodules():
             Trial,
             version("slamref"),
             association_findings,
+            audit,
             check_association,
         ),
         *(check_estimator, compare, decide, estimator_findings, make_estimator, notices, open_log, score, sentence),

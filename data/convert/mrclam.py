@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import math
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.command import stretch
 from data.errors import UsageError
 from data.worlds.registry import number
 
@@ -61,7 +61,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     text = "read instead of the dataset's Landmark_Groundtruth.dat"
     sub.add_argument("--landmarks", type=Path, metavar="FILE", help=text)
     text = "blank the ground truth there, both ends included (repeatable)"
-    sub.add_argument("--exclude-truth", type=_stretch, metavar="FROM:TO", action="append", default=[], help=text)
+    sub.add_argument("--exclude-truth", type=stretch, metavar="FROM:TO", action="append", default=[], help=text)
     text = "keep observations of the other robots, as clutter that moves"
     sub.add_argument("--keep-robots", action="store_true", help=text)
     text = "resample to frames this far apart, as the classic tutorials do (0.02); default: the recorded stamps"
@@ -98,14 +98,6 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
         help="displacement, four: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|; textbook, four or "
         "six: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, and a final rotation's with A5, A6",
     )
-
-
-def _stretch(text: str) -> tuple[float, float]:
-    begin, colon, end = text.partition(":")
-    with contextlib.suppress(ValueError):
-        if colon and number(begin) < number(end):
-            return number(begin), number(end)
-    raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO in seconds, FROM before TO")
 
 
 def convert(args: argparse.Namespace) -> Log:

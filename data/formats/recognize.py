@@ -28,7 +28,8 @@ def door(name: str) -> list[str] | None:
 
 def _mrclam(path: Path) -> list[str]:
     from data.formats.mrclam.files import open_files
-    from data.formats.mrclam.load import corrected_landmarks
+    from data.formats.mrclam.load import Treatment, corrected_landmarks, load_mrclam
+    from data.truth_windows import bad_truth
 
     files = open_files(path)
     robots = files.robots()
@@ -40,10 +41,18 @@ def _mrclam(path: Path) -> list[str]:
     who = f"robot{'s' * (len(robots) > 1)} {', '.join(map(str, robots))}"
     out = files.name.lower().replace("_dataset", "")
     source = shlex.quote(str(path))
+
+    def excluded(robot: int) -> str:
+        try:
+            found = bad_truth(load_mrclam(path, robot, Treatment(landmarks=corrected)))
+        except DataError:  # the conversion reports it
+            return ""
+        return "".join(f" --exclude-truth {w.start:.15g}:{w.end:.15g}" for w in found)
+
     logs = {n: shlex.quote(f"logs/{out}-robot{n}") for n in robots}
     return [
         f"{name_of(path)} is a UTIAS MRCLAM dataset, {who}. Convert a robot's data to a log:",
-        *(f"  slamref convert mrclam {source} {log} --robot {n}{landmarks}" for n, log in logs.items()),
+        *(f"  slamref convert mrclam {source} {log} --robot {n}{landmarks}{excluded(n)}" for n, log in logs.items()),
     ]
 
 

@@ -23,7 +23,16 @@ from data.errors import UsageError
 from data.inputs import Increments, Inputs, LandmarkMap, Observations
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
-from data.pictures import CORNERS, Evidence, Found, InView, VisualRecording, VisualSetup
+from data.pictures import (
+    COMMAND_SIGMA,
+    CORNERS,
+    Evidence,
+    Found,
+    InView,
+    VisualRecording,
+    VisualSetup,
+    true_pictures,
+)
 from data.se2 import Array
 from data.sensors import RelativePoint
 from data.truth import CLUTTER, Truth
@@ -32,8 +41,6 @@ from data.whole import whole_file
 
 SIGMA = (0.02, 0.05)
 """m, of a corner to the right and ahead of the camera: the lab's constants."""
-COMMAND_SIGMA = (0.01, math.radians(4.0))
-"""m/s and rad/s, of a command."""
 ENOUGH = 20
 """Fewest sides of pictures to measure noise from."""
 NOISES = ("lab", "depth")
@@ -44,8 +51,6 @@ MOST_SMALL, SMALL_WIDTH = 500, 240
 PACKAGES = ("data",)
 """Code that detections depend on."""
 LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
-SAME_PLACE = 0.25
-"""Largest distance of a true detection's corners, over the picture's width in the image."""
 
 
 def find_pictures(recording: VisualRecording, progress: Callable[[int, int], None] | None = None) -> Found:
@@ -206,20 +211,6 @@ def with_noise(log: Log, noise: str, name: str) -> Log:
     R = noise_of(found, noise).reshape(-1, 2, 2)[usable]
     recorded = replace(log.recorded, observations=Observations(o.frame, o.z, R))
     return replace(log, name=name, recorded=recorded, source={**log.source, "corner_noise": noise})
-
-
-def true_pictures(found: Found, in_view: InView) -> Any:
-    """True picture of each detection (D,): the one whose true corners are near its own; -1: none."""
-    result = np.full(len(found.frame), -1, np.int64)
-    for d in range(len(result)):
-        there = np.flatnonzero(in_view.frame == found.frame[d])
-        if len(there):
-            off = np.linalg.norm(in_view.pixels[there] - found.pixels[d], axis=2).mean(axis=1)
-            side = np.linalg.norm(in_view.pixels[there, 1] - in_view.pixels[there, 0], axis=1)
-            best = int(np.argmin(off / side))
-            if off[best] < SAME_PLACE * side[best]:
-                result[d] = in_view.picture[there[best]]
-    return result
 
 
 def cached(folder: Path, key: str, find: Callable[[], Found]) -> tuple[Found, str | None]:

@@ -52,3 +52,21 @@ def check_possible_on(log: Log, tasks: Sequence[str], associations: Sequence[str
         raise UsageError(f"--task localization: log {log.name!r} has no map (landmarks.csv); type --task slam")
     if "known" in associations and not log.has_labels:
         raise UsageError(f"--association known: log {log.name!r} has no labels (true_id or label in observations.csv)")
+
+
+def check_maintained(setup: Setup, tasks: Sequence[str]) -> None:
+    """Raise UsageError for map maintenance without SLAM."""
+    if setup.manages_map and "slam" not in tasks:
+        raise UsageError("--maintain, --forget-after, --deactivate-after: for slam only; type --task slam")
+
+
+def default_task(log: Log) -> str:
+    """The task of every command that is given none: localization where there is a map."""
+    return "slam" if log.recorded.map is None else "localization"
+
+
+def default_task_line(logs: Sequence[Log]) -> str:
+    """What the default chose, blank where there was no choice."""
+    names = [log.name for log in logs if log.recorded.map is not None]
+    where = names[0] if len(names) == 1 else f"{len(names)} logs"
+    return f"{where}: localization, because the map is known (--task slam estimates one)" if names else ""

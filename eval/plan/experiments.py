@@ -8,13 +8,22 @@ from pathlib import Path
 
 from association.decide import METHODS
 from association.scans.constraints import SCAN
+from data.command import stretch
 from data.errors import UsageError
 from data.formats.recordings.esde import NAME, find_esde
 from data.log import Log, folder_name, shortened
 from data.logs import Reading, find_logs, open_log
+from data.truth_windows import without, without_bad_truth
 from eval.plan.calibrate import check_calibrated
-from eval.plan.experiment import Experiment, Work, check_possible_on
-from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
+from eval.plan.experiment import (
+    Experiment,
+    Work,
+    check_maintained,
+    check_possible_on,
+    default_task,
+    default_task_line,
+)
+from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Opening, Options, Selection
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.lab import VISUAL, lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
@@ -72,10 +81,12 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         experiments = lab_experiments(s.lab, s.estimator, options.setup, reading_of(options), say)
     else:
         experiments = [] if s.log else _default(options, say)
-    asked = [open_log(name, reading_of(options), say) for name in s.log]
+    asked = [_scored(open_log(name, reading_of(options), say), options.opening) for name in s.log]
     if asked and given.results:
         asked, given = [given.settled(asked[0])[0]], given.settled(asked[0])[1]
-    asked += [log for folder in s.data for log in _found(folder, say)]
+    asked += [_scored(log, options.opening) for folder in s.data for log in _found(folder, say)]
+    if not s.task and (line := default_task_line(asked)):
+        say(line)
     for log in asked:
         check_calibrated(log, options.setup.calibrate, s.association)
         experiments += [
@@ -85,15 +96,21 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     if not options.output.quick:
         experiments += [sparse for e in experiments for sparse in sparser(e)]
         if options.opening.corner_noise == "lab":
-            experiments += with_depth_noise([e for e in experiments if has_depth_noise(e.log)])
+            seen = [e for e in experiments if has_depth_noise(e.log)]
+            experiments += with_depth_noise(seen) if seen else []
     _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
-    if options.setup.manages_map and not any(e.task == "slam" for e in experiments):
-        raise UsageError("--maintain, --forget-after, --deactivate-after: for slam only; type --task slam")
+    check_maintained(options.setup, [e.task for e in experiments])
     check_possible(experiments)
     runs = options.study.runs
     if runs is None:
         runs = 0 if s.log or s.lab or alone else QUICK_RUNS if options.output.quick else DEFAULT_RUNS
     return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else (), given=given)
+
+
+def _scored(log: Log, opening: Opening) -> Log:
+    """The log with the ground truth that is scored."""
+    stretches = [stretch(text) for text in opening.exclude_truth]
+    return without(log, stretches) if opening.keep_truth else without_bad_truth(without(log, stretches))
 
 
 def _found(folder: str, say: Callable[[str], None]) -> list[Log]:
@@ -165,7 +182,7 @@ def _asked(study: Validation, options: Options) -> Validation:
 def _tasks(log: Log, asked: Selection) -> Sequence[str]:
     """The tasks of a given log."""
     check_possible_on(log, asked.task, ())
-    return asked.task or (("slam",) if log.recorded.map is None else ("localization",))
+    return asked.task or (default_task(log),)
 
 
 def _work(log: Log, asked: Selection) -> tuple[Work, ...]:

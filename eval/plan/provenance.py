@@ -55,11 +55,12 @@ def provenance(
     command: Sequence[str],
     foreign: Iterable[str] = (),
     results: Mapping[str, Mapping[str, str]] = {},
+    lab: Mapping[str, object] = {},
 ) -> str:
     """The text of provenance.json.
 
     `foreign`: names of estimators and association methods, foreign or built in; `results`: sha256 of each result by
-    file.
+    file; `lab`: a lab's settings by log.
     """
     content: dict[str, object] = {
         "command": list(command),
@@ -74,6 +75,8 @@ def provenance(
         "foreign": sources_of(foreign),
         "inputs": {log.name: {**_plain(log), "sha256": input_digest(log)} for log in logs},
     }
+    if lab:
+        content["lab"] = lab
     if results:
         content["results"] = {name: dict(files) for name, files in results.items()}
     return json.dumps(content, indent=2, sort_keys=True) + "\n"

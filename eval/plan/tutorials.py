@@ -127,7 +127,7 @@ def variant_log(log: Log, variant: Variant) -> Log:
         start=_later(_seconds(s.get("start")), variant.start),
         stop=_seconds(s.get("stop")),
         landmarks=None if landmarks is None else Path(str(landmarks)),
-        exclude_truth=_pairs(s.get("exclude_truth")),
+        exclude_truth=[*_pairs(s.get("exclude_truth")), *((w.start, w.end) for w in log.truth.left_out)],
         grid=Grid(variant.grid, variant.own_odometry, variant.gapless, variant.skip_led_by),
         calibration=calibration,
     )

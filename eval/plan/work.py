@@ -12,14 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from threadpoolctl import threadpool_limits
-
 from data.errors import SlamrefError, UsageError
 from data.notice import Code, Notice, Severity, notice
 from data.words import sentence
 from eval.figures.figure_style import FigureStyle, current, figure_style
 from eval.plan.flags.table import Execution
 from eval.replay.external.spec import introduce, introduced
+from eval.replay.run import one_thread
 
 CONNECT = 10  # [s] to reach the scheduler
 NEVER = 10**6  # [s] that an idle worker lives, eleven days; much more overflows
@@ -99,8 +98,7 @@ def cached(
 def _done(names: tuple[str, ...], style: FigureStyle, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
     """In a worker, with foreign names and figure style of the caller: the result, or a notice of a lack of memory."""
     introduce(names)
-    # one thread: sums over several round differently, and bytes must not depend on the number of cores
-    with threadpool_limits(1), figure_style(style):
+    with one_thread(), figure_style(style):
         try:
             return function(*arguments)
         except MemoryError as fault:
@@ -153,11 +151,13 @@ def _keep_workers() -> None:
     """In a worker: keep it until the end, however much memory its jobs took.
 
     Loky takes a worker that grew by 300 MB for one that leaks, and replaces it with a warning. Ours grow with the size
-    of the logs; a new one would grow as much, after loading all kernels again. There is no public switch.
+    of the logs; a new one would grow as much, after loading all kernels again. Without this check it collects garbage
+    every second instead, all modules included: a fifth of a study's time. There is no public switch for either.
     """
     from joblib.externals.loky import process_executor
 
     process_executor._USE_PSUTIL = False
+    process_executor._MEMORY_LEAK_CHECK_DELAY = math.inf
 
 
 def on_cluster(address: str, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:

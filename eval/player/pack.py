@@ -29,6 +29,7 @@ from data.se2 import Array
 
 LOG_STEP = 0.001  # of the logarithm: positive quantities are exact to 0.05 %
 FURTHEST = 2.0**30 - 1  # largest integer, so that differences have 32 bits
+LEVEL = 6  # of compression: 3 % larger than the best, in a ninth of its time
 LEAST = 1.0e-12  # least argument of a logarithm
 TIME, ANGLE, RHO = 1.0e-4, 1.0e-4, 1.0e-3  # resolution of time [s], angles [rad] and correlations
 
@@ -88,7 +89,7 @@ class Pack:
 
     def done(self, more: Mapping[str, object]) -> dict[str, Any]:
         """The chunk: its header with `more`, and `data` as base64."""
-        deflate = zlib.compressobj(9, zlib.DEFLATED, -15)
+        deflate = zlib.compressobj(LEVEL, zlib.DEFLATED, -15)
         packed = deflate.compress(b"".join(self._parts)) + deflate.flush()
         header = {"first": self.first, "frames": self.frames, "arrays": self._entries}
         return {**header, **more, "data": base64.b64encode(packed).decode()}

@@ -6,12 +6,13 @@ Chunks of the live page have the same arrays and headers.
 from __future__ import annotations
 
 import base64
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-import cv2
 import numpy as np
+from PIL import Image
 
 from association.expectation import gate_threshold
 from association.scans.constraints import LaserRun
@@ -94,10 +95,9 @@ def add_camera(pack: Pack, log: Log) -> dict[str, Any] | None:
     pack.add("camera_frame", found.frame[kept])
     pack.add("camera_picture", found.picture[kept])
     pack.add("camera_corners", found.pixels[kept].reshape(int(np.sum(kept)), -1), PIXEL)
-    whole = cv2.imdecode(np.frombuffer(found.tiles[0][1], np.uint8), cv2.IMREAD_GRAYSCALE)
-    assert whole is not None
+    width = Image.open(io.BytesIO(found.tiles[0][1])).width
     images = {k: base64.b64encode(image).decode() for k, image in found.small if k < frames}
-    return {"width": whole.shape[1], "frames": list(images), "images": list(images.values())}
+    return {"width": width, "frames": list(images), "images": list(images.values())}
 
 
 def add_loops(pack: Pack, key: str, run: LaserRun, trial: Trial, step: float) -> list[dict[str, Any]]:

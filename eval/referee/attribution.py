@@ -26,8 +26,11 @@ SURE = 0.001  # p value below which the mean NEES or NIS of the twins is rejecte
 LEAST_FACTOR = 1.05  # least factor of a sigma that is called wrong
 THRESHOLD = 3.0  # sigma, least significance of a systematic error or a wrong noise, unless the twins have larger ones
 WRONG_PAIRINGS = 0.01  # share of wrong pairings above which the decisions are to blame: one in a hundred ruins a path
-POWER = 0.9
 NOISE, ASSOCIATIONS, ESTIMATOR, NOTHING = "noise", "associations", "estimator", "nothing"
+UNLISTED = "unlisted"
+"""The cause where no explanation removes what stands out."""
+UNTELLABLE = "unknown"
+"""The cause where the solution that the twins are drawn around is itself broken."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,8 @@ class Finding:
     error: float = math.nan  # standard error of the size
     gain: float = math.nan  # of log-likelihood
     other: tuple[str, ...] = ()  # systematic errors that cannot be distinguished from it
+    frames: tuple[tuple[int, int], ...] = ()  # first and last of each jump, burst, or change of the noise
+    outliers: int = 0
 
 
 def component_of(name: str) -> str:
@@ -103,21 +108,6 @@ def noise_errors(factors: Mapping[str, float], twins: Sequence[Mapping[str, floa
     return sorted(found, key=lambda f: -f.gain)
 
 
-def outlier_errors(
-    outlying: int, elsewhere: int, twins: Sequence[int], squared_excess: float = math.nan
-) -> list[Finding]:
-    """Outliers: wrong pairings if most fit another landmark, else tails of the sensor's noise.
-
-    Empty unless their number is significantly larger (Poisson) than those of the `twins`.
-    """
-    usual = max(float(np.mean(twins)) if len(twins) else 0.0, 0.1)
-    if not float(special.pdtrc(outlying - 1, usual)) < SURE or outlying < 2:
-        return []
-    if 2 * elsewhere >= outlying:
-        return [Finding(ASSOCIATIONS, "pairings", "readings", elsewhere, gain=squared_excess)]
-    return [Finding(NOISE, "tails", "readings", outlying, gain=squared_excess)]
-
-
 def decision_errors(counts: Mapping[str, Sequence[tuple[int, int, int, int]]]) -> list[Finding]:
     """Estimators with too many wrong pairings even on twins; `counts`: tp, tn, fp, fn of each twin, by estimator."""
     found = []
@@ -150,24 +140,6 @@ def _off(kind: str, shares: Sequence[tuple[str, Array]], band: tuple[float, floa
         if p < SURE and not band[0] <= mean <= band[1]:
             found.append(Finding(ESTIMATOR, kind, estimator, mean, error))
     return found
-
-
-def detectable(
-    slopes: Mapping[str, Sequence[float]], spreads: Mapping[str, Sequence[float]], critical: float
-) -> dict[str, float]:
-    """Systematic errors and factors of a sigma that are detected with a probability of `POWER`.
-
-    `slopes` and `spreads`: of the twins by name; `critical`: of the largest standardized statistic. The spread of a
-    residual is assumed to grow with the noise, so a factor is a lower bound.
-    """
-    reach = critical + float(special.ndtri(POWER))
-    result = {name: reach * _spread(np.asarray(v)) for name, v in slopes.items()}
-    for name, values in spreads.items():
-        known = np.asarray(values)
-        middle = _median(known.tolist())
-        if middle > 0.0:
-            result[name] = 1.0 + reach * _spread(known) / middle
-    return {name: value for name, value in result.items() if math.isfinite(value)}
 
 
 def _median(values: Sequence[float]) -> float:

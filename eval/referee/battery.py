@@ -9,11 +9,14 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from scipy import special
 
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 
 LOWEST, HIGHEST = 0.1587, 0.8413  # quantiles one standard deviation from the median of a Gaussian
 LEVEL = 0.05  # family-wise false-rejection rate
+THEORY = 0.4
+"""Share of it for statistics with a distribution from theory: the slopes of systematic errors."""
 
 
 def rank_p(value: float, twins: Array) -> float:
@@ -26,6 +29,22 @@ def rank_p(value: float, twins: Array) -> float:
         return math.nan
     smaller = min(1 + int(np.sum(known >= value)), 1 + int(np.sum(known <= value)))
     return min(1.0, 2.0 * smaller / (len(known) + 1))
+
+
+def bounds(twins: Array, level: float = 0.95) -> tuple[float, float]:
+    """Bounds that one more draw is within with probability `level`, given N draws (N,); NaN below three.
+
+    Order statistics where there are enough (39 at 95 %), else those of a Gaussian (Student's t).
+    """
+    known = np.sort(twins[np.isfinite(twins)])
+    n, tail = len(known), 0.5 * (1.0 - level)
+    k = math.floor((n + 1) * tail + 1e-9)
+    if k >= 1:
+        return float(known[k - 1]), float(known[n - k])
+    if n < 3:
+        return math.nan, math.nan
+    half = float(special.stdtrit(n - 1, 1.0 - tail) * known.std(ddof=1) * math.sqrt(1.0 + 1.0 / n))
+    return float(known.mean()) - half, float(known.mean()) + half
 
 
 def standardized(real: Array, twins: Array) -> tuple[Array, Array]:
@@ -49,18 +68,34 @@ def standardized(real: Array, twins: Array) -> tuple[Array, Array]:
     return result[0], result[1:]
 
 
+def evened(own: Array, others: Array) -> tuple[Array, Array]:
+    """Absolute standardized statistics (S,) and twins (N, S) with tails no heavier than a Gaussian's.
+
+    If the mean of its largest twentieth, without the very largest value, exceeds that of a Gaussian, a statistic is
+    raised to the power that makes them equal. Otherwise one heavy tail sets the critical value of all.
+    """
+    pooled = np.abs(np.vstack([own, others]))
+    n = len(pooled)
+    ranks = np.arange(2, max(n // 20, 2) + 2)
+    gaussian = float(special.ndtri(1.0 - 0.5 * (ranks - 0.5) / n).mean())
+    tail = np.sort(pooled, axis=0)[-ranks].mean(axis=0)
+    even = pooled ** np.minimum(1.0, math.log(gaussian) / np.log(np.maximum(tail, gaussian)))
+    return even[0], even[1:]
+
+
 def family_p(real: Array, twins: Array) -> Array:
     """Family-wise p values (S,): step-down max-T (Westfall and Young 1993, algorithm 2.8); NaN: unknown.
 
-    The largest standardized statistic is ranked against the twins' largest, the next against their largest of the
-    remaining ones, and so on. p reaches 1 / (N + 1) for any S; Holm's correction would end at 2 S / (N + 1).
+    The largest statistic, standardized and with an even tail, is ranked against the twins' largest, the next against
+    their largest of the remaining ones, and so on. p reaches 1 / (N + 1) for any S; Holm's correction would end at
+    2 S / (N + 1).
     """
     n = len(twins)
     result = np.full(len(real), np.nan)
     known = np.flatnonzero(np.isfinite(real))
     if not n or not len(known):
         return result
-    own, others = (np.abs(t) for t in standardized(real[known], twins[:, known]))
+    own, others = evened(*standardized(real[known], twins[:, known]))
     order = np.argsort(-own, kind="stable")
     # largest of this statistic and of all after it
     rest = np.maximum.accumulate(others[:, order[::-1]], axis=1)[:, ::-1]
@@ -69,11 +104,25 @@ def family_p(real: Array, twins: Array) -> Array:
     return result
 
 
-def critical(twins: Array) -> float:
-    """Critical value of the largest standardized statistic of a log at `LEVEL`; twins (N, S)."""
-    if not len(twins):
-        return math.nan
-    known = np.isfinite(twins).any(axis=0)
-    middle = np.nanmedian(twins[:, known], axis=0)
-    largest = np.abs(standardized(middle, twins[:, known])[1]).max(axis=1, initial=0.0)
-    return float(np.quantile(largest, 1.0 - LEVEL, method="higher"))
+def gaussian_p(z: Array) -> Array:
+    """Family-wise p values (S,) of standard Gaussian statistics by Holm's procedure (1979); NaN: unknown."""
+    p = 2.0 * special.ndtr(-np.abs(z))
+    order = np.argsort(p, kind="stable")
+    left = np.isfinite(p).sum() - np.arange(len(p))
+    result = np.full(len(p), np.nan)
+    result[order] = np.minimum(np.maximum.accumulate(np.where(left > 0, p[order] * np.maximum(left, 1), np.nan)), 1.0)
+    return result
+
+
+def shared_p(real: Array, twins: Array, z: Array, theory: BoolArray) -> Array:
+    """Family-wise p values (S,) of statistics by twins, and of those `theory` by their own standard errors.
+
+    Each part has its share of the level: its p values are divided by it. With twins too few for their share, all are
+    compared with twins.
+    """
+    if (len(twins) + 1) * (1.0 - THEORY) * LEVEL < 1.0 or not theory.any():
+        return family_p(real, twins)
+    result = np.empty(len(real))
+    result[theory] = gaussian_p(z[theory]) / THEORY
+    result[~theory] = family_p(real[~theory], twins[:, ~theory]) / (1.0 - THEORY)
+    return np.minimum(result, 1.0)

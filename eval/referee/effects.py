@@ -22,7 +22,7 @@ from data.sensors import RELATIVE_POINT
 from eval.referee.residuals import Used
 from graph.qr.score_test import Score, systematic
 
-SLIGHT = 0.01  # least rate of a component that shows a delay, as a share of the other component's
+DELAYS = ("latency", "latency_growth")
 
 
 class Effect(NamedTuple):
@@ -38,9 +38,11 @@ def effects(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
 
     `odometry_x_distance` is a share of the distance, `odometry_y_distance` an angle between motion and heading,
     `odometry_theta_distance` a curvature [rad/m], `odometry_theta_turn` a share of the turn, `odometry_theta_time` a
-    drift [rad/s]; `odometry_{x,y}_turn` m/rad. For observations, `constant` is a bias in the component's unit and
-    `range` grows with the range; for points, z1 is then along the ray (a share) and z2 across it (an angle). `speed`
-    and `turn_rate` are delays [s] of an observation, seen in the robot's motion and turning.
+    drift [rad/s], `odometry_latency` its delay [s]; `odometry_{x,y}_turn` m/rad; `odometry_integration` the share of a
+    step's turn that was driven before its way. For observations, `constant` is a bias in the component's unit and
+    `range` grows with the range; for points, z1 is then along the ray (a share) and z2 across it (an angle). `latency`
+    is the delay [s] of both coordinates, `latency_growth` its growth [s/s], `mount_{x,y}` a displacement of the sensor
+    [m]; in a known map, `map_scale` is a share.
     """
     found = [Effect(f"odometry_{name}", motion=column) for name, column in _motion(inputs, path).items()]
     found += [Effect(name, observations=column) for name, column in _observations(inputs, path, used).items()]
@@ -62,8 +64,10 @@ def _motion(inputs: Inputs, path: Array) -> dict[str, Array]:
         "theta_distance": (zero, zero, distance),
         "theta_turn": (zero, zero, turn),
         "theta_time": (zero, zero, time),
+        "integration": (-0.5 * turn * dy, 0.5 * turn * dx, zero),
     }
-    return {name: np.stack(parts, axis=1) for name, parts in columns.items()}
+    found = {name: np.stack(parts, axis=1) for name, parts in columns.items()}
+    return found | {"latency": -_rate(step, inputs.time)}
 
 
 def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
@@ -73,7 +77,7 @@ def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
     if not len(rows):
         return {}
     pose, landmark = path[o.frame[rows]], used.landmarks[used.number[rows]]
-    z, Hx, _ = sensor.linearize(pose, landmark)
+    z, Hx, Hm = sensor.linearize(pose, landmark)
     polar = sensor.polar(z)
     reach, one, zero = polar[:, 0], np.ones(len(rows)), np.zeros(len(rows))
     columns = {"z1_constant": np.stack([one, zero], 1), "z2_constant": np.stack([zero, one], 1)}
@@ -81,14 +85,13 @@ def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
         columns |= {"z1_range": np.stack([reach, zero], 1), "z2_range": np.stack([zero, reach], 1)}
     else:
         columns |= {"z1_range": z.copy(), "z2_range": np.stack([-z[:, 1], z[:, 0]], 1)}
-    velocity = _velocity(inputs, path)[o.frame[rows]]
-    forward = -np.einsum("mij,mj->mi", Hx[:, :, :2], velocity[:, :2])
-    turning = -Hx[:, :, 2] * velocity[:, 2:]
-    for regressor, rate in (("speed", forward), ("turn_rate", turning)):
-        size = np.linalg.norm(rate, axis=0)
-        for i, name in enumerate(("z1", "z2")):
-            if size[i] > SLIGHT * size.max():
-                columns[f"{name}_{regressor}"] = rate * np.eye(2)[i]
+    late = -np.einsum("mij,mj->mi", Hx, _rate(path, inputs.time)[o.frame[rows]])
+    columns |= {"latency": late, "latency_growth": late * (inputs.time[o.frame[rows], None] - inputs.time[0])}
+    # a displacement of the sensor is one of the pose in its own frame
+    aside = Hx[:, :, :2] @ se2.worlds_from_bodies(pose[:, 2])[:, :2, :2]
+    columns |= {"mount_x": aside[:, :, 0], "mount_y": aside[:, :, 1]}
+    if inputs.map is not None:
+        columns["map_scale"] = -np.einsum("mij,mj->mi", Hm, landmark - used.landmarks.mean(axis=0))
     result = {}
     for name, column in columns.items():
         result[name] = np.zeros((len(o.frame), 2))
@@ -96,13 +99,13 @@ def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
     return result
 
 
-def _velocity(inputs: Inputs, path: Array) -> Array:
-    """World-frame velocity (N, 3) at each frame by central differences; a single frame stands still."""
-    if len(path) < 2:
-        return np.zeros_like(path)
-    smooth = path.copy()
-    smooth[:, 2] = np.unwrap(path[:, 2])
-    return np.asarray(np.gradient(smooth, inputs.time, axis=0))
+def _rate(poses: Array, time: Array) -> Array:
+    """Derivative (N, 3) of poses or increments by time, by central differences; zero of a single one."""
+    if len(poses) < 2:
+        return np.zeros_like(poses)
+    smooth = poses.copy()
+    smooth[:, 2] = np.unwrap(poses[:, 2])
+    return np.asarray(np.gradient(smooth, time, axis=0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,17 +144,33 @@ def score_of(
 
 
 def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float]) -> Inputs:
-    """The inputs without systematic errors of these sizes, linearized at a smoothed path (N, 3)."""
-    found = [e for e in effects(inputs, path, used) if e.name in sizes]
+    """The inputs without systematic errors of these sizes, linearized at a smoothed path (N, 3); delays exactly."""
+    exact = DELAYS if inputs.sensor.sees_points else ()
+    found = [e for e in effects(inputs, path, used) if e.name in sizes and e.name not in exact]
     motion, observations = _columns(inputs, found)
     size = np.array([sizes[e.name] for e in found])
-    increments, o = inputs.increments, inputs.observations
+    increments, o, sensor = inputs.increments, inputs.observations, inputs.sensor
     mean = increments.mean - motion @ size
     mean[:, 2] = se2.wrap_angle(mean[:, 2])
-    z = o.z - observations @ size
-    if inputs.sensor.kind != RELATIVE_POINT:
+    z = o.z - observations @ size - _delayed(inputs, *(sizes.get(name, 0.0) if exact else 0.0 for name in DELAYS))
+    if sensor.kind != RELATIVE_POINT:
         z = np.column_stack([np.abs(z[:, 0]), se2.wrap_angle(z[:, 1])])
     return replace(inputs, increments=replace(increments, mean=mean), observations=replace(o, z=z))
+
+
+def _delayed(inputs: Inputs, delay: float, growth: float) -> Array:
+    """What a delay [s] that grows [s/s] does to observations (M, 2) of points: they are of an earlier pose.
+
+    The motion in the meantime is that of odometry, as a smoothed path bends to late observations.
+    """
+    o, sensor = inputs.observations, inputs.sensor
+    if not len(o.frame) or (delay == 0.0 and growth == 0.0):
+        return np.zeros((len(o.frame), 2))
+    at = inputs.time[o.frame]
+    driven = se2.dead_reckoned(np.zeros(3), inputs.increments.mean)
+    earlier = se2.interpolate(inputs.time, driven, at - delay - growth * (at - inputs.time[0]))
+    body, _ = sensor.body_points(o.z, o.R)
+    return np.asarray(sensor.residual(o.z, sensor.predict(driven[o.frame], se2.transform_points(earlier, body))))
 
 
 def _columns(inputs: Inputs, found: Sequence[Effect]) -> tuple[Array, Array]:

@@ -42,6 +42,7 @@ class Verdict(StrEnum):
 class Objection(StrEnum):
     """What speaks against an estimate, the strongest first."""
 
+    MAP = "map"
     STOPPED = "stopped"
     IMPLAUSIBLE = "implausible"
     IDLE = "idle"
@@ -49,11 +50,15 @@ class Objection(StrEnum):
     NEES = "nees"
     ASSOCIATION = "association"
     NIS = "nis"
+    CAUSE = "cause"
 
 
 @dataclass(frozen=True)
 class Objected:
-    """An objection to an estimator with the number behind it (frame, NEES, share of wrong pairings, NIS per dof)."""
+    """An objection to an estimator with the number behind it (frame, NEES, share of wrong pairings, NIS per dof).
+
+    `MAP`, `CAUSE` are to the log: the estimator is blank, and the number of `CAUSE` the least family-wise p.
+    """
 
     objection: Objection
     estimator: str
@@ -101,6 +106,11 @@ class Headline:
         return self.verdict in (Verdict.SMOOTHER, Verdict.EITHER) and not self.objections
 
 
+def overconfident(nees: float, lower: float = math.nan) -> bool:
+    """Whether the mean pose NEES of one log is too large; `lower`: bound of its interval, unknown in SLAM."""
+    return nees > NEES_LIMIT or lower > NEES_MARGIN * NEES_EXPECTED
+
+
 def objections(claim: Claim, measured: bool) -> tuple[Objected, ...]:
     """What speaks against an estimate, the strongest first; `measured`: whether there is ground truth.
 
@@ -118,7 +128,7 @@ def objections(claim: Claim, measured: bool) -> tuple[Objected, ...]:
         found.append(Objected(Objection.IDLE, claim.estimator))
     if found:  # its numbers are of no use then
         return tuple(found)
-    if known and (claim.nees > NEES_LIMIT or claim.nees_lower > NEES_MARGIN * NEES_EXPECTED):
+    if known and overconfident(claim.nees, claim.nees_lower):
         found.append(Objected(Objection.NEES, claim.estimator, claim.nees))
     if claim.wrong > WRONG_LIMIT:
         found.append(Objected(Objection.ASSOCIATION, claim.estimator, claim.wrong))
@@ -152,8 +162,12 @@ def headline(
     *,
     measured: bool,
     caused: bool = False,
+    rejected: float = math.nan,
 ) -> Headline:
-    """Whom to trust on a log and task; `caused`: without ground truth, a diagnosis names a cause instead."""
+    """Whom to trust on a log and task; `caused`: without ground truth, a diagnosis names a cause instead.
+
+    `rejected`: the diagnosis found a violated assumption, with this family-wise p (NaN: none found).
+    """
     both = [c for c in (filtered, smoothed) if c is not None]
     good = usable(filtered, measured), usable(smoothed, measured)
     if not both:
@@ -172,6 +186,8 @@ def headline(
         verdict = nearer(preference)
     about = {Verdict.SMOOTHER: [smoothed], Verdict.FILTER: [filtered], Verdict.ONLY: [filtered]}.get(verdict, both)
     found = [o for c in about if c is not None for o in objections(c, measured)]
+    if measured and verdict in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER) and math.isfinite(rejected):
+        found.append(Objected(Objection.CAUSE, "", rejected))
     order = list(Objection)
     return Headline(verdict, tuple(sorted(found, key=lambda o: order.index(o.objection))))
 

@@ -27,6 +27,7 @@ MIN_FRAMES = 50  # least number of frames of an interval: with 30 the measured c
 LONGEST = 0.1  # largest mean block, as a share of the frames: ten blocks
 MIN_INDEPENDENT = 20.0
 """Least number of independent frames; below it the measured coverage is 20 to 80 % (docs/verdicts.md)."""
+ONE_DRAW = "in SLAM the error of the frame is one draw, which no part of the log shows"
 CHUNK = 500_000  # blocks drawn at once, for 50 MB of memory
 
 
@@ -63,21 +64,14 @@ def run_differences(
     return _both(np.stack(squared_errors, axis=1), np.stack(nees, axis=1), rng)
 
 
-def aligned_difference(first: Array, second: Array, truth: Array) -> Interval:
-    """Difference in position RMSE [m] of two paths (N, 3), each after its best rigid fit onto the truth (N, 3).
-
-    A frame without truth (NaN) is left out. See `run_differences`.
-    """
-    squares = []
-    for path in (first, second):
-        known = np.isfinite(path).all(axis=1) & np.isfinite(truth).all(axis=1)
-        off = np.full(len(truth), np.nan)
-        if known.sum() > 1:
-            R, t = align(path[known, :2], truth[known, :2])
-            off[known] = ((path[known, :2] @ R.T + t - truth[known, :2]) ** 2).sum(axis=1)
-        squares.append(off)
-    blank = np.full(len(truth), np.nan)
-    return run_differences((squares[0], squares[1]), (blank, blank), np.random.default_rng(SEED))[0]
+def aligned_squares(path: Array, truth: Array) -> Array:
+    """Squared position errors (N,) [m²] of a path (N, 3) after its best rigid fit onto the truth; NaN without truth."""
+    known = np.isfinite(path).all(axis=1) & np.isfinite(truth).all(axis=1)
+    off = np.full(len(truth), np.nan)
+    if known.sum() > 1:
+        R, t = align(path[known, :2], truth[known, :2])
+        off[known] = ((path[known, :2] @ R.T + t - truth[known, :2]) ** 2).sum(axis=1)
+    return off
 
 
 def _both(squares: Array, nees: Array, rng: np.random.Generator) -> tuple[Interval, Interval]:
@@ -206,11 +200,17 @@ def difference_rows(
     """Rows of filters (online) against smoothers (final) under the same association method, see `run_differences`.
 
     `errors` are by index in `runs` and phase. A run without a final path is a filter; implausible runs are left out.
+    In SLAM, where the error of the frame is one draw, RMSEs are compared after alignment, and NEES has no interval.
     """
     rows: list[dict[str, object]] = []
     for (a, ours), (b, theirs) in _pairs(runs, {k: v for k, v in errors.items() if log_of(runs[k[0]], log) is log}):
         squares, values = (ours.distance**2, theirs.distance**2), (ours.nees["pose"], theirs.nees["pose"])
+        if task == "slam" and log.truth.pose is not None:
+            online, final = a.trajectory("online").pose, b.trajectory("final").pose
+            squares = (aligned_squares(online, log.truth.pose), aligned_squares(final, log.truth.pose))
         rmse, nees = run_differences(squares, values, np.random.default_rng(SEED))
+        if task == "slam":
+            nees = Interval(nees.value, block=nees.block, why=ONE_DRAW)
         row: dict[str, object] = {"log": log.name, "task": task, "association": a.association}
         row |= {"a": a.estimator, "b": b.estimator, "phase_a": "online", "phase_b": "final"}
         row |= {"rmse_position_m": rmse.value, "nees_pose": nees.value}

@@ -66,6 +66,7 @@ def _consistent(column: str, heading: str, expected: float, spelled: str, unit: 
 
 RUN = ("log", "task", "estimator", "association", "phase")  # columns that name the run and phase of a row
 LAG1 = "lag-1 correlation of innovations ± SE"
+BOUNDS = "95 % bounds of {} in localization (measured coverage {} %)"
 OF_ESTIMATES = (
     _count("frames", "frames", about="frames of the log"),
     _count("observations", "observations", about="observations; on laser logs tested loop closures"),
@@ -82,23 +83,41 @@ OF_ESTIMATES = (
     _consistent("nees_position", "position NEES", 2.0, "mean position NEES"),
     _consistent("nees_heading", "heading NEES", 1.0, "mean heading NEES"),
     _consistent("nis", "NIS per dof", 1.0, "NIS per degree of freedom"),
-    Metric("nis_lower", "lower 95 % bound of NIS", about="95 % bounds of NIS per dof of a consistent run"),
-    Metric("nis_upper", "upper 95 % bound of NIS", about="95 % bounds of NIS per dof of a consistent run"),
+    Metric("nis_lower", "lower 95 % bound of NIS", about="95 % bounds of NIS per dof, for independent innovations"),
+    Metric("nis_upper", "upper 95 % bound of NIS", about="95 % bounds of NIS per dof, for independent innovations"),
     _consistent("inside_3sigma", "inside 3σ", INSIDE_3SIGMA, "share of frames inside 3σ", "%"),
     _error("rmse_time_m", "time-weighted RMSE", "m", "position RMSE weighted by time"),
     _error("sse_position_m2", "sum of squared errors of positions", "m²"),
     _error("sse_landmark_m2", "sum of squared errors of landmarks", "m²"),
     Metric("innovation_lag1", LAG1, "", "nearer", 0.0, ".3f", about="lag-1 correlation of innovations"),
     Metric("innovation_lag1_se", "standard error of the lag-1 correlation", form=".3f", about="its standard error"),
-    Metric("nis_expected", "NIS per dof that the gates let expect", about="expected NIS per dof behind the gates"),
+    Metric("nis_expected", "expected NIS", about="expected NIS per dof behind the gates"),
     _consistent("nees_pose_median", "median pose NEES", CHI2_3_MEDIAN, "median pose NEES"),
     _count("nees_left_out", "frames left out", spelled="frames whose covariance is nearly singular, in no NEES"),
     _count("lost_frame", "lost from frame", about="first frame in which the estimator is lost"),
     Metric("lost_why", "why lost", form="s", about="evidence for it, found without truth"),
-    _error("rmse_position_lower", "lower 95 % bound of position RMSE", "m", "95 % bounds of position RMSE"),
-    _error("rmse_position_upper", "upper 95 % bound of position RMSE", "m", "95 % bounds of position RMSE"),
-    Metric("nees_pose_lower", "lower 95 % bound of mean pose NEES", about="95 % bounds of mean pose NEES"),
-    Metric("nees_pose_upper", "upper 95 % bound of mean pose NEES", about="95 % bounds of mean pose NEES"),
+    _error(
+        "rmse_position_lower",
+        "lower 95 % bound of position RMSE",
+        "m",
+        BOUNDS.format("position RMSE", 84),
+    ),
+    _error(
+        "rmse_position_upper",
+        "upper 95 % bound of position RMSE",
+        "m",
+        BOUNDS.format("position RMSE", 84),
+    ),
+    Metric(
+        "nees_pose_lower",
+        "lower 95 % bound of mean pose NEES",
+        about=BOUNDS.format("mean pose NEES", 89),
+    ),
+    Metric(
+        "nees_pose_upper",
+        "upper 95 % bound of mean pose NEES",
+        about=BOUNDS.format("mean pose NEES", 89),
+    ),
     Metric("log_score", "log score", "nats", "smaller", spelled="mean log score of the pose"),
     _error("crps_x_m", "CRPS of x", "m"),
     _error("crps_y_m", "CRPS of y", "m"),

@@ -275,7 +275,7 @@ CONSISTENCY = File(
         Column("mean", "mean of the runs' means; for coverages the share"),
         Column("lower", "95 % bounds of the mean"),
         Column("upper", "95 % bounds of the mean"),
-        text("verdict", "`consistent`, `overconfident`, `conservative`, or `not enough runs`"),
+        text("verdict", "a word of [verdicts](verdicts.md#verdicts-over-many-runs), or `not enough runs`"),
         TASK,
         ASSOCIATION,
         PHASE,
@@ -356,7 +356,7 @@ DIFFERENCES = File(
         *(
             Column(f"{name}{suffix}", about, unit)
             for name, first, unit, what in (
-                ("rmse_position", "_m", "m", "position RMSE"),
+                ("rmse_position", "_m", "m", "position RMSE (SLAM: after alignment)"),
                 ("nees_pose", "", "", "mean pose NEES"),
             )
             for suffix, about, unit in (

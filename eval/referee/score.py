@@ -23,6 +23,7 @@ from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majorit
 from eval.referee.consistency import gated, nis_bounds
 from eval.referee.errors import Along, along, rpe_columns
 from eval.referee.given_runs import GivenRun, Match, log_of, match
+from eval.referee.headline import NEES_LIMIT
 from eval.referee.intervals import SEED, difference_rows, run_intervals
 from eval.referee.laser import closure_counts, kept, relation_rows
 from eval.referee.lost import lost
@@ -131,6 +132,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     path = path or along(run, phase, log)
     if log.truth.pose is not None and path is not None:
         row |= _path_columns(run.trajectory(phase), log.truth.pose, log.recorded.time, path)
+        row |= _intervals(path) if run.task != "slam" else {}
     row |= _map_columns(run, phase, log)
     if phase == "final":
         row |= {"iterations": run.iterations, "last_step_sigma": run.last_step_sigma}
@@ -149,7 +151,14 @@ def lost_of(run: Run, log: Log) -> Notice | None:
     """Reason and first frame of a lost run; None if it is not lost, or has no decisions about this log."""
     if isinstance(run, LaserRun) or log_of(run, log) is not log:
         return None
-    return lost(run, log.recorded, log.granted if run.association == "known" else None)
+    found = lost(run, log.recorded, log.granted if run.association == "known" else None)
+    if found is None or log.truth.pose is None:
+        return found
+    # with ground truth nobody is lost whose poses from there on are where they are claimed to be
+    path = run.trajectory(run.phases[-1])
+    since = slice(found.frame or 0, None)
+    nees = consistency.nees(path.pose[since], path.covariance[since], log.truth.pose[since], "pose")
+    return None if consistency.mean_or_nan(nees) <= NEES_LIMIT else found
 
 
 def _key(run: Run, phase: str, log: Log) -> dict[str, object]:
@@ -179,7 +188,7 @@ def _counts(run: Run, phase: str) -> dict[str, object]:
 
 
 def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) -> dict[str, object]:
-    """Errors, consistency and proper scores of a path, with bootstrap intervals."""
+    """Errors, consistency and proper scores of a path."""
     pose, distance = estimate.pose, path.distance
     return {
         "rmse_position_m": errors.rms(distance),
@@ -193,13 +202,12 @@ def _path_columns(estimate: Trajectory, truth: Array, time: Array, path: Along) 
         **{f"nees_{quantity}": consistency.mean_or_nan(values) for quantity, values in path.nees.items()},
         "inside_3sigma": consistency.inside_3sigma(path.nees["position"]),
         **mean_scores(pose, estimate.covariance, truth, np.isfinite(path.nees["pose"])),
-        **_intervals(path),
         **rpe_columns(pose, truth),
     }
 
 
 def _intervals(path: Along) -> dict[str, object]:
-    """Intervals of RMSE and mean NEES; blank where the log is too short."""
+    """Intervals of RMSE and mean NEES; blank where the log is too short. In SLAM the frame's error is one draw."""
     rmse, nees = run_intervals(path.distance**2, path.nees["pose"], np.random.default_rng(SEED))
     row: dict[str, object] = {"block_frames": next((i.block for i in (rmse, nees) if not i.why), None)}
     for name, found in (("rmse_position", rmse), ("nees_pose", nees)):

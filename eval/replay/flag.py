@@ -5,6 +5,7 @@ A table is a dataclass whose fields carry a `Flag`, or are such tables themselve
 
 from __future__ import annotations
 
+import argparse
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass, replace
@@ -12,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+from data.command import stretch
 from data.errors import UsageError
 
 Read = Callable[[str, object], Any]
@@ -194,6 +196,17 @@ def texts(label: str, value: object) -> tuple[str, ...]:
     if not isinstance(given, (list, tuple)) or not all(isinstance(v, str) for v in given):
         raise UsageError(f"{label} {value!r}: a list of names is needed")
     return tuple(v.strip() for v in given if v.strip())
+
+
+def stretches(label: str, value: object) -> tuple[str, ...]:
+    """Texts FROM:TO in seconds."""
+    given = texts(label, value)
+    for each in given:
+        try:
+            stretch(each)
+        except argparse.ArgumentTypeError as fault:
+            raise UsageError(f"{label} {fault}") from None
+    return given
 
 
 def one_of(known: Sequence[str]) -> Read:

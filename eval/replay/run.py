@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 
 import numpy as np
-from threadpoolctl import threadpool_limits
+from threadpoolctl import ThreadpoolController
 
 from association.decide import known_decisions
 from association.expectation import SingularInnovationError, gate_threshold
@@ -41,6 +43,22 @@ PLAIN = Setup()
 NULL_OBSERVER = Observer()
 DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)
 """Errors of our estimators that cannot continue."""
+
+
+_found: tuple[int, ThreadpoolController] | None = None
+
+
+def one_thread() -> AbstractContextManager[object]:
+    """One thread of linear algebra: sums over several round differently, and bytes must not depend on cores.
+
+    Libraries are searched again (5 ms) only after further modules were imported.
+    """
+    global _found
+    modules = len(sys.modules)
+    if _found is None or _found[0] != modules:
+        _found = modules, ThreadpoolController()
+    limited: AbstractContextManager[object] = _found[1].limit(limits=1)
+    return limited
 
 
 def dead_reckoning(inputs: Inputs, task: str) -> Run:
@@ -212,8 +230,7 @@ def compare(
     runs with their inputs, before either is converted (`eval.compare`: the referee).
     """
     names, association = [text_of(e, "estimator") for e in estimators], text_of(association, "association")
-    # rounding depends on the number of threads: with one, bytes do not depend on processes and cores
-    with threadpool_limits(1):
+    with one_thread():
         if association == SCAN:
             return judge(compare_laser(inputs, names, setup), inputs)
         if inputs.scans is not None and not len(inputs.observations.frame):

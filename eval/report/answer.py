@@ -14,8 +14,9 @@ from eval.referee.plausibility import IMPLAUSIBLE
 from eval.replay.settings import INCREMENTAL, Setup
 from eval.report.comparison import Difference, difference_of
 from eval.report.deciding import SAME, Deciding, deciding_facts
-from eval.report.rows import Scored, filters_in, rows_of, scored, smoothers_in
+from eval.report.rows import Scored, filters_in, rows_of, scored_rows, smoothers_in
 from eval.report.words import one_line, paragraph, say
+from eval.studies.trusted import Trust
 
 LINEARIZATION = 2.0
 """So many times the RMSE of a smoother with the same data at the same instants: linearization, not luck."""
@@ -74,13 +75,14 @@ def answer_facts(
     association: pd.DataFrame | None = None,
     labelled: int | None = None,
     differences: pd.DataFrame | None = None,
+    trust: Sequence[Trust] = (),
 ) -> AnswerFacts:
     """Filter and smoother compared, from the rows of metrics.csv, association.csv and `Scores.differences` of one log.
 
-    `labelled`: number of landmarks that the log's ids tell apart.
+    `labelled`: number of landmarks that the log's ids tell apart; `trust`: diagnoses, for their bootstrap replicates.
     """
     table = rows_of(metrics)
-    rows = [scored(r) for r in table]
+    rows = scored_rows(table, trust)
     chosen = chosen_association(rows)
     own = [r for r in rows if r.association == chosen]
     filtered, smoothed = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import pandas as pd
 
-from eval.referee.consistency import CONSERVATIVE, OVERCONFIDENT
+from eval.referee.consistency import ERRORS as OF_ERRORS
+from eval.referee.consistency import INNOVATIONS, WHITENESS
 from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
 from eval.report.page.blocks import Table
 from eval.report.page.tables import drop_blank_columns, interval, is_blank, number
@@ -22,13 +23,15 @@ ERRORS = (
 )  # fmt: skip
 COMPARISON: dict[str, str] = {
     **heads((*NAMES, *ERRORS, "nees_pose", "nis")),
+    **heads(("nis_expected",)),
     "bounds": "95 % bounds of NIS",
     **heads(("innovation_lag1", "inside_3sigma", "accepted", "rejected", "matched", "unmatched")),
 }  # fmt: skip
 """Column of metrics.csv (or made here) and its head in the comparison table, in order."""
 
 SUMMARY = (
-    "rmse_position_m", "rmse_aligned_m", "rmse_heading_deg", "rms_from_batch_m", "nees_pose", "nis", "fp", "fn",
+    "rmse_position_m", "rmse_aligned_m", "rmse_heading_deg", "rms_from_batch_m", "nees_pose", "nis", "nis_expected",
+    "fp", "fn",
 )  # fmt: skip
 """Columns of metrics.csv and association.csv in the report's own table of a log."""
 
@@ -68,6 +71,7 @@ OUTLIERS: Mapping[str, str] = {
 }
 
 TableRow = dict[str, object]
+UNGATED = 0.995  # least expected NIS that is shown as 1
 CLOSE = 0.1  # a mean that is closer to zero is a correlation, written with four decimals
 SAME = 0.05  # relative difference below which two columns say the same
 
@@ -122,7 +126,14 @@ def comparison_table(metrics: pd.DataFrame, more: Sequence[str] = (), *, aligned
     if _same(made["rmse_time_m"], made["rmse_position_m"]):
         shown.remove("rmse_time_m")
     also = [c for c in more if c in metrics.columns and c not in shown]
-    return selected(made[[*shown, *also]], COMPARISON | heads(also))
+    return selected(*_expecting(made[[*shown, *also]], COMPARISON | heads(also)))
+
+
+def _expecting(made: pd.DataFrame, heads: dict[str, str]) -> tuple[pd.DataFrame, dict[str, str]]:
+    """Columns and heads; what is expected of NIS has its own column behind a gate, where it is less than 1."""
+    if all(is_blank(v) or float(v) > UNGATED for v in made["nis_expected"].tolist()):
+        return made.drop(columns="nis_expected"), heads
+    return made, heads | {"nis": "NIS per dof", "nis_expected": COMPARISON["nis_expected"]}
 
 
 def summary_table(metrics: pd.DataFrame, association: pd.DataFrame) -> pd.DataFrame:
@@ -136,7 +147,7 @@ def summary_table(metrics: pd.DataFrame, association: pd.DataFrame) -> pd.DataFr
         shown.remove("rmse_aligned_m")
     if not all(is_blank(v) for v in made["rmse_position_m"].tolist()):
         shown.remove("rms_from_batch_m")
-    return selected(made[shown], heads(shown))
+    return selected(*_expecting(made[shown], heads(shown)))
 
 
 def parts(table: Table) -> list[Table]:
@@ -196,7 +207,8 @@ def consistency_table(consistency: pd.DataFrame) -> pd.DataFrame:
 
 def _by_run(consistency: pd.DataFrame, cell: Callable[[TableRow], tuple[str, str]]) -> pd.DataFrame:
     """A row for each estimator and phase, a column for each quantity; `cell`: head and text of one of its rows."""
-    marks = {OVERCONFIDENT: " (o)", CONSERVATIVE: " (c)"}
+    kinds = (OF_ERRORS, INNOVATIONS, WHITENESS)
+    marks = {kind[i]: mark for kind in kinds for i, mark in ((1, " (+)"), (2, " (−)"))}
     names = ("task", "estimator", "association", "phase")
     rows: dict[tuple[str, ...], TableRow] = {}
     for r in rows_of(consistency.astype(object)):
@@ -254,7 +266,7 @@ def differences_table(rows: pd.DataFrame) -> pd.DataFrame:
             "association": row["association"],
             "filter": row["a"],
             "smoother": row["b"],
-            "RMSE difference [m]": row["rmse_position_m"],
+            ("aligned " if row["task"] == "slam" else "") + "RMSE difference [m]": row["rmse_position_m"],
             "its 95 % interval": _row_interval(row, "rmse_position"),
             "p": p["rmse_position_p"],
             "NEES difference": row["nees_pose"],

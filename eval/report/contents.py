@@ -12,6 +12,7 @@ from data.notice import Notice
 from data.words import sentence, title
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
+from eval.plan.lab_settings import settings_by_log
 from eval.plan.provenance import command_of, provenance
 from eval.plan.tutorials import is_tutorial
 from eval.plan.unfinished import Unfinished
@@ -209,5 +210,5 @@ def _write_provenance(folder: Path, options: Options, outcome: Outcome, command:
     used = [*options.selection.estimator, *options.selection.association]
     used += [*(m.name for s in studied for m in s.members), *(a for s in studied for a in s.association)]
     logs = {t.log.name: t.log for t in outcome.trials}.values()
-    text = provenance(options, logs, command, used, results)
+    text = provenance(options, logs, command, used, results, settings_by_log(options, outcome.trials))
     (folder / "provenance.json").write_text(text, encoding="utf-8")

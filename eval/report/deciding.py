@@ -53,6 +53,11 @@ class MethodOutcome:
         return 2.0 * self.tp / (2.0 * self.tp + wrong) if self.tp + wrong > 0 else math.nan
 
     @property
+    def mostly_wrong(self) -> bool:
+        """Whether more decisions about pairings are wrong than right."""
+        return self.f1 < 0.5
+
+    @property
     def quality(self) -> tuple[float, int]:
         """By which association methods are ordered."""
         return self.f1, -self.fp - self.fn

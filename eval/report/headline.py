@@ -7,22 +7,22 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from eval.referee.consistency import OVERCONFIDENT
-from eval.referee.headline import NEES_LIMIT
 from eval.referee.score import Scores, Trial
 from eval.report.overview_facts import LogFacts
 from eval.report.page.blocks import Mark
 from eval.report.page.tables import is_blank
-from eval.report.rows import Row, nis_verdict, value_of
+from eval.report.rows import Row, scored_rows, value_of
 from eval.report.rows import rows_of as records
 from eval.report.words import paragraph, say
 from eval.studies.montecarlo import Judged, Study
+from eval.studies.trusted import Trust
 
 ROWS = 10  # rows of a log that is alone; of several logs the best and the worst row of each are shown
 WIDTH = 80  # characters of a line
-HEADS = ("estimator", "association", "RMSE [m]", "NEES", "NIS", "verdict", "wrong pairings")
+HEADS = ("estimator", "association", "RMSE [m]", "NEES", "NIS", "verdict", "wrong")
 LEFT = ("estimator", "association", "verdict")
 DISPENSABLE = ("NIS", "NEES")  # columns that are left out where a line would not fit, in this order
+GATED = 0.005  # difference of expected NIS from which each row has its own
 TASKS = {"slam": "SLAM", "localization": "localization"}
 Line = tuple[str, ...]
 
@@ -42,6 +42,7 @@ class MainNumbers:
     verdict: str  # on NIS, over the runs of a study on NEES; or the status of a run that is not `ok`
     wrong: tuple[int, int] | None = None  # wrong pairings, and all
     by_relations: bool = False  # mean error of the translation against reference relations
+    expected: float = 1.0  # NIS per degree of freedom of right noise, below 1 behind a gate; NaN: unknown
 
 
 class Group(NamedTuple):
@@ -54,11 +55,15 @@ class Group(NamedTuple):
 
 
 def headlines(
-    scores: Scores, trials: Sequence[Trial], studies: Sequence[Study], judged: Sequence[Judged]
+    scores: Scores,
+    trials: Sequence[Trial],
+    studies: Sequence[Study],
+    judged: Sequence[Judged],
+    diagnoses: Sequence[Trust] = (),
 ) -> list[Group]:
     """The rows of every log and study; none where nothing was estimated."""
     groups: dict[tuple[str, str], list[MainNumbers]] = {}
-    for row in [*_of_logs(scores, trials), *_of_studies(studies, judged)]:
+    for row in [*_of_logs(scores, trials, diagnoses), *_of_studies(studies, judged)]:
         groups.setdefault((row.log, row.task), []).append(row)
     return [_shown(log, task, rows, alone=len(groups) == 1) for (log, task), rows in groups.items()]
 
@@ -74,7 +79,7 @@ def _shown(log: str, task: str, rows: list[MainNumbers], alone: bool) -> Group:
     return Group(log, task, tuple(rows[i] for i in (sorted(order) if alone else order)), len(rows) - len(order))
 
 
-def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[MainNumbers]:
+def _of_logs(scores: Scores, trials: Sequence[Trial], diagnoses: Sequence[Trust]) -> Iterable[MainNumbers]:
     """A row for each run, with what is known in the end; filter and last smoother of each log are wanted first."""
     variants = {t.log.name for t in trials if t.variant_of is not None}
     decided = {_key(r): r for r in records(scores.association)}
@@ -83,7 +88,9 @@ def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[MainNumbers]:
         for r in records(scores.relations)
         if (r["tie"], r["subset"]) == ("row", "all")
     }
-    last = {_key(r)[:4]: r for r in records(scores.metrics)}  # the final phase, where there is one, comes last
+    rows = records(scores.metrics)
+    typed = {_key(r): s for r, s in zip(rows, scored_rows(rows, diagnoses), strict=True)}
+    last = {_key(r)[:4]: r for r in rows}  # the final phase, where there is one, comes last
     counted_so_far: dict[object, int] = {}
     for key, r in last.items():
         place = counted_so_far.get(key[:2], 0)
@@ -97,7 +104,10 @@ def _of_logs(scores: Scores, trials: Sequence[Trial]) -> Iterable[MainNumbers]:
         log, task, estimator, association = (str(r[c]) for c in ("log", "task", "estimator", "association"))
         numbers = (related if by_relations else rmse, value_of(r, "nees_pose"), value_of(r, "nis"))
         wrong = _wrong(decided.get(_key(r)))
-        yield MainNumbers(rank, log, task, estimator, association, *numbers, _verdict(r), wrong, by_relations)
+        s = typed[_key(r)]
+        yield MainNumbers(
+            rank, log, task, estimator, association, *numbers, s.verdict, wrong, by_relations, s.nis_expected
+        )
 
 
 def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[MainNumbers]:
@@ -129,15 +139,6 @@ def _number(value: float) -> str:
     return f"{value:.{min(max(places, 0), 4)}f}"
 
 
-def _verdict(row: Row) -> str:
-    if row["status"] != "ok":
-        return str(row["status"])
-    if value_of(row, "nees_pose") > NEES_LIMIT:  # whatever NIS says
-        return OVERCONFIDENT
-    values = [value_of(row, c) for c in ("nis", "nis_lower", "nis_upper")]
-    return nis_verdict(*values) if all(math.isfinite(v) for v in values) else ""
-
-
 def _wrong(row: Row | None) -> tuple[int, int] | None:
     if row is None or is_blank(row["fp"]):
         return None
@@ -148,18 +149,22 @@ def lines(groups: Sequence[Group]) -> list[str]:
     """The lines of the terminal; none where nothing was estimated."""
     if not groups:
         return []
-    cells = [_cells(row) for g in groups for row in g.rows]
+    of_nis = sorted(r.expected for g in groups for r in g.rows if math.isfinite(r.nis) and math.isfinite(r.expected))
+    differ = bool(of_nis) and of_nis[-1] - of_nis[0] >= GATED
+    cells = [_cells(row, differ) for g in groups for row in g.rows]
     shown = [c for c in range(len(HEADS)) if any(row[c] for row in cells)]
     table = _table([[row[c] for c in shown] for row in (HEADS, *cells)])
-    named = {HEADS[c] for c in shown}
+    named = set(table[0].split())
+    nis = ("differ" if differ else f"{of_nis[0]:.3g}") if of_nis and "NIS" in named else ""
     text, place = list[str](), 1
     for g in groups:
         more = f" ({say('headline#more', rows=g.more)})" if g.more else ""
         text += ["", f"{g.log}, {TASKS[g.task]}{more}", table[0], *table[place : place + len(g.rows)]]
         place += len(g.rows)
-    wanted: list[str] = [name for name in ("NEES", "verdict") if name in named]
-    wanted += ["related"] if any(row.by_relations for g in groups for row in g.rows) else []
-    return [*text[1:], *(f"({say(f'headline#{name}')})" for name in wanted)]
+    notes = [say("headline#numbers", nees="NEES" in named, nis=nis, wrong="wrong" in named)]
+    notes += [say("headline#verdict")] if "verdict" in named else []
+    notes += [say("headline#related")] if any(row.by_relations for g in groups for row in g.rows) else []
+    return [*text[1:], *(f"({note})" for note in notes if note)]
 
 
 def trust_line(facts: LogFacts, mark: Mark) -> str:
@@ -167,13 +172,13 @@ def trust_line(facts: LogFacts, mark: Mark) -> str:
     return paragraph("headline#trust", f=facts, mark=mark)
 
 
-def _cells(row: MainNumbers) -> Line:
+def _cells(row: MainNumbers, expected: bool) -> Line:
     return (
         row.estimator,
         row.association,
         _number(row.rmse) + (" rel" if row.by_relations else ""),
         _number(row.nees),
-        _number(row.nis),
+        _number(row.nis) + (f" ({row.expected:.2f})" if expected and math.isfinite(row.nis) else ""),
         row.verdict,
         "" if row.wrong is None else f"{row.wrong[0]} of {row.wrong[1]}",
     )

@@ -11,7 +11,7 @@ import pandas as pd
 from data.words import sentence
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
-from eval.referee.diagnostics import ambiguity_of, minima, naming, unused
+from eval.referee.diagnostics import ambiguity_of, disputed, minima, naming, unused
 from eval.referee.given_runs import is_truth_alone
 from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
@@ -76,7 +76,7 @@ def trial_sections(
         if trial.variant_of is not None:
             continue
         group = (trial, *variants(trial, trials))
-        made = _answer_facts(trial, scores)
+        made = _answer_facts(trial, scores, trust)
         kinds = {p: p.stem.removeprefix(f"{stem(trial)}-") for p in pictures}
         wide = _comparison(folder, output, trial, group, scores)
         blocks = _front(trial, next(own), made, scores, first_page_words(trial, trust))
@@ -121,12 +121,12 @@ def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) 
     return Table(frame, caption + aligned_statement(trial), fine=wide.fine, apart=wide.apart)
 
 
-def _answer_facts(trial: Trial, scores: Scores) -> AnswerFacts:
+def _answer_facts(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> AnswerFacts:
     true_id = trial.log.truth.landmark_of
     labelled = None if true_id is None else len(np.unique(true_id[true_id >= 0]))
     tables = (of_trial(t, trial) for t in (scores.metrics, scores.association, scores.differences))
     metrics, decided, differences = tables
-    return answer_facts(metrics, decided, labelled, differences)
+    return answer_facts(metrics, decided, labelled, differences, trust)
 
 
 def _front(trial: Trial, f: LogFacts, made: AnswerFacts, scores: Scores, trust: str) -> list[Block]:
@@ -151,7 +151,9 @@ def _differences(folder: Path, output: Output, trial: Trial, rows: pd.DataFrame)
 
 def _notes(trial: Trial) -> list[str]:
     notes = [*trial.log.notes, *(f"{r.estimator}: {sentence(n)}." for r in trial.runs for n in r.notes)]
-    notes += of_runs([*minima(trial), *(n for run in trial.runs for n in ambiguity_of(run, trial.log.recorded))])
+    notes += of_runs(
+        [*minima(trial), *disputed(trial), *(n for run in trial.runs for n in ambiguity_of(run, trial.log.recorded))]
+    )
     return list(dict.fromkeys(notes))
 
 

@@ -11,12 +11,12 @@ import numpy as np
 from data.log import folder_name
 from data.result import Run
 from data.se2 import Array
-from eval.referee.attribution import NOTHING
-from eval.referee.consistency import CONSISTENT, OVERCONFIDENT
-from eval.referee.headline import Verdict
+from eval.referee.attribution import NOTHING, UNTELLABLE
+from eval.referee.consistency import FIT, LARGE, OVERCONFIDENT
+from eval.referee.headline import Objection, Verdict
 from eval.referee.score import Trial
 from eval.report.overview_facts import LogFacts, conclusion
-from eval.report.page.blocks import Block, Cell, Mark, Overview, OverviewRow, Section, Sketch, Value, folded
+from eval.report.page.blocks import Block, Cell, Mark, Overview, OverviewRow, Section, Sketch, Value, anchor, folded
 from eval.report.page.tables import number
 from eval.report.rows import Scored, stem
 from eval.report.trust import HEADING, first_words, of_trial, terms_of
@@ -25,8 +25,8 @@ from eval.studies.trusted import Trust
 
 ATTRIBUTION = HEADING
 HEADS = (
-    *("log, task", "use", "map", "filter", "smoother", "handed in", "ratio or distance", "filter's NIS test"),
-    *("best association", "worst", "unusable runs"),
+    *("log, task", "use", "map", "filter", "smoother", "handed in", "ratio or distance", "the filter's claims"),
+    *("association", "worst", "unusable runs"),
 )
 GIVEN = HEADS.index("handed in")
 IN_DETAIL = (HEADS.index("worst"),)  # columns of the details alone
@@ -51,9 +51,11 @@ def gauge_statement(f: LogFacts) -> str:
 
 def trust_mark(f: LogFacts) -> Mark:
     """The estimator to trust for the path; of a log without truth what is to blame."""
-    rejected = next((r for r in (f.filtered, f.smoothed) if r and r.nis_verdict not in ("", CONSISTENT)), None)
-    if f.sound or (f.verdict == Verdict.CAUSE and f.cause == NOTHING and rejected is None):
+    rejected = next((r for r in (f.filtered, f.smoothed) if r and r.nis_verdict not in ("", FIT)), None)
+    if f.sound or (f.verdict == Verdict.CAUSE and f.cause == NOTHING and rejected is None and not f.objections):
         tone = "good"
+    elif f.verdict == Verdict.CAUSE and f.cause == UNTELLABLE:
+        tone = "bad"
     elif f.verdict in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER, Verdict.CAUSE):
         tone = "fair"
     else:
@@ -62,12 +64,13 @@ def trust_mark(f: LogFacts) -> Mark:
 
 
 def claims(f: LogFacts) -> Mark | None:
-    """Whether the filter's innovations are as large as it claims; None where none were formed."""
+    """What NEES, else the innovations say of the filter's covariances; None where nothing is known."""
     row = f.filtered or f.smoothed
     if row is None or row.status not in ("ok", "implausible") or not row.nis_verdict:
         return None
-    tone = {CONSISTENT: "good", OVERCONFIDENT: "bad"}.get(row.nis_verdict, "fair")
-    return Mark(row.nis_verdict, tone, f"NIS {number(row.nis)}")
+    word = row.verdict if row.verdict == OVERCONFIDENT else row.nis_verdict
+    tone = {FIT: "good", OVERCONFIDENT: "bad", LARGE: "bad"}.get(word, "fair")
+    return Mark(word, tone, f"NEES {number(row.nees)}" if word == OVERCONFIDENT else f"NIS {number(row.nis)}")
 
 
 def attribution_sections(trials: Sequence[tuple[Trial, LogFacts]], diagnoses: Sequence[Trust]) -> list[Section]:
@@ -91,13 +94,21 @@ def overview(
     for trial, f in trials:
         errors = (_error(f, f.filtered, f.errors[0]), _error(f, f.smoothed, f.errors[1]))
         cells: list[Cell] = [trust_mark(f), _sketch(trial, f, folder, drawn), *errors, _given(f), _ratio(f), claims(f)]
-        cells += [*_associations(f), _failed(f)]
+        cells += [*associations(f), _failed(f)]
         kept = tuple(c for head, c in enumerate(cells, start=1) if head not in left_out)
         player = f"players/{folder_name(f.log)}.html"
-        links = (("play", player),) if (folder / player).exists() else ()
+        links: tuple[tuple[str, str], ...] = (("play", player),) if (folder / player).exists() else ()
+        links += tuple(("evidence", place) for place in _evidence(trial, f))
         rows.append(OverviewRow(f.name, f.name, kept, links))
     heads = tuple(h for i, h in enumerate(HEADS) if i not in left_out)
     return Overview(heads, tuple(rows), paragraph("overview#caption"))
+
+
+def _evidence(trial: Trial, f: LogFacts) -> list[str]:
+    """Where the strongest objection is shown, if not in the log's own section."""
+    headings = {Objection.ASSOCIATION: f"Decisions: {f.name}", Objection.CAUSE: f"{HEADING}: {f.name}"}
+    found = [headings[o.objection] for o in f.objections[:1] if o.objection in headings]
+    return [f"details/{stem(trial)}.html#{anchor(heading)}" for heading in found]
 
 
 def _error(f: LogFacts, row: Scored | None, error: float) -> Value | None:
@@ -128,10 +139,13 @@ def _ratio(f: LogFacts) -> Value | None:
     return Value(f"{number(f.apart)} m", "apart")
 
 
-def _associations(f: LogFacts) -> tuple[Value | None, Value | None]:
+def associations(f: LogFacts) -> tuple[Value | None, Value | None]:
+    """The association methods without labels by decisions and path, and the worst by its decisions."""
     if f.best is None or f.worst is None:
         return None, None
-    best, worst = (Value(w.association, f"{w.fp} FP / {w.fn} FN ({w.estimator})") for w in (f.best, f.worst))
+    best, worst = (Value(w.association, paragraph("overview#association", w=w)) for w in (f.best, f.worst))
+    if f.nearest is not None or not f.decides:
+        best = Value(*(paragraph(f"overview#{part}", f=f) for part in ("disputed", "disputes")))
     return best, None if f.best == f.worst else worst
 
 

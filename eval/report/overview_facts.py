@@ -8,18 +8,18 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, component_of
-from eval.referee.consistency import OVERCONFIDENT
+from data import questions
+from data.notice import Notice
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.diagnostics import unused
-from eval.referee.headline import Claim, Headline, Objected, Preference, Verdict, headline, usable
-from eval.referee.intervals import aligned_difference
+from eval.referee.headline import Claim, Headline, Objected, Objection, Preference, Verdict, headline, usable
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import INCREMENTAL
 from eval.report.answer import LINEARIZATION, chosen_association, pick
 from eval.report.comparison import difference_of
 from eval.report.deciding import SAME, Deciding, MethodOutcome, deciding_facts
-from eval.report.rows import Row, Scored, filters_in, rows_of, scored, smoothers_in, value_of
-from eval.report.trust import STANDS_OUT, of_trial
+from eval.report.rows import Row, Scored, filters_in, rows_of, scored_rows, smoothers_in, value_of
+from eval.report.trust import LATE, STANDS_OUT, Explanation, Terms, main_findings, of_trial, terms_of
 from eval.studies.trusted import Trust
 
 
@@ -53,6 +53,7 @@ class LogFacts:
     smoothed: Scored | None
     # trusted: which of these two reached the end, are plausible, not lost, and more than dead reckoning
     trusted: tuple[bool, bool]
+    empty: bool  # whether the log has neither observations nor scans
     unused: tuple[str, ...]  # names of those that are no more than dead reckoning
     newest: Scored | None  # the online row of a smoother that steps, plausible
     online: Online  # what it says
@@ -62,16 +63,21 @@ class LogFacts:
     errors: tuple[float, float]
     related: bool
     apart: float  # RMS distance [m] of the filter from the smoother
-    best: MethodOutcome | None  # best, worst: association methods without labels
+    best: MethodOutcome | None  # best, worst: association methods without labels, by their decisions
     worst: MethodOutcome | None
+    nearest: MethodOutcome | None  # the one with a more accurate path than `best`, if one has
+    decides: bool  # whether one of them gives a usable path and pairs rightly more often than not
     runs: int
     failed: tuple[tuple[str, str], ...]  # those that did not get to the end, are implausible, lost, or dead reckoning
     given: tuple[str, ...]  # results that were handed in
     given_best: Scored | None  # the one with the least RMSE
     cause: str | None  # the violated assumption by the diagnosis
+    terms: Terms  # of the finding
+    finding: Explanation | None  # behind the cause
     twins: int | None  # number of replicates; None: unknown
     verdict: Verdict
     objections: tuple[Objected, ...]
+    map_rows: Notice | None  # rows of the map that look swapped or shifted
     gauge: Gauge | None
 
     @property
@@ -98,16 +104,16 @@ def facts_of(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> LogFacts:
         [r for r in rows_of(table) if all(r[k] == v for k, v in here.items())]
         for table in (scores.metrics, scores.association)
     )
-    rows = [scored(r) for r in metrics]
+    rows = scored_rows(metrics, trust)
     return log_facts(
         trial,
         rows,
         relations=_relations(scores) if trial.log.truth.relations is not None else {},
         decided=deciding_facts(rows, metrics, outcomes),
         trust=next(iter(of_trial(trial, trust)), None),
-        idle=frozenset((r.estimator, r.association) for r in trial.runs if unused(r) is not None),
+        idle=frozenset((r.estimator, r.association) for r in trial.runs if unused(r, trial.log.recorded)),
         wrong={(str(r["estimator"]), str(r["association"]), str(r["phase"])): _wrong_share(r) for r in outcomes},
-        p=_p_of_difference(trial, scores, *_compared(rows)),
+        p=_p_of_difference(scores, *_compared(rows), log=trial.log.name, task=trial.task),
     )
 
 
@@ -173,7 +179,11 @@ def log_facts(
         aligned = [filtered.aligned, smoothed.aligned]
         compared = aligned if all(map(math.isfinite, aligned)) else errors
     preference = Preference(compared[0], compared[1], p)
-    decided_by = headline(a, b, preference, measured=measured, caused=trust is not None)
+    map_rows = None if slam else next(iter(questions.map_rows(trial.log)), None)
+    blame = None if trust is None else trust.blame
+    rejected = blame.p if blame is not None and blame.objected else math.nan
+    decided_by = headline(a, b, preference, measured=measured, caused=trust is not None, rejected=rejected)
+    terms = terms_of(trial.log.recorded)
     return LogFacts(
         log=log,
         task=trial.task,
@@ -181,6 +191,7 @@ def log_facts(
         filtered=filtered,
         smoothed=smoothed,
         trusted=trusted,
+        empty=not len(trial.log.recorded.observations.frame) and trial.log.recorded.scans is None,
         unused=tuple(
             r.estimator for r in (filtered, smoothed) if r is not None and (r.estimator, r.association) in idle and r.ok
         ),
@@ -192,16 +203,25 @@ def log_facts(
         apart=apart,
         best=decided.best if decided else None,
         worst=decided.worst if decided else None,
+        nearest=decided.nearest if decided else None,
+        decides=decided is not None and decided.usable and not decided.best.mostly_wrong,
         runs=len(last),
         failed=tuple(key for key, r in last.items() if not usable(claim(r), measured)),
         given=tuple(sorted(names)),
         given_best=min(handed, key=lambda r: r.rmse, default=None),
         cause=None if trust is None else cause_word(trust),
+        terms=terms,
+        finding=None if trust is None else next(iter(main_findings(trust, terms)), None),
         twins=None if trust is None or trust.blame is None else len(trust.twins),
         verdict=decided_by.verdict,
-        objections=decided_by.objections,
+        objections=(*_of_map(map_rows), *decided_by.objections),
+        map_rows=map_rows,
         gauge=_gauge(filtered, smoothed) if trial.task == "slam" else None,
     )
+
+
+def _of_map(rows: Notice | None) -> tuple[Objected, ...]:
+    return () if rows is None else (Objected(Objection.MAP, "", math.nan),)
 
 
 def _claim(row: Scored, wrong: float, *, idle: bool, slam: bool) -> Claim:
@@ -216,25 +236,17 @@ def _claim(row: Scored, wrong: float, *, idle: bool, slam: bool) -> Claim:
         math.nan if slam else row.nees_lower,
         wrong,
         row.nis / row.nis_expected if math.isfinite(row.nis_expected) else row.nis,
-        row.nis_verdict == OVERCONFIDENT,
+        row.nis > row.nis_upper,
     )
 
 
-def _p_of_difference(trial: Trial, scores: Scores, filtered: Scored | None, smoothed: Scored | None) -> float:
+def _p_of_difference(scores: Scores, filtered: Scored | None, smoothed: Scored | None, log: str, task: str) -> float:
     """P of no difference between the RMSEs of filter and smoother, in SLAM after alignment; NaN: not known."""
     if filtered is None or smoothed is None:
         return math.nan
-    if trial.task != "slam":
-        found = difference_of(rows_of(scores.differences), filtered, smoothed)
-        return math.nan if found is None else found.p
-    paths = []
-    for s in (filtered, smoothed):
-        run = trial.find(s.estimator, s.association)
-        paths.append(None if run is None or run.flaw is not None or run.handed_in else run.trajectory(s.phase).pose)
-    truth = trial.log.truth.pose
-    if truth is None or paths[0] is None or paths[1] is None:
-        return math.nan
-    return aligned_difference(paths[0], paths[1], truth).p
+    own = [r for r in rows_of(scores.differences) if (r["log"], r["task"]) == (log, task)]
+    found = difference_of(own, filtered, smoothed)
+    return math.nan if found is None else found.p
 
 
 def _online(filtered: float, online: float) -> Online:
@@ -275,14 +287,23 @@ def cause_word(trust: Trust) -> str:
     blame = trust.blame
     if blame is None:
         return _hinted(trust)
-    if blame.cause in (NOTHING, ASSOCIATIONS, ESTIMATOR):
+    if blame.cause in (NOTHING, ASSOCIATIONS, ESTIMATOR, UNLISTED, UNTELLABLE):
         return blame.cause
     found = next((f for f in blame.findings if f.cause == blame.cause), None)
     if found is not None:
-        return side(component_of(found.name) if found.kind == "systematic" else found.name)
+        return side_of(found)
     # no finding has a name: the side of the residuals furthest outside the range of the replicates
     sides = [side(name.split("_", 1)[1]) for _, name in blame.objected if name.startswith(("slope_", "residual_"))]
     return max(dict.fromkeys(sides), key=sides.count) if sides else _largest(_spreads(trust)) or SENSOR
+
+
+def side_of(found: Finding) -> str:
+    """What a finding is a fault of: odometry, sensor, map or time stamps."""
+    if found.name in LATE:
+        return "time stamps"
+    if found.kind in ("displaced", "landmark") or found.name == "map_scale":
+        return "map"
+    return side(found.name)
 
 
 def side(component: str) -> str:

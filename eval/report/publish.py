@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,6 @@ from data.log import folder_name
 from data.notice import Notice
 from data.result import Run, Trajectory
 from data.se2 import Array
-from eval.figures.film import AS_THEN, History
 from eval.plan.flags.table import Execution, Output
 from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, work
@@ -33,6 +33,9 @@ from eval.report.pictures import draw, kinds
 from eval.report.rows import stem, variants
 from eval.report.words import paragraph
 from eval.stepping.text import lab_block, run_text
+
+if TYPE_CHECKING:
+    from eval.figures.film import History
 
 RUN_FILES, PLAYER = -1, -2  # places of jobs that are no pictures
 MISSING = {RUN_FILES: "files", PLAYER: "player"}  # what is missing without them; see `missing` in notices.j2
@@ -97,7 +100,7 @@ def publish_runs(folder: Path, output: Output, trial: Trial) -> None:
 
 def write_films(folder: Path, trial: Trial, speed: float | None = None) -> None:
     """Film every run of a trial that reached the end; `speed`: seconds of the log in one of the film."""
-    from eval.figures.film import animate  # OpenCV is loaded only where films are wanted
+    from eval.figures.film import animate  # needs OpenCV
 
     for run in (r for r in trial.runs if r.failure is None):
         path = folder / "figures" / f"{stem(trial, f'{run.estimator}-{run.association}')}.webm"
@@ -106,6 +109,8 @@ def write_films(folder: Path, trial: Trial, speed: float | None = None) -> None:
 
 def history_of(run: Run) -> History | None:
     """Landmarks as they were at each instant, where the run was watched; of a smoother without covariances."""
+    from eval.figures.film import AS_THEN, History
+
     watched = run.watched
     if not isinstance(watched, Watched) or not len(watched.change_frame):
         return None

@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 import pandas as pd
 
 from data.log import folder_name
-from eval.referee.consistency import CONSERVATIVE, CONSISTENT, OVERCONFIDENT
+from data.se2 import Array
+from eval.referee import battery
+from eval.referee.consistency import CORRELATED, OVERCONFIDENT, innovations_word
+from eval.referee.headline import overconfident
 from eval.referee.score import Trial
 from eval.replay.settings import BATCH, ESTIMATORS, FILTERS, INCREMENTAL
 from eval.report.page.tables import is_blank
+from eval.studies.trusted import Trust
 
 Row = dict[str, object]
 SYSTEMATIC = "systematic"  # picture and table of the systematic errors that were estimated along
@@ -54,7 +59,7 @@ class Scored:
     aligned: float
     from_batch: float
     # nees, nees_median: of the pose, over the frames but `nees_left_out` of nearly singular covariance. nis with its
-    # bounds and expectation: per degree of freedom
+    # bounds and expectation: per degree of freedom. lag1: of innovations; of a smoother that forms none the filter's
     nees: float
     nees_median: float
     nees_left_out: float
@@ -63,9 +68,12 @@ class Scored:
     nis_lower: float
     nis_upper: float
     nis_expected: float
+    lag1: float
+    lag1_se: float
     rejected: float  # observations left out
     lost_frame: float
     lost_why: str
+    twins: int = 0  # bootstrap replicates that bounds and expectation are of; 0: of the gated chi-square law
 
     @property
     def ok(self) -> bool:
@@ -74,14 +82,15 @@ class Scored:
 
     @property
     def nis_verdict(self) -> str:
-        """`overconfident`, `conservative` or `consistent`; empty where no innovations were formed."""
-        known = all(map(math.isfinite, (self.nis, self.nis_lower, self.nis_upper)))
-        return nis_verdict(self.nis, self.nis_lower, self.nis_upper) if known else ""
+        """The word on the innovations (`innovations_word`); empty where none were formed."""
+        return innovations_word(self.nis, self.nis_lower, self.nis_upper, self.lag1, self.lag1_se)
 
-
-def nis_verdict(nis: float, lower: float, upper: float) -> str:
-    """`overconfident`, `conservative` or `consistent` of a NIS per dof against its bounds."""
-    return OVERCONFIDENT if nis > upper else CONSERVATIVE if nis < lower else CONSISTENT
+    @property
+    def verdict(self) -> str:
+        """The word on one log: its status, else overconfident by NEES, else on the innovations."""
+        if self.status != "ok":
+            return self.status
+        return OVERCONFIDENT if overconfident(self.nees, self.nees_lower) else self.nis_verdict
 
 
 NUMBERS = {
@@ -91,6 +100,8 @@ NUMBERS = {
     "nees": "nees_pose",
     "nees_median": "nees_pose_median",
     "nees_lower": "nees_pose_lower",
+    "lag1": "innovation_lag1",
+    "lag1_se": "innovation_lag1_se",
 } | {name: name for name in (
     "nees_left_out", "nis", "nis_lower", "nis_upper", "nis_expected", "rejected", "lost_frame",
 )}  # fmt: skip
@@ -102,7 +113,49 @@ def scored(row: Row) -> Scored:
     estimator, association, phase, status = (str(row[c]) for c in ("estimator", "association", "phase", "status"))
     why = row.get("lost_why")
     numbers = {name: value_of(row, column) for name, column in NUMBERS.items()}
-    return Scored(estimator, association, phase, status, lost_why="" if is_blank(why) else str(why), **numbers)
+    words = {"lost_why": "" if is_blank(why) else str(why)}
+    return Scored(estimator, association, phase, status, **numbers, **words)  # type: ignore[arg-type]
+
+
+def scored_rows(rows: Sequence[Row], diagnoses: Sequence[Trust] = ()) -> list[Scored]:
+    """Rows typed, in order, with the bounds of bootstrap replicates where there are some.
+
+    A smoother uses the filter's decisions and noise, so where its row has no innovations of its own, correlated ones of
+    a filter that is right otherwise are its own, too.
+    """
+    found = [scored(r) for r in rows]
+    keys = [(str(r["log"]), str(r["task"]), s.association) for r, s in zip(rows, found, strict=True)]
+    drawn = {(t.log, t.task, t.association): t for t in diagnoses if t.twins}
+    found = [_beside(s, drawn[key]) if key in drawn else s for s, key in zip(found, keys, strict=True)]
+    filters = filters_in(found)
+    lags = {
+        key: (s.lag1, s.lag1_se)
+        for s, key in zip(reversed(found), reversed(keys), strict=True)
+        if s.estimator in filters and s.ok and s.verdict == CORRELATED
+    }
+    return [
+        s if math.isfinite(s.lag1) or key not in lags else replace(s, lag1=lags[key][0], lag1_se=lags[key][1])
+        for s, key in zip(found, keys, strict=True)
+    ]
+
+
+def _beside(row: Scored, trust: Trust) -> Scored:
+    """A row with what is expected of it by the replicates; a final cost is that of `batch`."""
+    name = row.estimator if row.phase == "online" else "batch"
+
+    def drawn(statistic: str) -> Array:
+        values = [t.measured[name, statistic].value for t in trust.twins if (name, statistic) in t.measured]
+        known: Array = np.array([v for v in values if math.isfinite(v)], float)
+        return known
+
+    nis, lag1 = drawn("nis"), drawn("innovation_lag1")
+    lower, upper = battery.bounds(nis)
+    if math.isfinite(lower):
+        expected = float(np.median(nis))
+        row = replace(row, nis_lower=lower, nis_upper=upper, nis_expected=expected, twins=len(nis))
+    if len(lag1) > 1 and math.isfinite(row.lag1):
+        row = replace(row, lag1=row.lag1 - float(np.median(lag1)), lag1_se=max(row.lag1_se, float(lag1.std(ddof=1))))
+    return row
 
 
 def filters_in(rows: Sequence[Scored]) -> tuple[str, ...]:

@@ -17,9 +17,9 @@ from data.se2 import Array
 from data.sensors import RangeBearing
 from eval.plan.flags.table import Output
 from eval.referee import battery
-from eval.referee.attribution import POWER, Finding
+from eval.referee.attribution import NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.score import Trial
-from eval.replay.settings import ESTIMATORS, FILTERS
+from eval.replay.settings import ESTIMATORS, FILTERS, HINDSIGHT
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import written_table
 from eval.report.page.tables import drop_blank_columns, number
@@ -30,9 +30,10 @@ from eval.report.words import plus_minus, say
 from eval.studies.trusted import Blame, Row, Trust
 
 MOST = 18  # rows of a table; trust.csv has all
+LAG1 = "innovation_lag1"
 HEADLINE = (
     "nis",
-    "innovation_lag1",
+    LAG1,
     *(f"filter_smoother_{what}" for what in ("median", "semidefinite", "rms_x", "rms_y", "rms_theta", "largest")),
 )  # statistics that are shown whatever they say
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
@@ -167,8 +168,10 @@ def trust_section(
     return [Section(heading, tuple(blocks), 3, tuple(facts), page=stem(trial))] if blocks else []
 
 
+ITERATED = "ekf-iterated"
 STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
 SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
+RATE = ("ms/s", 1000.0)
 METRES, SECONDS, DRIFT = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0)
 UNITS = {
     "odometry_x_distance": SHARE,
@@ -182,18 +185,25 @@ UNITS = {
     "z1_range": SHARE,
     "z2_constant": ANGLE,
     "z2_range": CURVATURE,
+    "odometry_integration": SHARE,
+    "mount_x": METRES,
+    "mount_y": METRES,
+    "map_scale": SHARE,
+    "latency_growth": RATE,
 }  # a person's unit of each systematic error and its factor from SI; those not named here are times
 OF_POINTS = {"z2_constant": METRES, "z2_range": ANGLE}
 OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
 """Units of a log without stamps, whose time is the number of the frame."""
 SIGMA = "sigma_"  # prefix of a factor of a stated sigma among what a calibration did
-LATE = ("speed", "turn_rate")  # regressors of observations with wrong time stamps
+LATE = ("latency", "latency_growth", "odometry_latency")  # errors of time stamps
 FITTED = {
     "odometry_x_distance": "odometry",
     "odometry_theta_turn": "odometry",
     "z1_constant": "bias",
     "z2_constant": "bias",
 }  # groups of `eval.tune` that have a parameter for a systematic error
+MOUNTED = ("mount_x", "mount_y", "z1_constant", "z2_constant", "z2_range", "odometry_x_turn", "odometry_y_turn")
+"""Systematic errors that a sensor mounted elsewhere than stated leaves."""
 GROUPS = ("motion", "sensor", "bias", "odometry")
 
 
@@ -226,6 +236,9 @@ class Explanation:
     unit: str = ""
     other: tuple[str, ...] = ()
     sigmas: float = math.nan  # its size in standard errors, where it was found without replicates
+    gain: float = math.nan  # of log-likelihood
+    frames: tuple[tuple[int, int], ...] = ()  # first and last one of each jump, burst or change
+    outliers: int = 0
 
 
 @dataclass(frozen=True)
@@ -242,9 +255,11 @@ class Decided:
 class Step(StrEnum):
     """What to do about findings."""
 
+    CORRELATED = "correlated"
     FIT = "fit"
     CORRECT = "correct"
     SHIFT = "shift"
+    MOUNT = "mount"
     BY_HAND = "by-hand"
     REVISE = "revise"
     ROBUST = "robust"
@@ -262,6 +277,8 @@ class Advice:
     by_hand: tuple[str, ...]  # systematic errors without a parameter
     off: tuple[str, ...]  # estimators whose covariances are
     labels: bool  # whether known association can be granted
+    revised: bool  # whether later frames revise the pairings already
+    iterated: bool  # whether `ekf-iterated` is among those that are off
 
 
 @dataclass(frozen=True)
@@ -278,9 +295,6 @@ class TrustFacts:
     asked: tuple[Explanation, ...]  # systematic errors beyond `STANDS_OUT` standard errors, each alone, largest first
     findings: tuple[Explanation, ...]  # the weightiest first
     main: tuple[Explanation, ...]  # those for a first page
-    power: tuple[Explanation, ...]  # what would have been seen with a probability of `power_share`
-    brief_power: tuple[Explanation, ...]  # of this the first page's
-    power_share: float
     nees: tuple[tuple[str, str, float], ...]  # mean pose NEES on the replicates by estimator and phase
     deciding: tuple[Decided, ...]  # what to expect of the association method
     todo: Advice
@@ -293,7 +307,6 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
     """The facts of a log; `labels`: whether known association can be granted."""
     blame = trust.blame
     found = () if blame is None else blame.findings
-    power = () if blame is None else _power(blame, terms)
     return TrustFacts(
         trust.log,
         trust.task,
@@ -304,13 +317,15 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
         tuple(_apart(trust, name) for name in online(trust)),
         _asked(trust, terms),
         explanations(found, terms),
-        explanations(_main(found), terms),
-        power,
-        tuple(p for p in power if p.name in ("odometry_theta_turn", _turned(terms), "z1_range")),
-        POWER,
+        main_findings(trust, terms),
         _nees(trust),
         _deciding(trust),
-        advice(found, labels=labels),
+        advice(
+            found,
+            labels=labels,
+            association=trust.association,
+            correlated=blame is not None and any(name == LAG1 for _, name in blame.objected),
+        ),
         _done(trust.done, terms),
         None if trust.after is None else facts_of(trust.after, terms, labels=labels),
         trust.notices,
@@ -375,7 +390,7 @@ def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Explanation
     return tuple(
         _systematic(f.name, f.size, f.error, terms, other=f.other)
         if f.kind == "systematic"
-        else Explanation(f.kind, f.name, f.size, f.error)
+        else Explanation(f.kind, f.name, f.size, f.error, gain=f.gain, frames=f.frames, outliers=f.outliers)
         for f in shown.values()
     )
 
@@ -386,18 +401,11 @@ def _main(findings: Sequence[Finding]) -> list[Finding]:
     return first + [f for f in findings[1:] if f.kind == "systematic" and first[0].kind != "systematic"][:1]
 
 
-def _turned(terms: Terms) -> str:
-    """The error of a sensor that is turned on its mount."""
-    return "z2_constant" if terms.polar else "z2_range"
-
-
-def _power(blame: Blame, terms: Terms) -> tuple[Explanation, ...]:
-    """Faults that would have been seen: systematic errors, then noises by the factor of their sigma."""
-    names = ("odometry_theta_turn", "odometry_x_distance", "odometry_theta_distance", _turned(terms), "z1_range")
-    found = [_systematic(name, blame.detectable.get(name, math.nan), math.nan, terms) for name in names]
-    for name in ("z1", "z2", "odometry_theta"):
-        found.append(Explanation("sigma", name, blame.detectable.get(f"residual_{name}_spread", math.nan)))
-    return tuple(t for t in found if math.isfinite(t.size))
+def main_findings(trust: Trust, terms: Terms) -> tuple[Explanation, ...]:
+    """What the first page names; none without replicates, and where the cause cannot be determined."""
+    if trust.blame is None or trust.blame.cause in (NOTHING, UNLISTED, UNTELLABLE):
+        return ()
+    return explanations(_main(trust.blame.findings), terms)
 
 
 def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:
@@ -440,22 +448,30 @@ def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     return tuple(name for name in GROUPS if name in wanted)
 
 
-def advice(findings: Sequence[Finding], *, labels: bool) -> Advice:
-    """What to do about findings."""
+def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", correlated: bool = False) -> Advice:
+    """What to do about findings of a run with an association method; never what is running already.
+
+    `correlated`: innovations are.
+    """
     groups, kinds = groups_of(findings), {f.kind for f in findings}
     unfitted = [f.name for f in findings if f.kind == "systematic" and f.name not in FITTED]
-    by_hand = tuple(name for name in unfitted if name.split("_", 1)[1] not in LATE)
+    by_hand = tuple(name for name in unfitted if name not in LATE)
     off = tuple(dict.fromkeys(f.name for f in findings if f.kind in ("linearization", "innovations")))
     filters = any(name in FILTERS for name in off)
+    revised = association == HINDSIGHT
     steps = {
+        Step.CORRELATED: correlated and any(f.kind == "sigma" for f in findings),
         Step.FIT: bool(groups) and labels,
         Step.CORRECT: bool(groups) and not labels,
         Step.SHIFT: len(unfitted) > len(by_hand),
+        Step.MOUNT: any(f.kind == "systematic" and f.name in MOUNTED for f in findings),
         Step.BY_HAND: bool(by_hand),
-        Step.REVISE: "pairings" in kinds,
+        Step.REVISE: "pairings" in kinds and (labels or not revised),
         Step.ROBUST: "tails" in kinds,
-        Step.DECIDE_OTHERWISE: "decisions" in kinds,
+        Step.DECIDE_OTHERWISE: "decisions" in kinds and (labels or not revised),
         Step.RELINEARIZE: filters,
         Step.DISTRUST: bool(off) and not filters,
     }
-    return Advice(tuple(step for step, wanted in steps.items() if wanted), groups, by_hand, off, labels)
+    return Advice(
+        tuple(step for step, wanted in steps.items() if wanted), groups, by_hand, off, labels, revised, ITERATED in off
+    )

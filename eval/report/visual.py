@@ -6,22 +6,21 @@ The equations in `templates/models/` are those of `data.motion.velocity.step`, `
 
 from __future__ import annotations
 
+import io
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from PIL import Image
 
 from data.inputs import IntArray
 from data.log import Log, folder_name
-from data.pictures import Detection, Evidence, Found, InView
+from data.pictures import COMMAND_SIGMA, Detection, Evidence, Found, InView, true_pictures
 from data.terminal import counted
-from data.visual.observations import COMMAND_SIGMA, true_pictures
 from eval.figures.style import save
 from eval.figures.visual import Tile, contact_sheet, plan_figure
 from eval.plan.flags.table import Output
@@ -162,7 +161,7 @@ def tiles_of(evidence: Evidence) -> list[Tile]:
     """The frames kept to look at, with what was found in them and, where the truth is known, what was not."""
     found, truth, tiles = evidence.found, evidence.in_view, []
     for frame, image in found.tiles:
-        rgb: NDArray[np.uint8] = cv2.imdecode(np.frombuffer(image, np.uint8), cv2.IMREAD_COLOR_RGB)  # type: ignore[assignment]
+        rgb = np.asarray(Image.open(io.BytesIO(image)).convert("RGB"))
         here = np.flatnonzero(found.frame == frame)
         detections = [
             Detection(int(found.picture[d]), found.pixels[d], found.points[d], int(found.inliers[d])) for d in here

@@ -18,7 +18,7 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import DISCARD, NEW, PoseEstimate, Run
 from data.se2 import Array
-from data.words import environment, sentence
+from data.words import environment, number, sentence
 from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import metric
 from eval.referee.score import confusion_of, metrics_row
@@ -132,13 +132,13 @@ def statistics(log: Log, run: Run) -> str:
     for m in map(metric, STATISTICS):
         values = [row.get(m.column) for row in rows.values()]
         if any(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
-            lines.append(f"{m.line:<40}" + "".join(f"{_number(v, m.form):>12}" for v in values))
+            lines.append(f"{m.line:<40}" + "".join(f"{_number(v):>12}" for v in values))
     head = f"{f'{log.name}: {run.task}, {run.estimator}, {run.association}':<40}" + "".join(f"{p:>12}" for p in rows)
     return "\n".join([head, *lines, *(_wrapped(sentence(note)) for note in run.notes)])
 
 
-def _number(value: object, form: str) -> str:
-    return f"{value:{form}}" if isinstance(value, (int, float)) and math.isfinite(value) else NONE
+def _number(value: object) -> str:
+    return number(value) if isinstance(value, (int, float)) and math.isfinite(value) else NONE
 
 
 def moved_text(odometry: Array, pose: PoseEstimate) -> str:

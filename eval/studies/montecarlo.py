@@ -222,7 +222,8 @@ def verdicts(good: Sequence[Sample]) -> list[tuple[str, Verdict]]:
         means = np.array([s.means.get(quantity, math.nan) for s in good])
         missing = not np.isfinite(means).all() if good else quantity not in QUANTITIES
         if not missing:
-            found.append((quantity, consistency.verdict(means, dof)))
+            words = consistency.INNOVATIONS if quantity == "nis" else consistency.ERRORS
+            found.append((quantity, consistency.verdict(means, dof, words=words)))
     if good and all("whiteness" in s.means for s in good):
         found.append(("whiteness", consistency.whiteness(np.array([s.means["whiteness"] for s in good]))))
     ends = np.array([s.ends.get("position", math.nan) for s in good])

@@ -1,34 +1,40 @@
-"""A log against its twins: p value of every statistic, cause of rejections, and power."""
+"""A log against its twins: p value of every statistic, and the cause of rejections."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pandas as pd
 
-from data.inputs import Inputs
+from association.decide import known_decisions
+from data.inputs import CLUTTER, Inputs, LabelledObservations, Observations
 from data.log import Log
 from data.motion.systematic import corrected_inputs
 from data.notice import Code, Notice, notice
 from data.result import Run
-from data.se2 import Array, BoolArray
+from data.se2 import Array
+from ekf.whole_run import run_filter
 from eval.referee import attribution, battery, effects, residuals, trust
-from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, Finding
+from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, UNLISTED, UNTELLABLE, Finding
+from eval.referee.explanations import CORRELATION, MODELLED, Evidence, corrected, explanations, mirrored
+from eval.referee.headline import NEES_LIMIT
 from eval.referee.plausibility import with_plausibility
 from eval.referee.residuals import Used
 from eval.referee.result_files import TRUST
 from eval.referee.score import frame_of
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
+from eval.replay.settings import Setup
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
-from eval.studies.twins import inputs_of, with_noise
+from eval.studies.twins import inputs_of, smoothed_twin, source_of
 
 COLUMNS = TRUST.names
-UNINFORMATIVE = 1e6
-"""Factor of the covariance of an observation that is left out, so that its landmark stays determined."""
+SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
+"""How statistics end that are shares of frames: next to discrete, and left out of the family."""
 FEWEST = 19  # least number of twins for a family-wise level of 5 %
 
 
@@ -49,12 +55,11 @@ class Row:
 class Blame:
     """Diagnosis of a log."""
 
-    cause: str  # `NOISE`, `ASSOCIATIONS`, `ESTIMATOR` or `NOTHING`
+    cause: str  # `NOISE`, `ASSOCIATIONS`, `ESTIMATOR`, `NOTHING`, `UNTELLABLE` or `UNLISTED`
     findings: tuple[Finding, ...]  # evidence for it and for other causes, the strongest first
     objected: tuple[Key, ...]  # statistics rejected family-wise; `tested`: their number in all
     tested: int
     p: float  # the smallest family-wise p value
-    detectable: dict[str, float]  # sizes detectable with a power of 90 %, by name
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +83,11 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     keys = list(real.measured)
     values = np.array([real.measured[k].value for k in keys])
     drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
-    family = battery.family_p(values, drawn)
+    z = np.array([_in_errors(real.measured[k]) for k in keys])
+    theory = np.array([name.startswith("slope_") for _, name in keys], bool) & np.isfinite(z)
+    compared = np.array([not name.endswith(SHARES) for _, name in keys], bool)
+    family = np.full(len(keys), np.nan)
+    family[compared] = battery.shared_p(values[compared], drawn[:, compared], z[compared], theory[compared])
     rows = []
     for i, (estimator, name) in enumerate(keys):
         m, own = real.measured[estimator, name], drawn[:, i]
@@ -92,7 +101,12 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     made = Trust(log.name, task, association, real, tuple(twins), tuple(rows), notices=notices)
     if len(twins) < FEWEST or smoother is None or smoother.flaw is not None:
         return made
-    return replace(made, blame=_blame(made, inputs_of(log, task, association), smoother, drawn))
+    return replace(made, blame=_blame(log, made, inputs_of(log, task, association), smoother, drawn))
+
+
+def _in_errors(m: Measured) -> float:
+    """A statistic in its own standard errors from what is expected."""
+    return (m.value - m.expected) / m.se if m.se > 0.0 and math.isfinite(m.expected) else math.nan
 
 
 def is_exact(covariance: Array) -> bool:
@@ -118,26 +132,39 @@ def _failures(log: Log, real: Sample, twins: Sequence[Sample]) -> tuple[Notice, 
     return tuple(found)
 
 
-def _blame(made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -> Blame:
+def _blame(log: Log, made: Trust, inputs: Inputs, smoother: Run, drawn: Array) -> Blame:
     tested = [r for r in made.rows if math.isfinite(r.p_family)]
     objected = tuple((r.estimator, r.statistic) for r in tested if r.p_family <= battery.LEVEL)
     p = min((r.p_family for r in tested), default=math.nan)
-    threshold = max(attribution.THRESHOLD, _largest_score(made.twins))
     findings: list[Finding] = []
+    removed = True
     if objected:
-        findings = _noise(made, inputs, smoother, threshold)
-        findings.sort(key=lambda f: -f.gain)
+        findings, removed = _explained(log, made, inputs, smoother)
+    mispaired: list[Finding] = []
     if made.association != "known":
         names = dict.fromkeys(name for s in made.twins for name in s.counts)
-        findings += attribution.decision_errors({n: [s.counts[n] for s in made.twins if n in s.counts] for n in names})
-    findings += _estimators(made.twins)
+        counts = {n: [s.counts[n] for s in made.twins if n in s.counts] for n in names}
+        mispaired = attribution.decision_errors(counts)
+    findings += mispaired + _estimators(made.twins)
     cause = NOTHING
-    if findings:
+    if objected and _broken(made.twins):
+        cause = UNTELLABLE
+    elif mispaired and not objected:
+        pass  # a method's errors on this geometry with everything as stated: no finding about the log
+    elif not removed:
+        cause = UNLISTED
+    elif findings:
         cause = findings[0].cause
     elif objected:
         # no named cause: rejections of the smoother's residuals are due to the log, others to the estimator
         cause = NOISE if any(e == smoother.estimator for e, _ in objected) else ESTIMATOR
-    return Blame(cause, tuple(findings), objected, len(tested), p, _detectable(made, drawn))
+    return Blame(cause, tuple(findings), objected, len(tested), p)
+
+
+def _broken(twins: Sequence[Sample]) -> bool:
+    """Whether the smoother is lost on most twins, though their noise is as stated: the solution itself is broken."""
+    nees = [s.nees[PLAIN, "final"] for s in twins if (PLAIN, "final") in s.nees]
+    return bool(nees) and float(np.median(nees)) > NEES_LIMIT
 
 
 def _estimators(twins: Sequence[Sample]) -> list[Finding]:
@@ -153,76 +180,134 @@ def _estimators(twins: Sequence[Sample]) -> list[Finding]:
     return found + [f for f in attribution.innovation_errors(nis) if f.name not in convicted]
 
 
-def _largest_score(twins: Sequence[Sample]) -> float:
-    """95 % quantile over the twins of the largest slope, in standard errors."""
-    largest = [
-        max((abs(m.value / m.se) for (_, n), m in s.measured.items() if n.startswith("slope_")), default=0.0)
-        for s in twins
-    ]
-    return float(np.quantile(largest, 1.0 - battery.LEVEL))
+ROUNDS = 4  # explanations, one after the other
+REPLICATES = 4  # of the corrected log in a round: they give the spread of residuals to 2 % on a log of 200 frames
+TRIED = 3  # explanations of a kind whose likelihood is computed
+HOPELESS = 10.0  # share of the best odds, below which it is not
+FAR = 10.0  # standard errors of a systematic error beyond which it is linearized anew
+STANDS_OUT = 6.0  # standard deviations, above which a statistic of a corrected log still stands out
+REMOVED = 0.5  # share of the strongest objection that an explanation has to take away
 
 
-def _noise(made: Trust, inputs: Inputs, smoother: Run, threshold: float) -> list[Finding]:
-    """Findings about noise and pairings: outliers, then systematic errors, then noise.
+def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding], bool]:
+    """Explanations one after the other, each with earlier ones corrected, and whether they remove the objections."""
+    inputs = replace(corrected_inputs(inputs, smoother.errors_final), systematic=None)
+    certain = {n: _spread([s.typical[n] for s in made.twins if n in s.typical]) for n in residuals.COMPONENTS}
+    twins = [_statistics(s.measured) for s in made.twins]
+    usual, typical = _usual(twins), _usual([s.typical for s in made.twins])
+    spread = {n: float(np.std([t[n] for t in twins if n in t])) for n in usual}
+    before = _furthest(_statistics(made.real.measured), usual, spread)
+    findings: list[Finding] = []
+    for _ in range(ROUNDS):
+        used, path = residuals.used_by(smoother, inputs), _path(smoother)
+        found = residuals.smoothed_residuals(inputs, path, used)
+        lag1 = {n: usual.get(f"residual_{n}_lag1", 0.0) for n in residuals.COMPONENTS}
+        evidence = Evidence(inputs, path, used, found, typical, lag1, certain)
+        best = _best(evidence, smoother, [f.name for f in findings if f.kind == "systematic"])
+        if best is None:
+            break
+        finding, inputs = best
+        findings.append(finding)
+        refitted = None if finding.kind == CORRELATION else _refitted(inputs, smoother)
+        if refitted is None:
+            break  # no replicate has correlated errors, so nothing is comparable any more
+        smoother = refitted
+        again = _replicated(log, made.task, inputs, smoother)
+        usual, typical = _usual([_statistics_of(s) for s in again]), _usual([s.typical for s in again])
+    if findings and findings[-1].kind == CORRELATION:
+        return findings, True
+    after = _furthest(_statistics_of(trust.of_smoother(smoother, inputs)), usual, spread)
+    return findings, after < max(REMOVED * before, STANDS_OUT)
 
-    Each is tested without the former ones: an outlier bends path and map, and a systematic error adds to the residuals.
-    Outliers are counted again without systematic errors.
+
+def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, Inputs] | None:
+    """The explanation with the best odds, and the inputs corrected by it; None where none has better odds than none.
+
+    Those with a model of the inputs have the likelihood of a filter's innovations. Of each kind a few are tried.
     """
-    typical = [s.typical for s in made.twins]
-    outliers, less, fitted, left_out = _outliers(made, inputs, smoother)
-    used = residuals.used_by(fitted, less)
-    kept, path = _without(used, left_out), _path(fitted)
-    factors = attribution.factors_of(_typical(less, fitted, kept), typical)
-    scored = effects.scored(less, path, kept, fitted.errors_final)
-    systematic = attribution.systematic_errors(scored, factors, threshold)
-    if systematic:
-        sizes = {f.name: f.size for f in systematic}
-        corrected = effects.without(less, path, used, sizes)
-        again = with_plausibility(batch("batch", corrected, _as_front(fitted)), corrected)
-        if again.flaw is None:
-            outliers, less, fitted, left_out = _outliers(made, effects.without(inputs, path, used, sizes), again)
-            kept = _without(residuals.used_by(fitted, less), left_out)
-            factors = attribution.factors_of(_typical(less, fitted, kept), typical)
-    return outliers + systematic + attribution.noise_errors(factors, typical, threshold)
+    found, stated = explanations(e, taken), _likelihood(e.inputs, e.used)
+    count = Counter[str]()
+    tried: list[tuple[float, Finding, Inputs]] = []
+    for x in [*found, mirrored(e)]:
+        count[x.finding.kind] += 1
+        promising = x.finding.kind == "mirrored" or x.net > max(found[0].net / HOPELESS, 0.0)
+        if count[x.finding.kind] > TRIED or not promising:
+            continue
+        finding, inputs = x.finding, corrected(e, x.finding)
+        if finding.kind == "systematic" and abs(finding.size) > FAR * finding.error:
+            inputs, finding = _again(inputs, smoother, finding)
+        if finding.kind in MODELLED:
+            finding = replace(finding, gain=_likelihood(inputs, e.used) - stated)
+        tried.append((x.net - x.finding.gain + finding.gain, finding, inputs))
+    tried = [t for t in tried if t[0] > 0.0]
+    return max(tried, key=lambda t: t[0])[1:] if tried else None
 
 
-def _outliers(made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding], Inputs, Run, BoolArray]:
-    """Outliers, if there are more than in twins; inputs and smoother without them, and which observations (M,).
-
-    The Gaussian smoother bends to them: in the arena, 10 wrong labels leave 80 outliers. So they are taken from a
-    robust smoother, in sigmas of its typical noise.
-    """
-    nothing = np.zeros(len(inputs.observations.frame), bool)
-    usual = [s.outlying for s in made.twins]
-    if not attribution.outlier_errors(made.real.outlying, 0, usual):
-        return [], inputs, smoother, nothing
-    robust = with_plausibility(batch("batch-cauchy", inputs, _as_front(smoother)), inputs)
-    if robust.flaw is not None:
-        robust = smoother
-    path, used = _path(robust), residuals.used_by(robust, inputs)
-    factors = attribution.factors_of(_typical(inputs, robust, used), [s.typical for s in made.twins])
-    rest = corrected_inputs(inputs, robust.errors_final)
-    scaled = with_noise(rest, {name: max(1.0, factors.get(name, 1.0)) for name in residuals.COMPONENTS[3:]})
-    found = residuals.smoothed_residuals(scaled, path, used)
-    outlying, elsewhere, excess = residuals.misfits(scaled, path, used, found)
-    findings = attribution.outlier_errors(outlying, elsewhere, usual, excess)
-    if not findings:
-        return [], inputs, smoother, nothing
-    left_out: BoolArray = found.squared > residuals.OUTLYING
+def _likelihood(inputs: Inputs, used: Used) -> float:
+    """Log-likelihood of the innovations of a filter with given pairings; minus infinity where it fails."""
     o = inputs.observations
-    R = np.where(left_out[:, None, None], UNINFORMATIVE * o.R, o.R)
-    less = replace(inputs, observations=replace(o, R=R))
-    again = with_plausibility(batch("batch", less, _as_front(robust)), less)
-    return (findings, less, again, left_out) if again.flaw is None else (findings, inputs, smoother, nothing)
+    label = np.where(used.number >= 0, used.identity[np.maximum(used.number, 0)], CLUTTER)
+    labelled = replace(inputs, observations=LabelledObservations(o.frame, o.z, o.R, label))
+    run = run_filter(labelled, known_decisions(labelled)[0])
+    return float(run.log_likelihood.sum()) if run.failure is None else -math.inf
 
 
-def _typical(inputs: Inputs, smoother: Run, used: Used) -> dict[str, float]:
-    rest = corrected_inputs(inputs, smoother.errors_final)
-    return residuals.typical(residuals.smoothed_residuals(rest, _path(smoother), used))
+def _refitted(inputs: Inputs, smoother: Run) -> Run | None:
+    again = with_plausibility(batch(PLAIN, inputs, _as_front(smoother)), inputs)
+    return again if again.flaw is None else None
 
 
-def _without(used: Used, left_out: BoolArray) -> Used:
-    return replace(used, number=np.where(left_out, -1, used.number))
+def _again(inputs: Inputs, smoother: Run, finding: Finding) -> tuple[Inputs, Finding]:
+    """Inputs without a large systematic error, estimated once more at the solution without it."""
+    refitted = _refitted(inputs, smoother)
+    if refitted is None:
+        return inputs, finding
+    used, path = residuals.used_by(refitted, inputs), _path(refitted)
+    more, error = effects.scored(inputs, path, used).slopes().get(finding.name, (0.0, finding.error))
+    without = effects.without(inputs, path, used, {finding.name: more})
+    return without, replace(finding, size=finding.size + more, error=error)
+
+
+def _replicated(log: Log, task: str, inputs: Inputs, smoother: Run) -> list[trust.Smoothed]:
+    """Statistics of the smoother on replicates of a corrected log."""
+    o = inputs.observations
+    recorded = replace(
+        log.recorded, increments=inputs.increments, observations=Observations(o.frame, o.z, o.R), systematic=None
+    )
+    source = source_of(replace(log, recorded=recorded), smoother, (), Setup())
+    found = [smoothed_twin(source, seed) for seed in range(REPLICATES)]
+    return [s for s in found if s is not None]
+
+
+def _statistics(measured: Mapping[Key, Measured]) -> dict[str, float]:
+    """The smoother's statistics, slopes in standard errors."""
+    return _plain({name: m for (estimator, name), m in measured.items() if estimator == PLAIN})
+
+
+def _statistics_of(smoothed: trust.Smoothed) -> dict[str, float]:
+    return _plain(smoothed.statistics)
+
+
+def _plain(measured: Mapping[str, Measured]) -> dict[str, float]:
+    return {n: m.value / m.se if n.startswith("slope_") and m.se > 0.0 else m.value for n, m in measured.items()}
+
+
+def _furthest(own: Mapping[str, float], usual: Mapping[str, float], spread: Mapping[str, float]) -> float:
+    """Largest distance of a statistic from the usual one, in the replicates' standard deviations."""
+    return max(
+        (abs(own[n] - usual[n]) / spread[n] for n in own if n in usual and spread.get(n, 0.0) > 0.0), default=0.0
+    )
+
+
+def _usual(found: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    names = dict.fromkeys(n for f in found for n in f)
+    return {n: float(np.median([f[n] for f in found if n in f])) for n in names}
+
+
+def _spread(values: Sequence[float]) -> float:
+    """Relative standard deviation of spreads, as that of their logarithms."""
+    logs = np.log([v for v in values if v > 0.0])
+    return float(np.std(logs)) if len(logs) > 1 else math.nan
 
 
 def _path(smoother: Run) -> Array:
@@ -232,14 +317,6 @@ def _path(smoother: Run) -> Array:
 
 def _as_front(smoother: Run) -> Run:
     return replace(smoother, online=smoother.final)
-
-
-def _detectable(made: Trust, drawn: Array) -> dict[str, float]:
-    names = [n for _, n in made.real.measured]
-    of = {n: drawn[:, i] for i, n in enumerate(names)}
-    slopes = {n.removeprefix("slope_"): v.tolist() for n, v in of.items() if n.startswith("slope_")}
-    spreads = {n: v.tolist() for n, v in of.items() if n.endswith("_spread")}
-    return attribution.detectable(slopes, spreads, battery.critical(drawn))
 
 
 def trust_table(all_trust: Sequence[Trust]) -> pd.DataFrame:

@@ -1,8 +1,8 @@
 """Twins of a log: parametric bootstrap replicates, drawn from its own noise model.
 
 Path and map of the batch smoother are the truth. Prior, increments and observations are drawn with the stated
-covariances, at the same frames, of the same landmarks; unused observations are copied. So every statistic of the log
-has a reference distribution that includes linearization, geometry and gates.
+covariances, at the same frames, of the same landmarks; unused observations that fit none are copied. So every
+statistic of the log has a reference distribution that includes linearization, geometry and gates.
 
 Twins do not show an error that the smoother absorbed into this truth, such as a scale common to distances and
 observations.
@@ -30,7 +30,7 @@ from data.se2 import Array
 from data.sensors import RELATIVE_POINT
 from data.truth import Truth
 from eval.compare import compare
-from eval.referee import attribution, effects, residuals
+from eval.referee import attribution, effects, residuals, trust
 from eval.referee.plausibility import with_plausibility
 from eval.replay.batch import batch
 from eval.replay.external.load import digests
@@ -91,10 +91,30 @@ def source_of(
     if not (used.number >= 0).any():
         raise UsageError(f"no twins of {log.name}: batch used no observation, so nothing is known beside the odometry")
     landmarks = LandmarkMap(used.identity, used.landmarks)
-    landmark_of = np.where(used.number >= 0, used.identity[np.maximum(used.number, 0)], CLUTTER)
+    row = np.where(used.number >= 0, used.number, _gated(inputs, smoother.final.pose, used))
+    landmark_of = np.where(row >= 0, used.identity[np.maximum(row, 0)], CLUTTER)
     wanted = tuple(dict.fromkeys([*estimators, "batch"]))
     again = association or smoother.association
     return Source(log, smoother.task, again, wanted, setup, smoother.final.pose, landmarks, landmark_of)
+
+
+def _gated(inputs: Inputs, path: Array, used: residuals.Used) -> IntArray:
+    """Row of the landmark (M,) that an unused observation fits although a gate left it out; -1: none.
+
+    Copied as clutter, it would be paired rightly again and counted as wrong.
+    """
+    o, sensor = inputs.observations, inputs.sensor
+    row = np.full(len(o.frame), -1)
+    for i in np.flatnonzero(used.number < 0):
+        same = o.frame == o.frame[i]
+        nu = sensor.residual(o.z[i], sensor.predict(path[o.frame[i]], used.landmarks))
+        squared = np.einsum("li,li->l", nu, np.linalg.solve(o.R[i], nu.T).T)
+        squared[used.number[same & (used.number >= 0)]] = np.inf
+        squared[row[same & (row >= 0)]] = np.inf
+        best = int(np.argmin(squared))
+        if squared[best] < residuals.OUTLYING:
+            row[i] = best
+    return row
 
 
 def twin(source: Source, seed: int) -> Log:
@@ -187,7 +207,8 @@ def calibrated(
             break
         used = residuals.used_by(smoother, inputs)
         source = source_of(replace(log, recorded=_recorded(log, inputs)), smoother, (), setup)
-        usual = [_typical(source, seed) for seed in range(number * TWINS, (number + 1) * TWINS)]
+        drawn = [smoothed_twin(source, seed) for seed in range(number * TWINS, (number + 1) * TWINS)]
+        usual = [s.typical for s in drawn if s is not None]
         rest = corrected_inputs(inputs, smoother.errors_final)
         found = residuals.smoothed_residuals(rest, smoother.final.pose, used)
         factors = attribution.factors_of(residuals.typical(found, outliers=True), usual)
@@ -207,16 +228,11 @@ def calibrated(
     return replace(log, recorded=_recorded(log, inputs)), done
 
 
-def _typical(source: Source, seed: int) -> dict[str, float]:
-    """Spread of a twin's residuals under the smoother's decisions."""
-    made = twin(source, seed)
-    inputs = inputs_of(made, source.task, "known")
+def smoothed_twin(source: Source, seed: int) -> trust.Smoothed | None:
+    """Statistics of the smoother on a twin, with the twin's own pairings; None where it failed."""
+    inputs = inputs_of(twin(source, seed), source.task, "known")
     (smoother,) = compare(inputs, source.task, ("batch",), "known", source.setup)
-    if smoother.flaw is not None or smoother.final is None:
-        return {}
-    used = residuals.used_by(smoother, inputs)
-    rest = corrected_inputs(inputs, smoother.errors_final)
-    return residuals.typical(residuals.smoothed_residuals(rest, smoother.final.pose, used), outliers=True)
+    return None if smoother.flaw is not None else trust.of_smoother(smoother, inputs)
 
 
 def _recorded(log: Log, inputs: Inputs) -> Inputs:

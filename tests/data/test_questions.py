@@ -67,10 +67,10 @@ def recordings() -> Iterator[Log]:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not RECORDINGS.is_dir(), reason="the recordings are not here")
-def test_no_recording_is_asked_anything():
+def test_a_recording_is_asked_only_about_its_bad_truth():
     asked_of = {log.name: asked(log) for log in recordings()}
     assert len(asked_of) >= 15
-    assert {name: said for name, said in asked_of.items() if said} == {}
+    assert {name: list(said) for name, said in asked_of.items() if said} == {"mrclam9-robot3": [Code.BAD_TRUTH]}
 
 
 def test_bearings_in_degrees(arena):
@@ -181,7 +181,7 @@ def test_a_log_without_observations_can_be_asked(arena):
     none = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
     empty = replace(recorded(arena, observations=none), truth=replace(arena.truth, landmark_of=None))
     assert asked(empty) == {}
-    assert len(CHECKS) == 9
+    assert len(CHECKS) == 11
 
 
 def test_of_a_single_frame_no_turn_is_asked():

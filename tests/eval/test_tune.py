@@ -77,6 +77,30 @@ def test_gross_outliers_beyond_the_gate_are_left_out_once_for_all():
     assert factor[1] == pytest.approx(1.0, abs=0.1)
 
 
+def test_sigmas_fitted_to_correlated_innovations_are_not_to_be_believed_and_it_is_said_first(tmp_path, capsys):
+    """Each landmark's ranges wander: the fit makes NIS right, and the covariance is too small as before."""
+    log = simulate(SMALL, 0)
+    r, rng = log.recorded, np.random.default_rng(1)
+    wander = np.zeros((len(r), 100))
+    for k in range(1, len(r)):
+        wander[k] = 0.97 * wander[k - 1] + 0.05 * rng.standard_normal(100)
+    o = r.observations
+    z = o.z.copy()
+    z[:, 0] += wander[o.frame, log.truth.landmark_of]
+    log = replace(log, recorded=replace(r, observations=Observations(o.frame, z, o.R)))
+    write_folder(log, tmp_path / "wandering")
+    assert main([str(tmp_path / "wandering"), str(tmp_path / "out"), "--fit", "motion,sensor"]) == 0
+    text = capsys.readouterr().out
+    assert text.startswith("warning: innovations stay correlated (lag-1 +0.")
+    assert "pose NEES" in text
+    assert load_folder(tmp_path / "out").notes[-1].startswith("In this fit, innovations stay correlated (lag-1 +0.")
+    made = tune(log, groups="sensor")
+    assert made.scores["tuned"].nis == pytest.approx(1.0, abs=0.05)
+    assert made.errors["tuned"][2] > 3.6, "NEES, expected 3"
+    assert tune(log, groups="bias").doubtful is None, "no sigma was fitted"
+    assert tune(simulate(SMALL, 0), groups="sensor").doubtful is None, "white"
+
+
 def refused(*arguments):
     """Exit status 2 and one line."""
     assert main([str(a) for a in arguments]) == 2

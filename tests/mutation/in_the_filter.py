@@ -160,7 +160,7 @@ FAULTS = (
     Fault(None, "covariance times 0.8", LOCALIZER_NEES, replaced(ESTIMATE, scaled), match="overconfident"),
     Fault(None, HALVED, LOCALIZER_NEES, replaced(INCREMENT, half_the_noise), match="overconfident"),
     Fault(None, HALVED, LOCALIZER_NIS, replaced(INCREMENT, half_the_noise)),
-    Fault(None, HALVED, LOCALIZER_WHITENESS, replaced(INCREMENT, half_the_noise), match="overconfident"),
+    Fault(None, HALVED, LOCALIZER_WHITENESS, replaced(INCREMENT, half_the_noise), match="correlated"),
     Fault(None, "Jacobian of the first observation", LOCALIZER_NEES, jacobian_of_the_first_sighting,
           match="overconfident"),
 )  # fmt: skip

@@ -11,6 +11,8 @@ from tests.net.digest import CLOSE, RUNS
 
 GIVEN = Path(__file__).parent / "given"
 """Files that some runs read, named {given} in their words."""
+LOST = 1e-2
+"""How close, where an estimate is lost: another order of additions in the library below moves it by half of that."""
 LOOSE = 1e-4
 """How close, where a graph is known badly from the log and its optimizer stops at once: errors are off by 1e-5."""
 ALWAYS = ("--no-plots", "--formats", "csv", "--jobs", "1", "--out", "out", "--quiet")
@@ -135,7 +137,7 @@ CASES: dict[str, Case] = {
     "corridor-blind": Case(
         "--log corridor:1:people+no-odometry --task slam --estimator ekf,isam2 --association jcbb",
         "no odometry",
-        close=LOOSE,
+        close=LOST,
     ),
     "corridor-localization": Case(
         "--log corridor:2:people --task localization --estimator ekf,isam2,batch"

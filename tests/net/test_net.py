@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 import shutil
 
+import pandas as pd
 import pytest
 
 from tests.net import __main__ as command
 from tests.net.cases import CASES
 from tests.net.digest import appeared, columns_of, compare, digest_of, digests, left_out, moved
+from tests.net.headlines import contradictions, marks
 from tests.net.record import RECORDED, Record, done
 from tests.net.values import differences
 
@@ -23,13 +25,27 @@ def cells(values):
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[] if case.short else [pytest.mark.slow]) for n, case in CASES.items()]
 )
-def test_no_column_of_a_run_has_moved(name):
-    case, kept = done(name, None), Record.read(name)
+def test_no_column_of_a_run_has_moved_and_no_headline_contradicts_its_numbers(name, tmp_path):
+    case, kept = done(name, tmp_path), Record.read(name)
     assert not isinstance(case, str), case
     assert kept is not None, f"{name} is not recorded: python -m tests.net --record --only {name}"
     assert case.record.status == kept.status
     found = list(compare(case.record.files, kept.files, exact=False, close=CASES[name].close))
     assert not found, "\n".join([f"{len(found)} moved", *("  ".join(move) for move in found[:40])])
+    if (tmp_path / name / "report.md").is_file():
+        assert not list(contradictions(tmp_path / name))
+
+
+def test_a_tick_over_a_number_that_objects_is_seen(tmp_path):
+    case = done("arena", tmp_path)
+    assert not isinstance(case, str)
+    folder = tmp_path / "arena"
+    assert {mark for mark, _ in marks(folder / "report.md").values()} == {"✓"}
+    assert not list(contradictions(folder))
+    table = pd.read_csv(folder / "metrics.csv")
+    table["nees_pose"] = 136.0
+    table.to_csv(folder / "metrics.csv", index=False)
+    assert any("NEES is 136" in said for said in contradictions(folder))
 
 
 def test_every_case_is_recorded_and_nothing_else():

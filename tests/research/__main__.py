@@ -1,6 +1,7 @@
-"""`python -m tests.research variety|sensitivity OUT`: the studies that `jcbb-hindsight` was made with.
+"""`python -m tests.research variety|sensitivity|foreign|audit OUT`: studies too long for the suite.
 
-Both write a row a run to a CSV file in OUT; an interrupted study goes on with it.
+`variety` and `sensitivity` are those that `jcbb-hindsight` was made with; `foreign` judges headlines and causes on
+worlds of another kind. All write a row a run to a CSV file in OUT; an interrupted study goes on with it.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The flags of both studies."""
-    p = argparse.ArgumentParser(prog="python -m tests.research", description="Studies of jcbb-hindsight.")
+    """The flags of all studies."""
+    p = argparse.ArgumentParser(prog="python -m tests.research", description="Studies too long for the suite.")
     studies = p.add_subparsers(dest="study", required=True)
     variety = studies.add_parser(
         "variety", help="jcbb and jcbb-hindsight on 200 simulated worlds, to OUT/variety.csv and OUT/variety.png"
@@ -43,6 +44,10 @@ def parser() -> argparse.ArgumentParser:
         help="jcbb-hindsight with each of its constants halved and doubled, on worlds of the variety and named logs"
         " (corridor with people, Victoria Park, UTIAS), to OUT/sensitivity.csv and OUT/sensitivity.md (hours)",
     )
+    audit = studies.add_parser("audit", help="size, power and speed of the audit, to OUT/audit-size.csv, -speed.csv")
+    audit.add_argument("out", metavar="OUT", type=Path)
+    audit.add_argument("--graphs", type=int, metavar="N", default=100, help="clean graphs of a structure (100)")
+    audit.add_argument("--poses", type=int, metavar="N", default=600, help="poses of a structure (600)")
     sensitivity.add_argument("out", metavar="OUT", type=Path)
     sensitivity.add_argument("--half", choices=("judge", "choose", "later"), default="judge")
     sensitivity.add_argument(
@@ -69,7 +74,22 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="only the logs with nothing changed: which constants they read, and what the study would cost",
     )
+    _foreign_flags(studies.add_parser("foreign", help="headlines and causes on worlds of another kind than our own"))
     return p
+
+
+def _foreign_flags(p: argparse.ArgumentParser) -> None:
+    p.add_argument("what", choices=("headlines", "causes"), help="what is judged, to OUT/WHAT*.csv and OUT/WHAT*.md")
+    p.add_argument("out", metavar="OUT", type=Path)
+    p.add_argument("--sound", type=int, metavar="N", default=300, help="sound logs (default: 300)")
+    p.add_argument("--faulty", type=int, metavar="N", default=300, help="headlines: logs with faults (default: 300)")
+    p.add_argument("--each", type=int, metavar="N", default=10, help="causes: logs of each fault (default: 10)")
+    p.add_argument("--first", type=int, metavar="N", default=0, help="the first of the logs (default: 0)")
+    p.add_argument("--fault", metavar="NAME", action="append", help="causes: only this fault; may be repeated")
+    p.add_argument("--shape", metavar="NAME", action="append", help="causes: only this shape; may be repeated")
+    p.add_argument("--association", metavar="NAME", default="known", help="causes: known (default), jcbb, …")
+    p.add_argument("--twins", type=int, metavar="N", default=19, help="causes: replicates of each log (default: 19)")
+    p.add_argument("--jobs", type=int, metavar="N", default=1, help="runs at a time (default: 1)")
 
 
 def _study(argv: Sequence[str] | None) -> None:
@@ -77,6 +97,13 @@ def _study(argv: Sequence[str] | None) -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     if args.study == "variety":
         _variety(args.out, args.half, args.worlds, exact=args.exact)
+    elif args.study == "foreign":
+        _foreign(args)
+    elif args.study == "audit":
+        from tests.research import audit
+
+        audit.speed(args.out)
+        audit.size(args.out, args.graphs, args.poses)
     else:
         _sensitivity(args)
 
@@ -97,6 +124,20 @@ def _variety(out: Path, half: str | None, count: int, *, exact: bool) -> None:
     rows = [r for r in read(file) if r.number in set(chosen)]
     print("\n".join(table(rows)), flush=True)
     save(variety_figure(worlds_of(rows)), out, name)
+
+
+def _foreign(args: argparse.Namespace) -> None:
+    """Run what is not in the file yet, with its progress; then the tables."""
+    from tests.research.foreign import causes, headlines
+    from tests.research.foreign.faults import FAULTS
+    from tests.research.foreign.shapes import SHAPES
+
+    if args.what == "headlines":
+        headlines.study(args.out, headlines.cases(args.sound, args.faulty, args.first), args.jobs)
+        return
+    faults, shapes = args.fault or list(FAULTS), args.shape or list(SHAPES)
+    wanted = causes.cases(faults, shapes, args.each, args.sound, args.association, args.first)
+    causes.study(args.out, wanted, args.twins, args.jobs)
 
 
 def _sensitivity(args: argparse.Namespace) -> None:

@@ -25,13 +25,21 @@ MOST = 4000
 CASES = tuple((task, association) for task in ("localization", "slam") for association in ("known", "jcbb"))
 
 
-def facts(log: Log, task: str, association: str) -> LogFacts:
-    """What the first screen knows of filter and smoother."""
+def trial_of(log: Log, task: str, association: str) -> Trial:
+    """Filter and smoother on a log of any world."""
     inputs = log.inputs(labels=association == "known")
     inputs = inputs.without_map() if task == "slam" else inputs
-    runs = compare(inputs, task, ("ekf", "batch"), association)
-    trial = Trial(log, task, tuple(runs))
+    return Trial(log, task, tuple(compare(inputs, task, ("ekf", "batch"), association)))
+
+
+def facts_of_trial(trial: Trial) -> LogFacts:
+    """What the first screen knows of them."""
     return facts_of(trial, score([trial]), ())
+
+
+def facts(log: Log, task: str, association: str) -> LogFacts:
+    """What the first screen knows of filter and smoother on a log."""
+    return facts_of_trial(trial_of(log, task, association))
 
 
 def understated(log: Log) -> Log:

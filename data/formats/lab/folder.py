@@ -24,7 +24,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
-import cv2
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -67,6 +66,8 @@ def write_lab(folder: Path, recording: VisualRecording, *, form: str = "mat") ->
 
 
 def _write_references(folder: Path, references: list[NDArray[np.uint8]]) -> None:
+    import cv2
+
     digits = max(2, len(str(len(references))))
     for i, image in enumerate(references, 1):
         _, content = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
@@ -303,6 +304,8 @@ def _reference_files(folder: Path) -> tuple[list[Path], list[str]]:
 
 def read_image(path: Path) -> NDArray[np.uint8]:
     """An image as RGB (H, W, 3); DataError for a file that is none, or states more than `MOST_PIXELS`."""
+    import cv2
+
     content = bytes_of(path)
     try:
         with warnings.catch_warnings(action="error"), Image.open(io.BytesIO(content)) as image:

@@ -27,7 +27,7 @@ from data.formats.mrclam.files import (
     read_truth,
     robot_file,
 )
-from data.formats.mrclam.readings import Readings, first_fix, identify, misplaced, within
+from data.formats.mrclam.readings import Readings, first_fix, identify, within
 from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import MAX_HOLD, VelocityModel, floor_covariances, preintegrate
@@ -275,7 +275,6 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
         pose = truth.at(course.time)
         prior: Prior | None = treatment.prior(pose[0])
         notes += [f"Ground truth ignored from {a:g} to {b:g} s after its first row." for a, b in truth.bad]
-        notes += misplaced(course.readings, pose[course.frame], survey)
     else:
         course, prior, note = _without_truth(course, survey, treatment.spread)
         notes.append(note)
@@ -297,6 +296,7 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
         "dataset": files.name,
         "robot": robot,
         "first_stamp": round(origin + float(course.time[0]), 6),
+        "clock": round(float(course.time[0]), 6),
         **treatment.described(),
         "calibration": asdict(treatment.calibration),
         "sha256": dict(sorted(files.sha256.items())),

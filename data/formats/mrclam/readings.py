@@ -1,4 +1,4 @@
-"""Observations of a UTIAS MRCLAM robot: identity by barcode, agreement with the survey, and a first pose from them.
+"""Observations of a UTIAS MRCLAM robot: identity by barcode, and a first pose from them.
 
 Without ground truth the first observations of known landmarks give the prior: those of a few seconds are carried to one
 body frame by odometry and fitted to the map (rigid least squares, closed form). The log starts after them, so they are
@@ -20,10 +20,6 @@ from data.se2 import Array, BoolArray
 from data.terminal import counted
 
 UNKNOWN_BARCODE = -2
-MISPLACED = 1.0
-"""m, largest median distance of a landmark's observations from its surveyed place."""
-ENOUGH = 5
-"""Fewest observations of a landmark for that check."""
 
 
 @dataclass(frozen=True)
@@ -92,29 +88,6 @@ def within(readings: Readings, first: float, last: float) -> tuple[Readings, lis
         if lost.any()
     ]
     return readings.where(~early & ~late), notes
-
-
-def misplaced(readings: Readings, pose: Array, survey: LandmarkMap) -> list[str]:
-    """A note if observations contradict the survey, given their true poses (M, 3).
-
-    It names another landmark at the observed place: two rows may have been exchanged.
-    """
-    points = se2.transform_points(pose, readings.body())
-    known = np.isfinite(points).all(axis=1) & (readings.true_id != CLUTTER)
-    distance = np.hypot(*(points - readings.surveyed(survey)).T)
-    findings = []
-    for number in survey.id.tolist():
-        rows = known & (readings.true_id == number)
-        if rows.sum() < ENOUGH or (miss := float(np.median(distance[rows]))) <= MISPLACED:
-            continue
-        away = np.hypot(*(survey.xy - np.median(points[rows], axis=0)).T)
-        other = int(survey.id[np.argmin(away)])
-        hint = f", seen where {other} should be" if away.min() <= 0.5 * MISPLACED and other != number else ""
-        findings.append(f"{number} ({miss:.1f} m{hint})")
-    if not findings:
-        return []
-    what = "The observations contradict the landmark file (or the ground truth is wrong)"
-    return [f"{what}; median distance of landmark {', '.join(findings)}."]
 
 
 SPAN = 10.0

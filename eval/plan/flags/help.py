@@ -79,7 +79,7 @@ GROUPS = {
     "selection": "input, estimators and association",
     "results": "results of other programs",
     "setup": "association gates, SLAM and calibration",
-    "opening": "camera and laser logs",
+    "opening": "ground truth, camera and laser logs",
     "study": "Monte Carlo studies and bootstrap replicates",
     "output": "output",
     "drawing": "figures for a paper",
@@ -133,6 +133,7 @@ examples:
   {PROG} intel.log.gz --keyframe-distance 0.8    a laser log (CARMEN): scans matched, loops closed
   {PROG} intel.log.gz --least-information 0.2    without the key poses of least information
   {PROG} intel.log.gz --relations intel.relations.csv    a laser log, scored by reference relations
+  {PROG} my_log --exclude-truth 12:15.5 --keep-truth    ground truth left out there, and nowhere else
   {PROG} visual:0                           a rendered camera log
   {PROG} my_lab_folder --camera-translation m --camera-reading to-body --trust-pickle
   {PROG} visual:0:frames=40 --corner-noise depth

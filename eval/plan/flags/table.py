@@ -20,7 +20,21 @@ from data.errors import UsageError
 from eval.plan.flags.help import ABOUT, EXAMPLES, GROUPS, PROG, show_everyday
 from eval.plan.flags.variant import Variant
 from eval.replay.external.spec import FORM, own_or_foreign
-from eval.replay.flag import Flag, folder, free_row, names, one_of, positive, row, rows, switch, text, texts, whole
+from eval.replay.flag import (
+    Flag,
+    folder,
+    free_row,
+    names,
+    one_of,
+    positive,
+    row,
+    rows,
+    stretches,
+    switch,
+    text,
+    texts,
+    whole,
+)
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
 from eval.studies.shipped import VALIDATIONS, scenarios
 
@@ -170,7 +184,7 @@ class Results(Reading):
 
 @dataclass(frozen=True)
 class Opening:
-    """How logs with images and laser logs are opened."""
+    """How logs are opened: their ground truth, logs with images, laser logs."""
 
     camera_translation: str = choice(
         "cm", ("mm", "m"), "UNIT", "unit of T in the configuration of a lab folder: cm, mm, m (default: cm)"
@@ -185,6 +199,15 @@ class Opening:
         "lab", ("depth",), "KIND", "noise of picture corners: lab, 2 cm and 5 cm, or depth, quadratic (default: lab)"
     )
     trust_pickle: bool = switch_row("read object arrays of a lab folder, which can run code")
+    exclude_truth: tuple[str, ...] = row(
+        (),
+        stretches,
+        "FROM:TO",
+        "do not score the ground truth there, both ends included, in s of the log or of the recording that it was "
+        "converted from (repeatable)",
+        repeatable=True,
+    )
+    keep_truth: bool = switch_row("score windows of bad ground truth, too, which are found and left out by default")
     relations: str | None = file_row(
         "reference relations of the only laser log (default: NAME.relations.csv, or relations.csv in its folder)"
     )

@@ -29,6 +29,7 @@ from eval.report.labs.corridor import (
     reach,
     true_against_stated,
 )
+from eval.report.labs.seeds import OverSeeds
 
 WORSE = 1.5  # an error this many times another one is called worse, below it comparable
 USABLE = 0.5  # m. A path with a larger RMSE is lost in the corridor
@@ -111,6 +112,7 @@ class Joint:
     singles: Judged | None
     known: Judged | None
     lack: Lack | None
+    repeated: OverSeeds | None = None  # over several seeds, in a lab that is handed in and answered by the filter
 
     @property
     def runs(self) -> tuple[Judged, ...]:
@@ -219,7 +221,7 @@ def answers(lab: Lab, scores: Scores) -> Answers:
     both = {m: (of(ODOMETRY, m), of(PEOPLE, m)) for m in ("nn", "singles")}
     pairs = tuple((a, b) for a, b in both.values() if a is not None and b is not None)
     busy = next((s for s in (PEOPLE, ODOMETRY) if of(s, "jcbb") is not None), PEOPLE)
-    joint = {m: of(busy, m) for m in ("jcbb", "nn", "singles", "known")}
+    jcbb, other = of(busy, "jcbb"), of(busy, "nn")
     unseen = {m: of(BLIND, m) for m in ("known", "jcbb")}
     blind, pair = lab.trials.get(BLIND), maintained_pair(lab)
     truth, smoother = (None, None) if blind is None else (blind.log.truth.pose, blind.find("batch"))
@@ -234,7 +236,13 @@ def answers(lab: Lab, scores: Scores) -> Answers:
             tuple(NAMES[m] for m, found in both.items() if None in found),
             None if pairs else lack(PEOPLE if ODOMETRY in lab.trials else ODOMETRY, "nn", "singles"),
         ),
-        Joint(**joint, lack=lack(busy, "jcbb", "nn") if joint["jcbb"] is None or joint["nn"] is None else None),
+        Joint(
+            jcbb,
+            other,
+            of(busy, "singles"),
+            of(busy, "known"),
+            lack(busy, "jcbb", "nn") if jcbb is None or other is None else None,
+        ),
         Blind(
             **unseen,
             smoother=judge.look(blind, smoother) if blind and smoother and smoother.flaw is None else None,

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
 
 from eval.plan.flags.options import Options
+from eval.plan.flags.table import Output
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import Job, work
 from eval.referee.confusion import OUTCOMES
@@ -17,6 +19,7 @@ from eval.referee.score import Scores, Trial
 from eval.report.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Lab, find_lab
 from eval.report.labs.pictures import NEEDED, UPDATE_TIME, draw
 from eval.report.labs.questions import NEAR, Ambiguity, Answers, ambiguity, answers, primed
+from eval.report.labs.seeds import OverSeeds, Seed, over_seeds, seed_jobs, seeds_table
 from eval.report.labs.visual import visual_hand_in
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import written_table
@@ -77,9 +80,15 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
     output = options.output
     wanted = [] if output.no_plots else [k for q in QUESTIONS for k in q.pictures if NEEDED[k](lab)]
     setup = options.setup.settled(next(iter(lab.trials.values())).log.labels_are_sensed)
+    busy = next((t.log for t in lab.trials.values() if facts.jcbb.jcbb and t.log.name == facts.jcbb.jcbb.log), None)
     jobs = [Job(kind, draw, (folder, kind, lab, setup, output.formats)) for kind in wanted]
-    drawn = work(jobs, options.execution, lost=lambda kind, why: lost.say("picture", why, name=f"lab: {kind}"))
-    made: dict[str, Picture] = dict(drawn)
+    if busy is not None and facts.jcbb.jcbb is not None and facts.jcbb.jcbb.estimator == "ekf":
+        jobs += seed_jobs(busy, replace(setup, maintain=False))
+    done = dict(work(jobs, options.execution, lost=lambda kind, why: lost.say("picture", why, name=f"lab: {kind}")))
+    made: dict[str, Picture] = {kind: found for kind, found in done.items() if isinstance(found, Picture)}
+    if busy is not None:
+        repeated = over_seeds(busy, [s for s in done.values() if isinstance(s, Seed)])
+        facts = replace(facts, jcbb=replace(facts.jcbb, repeated=repeated))
     sections = []
     for n, question in enumerate(QUESTIONS, start=1):
         q = getattr(facts, question.name)
@@ -90,11 +99,19 @@ def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Un
             f"**{line}**",
             *(made[kind] for kind in question.pictures if kind in made),
             written_table(_numbers(question, facts), folder, f"lab-question-{n}", caption, output),
+            *(_seeds(folder, facts.jcbb.repeated, output) if question.name == "jcbb" else ()),
             LOST if q.lack else Folded("In detail", (paragraph(f"{TEMPLATE}#{question.name}", q=q, **more),)),
         ]
         answer = f"{n}. {question.heading} {line}"
         sections.append(Section(f"Question {n}: {question.heading}", tuple(blocks), facts=q, answer=answer))
     return sections
+
+
+def _seeds(folder: Path, found: OverSeeds | None, output: Output) -> list[Block]:
+    if found is None or not found.mean:
+        return []
+    caption = paragraph(f"{TEMPLATE}#seeds", found=found)
+    return [written_table(seeds_table(found), folder, "lab-seeds", caption, output)]
 
 
 def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
@@ -108,7 +125,7 @@ def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
                 "method": r.association,
                 **{c.upper(): getattr(r.p, c) for c in OUTCOMES},
                 "RMSE [m]": r.rmse,
-                "in 3σ [%]": round(100.0 * r.inside, 1),
+                "in 3σ [%]": 100.0 * r.inside,
                 "landmarks": r.landmarks,
                 "state": None if math.isnan(r.state) else round(r.state),
             }

@@ -22,7 +22,7 @@ def too_large(x):
 
 
 def stays():
-    """Whether the worker that this runs in would be replaced if it grew."""
+    """Whether this worker would be replaced if it grew, and seconds between its collections of all garbage."""
     from joblib.externals.loky import process_executor
 
-    return process_executor._USE_PSUTIL
+    return process_executor._USE_PSUTIL, process_executor._MEMORY_LEAK_CHECK_DELAY

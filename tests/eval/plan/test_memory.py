@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from eval.plan import work as works
@@ -23,7 +25,7 @@ def test_a_killed_process_and_an_array_too_large_take_nothing_else_with_them():
     lost = {}
     done = dict(work(jobs, options("--jobs", "2"), lost=lost.__setitem__))
     # workers are not replaced when they have grown, which loky would warn of
-    assert done == {0: 0, 1: 1, 2: 4, "stays": False}
+    assert done == {0: 0, 1: 1, 2: 4, "stays": (False, math.inf)}
     assert lost["killed"] == KILLED
     assert lost["large"].named["detail"].startswith("Unable to allocate 728. TiB")
 

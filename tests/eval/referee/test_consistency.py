@@ -14,10 +14,12 @@ from ekf.whole_run import run_filter
 from eval.referee import consistency
 from eval.referee.consistency import (
     COVERAGE_LEVELS,
+    INNOVATIONS,
     anees_band,
     chi2_bounds,
     coverage,
     holm_rejected,
+    innovations_word,
     lag1,
     nees,
     squared_distance,
@@ -194,28 +196,59 @@ def test_coverage_of_too_few_runs_or_of_an_undefined_nees_decides_nothing():
     assert coverage(np.empty(0), 3, 0.5).word == "not enough runs"
 
 
-def test_innovations_that_follow_each_other_are_overconfident_and_those_that_alternate_conservative():
+def test_one_run_far_off_is_overconfident_whatever_the_number_of_runs():
+    """P(chi-square of 3 > 46) is 6e-10: no correlation of the frames makes that a draw of a right filter."""
+    assert verdict(np.array([46.0]), 3).word == "overconfident"
+    assert verdict(np.r_[np.full(19, 3.0), 46.0], 3).word == "overconfident"
+    assert verdict(np.array([30.0]), 1, words=INNOVATIONS).word == "NIS too large"
+    for undecided in ([6.5], [0.1], [math.nan], [46.0, math.nan], []):
+        assert verdict(np.array(undecided), 3).word == "not enough runs", undecided
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.9, 0.99, 1.0])
+def test_no_correlation_of_the_frames_has_a_heavier_tail_than_one_draw(correlation):
+    """The bound of the guard, against 40 000 logs of 30 frames of correlated Gaussian errors."""
+    rng = np.random.default_rng(4)
+    w = rng.standard_normal((30, 3, 40_000))
+    for k in range(1, 30):
+        w[k] = correlation * w[k - 1] + math.sqrt(1.0 - correlation**2) * w[k]
+    means = np.sort((w**2).sum(axis=1).mean(axis=0))
+    for x in (9.0, 12.0):
+        share = stats.chi2.sf(x, 3)
+        assert (means > x).mean() <= share + 3.0 * math.sqrt(share / 40_000)
+
+
+def test_correlated_innovations_are_said_before_their_size():
+    assert innovations_word(1.0, 0.9, 1.1, 0.72, 0.06) == "correlated"
+    assert innovations_word(2.0, 0.9, 1.1, -0.3, 0.05) == "correlated"
+    assert innovations_word(1.0, 0.9, 1.1, 0.15, 0.06) == "innovations fit", "2.5 standard errors"
+    assert innovations_word(1.0, 0.9, 1.1, 0.05, 0.001) == "innovations fit", "significant, and too small to matter"
+    assert innovations_word(1.2, 0.9, 1.1) == "NIS too large"
+    assert innovations_word(math.nan, 0.9, 1.1, 0.72, 0.06) == ""
+
+
+def test_innovations_that_follow_each_other_are_correlated_and_those_that_alternate_anticorrelated():
     r = 0.1 * np.random.default_rng(12).standard_normal(60)
     v = whiteness(r)
-    assert (v.word, v.expected, v.dof, v.runs) == ("consistent", 0.0, 0, 60)
+    assert (v.word, v.expected, v.dof, v.runs) == ("white", 0.0, 0, 60)
     assert (v.lower, v.upper) == pytest.approx(stats.t.interval(0.95, 59, loc=r.mean(), scale=stats.sem(r)))
     assert v.p_value == pytest.approx(stats.ttest_1samp(r, 0.0).pvalue)
     assert math.isnan(v.power), "blind to a claimed covariance: nothing to state"
-    assert whiteness(r + 0.1).word == "overconfident"
-    assert whiteness(r - 0.1).word == "conservative"
+    assert whiteness(r + 0.1).word == "correlated"
+    assert whiteness(r - 0.1).word == "anticorrelated"
     assert whiteness(r[:49]).word == "not enough runs"
     assert whiteness(np.r_[r, np.nan]).word == "not enough runs"
 
 
-def test_one_run_of_impossible_innovations_is_overconfident_although_its_spread_widens_the_interval():
+def test_one_run_of_impossible_innovations_is_correlated_although_its_spread_widens_the_interval():
     r = 0.1 * np.random.default_rng(13).standard_normal(60)
     for diverged in (40.0, -40.0):
         v = whiteness(np.r_[r, diverged])
         assert v.lower < 0.0 < v.upper
-        assert v.word == "overconfident"
+        assert v.word == "correlated"
         assert v.p_value < 1e-6
     # a run of a single pair may well be this large: one in 400 is, exp(-6)
-    assert whiteness(np.r_[r, 3.0]).word == "consistent"
+    assert whiteness(np.r_[r, 3.0]).word == "white"
 
 
 def lag1_by_hand(white, frame, number):

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from data import se2
 from data.logs import open_log
 from data.notice import stopped
 from data.result import Failure, Trajectory
@@ -72,6 +73,31 @@ def test_a_map_that_drifts_as_a_whole_leaves_no_interval():
     assert all(pd.isna(row[c]) for c in ("rmse_position_upper", "nees_pose_upper", "block_frames"))
 
 
+def test_slam_has_no_interval_of_one_log_and_compares_paths_after_alignment(monkeypatch):
+    """One log shows one draw of the frame's error: measured, 4 and 13 % of such intervals held the mean of 60 logs."""
+    monkeypatch.setattr("tests.eval.handmade.FRAMES", 400)
+    rng = np.random.default_rng(3)
+    noise = [np.array([s, s, 0.0]) * rng.standard_normal((400, 3)) for s in (0.1, 0.05)]
+    filtered = run_with_error(noise[0], task="localization")
+    smoothed = run_with_error(noise[1], estimator="batch", phases=("final",), task="localization")
+    assert filtered.online is not None
+    off = replace(filtered.online, pose=se2.compose(np.array([3.0, 1.0, 0.5]), filtered.online.pose))
+    mapped = (replace(filtered, task="slam", online=off), replace(smoothed, task="slam"))
+    tables = {
+        "localization": score([Trial(circle_log(), "localization", (filtered, smoothed))]),
+        "slam": score([Trial(circle_log(), "slam", mapped)]),
+    }
+    for task, scored in tables.items():
+        slam, (row,) = task == "slam", scored.differences.to_dict("records")
+        bounds = ["rmse_position_lower", "rmse_position_upper", "nees_pose_lower", "nees_pose_upper", "block_frames"]
+        assert scored.metrics[bounds].isna().to_numpy().all() == slam
+        assert scored.metrics[bounds].notna().to_numpy().all() != slam
+        assert row["rmse_position_m"] == pytest.approx(0.05 * 2**0.5, abs=0.01), "its frame is none"
+        assert row["rmse_position_p"] < 0.05
+        assert pd.isna(row["nees_pose_p"]) == slam
+        assert ("one draw" in str(row["nees_pose_why"])) == slam
+
+
 def test_a_frame_as_thin_as_the_floor_is_in_no_nees_and_no_score():
     run = run_with_error(np.array([0.1, 0.0, 0.0]))
     covariance = run.online.covariance.copy()
@@ -88,7 +114,7 @@ def test_a_short_log_has_scores_and_differences_without_intervals_and_says_why()
         run_with_error(np.array([0.1, 0.0, 0.0])),
         run_with_error(np.zeros(3), estimator="batch", phases=("final",)),
     )
-    scored = score([Trial(circle_log(), "slam", runs)])
+    scored = score([Trial(circle_log(), "localization", tuple(replace(r, task="localization") for r in runs))])
     (row,) = scored.differences.to_dict("records")
     assert row["rmse_position_m"] == pytest.approx(0.1)
     assert all(pd.isna(row[c]) for c in ("rmse_position_lower", "rmse_position_p", "nees_pose_p"))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from threadpoolctl import ThreadpoolController, threadpool_info
 
 from association.decide import METHODS
 from data.errors import UsageError
@@ -193,3 +195,16 @@ def test_an_unknown_method_or_estimator_is_refused_by_name(lab):
         step_by_step("ekf", slam(lab), "slam", "nearest")
     with pytest.raises(UsageError, match="batch"):
         step_by_step("batch", slam(lab), "slam", "nn")
+
+
+def test_one_thread_also_in_libraries_that_were_loaded_since(monkeypatch):
+    searched = []
+    monkeypatch.setattr(replay, "_found", None)
+    monkeypatch.setattr(replay, "ThreadpoolController", lambda: searched.append(1) or ThreadpoolController())
+    for _ in range(3):
+        with replay.one_thread():
+            assert {library["num_threads"] for library in threadpool_info()} == {1}
+    assert len(searched) == 1
+    monkeypatch.setitem(sys.modules, "just_imported", object())
+    with replay.one_thread():
+        assert len(searched) == 2

@@ -33,7 +33,7 @@ def sentence(**changed) -> str:
 
 def test_the_sentence_says_by_how_much_with_interval_p_and_what_it_rests_on():
     assert sentence() == (
-        "The smoother's RMSE is lower by 0.0200 m, 95 % interval 0.0031 to 0.0412 m, p = 0.013. "
+        "The smoother's aligned RMSE is lower by 0.0200 m, 95 % interval 0.0031 to 0.0412 m, p = 0.013. "
         "This holds for one log, with errors correlated over about 14 frames and one map."
     )
     assert sentence(task="localization").endswith("correlated over about 14 frames.")
@@ -69,7 +69,7 @@ def test_the_table_has_a_row_for_each_pair_and_names_the_association_only_where_
     rows = frame_of([ROW, ROW | SILENT | {"b": "isam2"}], DIFFERENCES)
     table = differences_table(rows)
     assert list(table.columns) == [
-        "filter", "smoother", "RMSE difference [m]", "its 95 % interval", "p", "NEES difference",
+        "filter", "smoother", "aligned RMSE difference [m]", "its 95 % interval", "p", "NEES difference",
         "95 % interval of NEES", "p of NEES", "mean block [frames]",
     ]  # fmt: skip
     assert table.iloc[0].tolist() == [

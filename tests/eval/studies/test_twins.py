@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.decide import known_decisions
 from data import se2
 from data.errors import UsageError
 from data.inputs import CLUTTER, Prior
 from data.log import shortened
 from data.logs import open_log
 from data.notice import stopped
-from data.result import Failure
+from data.result import DISCARD, Failure
+from eval.referee.errors import observed
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies import sampled
@@ -76,8 +76,19 @@ def test_the_labels_of_a_twin_are_the_pairings_of_the_smoother_and_clutter_is_co
     clutter = t.truth.landmark_of == CLUTTER
     assert clutter.any()
     assert t.recorded.observations.z[clutter].tobytes() == log.recorded.observations.z[clutter].tobytes()
-    same, _ = known_decisions(inputs_of(t, "slam", "known"))
-    assert same.tolist() == runs[0].decisions.tolist()
+    paired = observed(runs[0]) >= 0
+    assert t.truth.landmark_of[paired].tolist() == observed(runs[0])[paired].tolist()
+
+
+def test_what_a_gate_left_out_of_a_landmark_is_drawn_as_its_observation():
+    log = shortened(open_log("arena:1"), 60)
+    inputs = inputs_of(log, "slam", "jcbb")
+    (run,) = compare(inputs, "slam", ("batch",), "jcbb")
+    paired = np.flatnonzero(run.final_decisions >= 0)[30:36]
+    left_out = run.final_decisions.copy()
+    left_out[paired] = DISCARD
+    drawn = source_of(log, replace(run, decisions=left_out, final_decisions=left_out), (), Setup())
+    assert drawn.landmark_of[paired].tolist() == run.final_decisions[paired].tolist()
 
 
 def test_in_localization_the_map_stays_and_in_slam_it_is_not_given():

@@ -37,6 +37,7 @@ VALUES = {
     "camera_reading": st.sampled_from(("to-camera", "to-body")),
     "corner_noise": st.sampled_from(("lab", "depth")),
     "relations": PATHS,
+    "exclude_truth": st.sampled_from(("1:2", "-3:0.5", "755:836")),
     "config": st.sampled_from(("tutorial-step1", "tutorial-step3")),
     **dict.fromkeys(("result", "truth", "cov", "times", "cov_frame"), PATHS),
     "axes": st.sampled_from(("robot", "camera")),
@@ -50,7 +51,7 @@ CHANGED = {
     "gate": "0.9", "new_gate": "0.9999999", "gate_known": "0.999", "forget_after": "12.5", "deactivate_after": "12.5",
     "lag": "1e-07", "keyframe_distance": "0.8", "least_information": "0.2",
     "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
-    "corner_noise": "depth", "relations": "a b", "config": "tutorial-step1",
+    "corner_noise": "depth", "relations": "a b", "exclude_truth": "3:4.5", "config": "tutorial-step1",
     "result": "a=a b", "truth": "a b", "cov": "a=b", "times": "a b", "cov_frame": "local", "axes": "camera",
     "align": "se2", "truth_gap": "0.2", "calibrate": "curvature=0.02,scale",
 }  # fmt: skip

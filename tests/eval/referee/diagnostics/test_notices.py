@@ -11,7 +11,7 @@ from data.notice import Code, Severity, notice, stopped
 from data.result import Failure
 from eval.referee.diagnostics import notices, notices_table
 from eval.referee.score import Trial
-from tests.eval.handmade import circle_log, run_with_error
+from tests.eval.handmade import SIGMA, circle_log, run_with_error
 
 LOG = circle_log()
 
@@ -34,10 +34,13 @@ def test_an_implausible_run_says_why_and_where_it_probably_began():
 
 
 def test_a_lost_run_says_why():
-    run = replace(run_with_error(np.zeros(3)), total_nis=(1010.0, 10))
-    assert notice(Code.NIS, Severity.ERROR, 0, per_dof=101.0, over_run=False).about(
+    run = replace(run_with_error(4.0 * SIGMA), total_nis=(1010.0, 10))
+    why = notice(Code.NIS, Severity.ERROR, 0, per_dof=101.0, over_run=False).about(
         log=LOG.name, task="slam", estimator="ekf", association="known"
-    ) in found(run)
+    )
+    assert why in found(run)
+    # not one that is where it claims to be
+    assert why not in found(replace(run_with_error(np.zeros(3)), total_nis=(1010.0, 10)))
 
 
 def test_the_table_has_values_as_json_and_the_sentence():

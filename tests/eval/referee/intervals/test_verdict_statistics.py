@@ -16,10 +16,9 @@ import pytest
 from scipy import stats
 
 from eval.referee.consistency import (
-    CONSERVATIVE,
-    CONSISTENT,
     COVERAGE_LEVELS,
-    OVERCONFIDENT,
+    ERRORS,
+    WHITENESS,
     chi2_bounds,
     coverage,
     lag1,
@@ -122,8 +121,11 @@ def verdicts(sample, name, runs, claimed=1.0):
     return [judge(values) for values in sample[key][: EXPERIMENTS * runs].reshape(EXPERIMENTS, runs) / claimed]
 
 
-def share(verdicts, word):
-    return float(np.mean([v.word == word for v in verdicts]))
+def share(verdicts, *words):
+    return float(np.mean([v.word in words for v in verdicts]))
+
+
+ACCEPTED, ABOVE, BELOW = zip(ERRORS, WHITENESS, strict=True)
 
 
 @pytest.fixture(scope="module")
@@ -134,15 +136,15 @@ def table(matched, half_noise, double_noise):
         for n in SIZES:
             right = verdicts(matched, name, n)
             rows[name, n] = {
-                "accept": share(right, CONSISTENT),
-                "over": share(right, OVERCONFIDENT),
-                "conserv.": share(right, CONSERVATIVE),
+                "accept": share(right, *ACCEPTED),
+                "over": share(right, *ABOVE),
+                "conserv.": share(right, *BELOW),
                 "p < 1 %": float(np.mean([v.p_value < 0.01 for v in right])),
-                "P x 0.9": share(verdicts(matched, name, n, 0.9), OVERCONFIDENT),
-                "P x 0.8": share(verdicts(matched, name, n, 0.8), OVERCONFIDENT),
+                "P x 0.9": share(verdicts(matched, name, n, 0.9), *ABOVE),
+                "P x 0.8": share(verdicts(matched, name, n, 0.8), *ABOVE),
                 "stated": float(np.mean([v.power for v in right])),
-                "Q x 0.5": share(verdicts(half_noise, name, n), OVERCONFIDENT),
-                "Q x 2": share(verdicts(double_noise, name, n), CONSERVATIVE),
+                "Q x 0.5": share(verdicts(half_noise, name, n), *ABOVE),
+                "Q x 2": share(verdicts(double_noise, name, n), *BELOW),
             }
     return rows
 

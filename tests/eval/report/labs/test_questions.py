@@ -132,7 +132,7 @@ def test_people_break_what_they_break():
     assert (singles.p.missed, shy.p.missed) == (0, 1)
     assert (q.broken, q.ghosts, q.points) == (("NN",), 1, 1)
     text = words(quiet, trial(BUSY, *busy))[PEOPLE]
-    assert "FP go from 0 to 5, recall is 100.0 % without people" in text
+    assert "FP go from 0 to 5, recall is 100 % without people" in text
     assert "People make NN fail here. Mostly a person has moved when" in text
     calm = trial(BUSY, lab_run(BUSY, "nn"), lab_run(BUSY, "singles"))
     assert facts(quiet, calm).people.broken == ()

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from data.inputs import Observations
 from data.log import Log
 from data.truth import Truth
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, Finding
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
 from eval.referee.score import Trial
 from eval.referee.trust import Measured
-from eval.report.overview import claims, drawn, gauge_statement, introduction, trust_mark
+from eval.report.deciding import MethodOutcome
+from eval.report.overview import associations, claims, drawn, gauge_statement, introduction, trust_mark
 from eval.report.overview_facts import Gauge, Online, Verdict, cause_word, conclusion, log_facts
+from eval.report.page.blocks import Value
 from eval.report.rows import scored
 from eval.studies.sampled import Sample
 from eval.studies.trusted import Blame, Trust
@@ -51,6 +55,34 @@ def test_the_word_follows_the_errors_and_who_got_to_the_end(filtered, smoothed, 
     assert (mark.word, mark.tone) == (word, tone)
 
 
+def test_a_violated_assumption_takes_the_tick_and_names_its_size():
+    turned = Finding(NOISE, "systematic", "z2_constant", 0.0332, 0.002, gain=100.0)
+    found = Trust("home", "slam", "known", Sample({}), (), (), Blame(NOISE, (turned,), (("batch", "s"),), 40, 0.01))
+    mark = trust_mark(facts(trust=found))
+    assert (mark.word, mark.tone) == ("smoother", "fair")
+    assert "1.90° ± 0.11° too far to the left" in mark.note
+    sound = replace(found, blame=Blame(NOTHING, (), (), 40, 0.4))
+    assert trust_mark(facts(trust=sound)).tone == "good"
+
+
+def test_no_cause_is_named_where_the_solution_itself_is_broken():
+    off = Finding(NOISE, "systematic", "z2_constant", 0.0332, 0.002, gain=100.0)
+    blame = Blame(UNTELLABLE, (off,), (("batch", "s"),), 40, 0.01)
+    found = Trust("blind", "slam", "known", Sample({}), (), (), blame)
+    mark = trust_mark(facts(log=BLIND, trust=found))
+    assert (mark.word, mark.tone) == ("cannot be told", "bad")
+    assert "1.9" not in mark.note
+
+
+def test_a_log_without_observations_is_dead_reckoning():
+    nothing = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    empty = replace(LOG.recorded, observations=nothing)
+    both = frozenset({("ekf", "known"), ("batch", "known")})
+    mark = trust_mark(facts(log=replace(LOG, recorded=empty), unused=both))
+    assert (mark.word, mark.tone) == ("neither", "bad")
+    assert "the log has no observations" in mark.note
+
+
 def test_an_estimate_that_used_no_reading_is_not_to_be_trusted():
     both = frozenset({("ekf", "known"), ("batch", "known")})
     mark = trust_mark(facts(unused=both))
@@ -59,7 +91,8 @@ def test_an_estimate_that_used_no_reading_is_not_to_be_trusted():
 
 
 @pytest.mark.parametrize(
-    ("nis", "word", "tone"), [(1.0, "consistent", "good"), (1.6, "overconfident", "bad"), (0.5, "conservative", "fair")]
+    ("nis", "word", "tone"),
+    [(1.0, "innovations fit", "good"), (1.6, "NIS too large", "bad"), (0.5, "NIS too small", "fair")],
 )
 def test_what_the_filter_claims_is_a_word_a_colour_and_a_number(nis, word, tone):
     mark = claims(facts(EKF | {"nis": nis}))
@@ -68,7 +101,7 @@ def test_what_the_filter_claims_is_a_word_a_colour_and_a_number(nis, word, tone)
 
 
 def trust(cause=None, *findings, measured=None, objected=()):
-    blame = None if cause is None else Blame(cause, tuple(findings), tuple(objected), 40, 0.01, {})
+    blame = None if cause is None else Blame(cause, tuple(findings), tuple(objected), 40, 0.01)
     return Trust("blind", "slam", "known", Sample(measured or {}), (), (), blame)
 
 
@@ -204,3 +237,17 @@ def test_a_small_map_shows_every_path_inside_its_frame_and_is_the_same_each_time
     # standing, as the path does in the map figure
     assert max(y for _, y in first) - min(y for _, y in first) > 50.0
     assert drawn([(np.full((3, 2), np.nan), ("#000", 1.0))]) == ""
+
+
+def test_no_association_method_is_called_the_best_where_path_and_decisions_disagree():
+    """Seen: the one with the fewest wrong decisions called the best, though its path was the worst."""
+    hindsight = MethodOutcome("jcbb-hindsight", "ekf", 205, 125, 200, 71, 17.1)
+    first = MethodOutcome("jcbb-first", "ekf", 0, 194, 356, 51, 9.22)
+    agreed = replace(facts(), best=hindsight, worst=first, decides=True)
+    assert associations(agreed)[0] == Value("jcbb-hindsight", "200 FP / 71 FN, 17.1 m (ekf)")
+    disputed = replace(agreed, nearest=first)
+    both = "200 FP / 71 FN, 17.1 m (ekf); by path jcbb-first 356 FP / 51 FN, 9.22 m (ekf)"
+    assert associations(disputed)[0] == Value("by decisions jcbb-hindsight", both)
+    assert associations(replace(disputed, decides=False))[0] == Value("none; by decisions jcbb-hindsight", both)
+    assert MethodOutcome("jcbb", "ekf", 147, 80, 250, 71).mostly_wrong
+    assert not hindsight.mostly_wrong

@@ -21,10 +21,6 @@ MEASURED = {
     ("batch", "slope_odometry_theta_turn"): Measured(-0.05, 0.0, 0.001),
     ("batch", "slope_z1_range"): Measured(0.001, 0.0, 0.001),
 }
-DETECTABLE = {
-    "odometry_theta_turn": 0.05, "odometry_x_distance": 0.037, "odometry_theta_distance": 0.013, "z2_constant": 0.007,
-    "z2_range": 0.004, "z1_range": 0.037, "residual_z1_spread": 1.12, "residual_odometry_theta_spread": 1.45,
-}  # fmt: skip
 TURN = Finding(NOISE, "systematic", "odometry_theta_turn", -0.05, 0.001, 900.0)
 
 
@@ -49,4 +45,4 @@ def blamed(*findings: Finding, cause: str = NOTHING, objected: int = 0, **more) 
     """The same beside 20 twins, with what is to blame."""
     made = said(twins=20, **more)
     keys = tuple(MEASURED)[:objected]
-    return replace(made, blame=Blame(cause, findings, keys, len(MEASURED), 1 / 21 if objected else 0.6, DETECTABLE))
+    return replace(made, blame=Blame(cause, findings, keys, len(MEASURED), 1 / 21 if objected else 0.6))

@@ -10,7 +10,7 @@ import pytest
 from eval.referee.trust import Measured
 from eval.report.trust import Decided, Terms, facts_of
 from eval.report.words import distance
-from tests.eval.report.trust.said_by_hand import DETECTABLE, blamed, said
+from tests.eval.report.trust.said_by_hand import blamed, said
 
 POLAR, POINTS = Terms(), Terms(polar=False)
 
@@ -98,27 +98,6 @@ def test_how_many_statistics_are_outside_is_counted(objected, p):
 def test_a_p_that_is_not_known_is_none():
     trust = blamed()
     assert facts_of(replace(trust, blame=replace(trust.blame, p=math.nan)), POLAR).judged["p"] is None
-
-
-def power(terms=POLAR, **detectable):
-    trust = blamed()
-    return facts_of(replace(trust, blame=replace(trust.blame, detectable=detectable or DETECTABLE)), terms)
-
-
-def test_in_brief_three_sizes_are_told_that_would_have_been_seen():
-    found = power().brief_power
-    assert [(t.name, t.unit) for t in found] == [("odometry_theta_turn", "%"), ("z2_constant", "°"), ("z1_range", "%")]
-    assert [t.size for t in found] == pytest.approx([5.0, math.degrees(0.007), 3.7])
-
-
-def test_sizes_of_points_and_noises_are_told_in_their_own_terms_and_unknown_ones_not():
-    found = {(t.kind, t.name): (t.size, t.unit) for t in power(POINTS).power}
-    assert found["systematic", "z2_range"] == (pytest.approx(math.degrees(0.004)), "°")
-    assert found["sigma", "z1"] == (1.12, "")
-    assert found["sigma", "odometry_theta"] == (1.45, "")
-    one = power(odometry_x_distance=0.037, z1_range=math.nan, residual_z1_spread=math.nan).power
-    assert [t.name for t in one] == ["odometry_x_distance"]
-    assert power(z1_range=math.nan).power == ()
 
 
 def test_nees_on_twins_is_the_mean_of_those_that_have_one():

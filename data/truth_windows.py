@@ -1,0 +1,328 @@
+"""Bad ground truth and wrong map rows: where true path, odometry and observations contradict each other.
+
+Two witnesses outvote the third. The truth is bad where observations of landmarks lie far from what it predicts, and the
+odometry, from the last or back from the next good pose, predicts them better. After a slip or a kidnapping observations
+fit the truth; under a fault of the sensor odometry does. Without observations only a truth that departs from the
+odometry by a step and comes back to it, or stands still and catches up, is called bad.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data import se2
+from data.inputs import IntArray
+from data.log import Log
+from data.se2 import Array, BoolArray
+from data.truth import BadTruth, TruthFault
+
+Rows = BoolArray | NDArray[np.integer] | slice
+
+FAR = 9.0
+"""Squared distance of an observation, in robust sigmas, beyond which it speaks against the truth (3 sigma)."""
+FEWEST = 10
+"""Observations beyond `FAR`, less those within, that make a window; observations of a landmark that judge its row."""
+BETTER = 0.3
+"""Largest median distance of observations from the odometry's prediction, over that from the truth's."""
+EDGE = (15, 30, 60, 120)
+"""Numbers of observations at an edge of a window over which these are compared, as odometry drifts."""
+STEP = 10.0
+"""Robust sigmas of the difference between one increment of truth and odometry that is a step."""
+UNUSUAL = 2.0
+"""Times the fifth largest true increment (in long logs, their 0.99 quantile), beyond which one is a jump."""
+RETURNED = 0.25
+"""Largest rest of a step, over the step, after which the truth has come back."""
+FROZEN, STILL = 0.1, 1e-6
+"""Share of the odometry's distance below which the truth is frozen; m and rad below which two true poses are one."""
+MISPLACED, SWAPPED = 10.0, 4.0
+"""Robust sigmas from its row that all but `RARE` of a landmark's observations exceed; where two are exchanged."""
+RARE = 0.1
+ENOUGH = 5
+"""Fewest observations that give a landmark its place."""
+
+
+class MapRow(NamedTuple):
+    """A landmark observed elsewhere: its id, the distance [m], the row at that place (-1: none), its observations."""
+
+    id: int
+    distance: float
+    at: int
+    observations: int
+
+
+class _Evidence(NamedTuple):
+    """Observations of identified landmarks from known true poses, ascending by frame.
+
+    frame, id: (n,); z, place: (n, 2); root: (n, 2, 2) inverse roots of their covariances; scale: (2,) robust spread of
+    their residuals, at least 1.
+    """
+
+    frame: IntArray
+    id: IntArray
+    z: Array
+    root: Array
+    place: Array
+    scale: Array
+
+
+def bad_truth(log: Log) -> tuple[BadTruth, ...]:
+    """Windows of bad ground truth, ascending; those already left out (`Truth.left_out`) are not found again."""
+    pose = log.truth.pose
+    if pose is None or log.truth.known_poses < 2 or not np.ptp(log.recorded.increments.mean[1:], axis=0).any():
+        return ()  # without odometry nobody knows who of two is wrong
+    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    odometry = se2.dead_reckoned(np.zeros(3), log.recorded.increments.mean)
+    steps = _Steps(known, pose, odometry, log)
+    seen = _evidence(log)
+    found = _contradicted(log, pose, odometry, seen)
+    if found and (rows := _misplaced(log, seen, _outside(seen.frame, found))):
+        seen = _evidence(log, frozenset(r.id for r in rows))
+        found = _contradicted(log, pose, odometry, seen)
+    spans = [(*_widened(a, b, seen, known, steps), off, carried) for a, b, off, carried in found]
+    for a, b in steps.excursions():
+        inside = (seen.frame >= a) & (seen.frame <= b)
+        # the place of others may be from within; along a wall nothing changes
+        inside &= np.isin(seen.id, seen.id[~inside]) & log.recorded.sensor.sees_points
+        off = _distance(log, pose[seen.frame[inside]], seen, inside)
+        if inside.sum() < ENOUGH or np.median(off) > FAR:
+            spans.append((a, b, float(np.sqrt(np.median(off))) if len(off) else math.nan, math.nan))
+    merged: list[tuple[int, int, float, float]] = []
+    for first, last, distance, rest in sorted(spans):
+        if merged and first <= merged[-1][1] + 1:
+            before = merged[-1]
+            last, distance = max(last, before[1]), float(np.fmax(distance, before[2]))
+            merged[-1] = (before[0], last, distance, float(np.fmin(rest, before[3])))
+        elif last >= first:
+            merged.append((first, last, distance, rest))
+    time = log.recorded.time + log.clock
+    return tuple(BadTruth(a, b, _down(time[a]), _up(time[b]), steps.kind(a, b), *seen_as) for a, b, *seen_as in merged)
+
+
+def without(log: Log, stretches: Sequence[tuple[float, float]]) -> Log:
+    """The log without true poses in stretches (from, to) [s of its recording], both ends included."""
+    if log.truth.pose is None or not stretches:
+        return log
+    pose, time = log.truth.pose.copy(), log.recorded.time + log.clock
+    for begin, end in stretches:
+        pose[(time >= begin) & (time <= end)] = np.nan
+    return replace(log, truth=replace(log.truth, pose=pose))
+
+
+def without_bad_truth(log: Log) -> Log:
+    """The log without true poses in windows of bad ground truth, which `Truth.left_out` keeps."""
+    found = bad_truth(log)
+    changed = without(log, [(w.start, w.end) for w in found])
+    return replace(changed, truth=replace(changed.truth, left_out=found)) if found else log
+
+
+def misplaced(log: Log) -> tuple[MapRow, ...]:
+    """Rows of the map whose landmarks are observed elsewhere from the true path; none where half of the map is."""
+    if log.truth.pose is None or log.recorded.map is None:
+        return ()
+    seen = _evidence(log)
+    return _misplaced(log, seen, np.ones(len(seen.frame), bool))
+
+
+def _down(time: float) -> float:
+    return math.floor(1000.0 * time + 1e-6) / 1000.0
+
+
+def _up(time: float) -> float:
+    return math.ceil(1000.0 * time - 1e-6) / 1000.0
+
+
+def _evidence(log: Log, unmapped: frozenset[int] = frozenset()) -> _Evidence:
+    """All of it; a landmark without place, or `unmapped`, is where it is seen from the true path in the median."""
+    inputs, pose, ids = log.recorded, log.truth.pose, log.truth.landmark_of
+    ids = log.label if ids is None else ids
+    o, known = inputs.observations, inputs.map if inputs.map is not None else log.truth.landmarks
+    if pose is None or ids is None or not len(o.z):
+        none = np.zeros(0, np.int64)
+        return _Evidence(none, none, np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2)), np.ones(2))
+    place = np.full((len(o.z), 2), np.nan) if known is None else known.positions(ids)
+    place[np.isin(ids, list(unmapped))] = np.nan
+    there = np.isfinite(pose[o.frame]).all(axis=1) & (ids >= 0)
+    lost = there & ~np.isfinite(place).all(axis=1)
+    if lost.any() and inputs.sensor.sees_points:
+        points = np.full((len(o.z), 2), np.nan)
+        points[lost] = inputs.sensor.inverse(pose[o.frame[lost]], o.z[lost])[0]
+        for number in np.unique(ids[lost]):
+            rows = lost & (ids == number)
+            if rows.sum() >= ENOUGH:
+                place[rows] = np.median(points[rows], axis=0)
+    rows = there & np.isfinite(place).all(axis=1)
+    root = np.linalg.inv(np.linalg.cholesky(o.R[rows]))
+    seen = _Evidence(o.frame[rows], ids[rows], o.z[rows], root, place[rows], np.ones(2))
+    if not rows.any():
+        return seen
+    spread = np.median(np.abs(_residuals(log, pose[seen.frame], seen)), axis=0) / 0.6745
+    return seen._replace(scale=np.maximum(spread, 1.0))
+
+
+def _residuals(log: Log, poses: Array, seen: _Evidence, rows: Rows = slice(None)) -> Array:
+    """Residuals (n, 2) of some observations from poses (n, 3), in robust sigmas."""
+    sensor = log.recorded.sensor
+    difference = sensor.residual(seen.z[rows], sensor.predict(poses, seen.place[rows]))
+    return np.asarray(np.einsum("nij,nj->ni", seen.root[rows], difference) / seen.scale)
+
+
+def _distance(log: Log, poses: Array, seen: _Evidence, rows: Rows = slice(None)) -> Array:
+    """Their squares (n,)."""
+    return np.asarray(np.sum(_residuals(log, poses, seen, rows) ** 2, axis=1))
+
+
+def _contradicted(log: Log, pose: Array, odometry: Array, seen: _Evidence) -> list[tuple[int, int, float, float]]:
+    """Stretches of observations (first and last row) that odometry predicts better than the truth, and the medians of
+    their distances from both, in robust sigmas.
+    """
+    squared = _distance(log, pose[seen.frame], seen)
+    found = []
+    for a, b in _stretches(np.minimum(squared, 2.0 * FAR) - FAR):
+        far = np.flatnonzero(squared[a : b + 1] > FAR) + a
+        if len(np.unique(seen.id[far])) < 2 or seen.frame[b] == seen.frame[a]:
+            continue
+        sides = []  # anchor and the observations from the edge on
+        if a > 0:
+            sides.append((seen.frame[a - 1], far))
+        if b + 1 < len(squared):
+            sides.append((seen.frame[b + 1], far[::-1]))
+        best = (math.inf, math.nan, math.nan)
+        for anchor, rows in sides:
+            carried = se2.compose(pose[anchor], se2.between(odometry[anchor], odometry[seen.frame[rows]]))
+            own, other = np.sqrt(squared[rows]), np.sqrt(_distance(log, carried, seen, rows))
+            for n in EDGE:
+                off, rest = float(np.median(own[:n])), float(np.median(other[:n]))
+                best = min(best, (rest / off, off, rest))
+        if best[0] < BETTER:
+            found.append((a, b, best[1], best[2]))
+    return found
+
+
+def _stretches(score: Array) -> list[tuple[int, int]]:
+    """Stretches (first, last) in which the sum of scores rises by `FEWEST` times `FAR` and then falls as much."""
+    found = []
+    begin, total, peak, at = 0, 0.0, 0.0, -1
+    for i, x in enumerate([*score.tolist(), -math.inf]):
+        if total <= 0.0:
+            begin, total, peak = i, 0.0, 0.0
+        total += x
+        if total > peak:
+            peak, at = total, i
+        if peak >= FEWEST * FAR and (total <= 0.0 or peak - total >= FEWEST * FAR):
+            found.append((begin, at))
+            total = 0.0
+    return found
+
+
+def _outside(frame: IntArray, found: Sequence[tuple[int, int, float, float]]) -> BoolArray:
+    rows = np.ones(len(frame), bool)
+    for a, b, *_ in found:
+        rows[a : b + 1] = False
+    return rows
+
+
+def _misplaced(log: Log, seen: _Evidence, rows: BoolArray) -> tuple[MapRow, ...]:
+    """Rows of the map that these observations contradict."""
+    known, pose, sensor = log.recorded.map, log.truth.pose, log.recorded.sensor
+    if known is None or pose is None or not rows.any() or not sensor.sees_points:
+        return ()
+    off = np.sqrt(_distance(log, pose[seen.frame], seen))
+    point = sensor.inverse(pose[seen.frame], seen.z)[0]
+    ids, times = np.unique(seen.id[rows & (known.rows(seen.id) >= 0)], return_counts=True)
+    size = {i: float(np.quantile(off[rows & (seen.id == i)], RARE)) for i in ids[times >= FEWEST].tolist()}
+    suspects = [i for i in size if size[i] > SWAPPED]
+    fit = np.flatnonzero(rows & ~np.isin(seen.id, suspects) & (off**2 <= FAR))
+    found = []
+    for number in suspects:
+        own = np.flatnonzero(rows & (seen.id == number))
+        if 2 * ((fit > own[0]) & (fit < own[-1])).sum() < len(own):  # the pose or the sensor may be wrong
+            continue
+        there = np.median(point[own], axis=0)
+        away = np.hypot(*(known.xy - there).T)
+        distance, nearest = float(away[known.rows(np.array([number]))[0]]), int(np.argmin(away))
+        if np.median(np.hypot(*(point[own] - there).T)) > BETTER * distance:  # nowhere else either
+            continue
+        at = int(known.id[nearest]) if away[nearest] < 0.5 * distance else -1
+        found.append(MapRow(number, distance, at, len(own)))
+    to = {row.id: row.at for row in found}
+    sure = tuple(row for row in found if size[row.id] > MISPLACED or to.get(row.at) == row.id)
+    return sure if 2 * len(sure) < (times >= ENOUGH).sum() else ()
+
+
+class _Steps:
+    """Differences of increments of the truth, between frames with a true pose, and of the odometry."""
+
+    def __init__(self, known: IntArray, pose: Array, odometry: Array, log: Log) -> None:
+        """Frames (n,) with a true pose; poses and dead reckoning (N, 3). Leaps and spins are unusual for the truth."""
+        self.known, self.pose, self.odometry = known, pose, odometry
+        self.true = se2.between(pose[known[:-1]], pose[known[1:]])
+        self.driven = se2.between(odometry[known[:-1]], odometry[known[1:]])
+        self.off = se2.between(self.driven, self.true)
+        stated = np.sqrt(np.median(np.diagonal(log.recorded.increments.covariance[1:], axis1=1, axis2=2), axis=0))
+        scale = np.maximum(1.4826 * np.median(np.abs(self.off), axis=0), stated)
+        self.size = np.max(np.abs(self.off) / np.maximum(scale, STILL), axis=1)
+        self.leap, self.spin = (
+            moved > UNUSUAL * np.sort(moved)[max(-len(moved), -5 - len(moved) // 100)]
+            for moved in (np.hypot(*self.true[:, :2].T), np.abs(self.true[:, 2]))
+        )
+
+    def largest(self, first: int, last: int) -> int | None:
+        """The frame in first to last with the largest step into it; None where no increment is one."""
+        i, j = np.searchsorted(self.known[1:], (first, last + 1))
+        if i >= j:
+            return None
+        k = int(i + np.argmax(self.size[i:j]))
+        return int(self.known[k + 1]) if self.size[k] > STEP else None
+
+    def excursions(self) -> list[tuple[int, int]]:
+        """First and last frames between two steps of the truth, or of its standstill before one, if it is back then."""
+        found: list[tuple[int, int]] = []
+        large = np.flatnonzero((self.size > STEP) & (self.leap | self.spin))
+        still = np.max(np.abs(self.true), axis=1) < STILL
+        for n, k in enumerate(large.tolist()):
+            i = k
+            while i > 0 and still[i - 1]:
+                i -= 1
+            if i < k - 1 and self._back(i, k):
+                found.append((int(self.known[i + 1]), int(self.known[k])))
+            elif n and self._back(int(large[n - 1]), k):
+                found.append((int(self.known[large[n - 1] + 1]), int(self.known[k])))
+        return found
+
+    def _back(self, i: int, k: int) -> bool:
+        """Whether the truth after step `k` agrees with the odometry from before step `i` on, unlike in between."""
+        a, b = self.known[i], self.known[k + 1]
+        rest = np.abs(
+            se2.between(se2.between(self.odometry[a], self.odometry[b]), se2.between(self.pose[a], self.pose[b]))
+        )
+        step = np.abs(self.off[k])
+        return bool(np.hypot(*rest[:2]) < RETURNED * np.hypot(*step[:2]) or rest[2] < RETURNED * step[2] > 0.1)
+
+    def kind(self, first: int, last: int) -> TruthFault:
+        """What is wrong with the truth in a window."""
+        inside = (self.known[1:] >= first) & (self.known[1:] <= last + 1)
+        still = inside & (self.known[1:] <= last)
+        went, drove = (float(np.hypot(*s[still, :2].T).sum()) for s in (self.true, self.driven))
+        if went < FROZEN * drove:
+            return TruthFault.FROZEN
+        if (self.leap & inside).any():
+            return TruthFault.JUMP
+        longer = np.hypot(*self.true[inside, :2].T) - np.hypot(*self.driven[inside, :2].T)
+        turned, ahead = (np.max(np.abs(np.cumsum(x)), initial=0.0) for x in (self.off[inside, 2], longer))
+        # who is ahead on a bend has turned more, too
+        return TruthFault.HEADING if turned * drove > 4.0 * ahead else TruthFault.SPEED
+
+
+def _widened(a: int, b: int, seen: _Evidence, known: IntArray, steps: _Steps) -> tuple[int, int]:
+    """First and last frame of a window about far observations a to b: to a step before, else to the one that fits."""
+    begin = int(seen.frame[a - 1]) + 1 if a > 0 else int(known[0])
+    end = int(seen.frame[b + 1]) - 1 if b + 1 < len(seen.frame) else int(known[-1])
+    first, last = int(seen.frame[a]), int(seen.frame[b])
+    into, out = steps.largest(begin, first), steps.largest(last + 1, end + 1)
+    return begin if into is None else into, end if out is None else out - 1

@@ -1,0 +1,379 @@
+"""Explanations of a log's residuals that compete by log-likelihood: systematic errors, noises, jumps, landmarks.
+
+Every explanation is a model of the smoothed residuals with a few parameters more than the stated one. Its gain is the
+rise of the log-likelihood, its penalty that of the Bayesian information criterion (Schwarz 1978) and the logarithm of
+the number of places it was chosen from. A systematic error, a jump and a displaced landmark are columns of the
+linearized problem (`graph.qr.score_test`), so path and map are estimated along.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import special
+
+from data.inputs import Inputs, IntArray
+from data.se2 import Array
+from eval.referee.attribution import ASSOCIATIONS, NOISE, Finding
+from eval.referee.consistency import successive
+from eval.referee.effects import Effect, Scored, effects, score_of, without
+from eval.referee.residuals import COMPONENTS, Residuals, Used, misfits
+
+ALIKE = 3.0
+"""Log-likelihood within which two explanations cannot be told apart: odds of 20."""
+SAME = 0.25  # largest share of its gain that an indistinguishable explanation keeps beside the other
+PLACES = 3  # frames, stretches and landmarks whose columns are formed: those with the largest residuals
+LENGTHS = (5, 10, 20, 40)  # frames of a burst
+CUTS = 24  # instants between which the noise may change
+SLIGHT = 0.1  # share of a gain in variance, below which the gain of a correlation beside it does not count
+HEAVY = (2.5, 3.0, 4.0, 6.0, 10.0)  # dof of Student's t
+FEWEST = 8  # observations of a landmark, or of a stretch
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """One explanation with the logarithm of its odds against the stated model, already penalized."""
+
+    finding: Finding
+    net: float
+    effects: tuple[int, ...] = ()  # its columns among the hypotheses of the score, if it has some
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """What explanations are formed from: a smoother's path (N, 3), its pairings and residuals.
+
+    usual: spread of residuals in replicates by component, in stated sigmas; lag1: their correlations; certain: relative
+    standard deviation of the spreads.
+    """
+
+    inputs: Inputs
+    path: Array
+    used: Used
+    residuals: Residuals
+    usual: Mapping[str, float]
+    lag1: Mapping[str, float]
+    certain: Mapping[str, float]
+
+    @property
+    def observations(self) -> Array:
+        """Residuals of observations (M, 2) in their usual spread."""
+        return np.asarray(self.residuals.observations / np.array([self.usual.get(c, 1.0) for c in COMPONENTS[3:]]))
+
+    @property
+    def odometry(self) -> Array:
+        """Residuals of odometry (N, 3) in their usual spread; NaN where it is hardly redundant."""
+        usual = np.array([self.usual.get(c, 0.0) for c in COMPONENTS[:3]])
+        return np.asarray(self.residuals.odometry / np.where(usual > 0.0, usual, np.nan))
+
+
+def explanations(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
+    """All explanations of the residuals, the best first; `taken`: systematic errors that are estimated already."""
+    found = [*_linear(e, taken), *_spreads(e), *_changes(e), *_correlations(e), *_tails(e), *_landmarks(e)]
+    return sorted((x for x in found if math.isfinite(x.net)), key=lambda x: -x.net)
+
+
+def size_of(e: Evidence) -> int:
+    """Number of residuals."""
+    return int(np.isfinite(e.residuals.observations).sum() + np.isfinite(e.residuals.odometry).sum())
+
+
+def mirrored(e: Evidence) -> Explanation:
+    """Bearings, or the y of points, to the other side: its gain is that of the corrected inputs alone."""
+    return Explanation(Finding(NOISE, "mirrored", "z2", -1.0, gain=0.0), -_penalty(e, 1))
+
+
+def _penalty(e: Evidence, parameters: int, places: int = 1) -> float:
+    return 0.5 * parameters * math.log(max(size_of(e), 2)) + math.log(max(places, 1))
+
+
+# columns of the linearized problem
+
+
+def _linear(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
+    """Systematic errors, jumps and bursts of the motion, and displaced landmarks of a known map."""
+    plain = effects(e.inputs, e.path, e.used)
+    groups: list[tuple[Finding, tuple[Effect, ...], int]]
+    groups = [(Finding(NOISE, "systematic", x.name, math.nan), (x,), 1) for x in plain]
+    groups += [*_jumps(e), *_bursts(e), *(_displaced(e) if e.inputs.map is not None else [])]
+    hypotheses = list({x.name: x for _, columns, _ in groups for x in columns}.values())
+    scored = score_of(e.inputs, e.path, e.used, hypotheses)
+    place = {x.name: i for i, x in enumerate(hypotheses)}
+    rows = [np.array([place[x.name] for x in columns]) for _, columns, _ in groups]
+    known = np.array([i for i, x in enumerate(hypotheses) if x.name in taken], np.int64)
+    left = Scored(scored.names, scored.score.given(known) if len(known) else scored.score)
+    gains = [_gain(left, own) for own in rows]
+    found = []
+    for (finding, columns, places), own, gain in zip(groups, rows, gains, strict=True):
+        if finding.name in taken or not gain > 0.0:
+            continue
+        sizes, errors = left.together(own)
+        i = int(np.argmax(np.abs(sizes[:2]))) if finding.kind == "jump" else 0
+        size = (
+            float(np.hypot(*sizes[:2])) if finding.kind in ("jump", "displaced") and len(own) > 1 else float(sizes[i])
+        )
+        named = replace(finding, size=size, error=float(errors[i]), gain=gain)
+        net = gain - _penalty(e, len(columns), places)
+        found.append(Explanation(named, net, tuple(own.tolist())))
+    return [replace(x, finding=replace(x.finding, other=_ties(x, found, left))) for x in found]
+
+
+def _gain(scored: Scored, own: IntArray) -> float:
+    """Rise of the log-likelihood by all columns `own` together."""
+    s, information = scored.score.score[own], scored.score.information[np.ix_(own, own)]
+    return 0.5 * float(s @ np.linalg.pinv(information, rcond=1e-9, hermitian=True) @ s)
+
+
+def _ties(best: Explanation, found: Sequence[Explanation], scored: Scored) -> tuple[str, ...]:
+    """Systematic errors that explain the same as well: they gain next to nothing beside the best one."""
+    beside = Scored(scored.names, scored.score.given(np.array(best.effects, np.int64)))
+    return tuple(
+        x.finding.name
+        for x in found
+        if x is not best
+        and x.finding.kind == "systematic"
+        and x.net > best.net - ALIKE
+        and _gain(beside, np.array(x.effects)) < SAME * x.finding.gain
+    )
+
+
+def _largest(values: Array, apart: int) -> list[int]:
+    """Places of the largest values (N,), NaN left out, at least `apart` from each other."""
+    chosen: list[int] = []
+    for k in np.argsort(-np.nan_to_num(values, nan=-np.inf), kind="stable")[: 20 * PLACES].tolist():
+        if math.isfinite(values[k]) and all(abs(k - other) >= apart for other in chosen):
+            chosen.append(k)
+    return chosen[:PLACES]
+
+
+def _jumps(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
+    """The frames with the largest residuals of odometry, each with an increment of its own."""
+    odometry = e.odometry
+    squared = np.where(np.isfinite(odometry).any(axis=1), np.nansum(odometry**2, axis=1), np.nan)
+    found = []
+    for k in _largest(squared, 2):
+        columns = []
+        for i in np.flatnonzero(np.isfinite(odometry[k])):
+            motion = np.zeros((len(e.inputs), 3))
+            motion[k, i] = 1.0
+            columns.append(Effect(f"jump_{k}_{i}", motion=motion))
+        found.append((Finding(NOISE, "jump", "odometry", math.nan, frames=((k, k),)), tuple(columns), len(e.inputs)))
+    return found
+
+
+def _bursts(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
+    """Stretches in which odometry reports more or less way than before and after: wheels that slip."""
+    forward, step = e.odometry[:, 0], e.inputs.increments.mean
+    found = []
+    for length in LENGTHS:
+        if 2 * length >= len(forward):
+            break
+        total = np.cumsum(np.concatenate([[0.0], np.nan_to_num(forward)]))
+        sums = np.abs(total[length:] - total[:-length]) / math.sqrt(length)
+        columns, frames = [], []
+        for first in _largest(sums, length):
+            motion = np.zeros_like(step)
+            motion[first : first + length, :2] = step[first : first + length, :2]
+            if np.any(motion):
+                columns.append(Effect(f"burst_{first}_{length}", motion=motion))
+                frames.append((first, first + length - 1))
+        # one burst, two, and so on: of the same length each
+        for count in range(1, len(columns) + 1):
+            finding = Finding(NOISE, "burst", "odometry", math.nan, frames=tuple(frames[:count]))
+            found.append((finding, tuple(columns[:count]), (len(forward) * len(LENGTHS)) ** count))
+    return found
+
+
+def _displaced(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
+    """The landmarks of the map with the largest mean residuals, each displaced by itself."""
+    o, rows = e.inputs.observations, np.flatnonzero(e.used.number >= 0)
+    if not len(rows):
+        return []
+    number = e.used.number[rows]
+    sums = np.zeros((len(e.used.landmarks), 2))
+    np.add.at(sums, number, np.nan_to_num(e.observations[rows]))
+    counts = np.bincount(number, minlength=len(sums))
+    strength = np.where(counts >= FEWEST, (sums**2).sum(axis=1) / np.maximum(counts, 1), np.nan)
+    found = []
+    for landmark in _largest(strength, 1):
+        own = rows[number == landmark]
+        place = np.repeat(e.used.landmarks[landmark][None], len(own), axis=0)
+        _, _, Hm = e.inputs.sensor.linearize(e.path[o.frame[own]], place)
+        columns = []
+        for i in range(2):
+            column = np.zeros((len(o.frame), 2))
+            column[own] = Hm[:, :, i]
+            columns.append(Effect(f"landmark_{landmark}_{i}", observations=column))
+        name = str(e.used.identity[landmark])
+        found.append((Finding(NOISE, "displaced", name, math.nan), tuple(columns), len(sums)))
+    return found
+
+
+# noises
+
+
+def _of_variance(squares: ArrayLike, dof: ArrayLike) -> Array:
+    """Gain of a variance of its own, (F - 1 - ln F) dof / 2, with F the mean square over the expected one."""
+    F = np.maximum(squares, 1e-12)
+    return np.asarray(0.5 * np.asarray(dof) * (F - 1.0 - np.log(F)))
+
+
+def _spreads(e: Evidence) -> list[Explanation]:
+    """Another sigma of one component, for the whole log; its dof from the replicates."""
+    found = []
+    series = [*e.odometry.T, *e.observations.T]
+    for name, values in zip(COMPONENTS, series, strict=True):
+        known, spread = values[np.isfinite(values)], e.certain.get(name, math.nan)
+        if len(known) < FEWEST or not spread > 0.0:
+            continue
+        factor = float(known.std())
+        gain = float(_of_variance(factor**2, min(0.5 / spread**2, len(known))))
+        found.append(Explanation(Finding(NOISE, "sigma", name, factor, gain=gain), gain - _penalty(e, 1)))
+    return found
+
+
+def _changes(e: Evidence) -> list[Explanation]:
+    """A stretch of frames in which the observations' noise is another one than before and after."""
+    squares = np.nansum(e.observations**2, axis=1)
+    rows = np.flatnonzero(np.isfinite(e.observations).any(axis=1))
+    n = len(e.inputs)
+    if len(rows) < 4 * FEWEST:
+        return []
+    frame = e.inputs.observations.frame[rows]
+    cuts = np.unique(np.linspace(0, n, CUTS + 1).astype(int))
+    total = np.concatenate([[0.0], np.cumsum(squares[rows])])
+    at = np.searchsorted(frame, cuts)
+    best = (-math.inf, 0, 0, math.nan)
+    for i in range(len(cuts) - 1):
+        for j in range(i + 1, len(cuts)):
+            inside = int(at[j] - at[i])
+            outside = len(rows) - inside
+            if inside < FEWEST or outside < FEWEST:
+                continue
+            within = float(total[at[j]] - total[at[i]]) / (2 * inside)
+            rest = float(total[-1] - total[at[j]] + total[at[i]]) / (2 * outside)
+            gain = float(_of_variance(within, 2 * inside) + _of_variance(rest, 2 * outside))
+            if gain > best[0] and within > rest:
+                best = gain, int(cuts[i]), int(cuts[j]) - 1, math.sqrt(within / rest)
+    gain, first, last, factor = best
+    finding = Finding(NOISE, "change", "z", factor, gain=gain, frames=((first, last),))
+    return [Explanation(finding, gain - _penalty(e, 2, CUTS**2))] if math.isfinite(gain) else []
+
+
+def _correlations(e: Evidence) -> list[Explanation]:
+    """Errors of a landmark's observations that are correlated from one frame to the next (AR(1))."""
+    before, after = successive(e.residuals.observations, e.inputs.observations.frame, e.used.number)
+    if len(before) < 4 * FEWEST:
+        return []
+    gain, ordered, both = 0.0, 0.0, []
+    for i, name in enumerate(COMPONENTS[3:]):
+        values = e.observations[:, i]
+        a, b = values[before], values[after]
+        r = float(a @ b) / math.sqrt(float(a @ a) * float(b @ b))
+        r = (r - e.lag1.get(name, 0.0)) / (1.0 - r * e.lag1.get(name, 0.0))
+        known = values[np.isfinite(values)]
+        ordered += -0.5 * len(before) * math.log1p(-min(r * r, 0.9999))
+        gain += float(_of_variance(float(known.var()), len(known)))
+        both.append(r)
+    finding = Finding(NOISE, CORRELATION, "z", max(both), gain=gain + ordered)
+    apart = max(both) > 0.0 and ordered > SLIGHT * gain
+    return [Explanation(finding, gain + ordered - _penalty(e, 4))] if apart else []
+
+
+def _tails(e: Evidence) -> list[Explanation]:
+    """Student's t instead of the Gaussian, or observations that fit another landmark: wrong pairings."""
+    rows = np.flatnonzero(np.isfinite(e.observations).all(axis=1))
+    if len(rows) < 4 * FEWEST:
+        return []
+    squared = (e.observations[rows] ** 2).sum(axis=1)
+    best = (-math.inf, math.nan)
+    for dof in HEAVY:
+        scale = 1.0
+        for _ in range(20):  # maximum likelihood of the scale, by the EM algorithm of Lange, Little and Taylor (1989)
+            weight = (dof + 2.0) / (dof + squared / scale)
+            scale = max(float((weight * squared).mean()) / 2.0, 1e-12)
+        t = special.gammaln(0.5 * (dof + 2.0)) - special.gammaln(0.5 * dof) - math.log(0.5 * dof * scale)
+        likelihood = float(np.sum(t - 0.5 * (dof + 2.0) * np.log1p(squared / (dof * scale)) + 0.5 * squared))
+        best = max(best, (likelihood, dof))
+    gain, dof = best
+    outlying, elsewhere, _ = misfits(e.inputs, e.path, e.used, e.residuals)
+    net = gain - _penalty(e, 2)
+    if outlying >= 2 and 2 * elsewhere >= outlying:
+        return [Explanation(Finding(ASSOCIATIONS, "pairings", "readings", elsewhere, gain=gain), net)]
+    return [Explanation(Finding(NOISE, "tails", "readings", dof, gain=gain, outliers=outlying), net)]
+
+
+def _landmarks(e: Evidence) -> list[Explanation]:
+    """One landmark whose observations fit worse than all others: moved, or two under one label."""
+    rows = np.flatnonzero(np.isfinite(e.observations).all(axis=1))
+    number, squared = e.used.number[rows], (e.observations[rows] ** 2).sum(axis=1)
+    sums = np.bincount(number, np.minimum(squared, 1e6), minlength=len(e.used.landmarks))
+    counts = np.bincount(number, minlength=len(sums))
+    gains = np.where(counts >= FEWEST, _of_variance(sums / np.maximum(2 * counts, 1), 2 * counts), -np.inf)
+    gains = np.where(sums > 2 * counts, gains, -np.inf)
+    if not np.isfinite(gains).any():
+        return []
+    i = int(np.argmax(gains))
+    factor = math.sqrt(float(sums[i]) / (2 * int(counts[i])))
+    finding = Finding(NOISE, "landmark", str(e.used.identity[i]), factor, gain=float(gains[i]))
+    return [Explanation(finding, float(gains[i]) - _penalty(e, 1, len(sums)))]
+
+
+CORRELATION = "correlation"
+MODELLED = (
+    "systematic",
+    "sigma",
+    "change",
+    "jump",
+    "burst",
+    "landmark",
+    "mirrored",
+)  # kinds whose corrected inputs have a likelihood
+FREED = 10.0  # times its mean squared residual, the variance of an increment that jumped: the residual is what is left
+UNINFORMATIVE = 1e6
+"""Factor of the covariance of a measurement that is left out, so that its variables stay determined."""
+
+
+def corrected(e: Evidence, finding: Finding) -> Inputs:
+    """The inputs with an explanation taken into account."""
+    if finding.kind == "mirrored":
+        o = e.inputs.observations
+        return replace(e.inputs, observations=replace(o, z=o.z * [1.0, -1.0]))
+    if finding.kind == "systematic":
+        return without(e.inputs, e.path, e.used, {finding.name: finding.size})
+    o, increments = e.inputs.observations, e.inputs.increments
+    R, Q = o.R.copy(), increments.covariance.copy()
+    if finding.kind == "sigma" and finding.name in COMPONENTS[:3]:
+        i = COMPONENTS.index(finding.name)
+        Q[:, i] *= finding.size
+        Q[:, :, i] *= finding.size
+    elif finding.kind == "sigma":
+        i = COMPONENTS.index(finding.name) - 3
+        R[:, i] *= finding.size
+        R[:, :, i] *= finding.size
+    elif finding.kind == "change":
+        squares = np.nansum(e.observations**2, axis=1)
+        ((first, last),) = finding.frames
+        inside = (o.frame >= first) & (o.frame <= last)
+        paired = np.isfinite(e.observations).any(axis=1)
+        for part in (inside, ~inside):
+            rows = part & paired
+            R[part] *= float(squares[rows].sum()) / max(2 * int(rows.sum()), 1)
+    elif finding.kind == CORRELATION:
+        R *= (1.0 + finding.size) / max(1.0 - finding.size, 0.02)  # n readings are worth n (1 - r) / (1 + r)
+    elif finding.kind in ("tails", "pairings"):
+        squared = (e.observations**2).sum(axis=1)
+        dof = finding.size if finding.kind == "tails" else HEAVY[0]
+        R *= np.nan_to_num(np.maximum((dof + squared) / (dof + 2.0), 0.5), nan=1.0)[:, None, None]
+    elif finding.kind in ("landmark", "displaced"):
+        row = np.flatnonzero(e.used.identity == int(finding.name))
+        R[np.isin(e.used.number, row)] *= UNINFORMATIVE if finding.kind == "displaced" else finding.size**2
+    elif finding.kind in ("jump", "burst"):
+        for first, last in finding.frames:
+            stretch = slice(first, last + 1)
+            Q[stretch] *= max(float(np.nanmean(e.odometry[stretch] ** 2)), 1.0) * FREED
+    return replace(e.inputs, increments=replace(increments, covariance=Q), observations=replace(o, R=R))

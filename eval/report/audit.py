@@ -1,0 +1,343 @@
+"""The audit of a factor graph for users: tables, words, a figure, and the page."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from data.inputs import IntArray
+from data.se2 import Array, BoolArray
+from eval.report.words import as_sentence, say
+from graph.audit.audit import DRAWS, FAMILY, Audit, examined
+from graph.audit.factors import UNCHECKED
+from graph.audit.kinds import Grouping
+from graph.audit.linear import Graph, Values, name
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+TEN, SHOWN = 10, 6  # rows of the worst factors; names in a sentence
+
+
+@dataclass(frozen=True)
+class One:
+    """A factor in a sentence."""
+
+    number: int
+    keys: str
+    kind: str
+    deleted: float
+    rank: int
+    p: float
+
+
+@dataclass(frozen=True)
+class Together:
+    """A cluster in a sentence."""
+
+    count: int
+    some: str
+    deleted: float
+    rank: int
+    p: float
+    moved: float
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A wrong variance in a sentence."""
+
+    name: str
+    value: float
+    error: float
+    sigma: float
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """The error that does most harm unseen."""
+
+    number: int
+    keys: str
+    sigmas: float
+    metres: float
+
+
+@dataclass(frozen=True)
+class Second:
+    """Another minimum: where the optimizer started, both errors, and where they differ."""
+
+    start: str
+    error: float
+    ours: float
+    apart: int
+    most: str
+    metres: float
+
+
+@dataclass(frozen=True)
+class AuditFacts:
+    """What the words of an audit say; see `graph.audit.audit.Audit`."""
+
+    factors: int
+    freedom: int
+    chi2: float
+    rejected: bool
+    wrong: int
+    scaled: tuple[str, ...]
+    component: Scale | None
+    worst: One | None
+    cluster: Together | None
+    least: One
+    unchecked: int
+    unchecked_kinds: tuple[str, ...]
+    hidden: Hidden | None
+    decrement: float
+    gained: float
+    second: Second | None
+    gauge: int
+    loose: tuple[str, ...]
+    parts: tuple[int, ...]
+    duplicates: tuple[str, ...]
+    ignored: int
+
+
+@dataclass(frozen=True, eq=False)
+class AuditReport:
+    """An audit.
+
+    Attributes:
+        factors: a row each, index: number in the graph. keys, kind, dim; chi2 of the whitened residual; redundancy,
+            unchecked; deleted (T), rank, p, p_family (Holm); minimal_error [sigma]; influence_m [m]; p_drawn (draws of
+            the graph's own noise); missed_m [m], motion of its own ends by a just missed error; weight (robust); cost.
+        kinds: a row each: n, dim, chi2, redundancy, component, se, sigma_factor, unchecked, p, p_family.
+        components: a row for each axis of a kind with diagonal noise.
+        audit: the numbers.
+    """
+
+    factors: pd.DataFrame
+    kinds: pd.DataFrame
+    components: pd.DataFrame
+    audit: Audit
+    second: Second | None = None
+
+    @property
+    def clusters(self) -> pd.DataFrame:
+        """Loops that agree with each other, tested together: factors, deleted (T), rank, p, p_family, influence_m."""
+        rows = [
+            (c.factors, c.T, c.rank, c.p, p, c.moved)
+            for c, p in zip(self.audit.clusters, self.audit.p_cluster, strict=True)
+        ]
+        frame = pd.DataFrame(rows, columns=["factors", "deleted", "rank", "p", "p_family", "influence_m"])
+        return frame.sort_values("p", kind="stable", ignore_index=True)
+
+    @property
+    def rejected(self) -> bool:
+        """Whether a factor or a component is rejected at a family-wise 5 %."""
+        return self.audit.rejected
+
+    @property
+    def facts(self) -> AuditFacts:
+        """What the words say."""
+        return _facts(self)
+
+    def words(self) -> str:
+        """Three sentences: what to trust, what is wrong most, what cannot be known; then what the structure says."""
+        facts = self.facts
+        lines = [as_sentence(say(f"audit#{part}", a=facts)) for part in ("trust", "worst", "unknown")]
+        found = say("audit#findings", a=facts).strip()
+        return "\n".join([*lines, *([found] if found else [])])
+
+    def worst(self, count: int = TEN) -> pd.DataFrame:
+        """The factors of least p value, with keys as gtsam prints them."""
+        some = self.factors.dropna(subset="p").sort_values(["p", "deleted"], ascending=[True, False], kind="stable")
+        return printable(some.head(count))
+
+    def figure(self) -> Figure:
+        """The graph, edges coloured by p value and by redundancy."""
+        from eval.figures.audit import audit_figure
+
+        place = {key: v for v, key in enumerate(self.audit.f.system.keys)}
+        some = [i for i, keys in enumerate(self.audit.keys) if len(keys) > 1]
+        ends = np.array([(place[self.audit.keys[i][0]], place[self.audit.keys[i][-1]]) for i in some]).reshape(-1, 2)
+        t = self.audit.factors
+        rejected = [n for n, i in enumerate(some) if self.audit.p_family[i] < FAMILY]
+        share = (t.redundancy[some] / np.maximum(t.dim[some], 1)).clip(0.0, 1.0)
+        return audit_figure(self.audit.place, ends, t.p[some], share, rejected)
+
+
+def audit(
+    graph: Graph,
+    values: Values,
+    *,
+    groups: Grouping = None,
+    draws: int = DRAWS,
+    seed: int = 0,
+    full: bool = False,
+) -> AuditReport:
+    """Examine any gtsam graph at its optimum: which factor is wrong, which noise is wrong, what is unchecked.
+
+    Args:
+        graph: factors of any type; empty slots keep their number.
+        values: the optimum. Elsewhere, statistics are those of the linearized problem, and the words say so.
+        groups: kind of each factor, as names in the order of the graph or a function of number and factor; an empty
+            name, or nothing: by type, odometry or loop, and noise.
+        draws: number of draws of the graph's own noise for `p_drawn`; 0: none.
+        seed: of the draws, and of the probes of the variance components.
+        full: each draw is a graph of drawn measurements, optimized again: exact, and many times slower.
+
+    Returns:
+        The report: `factors`, `kinds`, `components` (pandas), `words()`, `figure()`, `rejected`.
+
+    Raises:
+        DataError: a factor without its variable's value, a residual that is not finite, or no factor.
+    """
+    with threadpool_limits(1):
+        return reported(examined(graph, values, groups, draws, seed, full=full))
+
+
+def reported(a: Audit) -> AuditReport:
+    """The tables of an audit."""
+    t, of = a.factors, a.kinds.of
+    unchecked = np.where(np.isfinite(t.redundancy), t.redundancy < UNCHECKED * t.dim, False)
+    factors = pd.DataFrame(
+        {
+            "keys": list(a.keys), "kind": [a.kinds.names[k] if k >= 0 else "" for k in of.tolist()], "dim": t.dim,
+            "chi2": t.chi2, "redundancy": t.redundancy, "unchecked": unchecked, "deleted": t.deleted, "rank": t.rank,
+            "p": t.p, "p_family": a.p_family, "minimal_error": t.minimal_error, "influence_m": t.moved,
+            "p_drawn": a.p_drawn, "missed_m": t.missed, "weight": t.weight, "cost": t.cost,
+        }
+    )  # fmt: skip
+    factors.index.name = "factor"
+
+    def total(column: Array | IntArray | BoolArray) -> Array:
+        return np.bincount(of[of >= 0], np.nan_to_num(column)[of >= 0], len(a.kinds.names)).astype(float)
+
+    n = total(np.ones(len(of)))
+    kinds = pd.DataFrame(
+        {
+            "n": n.astype(int), "dim": total(t.dim).astype(int), "chi2": total(t.chi2),
+            "redundancy": total(t.redundancy), "component": a.by_kind.component, "se": a.by_kind.error,
+            "sigma_factor": np.sqrt(a.by_kind.component), "unchecked": total(unchecked).astype(int),
+            "p": a.by_kind.p, "p_family": a.p_kind,
+        }, index=pd.Index(a.kinds.names, name="kind"),
+    )  # fmt: skip
+    divided = [i for i, (_, x) in enumerate(a.axis.tolist()) if x >= 0]
+    components = pd.DataFrame(
+        {
+            "kind": [a.kinds.names[a.axis[i, 0]] for i in divided],
+            "axis": [a.kinds.axes[a.axis[i, 0]][a.axis[i, 1]] for i in divided],
+            "redundancy": a.by_axis.redundancy[divided], "component": a.by_axis.component[divided],
+            "se": a.by_axis.error[divided], "sigma_factor": np.sqrt(a.by_axis.component[divided]),
+            "p": a.by_axis.p[divided], "p_family": a.p_axis[divided],
+        }
+    )  # fmt: skip
+    return AuditReport(factors, kinds, components, a)
+
+
+def printable(frame: pd.DataFrame) -> pd.DataFrame:
+    """Factors with keys as gtsam prints them."""
+    return frame.assign(keys=[" ".join(map(name, keys)) for keys in frame["keys"]])
+
+
+def _facts(report: AuditReport) -> AuditFacts:
+    a, factors, kinds = report.audit, report.factors, report.kinds
+    wrong = factors[factors["p_family"] < FAMILY]
+    order = factors.dropna(subset="p").sort_values(["p", "deleted"], ascending=[True, False], kind="stable")
+    least = _one(order.iloc[0]) if len(order) else One(-1, "", "", np.nan, 0, np.nan)
+    scales = [_scale(row["kind"] + ", " + row["axis"], row) for _, row in report.components.iterrows()]
+    scales += [_scale(str(k), row) for k, row in kinds.iterrows() if not (report.components["kind"] == k).any()]
+    tested = [each for each in scales if each is not None]
+    pooled = [_scale(str(k), row) for k, row in kinds.iterrows()]
+    scaled = dict.fromkeys([s.name.rsplit(", ", 1)[0] if s.name not in kinds.index else s.name for s in tested])
+    scaled |= dict.fromkeys(s.name for s in pooled if s is not None)
+    component = max(tested or [s for s in pooled if s is not None], key=lambda s: abs(np.log(s.sigma)), default=None)
+    unchecked = factors[factors["unchecked"]]
+    counts = Counter(unchecked["kind"])
+    seen = factors[np.isfinite(factors["missed_m"]) & ~factors["unchecked"]]
+    hidden = None
+    if len(seen) and seen["missed_m"].max() > 0.0:
+        i = int(seen["missed_m"].idxmax())
+        hidden = Hidden(i, _keys(factors, i), float(factors["minimal_error"][i]), float(factors["missed_m"][i]))
+    loose = [f"{name(a.f.system.keys[v])} ({n} directions)" for v, n in a.condition.loose[:SHOWN]]
+    if len(a.condition.loose) > SHOWN:
+        loose.append(f"{len(a.condition.loose) - SHOWN} more")
+    return AuditFacts(
+        int(factors["chi2"].notna().sum()), a.freedom, float(factors["chi2"].sum()), a.rejected, len(wrong),
+        tuple(scaled), component, least if least.p < FAMILY else None, _cluster(report), least, len(unchecked),
+        tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in counts.items()),
+        hidden, a.decrement, a.gained, report.second, a.condition.gauge, tuple(loose), a.condition.parts,
+        tuple(f"{i} and {j}" for i, j in a.condition.duplicates), int((factors["weight"] < 1.0).sum()),
+    )  # fmt: skip
+
+
+def _cluster(report: AuditReport) -> Together | None:
+    """The worst rejected cluster."""
+    some = report.clusters[report.clusters["p_family"] < FAMILY]
+    if not len(some):
+        return None
+    row = some.iloc[0]
+    names = ", ".join(map(str, row["factors"][:TEN])) + ", ..." * (len(row["factors"]) > TEN)
+    return Together(len(row["factors"]), names, row["deleted"], row["rank"], row["p_family"], row["influence_m"])
+
+
+def _keys(factors: pd.DataFrame, i: int) -> str:
+    return " ".join(map(name, factors["keys"][i]))
+
+
+def _one(row: pd.Series[Any]) -> One:
+    keys = " ".join(map(name, row["keys"]))
+    return One(int(str(row.name)), keys, row["kind"], row["deleted"], row["rank"], row["p_family"])
+
+
+def _scale(name_: str, row: pd.Series[Any]) -> Scale | None:
+    """The component of a row if it is rejected."""
+    if not row["p_family"] < FAMILY:
+        return None
+    return Scale(name_, row["component"], row["se"], row["sigma_factor"])
+
+
+def write_audit(report: AuditReport, folder: Path, title: str, command: str) -> None:
+    """Write factors.csv, kinds.csv, components.csv, and report.html with its figure."""
+    from eval.figures.style import save
+    from eval.report.page.blocks import Block, Picture, Report, Section, Table
+    from eval.report.render import write_report
+
+    folder.mkdir(parents=True, exist_ok=True)
+    printable(report.factors).to_csv(folder / "factors.csv", lineterminator="\n")
+    report.kinds.to_csv(folder / "kinds.csv", lineterminator="\n")
+    report.components.to_csv(folder / "components.csv", index=False, lineterminator="\n")
+    facts = report.facts
+
+    def caption(part: str) -> str:
+        return as_sentence(say(f"audit#{part}_caption", a=facts))
+
+    first: list[Block] = [Table(shown(report.kinds.reset_index()), caption("kinds"))]
+    if len(report.components):
+        first.append(Table(shown(report.components), caption("axes")))
+    sections = [
+        Section("Kinds of factors", tuple(first)),
+        Section("Worst factors", (Table(shown(report.worst().reset_index()), caption("factors")),)),
+    ]
+    if (some := report.clusters[report.clusters["p_family"] < FAMILY].head(TEN)).size:
+        listed = some.assign(factors=[" ".join(map(str, c)) for c in some["factors"]])
+        sections.append(Section("Clusters", (Table(shown(listed), caption("clusters")),)))
+    if np.isfinite(report.audit.place).any() and any(len(keys) > 1 for keys in report.audit.keys):
+        save(report.figure(), folder / "figures", "graph", ("png",))
+        alt = "The graph's edges, coloured by p value and by redundancy"
+        sections.append(Section("Graph", (Picture("graph", caption("figure"), alt),)))
+    write_report(folder, Report(title, command, tuple(report.words().split("\n")), tuple(sections)))
+
+
+def shown(frame: pd.DataFrame) -> pd.DataFrame:
+    """A table with four digits, for a person."""
+    out = frame.copy()
+    for column in out.select_dtypes("float"):
+        out[column] = [f"{v:.4g}" if np.isfinite(v) else ("" if np.isnan(v) else "inf") for v in out[column]]
+    return out

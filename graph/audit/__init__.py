@@ -1,0 +1,1 @@
+"""Audit of any factor graph: leverage, deleted residuals, variance components, reliability, influence."""

@@ -1,0 +1,183 @@
+"""The audit of a graph around its values: factors, kinds, and what the linearization says about the values."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from data.errors import DataError
+from data.inputs import IntArray
+from data.se2 import Array
+from graph.audit.clusters import Cluster, clusters
+from graph.audit.components import Components, Estimator
+from graph.audit.condition import Condition, condition
+from graph.audit.draws import family, independent, smallest_p
+from graph.audit.factors import Tested, directions, examine, holm
+from graph.audit.fronts import Factored, factorize, ordering
+from graph.audit.kinds import Grouping, Kinds, kinds, positions_of
+from graph.audit.linear import System, linearize
+from graph.audit.simulated import smallest_p_optimized
+
+DRAWS = 200
+FAMILY = 0.05  # family-wise level of a rejection
+
+
+@dataclass(frozen=True, eq=False)
+class Audit:
+    """Numbers of an audit.
+
+    Attributes:
+        keys: (F,) of each factor; empty in an empty slot.
+        kinds: of the factors.
+        factors: statistics of each factor.
+        p_family: (F,) Holm's, over all factors, components and clusters; of as many independent tests as draws show.
+        p_drawn: (F,) from the smallest p value of draws; NaN without draws.
+        by_kind, by_axis: components of the kinds, and of the axes of each; `axis` (K, 2) kind and axis, -1: whole.
+        p_kind, p_axis: Holm's, in the same family as the factors.
+        clusters, p_cluster: loops that agree with each other, tested together; Holm's, in the same family.
+        decrement: length of the step to the minimum of the linearized problem, in sigmas.
+        gained: decrease of the sum of squares that this step promises.
+        freedom: degrees of freedom.
+        f: the factored system.
+        condition: what the graph does not determine.
+        place: (V, 3) position of each variable of the system, NaN where it has none.
+    """
+
+    keys: Sequence[tuple[int, ...]]
+    kinds: Kinds
+    factors: Tested
+    p_family: Array
+    p_drawn: Array
+    by_kind: Components
+    by_axis: Components
+    axis: IntArray
+    p_kind: Array
+    p_axis: Array
+    clusters: Sequence[Cluster]
+    p_cluster: Array
+    decrement: float
+    gained: float
+    freedom: int
+    f: Factored
+    condition: Condition
+    place: Array
+
+    @property
+    def rejected(self) -> bool:
+        """Whether anything is rejected at a family-wise 5 %."""
+        p = np.concatenate([self.p_family, self.p_kind, self.p_axis, self.p_cluster])
+        return bool(np.any(p < FAMILY))
+
+
+def examined(
+    graph: gtsam.NonlinearFactorGraph,
+    values: gtsam.Values,
+    by: Grouping = None,
+    draws: int = DRAWS,
+    seed: int = 0,
+    *,
+    full: bool = False,
+) -> Audit:
+    """Examine a graph around its values. Raises DataError as `linearize`, and for a graph without factors.
+
+    `full`: draws are measurements, optimized again, instead of residuals of the linearized problem.
+    """
+    system = linearize(graph, values)
+    if not system.rows or not len(system.keys):
+        raise DataError("the graph has no factor of a variable; at least one is needed")
+    order = ordering(system, firsts(system))
+    f = factorize(system, order)
+    seen = directions(f)
+    metres = positions_of(values, system.keys)
+    t = examine(f, seen, metres)
+    rng = np.random.default_rng(seed)
+    of = kinds(graph, by)
+    axis, rows = axes_of(of, system)
+    estimator = Estimator(f, order, rows, axis[:, 0], rng)
+    by_kind, by_axis = estimator.by_kind(), estimator.by_axis()
+    together, all_ = clusters(f, seen, t, np.flatnonzero(of.loops).tolist(), metres)
+    p_cluster = np.concatenate([[c.p for c in together], np.ones(all_ - len(together))])
+    family_of = np.concatenate([t.p, by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan), p_cluster])
+    drawn = np.zeros(0)
+    if draws:
+        drawn = smallest_p_optimized(graph, values, draws, rng) if full else smallest_p(f, seen, draws, rng)
+    tests, several = int(np.isfinite(t.p).sum()), int(np.isfinite(family_of).sum())
+    alone = min(independent(drawn), tests) if draws and tests else tests
+    adjusted = holm(family_of, (alone + several - tests) / max(several, 1))
+    n, k = len(t.p), len(of.names)
+    p_drawn = family(t.p, drawn) if draws else np.full(n, np.nan)
+    keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
+    whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
+    gained = max(whole - f.square, 0.0)
+    return Audit(
+        keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
+        adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
+        float(np.sqrt(gained)), gained, system.rows - f.rank, f, condition(f, parts(system), firsts(system)),
+        places(values, system.keys),
+    )  # fmt: skip
+
+
+def places(values: gtsam.Values, keys: Sequence[int]) -> Array:
+    """Positions (V, 3), NaN of variables without one; in the plane z is 0."""
+    out = np.full((len(keys), 3), np.nan)
+    at = {key: k for k, key in enumerate(keys)}
+    planar, spatial = gtsam.utilities.allPose2s(values), gtsam.utilities.allPose3s(values)
+    for some, wide in ((planar, 2), (spatial, 3)):
+        found = list(some.keys())
+        if found:
+            extract = gtsam.utilities.extractPose2 if wide == 2 else gtsam.utilities.extractPose3
+            xyz = (
+                np.asarray(extract(some)).reshape(len(found), -1)[:, :2]
+                if wide == 2
+                else np.asarray(extract(some))[:, -3:]
+            )
+            rows = [(at[key], n) for n, key in enumerate(found) if key in at]
+            for v, n in rows:
+                out[v, :wide], out[v, wide:] = xyz[n], 0.0
+    poses = {*planar.keys(), *spatial.keys()}
+    dims = values.dims()
+    for key, v in at.items():
+        if key not in poses and dims[key] in (2, 3):
+            try:
+                point = values.atPoint2(key) if dims[key] == 2 else values.atPoint3(key)
+            except RuntimeError:
+                continue
+            out[v, : dims[key]], out[v, dims[key] :] = point, 0.0
+    return out
+
+
+def firsts(system: System) -> list[int]:
+    """The first variable of each connected part: eliminated last, it keeps its value if nothing ties the part."""
+    root = parts(system)
+    return [int(np.flatnonzero(root == r)[0]) for r in np.unique(root)]
+
+
+def parts(system: System) -> IntArray:
+    """A number (V,) of the connected part of each variable."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    pairs = [g.variables[:, [0, j]] for g in system.groups for j in range(1, g.variables.shape[1])]
+    a, b = np.concatenate([np.zeros((0, 2), np.int64), *pairs]).T
+    size = len(system.keys)
+    label = connected_components(coo_matrix((np.ones(len(a)), (a, b)), (size, size)), directed=False)[1]
+    return np.asarray(label, np.int64)
+
+
+def axes_of(of: Kinds, system: System) -> tuple[IntArray, list[IntArray]]:
+    """Kind and axis (K, 2) of each component, axis -1 for a whole kind, and per group the component (n, d) of a row."""
+    axis: list[tuple[int, int]] = []
+    start = []
+    for k, names in enumerate(of.axes):
+        start.append(len(axis))
+        axis += [(k, a) for a in range(len(names))] or [(k, -1)]
+    begin = np.array(start)
+    split = np.array([len(names) > 0 for names in of.axes])
+    rows = []
+    for g in system.groups:
+        kind = of.of[g.factor]
+        rows.append(begin[kind][:, None] + split[kind][:, None] * np.arange(g.r.shape[1]))
+    return np.array(axis), rows

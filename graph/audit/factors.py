@@ -1,0 +1,269 @@
+"""Per factor: leverage, redundancy, the test of its deleted residual, reliability and influence.
+
+With the joint covariance Sigma of a factor's variables, its leverage is H = A Sigma A' and its redundancy R = I - w H,
+w the weight of a robust noise. Predicted from all other factors, its residual is R^-1 r with covariance
+(I + (1 - w) H) R^-1, so that
+
+    T = r' (I + (1 - w) H)^-1 R^-1 r ~ chi2(rank R)
+
+is its NIS without itself (Baarda, "A testing procedure for use in geodetic networks", 1968; Cook and Weisberg,
+"Residuals and influence in regression", 1982, section 2.2). Where R is singular nothing else sees the factor: T is
+taken on the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+from scipy.optimize import brentq
+from scipy.stats import chi2, ncx2
+
+from data.inputs import IntArray
+from data.se2 import Array
+from graph.audit.fronts import PART, Factored, joint_covariances, solved, step
+
+UNSEEN = 1e-6  # redundancy of a direction below which an error in it is not seen; leverages are accurate to 1e-9
+UNCHECKED = 0.05  # share of its dimension below which the redundancy of a factor checks nothing
+SIGNIFICANCE, POWER = 1e-3, 0.8  # of the smallest error that is found (Baarda 1968)
+INEXACT = 1e-9  # error of the sum of all redundancies, to the degrees of freedom, beyond which leverages are redone
+QUICK = 2e5  # fronts times rows up to which they are taken by rows at once
+BUDGET = 3e8  # factors times coefficients up to which the influence of every factor is solved for
+WORST = 768  # factors whose influence is solved for beyond that
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """Leverage of a group's factors in its principal directions.
+
+    Attributes:
+        h: (n, d) eigenvalues of H.
+        V: (n, d, d) eigenvectors, in columns.
+        r: (n, d) residual at the minimum of the linearized problem.
+        weight: (n,).
+        joint: (n, c, c) covariance of the variables.
+    """
+
+    h: Array
+    V: Array
+    r: Array
+    weight: Array
+    joint: Array
+
+    @property
+    def R(self) -> Array:
+        """Redundancy (n, d) of each direction, zero where an error is not seen."""
+        R = 1.0 - self.weight[:, None] * self.h
+        out: Array = np.where(R > UNSEEN, R, 0.0)
+        return out
+
+    def tested(self, r: Array) -> Array:
+        """T of residuals (n, d, c), for each of c draws: (n, c)."""
+        u = np.matmul(self.V.transpose(0, 2, 1), r) ** 2
+        out: Array = np.einsum("nd,ndc->nc", self.gain, u)
+        return out
+
+    @property
+    def gain(self) -> Array:
+        """T per squared residual (n, d) of each direction."""
+        R = self.R
+        spread = 1.0 + (1.0 - self.weight[:, None]) * self.h
+        return np.divide(1.0, R * spread, out=np.zeros_like(R), where=R > 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Tested:
+    """Statistics of each factor of the graph, NaN in empty slots: arrays (F,).
+
+    Attributes:
+        dim: number of residuals.
+        chi2: squared norm of the whitened residual at the values.
+        redundancy: trace of R, the share of its dimension that others check.
+        deleted, rank, p: T, its degrees of freedom and p value; p is NaN where nothing is seen.
+        minimal_error: in sigmas, that the test finds with 80 % power at 0.1 %, in its worst seen direction.
+        weight: of a robust noise.
+        moved: m, how far the worst point moves without the factor; `exact`: among all points, else its own ones.
+        missed: m, how far a just missed error moves the worst of its own points.
+        cost: decrease of the sum of squares without the factor.
+    """
+
+    dim: IntArray
+    chi2: Array
+    redundancy: Array
+    deleted: Array
+    rank: IntArray
+    p: Array
+    minimal_error: Array
+    weight: Array
+    moved: Array
+    exact: Array
+    missed: Array
+    cost: Array
+
+
+def directions(f: Factored) -> list[Directions]:
+    """Leverages of all factors, by group."""
+    joint, x = joint_covariances(f), step(f)
+    out = [_directions(f, g.A, g.r + np.einsum("ndc,nc->nd", g.A, x[f.index(g)]), g.weight, C)
+           for g, C in zip(f.system.groups, joint, strict=True)]  # fmt: skip
+    total = sum(float(np.sum(1.0 - each.weight[:, None] * each.h)) for each in out)
+    freedom = f.system.rows - f.rank
+    if abs(total - freedom) > INEXACT * max(1, freedom) or len(f.fronts) * f.system.rows < QUICK:
+        out = [_by_rows(f, k, each) for k, each in enumerate(out)]
+    return out
+
+
+def _directions(f: Factored, A: Array, r: Array, weight: Array, joint: Array) -> Directions:
+    H = np.matmul(np.matmul(A, joint), A.transpose(0, 2, 1))
+    h, V = np.linalg.eigh(0.5 * (H + H.transpose(0, 2, 1)))
+    return Directions(h, V, r, weight, joint)
+
+
+def _by_rows(f: Factored, k: int, rough: Directions) -> Directions:
+    """Leverages as squares of the rows of the orthogonal factor: exact where the variances are huge."""
+    g, index = f.system.groups[k], f.index(f.system.groups[k])
+    n, d, c = g.A.shape
+    H = np.empty((n, d, d))
+    for first in range(0, n, max(1, PART // max(d, 1))):
+        part = np.arange(first, min(n, first + max(1, PART // max(d, 1))))
+        right = np.zeros((f.columns, len(part), d))
+        for j in range(c):
+            right[index[part, j], np.arange(len(part))] += g.A[part][:, :, j]
+        y = _forward(f, right.reshape(f.columns, -1)).reshape(f.columns, len(part), d)
+        H[part] = np.einsum("xnd,xne->nde", y, y)
+    h, V = np.linalg.eigh(H)
+    return Directions(h, V, rough.r, rough.weight, rough.joint)
+
+
+def _forward(f: Factored, right: Array) -> Array:
+    y = np.zeros_like(right)
+    for front in f.fronts:
+        z = front.inverse.T @ right[front.kept]
+        y[front.kept] = z
+        right[front.after] -= front.S.T @ z
+    return y
+
+
+@cache
+def noncentrality(rank: int) -> float:
+    """Noncentrality of a chi-square of `rank` that is found with power 80 % at 0.1 %; 17.07 for rank 1."""
+    gate = chi2.isf(SIGNIFICANCE, rank)
+    return float(brentq(lambda v: ncx2.sf(gate, rank, v) - POWER, 1e-3, 1e3))
+
+
+def holm(p: Array, share: float = 1.0) -> Array:
+    """Family-wise p values of the finite ones (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays.
+
+    `share`: independent tests over all tests, as each other's residuals tell of the same errors.
+    """
+    out = np.full(p.shape, np.nan)
+    at = np.flatnonzero(np.isfinite(p))
+    order = at[np.argsort(p[at], kind="stable")]
+    left = np.maximum(share * np.arange(len(order), 0, -1), 1.0)
+    with np.errstate(divide="ignore"):
+        steps = -np.expm1(left * np.log1p(-p[order])) if share < 1.0 else np.minimum(p[order] * left, 1.0)
+    out[order] = np.maximum.accumulate(steps)
+    return out
+
+
+def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray]) -> Tested:
+    """Statistics of all factors. `metres`: per variable, the components that are a position in m."""
+    size = f.system.size
+    nan, zero = np.full(size, np.nan), np.zeros(size, np.int64)
+    out = Tested(
+        zero, nan, nan.copy(), nan.copy(), zero.copy(), nan.copy(), nan.copy(), nan.copy(), nan.copy(), nan.copy(),
+        nan.copy(), nan.copy(),
+    )  # fmt: skip
+    for g, s in zip(f.system.groups, seen, strict=True):
+        i, R, w = g.factor, s.R, s.weight[:, None]
+        out.dim[i], out.chi2[i], out.weight[i] = g.r.shape[1], np.sum(g.r**2, 1), g.weight
+        out.redundancy[i] = np.maximum(np.sum(1.0 - w * s.h, 1), 0.0)
+        u = np.einsum("nij,ni->nj", s.V, s.r)
+        out.deleted[i], out.rank[i] = np.sum(s.gain * u**2, 1), np.sum(R > 0.0, 1)
+        seen_of = out.rank[i] > 0
+        out.p[i[seen_of]] = chi2.sf(out.deleted[i[seen_of]], out.rank[i[seen_of]])
+        out.cost[i] = np.sum(np.divide(w * u**2, R, out=np.zeros_like(R), where=R > 0.0), 1)
+        # an error e shifts the residual by R e
+        found = np.where(R > 0.0, R**2 * s.gain, np.inf)
+        if found.shape[1]:
+            worst = np.argmin(found, 1)
+            lowest = found[np.arange(len(i)), worst]
+            needed = np.array([noncentrality(int(k)) if k else np.inf for k in out.rank[i]])
+            out.minimal_error[i] = np.sqrt(needed / np.where(seen_of, lowest, 1.0))
+            push = w * np.where(seen_of, out.minimal_error[i], 0.0)[:, None] * s.V[np.arange(len(i)), :, worst]
+            moved = _own(f, g.variables, np.einsum("ncx,ndx,nd->nc", s.joint, g.A, push), metres)
+            out.missed[i] = np.where(seen_of, moved, np.inf)
+        else:
+            out.minimal_error[i], out.missed[i] = np.inf, np.inf
+    _influence(f, seen, metres, out)
+    return out
+
+
+def p_values(seen: Sequence[Directions]) -> list[Array]:
+    """Per group, the p values (n,) of the factors, NaN where nothing is seen."""
+    out = []
+    for s in seen:
+        rank = np.sum(s.R > 0.0, 1)
+        p = np.full(len(rank), np.nan)
+        p[rank > 0] = chi2.sf(s.tested(s.r[:, :, None])[rank > 0, 0], rank[rank > 0])
+        out.append(p)
+    return out
+
+
+def pushes(f: Factored, k: int, s: Directions) -> Array:
+    """Right-hand sides (n, c) of the normal equations whose solution is the motion without each factor."""
+    u = np.einsum("nij,ni->nj", s.V, s.r)
+    without = np.divide(s.weight[:, None] * u, s.R, out=np.zeros_like(u), where=s.R > 0.0)
+    out: Array = np.einsum("ndc,ndj,nj->nc", f.system.groups[k].A, s.V, without)
+    return out
+
+
+def _own(f: Factored, variables: IntArray, x: Array, metres: Sequence[IntArray]) -> Array:
+    """Largest displacement (n,) among the variables (n, k) of each factor, moved by x (n, c)."""
+    far, at = np.zeros(len(x)), 0
+    sizes = f.system.dim[variables[0]] if len(variables) else []
+    for j, size in enumerate(sizes):
+        flag = np.zeros((len(x), size))
+        for n, v in enumerate(variables[:, j].tolist()):
+            flag[n, metres[v]] = 1.0
+        far = np.maximum(far, np.sqrt(np.sum(flag * x[:, at : at + size] ** 2, 1)))
+        at += int(size)
+    return far
+
+
+def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray], out: Tested) -> None:
+    """How far the worst point moves without each factor: its own ones first, all where that is affordable."""
+    right = [pushes(f, k, s) for k, s in enumerate(seen)]
+    for g, s, b in zip(f.system.groups, seen, right, strict=True):
+        out.moved[g.factor] = _own(f, g.variables, np.einsum("ncx,nx->nc", s.joint, b), metres)
+        out.exact[g.factor] = 0.0
+    size = sum(front.R.size + front.S.size for front in f.fronts)
+    ranked = np.argsort(-np.nan_to_num(out.moved), kind="stable")
+    chosen = np.zeros(f.system.size, bool)
+    chosen[ranked if size * f.system.size <= BUDGET else ranked[:WORST]] = True
+    point = positions(f, metres)
+    for k, g in enumerate(f.system.groups):
+        some, index, home = np.flatnonzero(chosen[g.factor]), f.index(g), f.home[k]
+        some = some[np.argsort(home[some], kind="stable")]
+        for first in range(0, len(some), PART):
+            part = some[first : first + PART]
+            b = np.zeros((f.columns, len(part)))
+            np.add.at(b, (index[part], np.arange(len(part))[:, None]), right[k][part])
+            out.moved[g.factor[part]] = point(solved(f, b, np.unique(home[part])))
+            out.exact[g.factor[part]] = 1.0
+
+
+def positions(f: Factored, metres: Sequence[IntArray]) -> Callable[[Array], Array]:
+    """A function of steps (N, c) that returns the largest displacement (c,) of a point, in m."""
+    at = [f.at[v] + m for v, m in enumerate(metres) if len(m)]
+    if not at:
+        return lambda x: np.zeros(x.shape[1])
+    by_size = [np.array([a for a in at if len(a) == d]) for d in {len(a) for a in at}]
+
+    def farthest(x: Array) -> Array:
+        square = [sum(x[columns[:, j]] ** 2 for j in range(columns.shape[1])).max(axis=0) for columns in by_size]
+        return np.asarray(np.sqrt(np.max(square, axis=0)))
+
+    return farthest

@@ -1,0 +1,285 @@
+"""A graph file as a gtsam graph with values, and its optimum; a user's function that builds both."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import L
+
+from data.errors import DataError, UsageError
+from data.formats.graph_file import POINT2, POINT3, POSE2, POSE3, Edge, GraphFile
+from data.inputs import IntArray
+from data.se2 import Array
+from graph.audit.fronts import factorize, ordering, step
+from graph.audit.linear import System, linearize
+
+N = gtsam.noiseModel
+MOST, CLOSE = 30, 1e-3  # steps; length of a step in sigmas that ends them
+COPIES = 2e6  # callbacks times variables up to which gtsam optimizes: it copies all values for each callback
+LAST_FIRST = [3, 4, 5, 0, 1, 2]  # gtsam has the rotation first
+
+
+def pose2(v: Array) -> gtsam.Pose2:
+    """Of x, y, theta."""
+    return gtsam.Pose2(*v)
+
+
+def pose3(v: Array) -> gtsam.Pose3:
+    """Of x, y, z, qx, qy, qz, qw."""
+    return gtsam.Pose3(gtsam.Rot3.Quaternion(v[6], v[3], v[4], v[5]), v[:3])
+
+
+INDEX = 2**56 - 1  # the index bits of a gtsam key, below its character
+MAKE: dict[str, Callable[[Array], Any]] = {POSE2: pose2, POSE3: pose3, POINT2: np.asarray, POINT3: np.asarray}
+
+
+def build(file: GraphFile) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[str]]:
+    """Graph, values, and the kind of each factor that is not a relation of poses; one factor an edge, in order.
+
+    Values without a vertex follow the edges from the first pose. More than one fixed vertex: constraints, at the end.
+    """
+    graph, values, names = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[str]()
+    for edge in file.edges:
+        graph.add(_factor(file, edge))
+        names.append("" if len(set(file.kind(edge))) == 1 else _name(edge))
+    for key in sorted({key for edge in file.edges for key in ends(file, edge)}):
+        kind, v = (file.points if key >> 56 else file.poses).get(key & INDEX, ("", None))
+        if v is not None:
+            values.insert(key, MAKE[kind](v))
+    _follow(file, values)
+    if len(file.fixed) > 1:
+        for key in dict.fromkeys(file.fixed):
+            place = key if key in file.poses else L(key)
+            if values.exists(place):
+                graph.add(_fixed(values, place, (file.poses | file.points)[key][0]))
+                names.append("fixed")
+    return graph, values, names
+
+
+def ends(file: GraphFile, edge: Edge) -> tuple[int, int]:
+    """Keys of both ends: the ids of poses, and L(id) of points."""
+    i, j = edge.ends
+    return i, L(j) if file.kind(edge)[1] in (POINT2, POINT3) else j
+
+
+def _name(edge: Edge) -> str:
+    return {"BR": "bearing-range", "EDGE_BEARING_SE2_XY": "bearing"}.get(edge.tag, "landmark")
+
+
+def _fixed(values: gtsam.Values, key: int, kind: str) -> gtsam.NonlinearFactor:
+    if kind == POSE2:
+        return gtsam.PriorFactorPose2(key, values.atPose2(key), N.Constrained.All(3))
+    if kind == POSE3:
+        return gtsam.PriorFactorPose3(key, values.atPose3(key), N.Constrained.All(6))
+    point = values.atPoint2(key) if kind == POINT2 else values.atPoint3(key)
+    return gtsam.PriorFactorVector(key, point, N.Constrained.All(len(point)))
+
+
+def _factor(file: GraphFile, edge: Edge) -> gtsam.NonlinearFactor:
+    (i, j), z = ends(file, edge), edge.measured
+    if edge.tag in ("EDGE_SE2", "EDGE2"):
+        return gtsam.BetweenFactorPose2(i, j, pose2(z), N.Gaussian.Information(edge.information))
+    if len(z) == 7:
+        I = edge.information[np.ix_(LAST_FIRST, LAST_FIRST)]  # noqa: E741
+        return gtsam.BetweenFactorPose3(i, j, pose3(z), N.Gaussian.Information(I))
+    model = N.Gaussian.Information(edge.information)
+    if edge.tag == "BR":
+        return gtsam.BearingRangeFactor2D(i, j, gtsam.Rot2(z[0]), z[1], model)
+    if edge.tag == "EDGE_BEARING_SE2_XY":
+        return gtsam.BearingFactor2D(i, j, gtsam.Rot2(z[0]), model)
+    offset = pose3(file.offsets[edge.parameter]) if edge.parameter in file.offsets else None
+    return relative_point(i, j, z, model, offset)
+
+
+def relative_point(
+    i: int, j: int, z: Array, model: gtsam.noiseModel.Base, offset: gtsam.Pose3 | None = None
+) -> gtsam.CustomFactor:
+    """A point seen from a pose, in its frame, or in that of a sensor at `offset`."""
+    d = len(z)
+
+    def error(_: gtsam.CustomFactor, values: gtsam.Values, H: list[Array] | None) -> Array:
+        pose = values.atPose2(i) if d == 2 else values.atPose3(i)
+        point = values.atPoint2(j) if d == 2 else values.atPoint3(j)
+        by_pose, by_point = np.zeros((d, 3 * (d - 1)), order="F"), np.zeros((d, d), order="F")
+        seen = pose.transformTo(point, by_pose, by_point)
+        if offset is not None:
+            by_seen = np.zeros((3, 3), order="F")
+            seen = offset.transformTo(seen, np.zeros((3, 6), order="F"), by_seen)
+            by_pose, by_point = by_seen @ by_pose, by_seen @ by_point
+        if H is not None:
+            H[0], H[1] = by_pose, by_point
+        return np.asarray(seen - z)
+
+    return gtsam.CustomFactor(model, [i, j], error)
+
+
+def _follow(file: GraphFile, values: gtsam.Values) -> None:
+    """Values along the edges, breadth first from the least pose of each part, neighbours in the order of ids first."""
+    keys = [ends(file, edge) for edge in file.edges]
+    near: dict[int, list[tuple[int, int]]] = {}
+    for k, (i, j) in enumerate(keys):
+        for key in (i, j):
+            near.setdefault(key, []).append((abs(i - j), k))
+    for start in sorted({i for i, _ in keys}):
+        if not values.exists(start):
+            values.insert(
+                start, gtsam.Pose2() if file.kind(file.edges[near[start][0][1]])[0] == POSE2 else gtsam.Pose3()
+            )
+        elif all(values.exists(key) for _, k in near[start] for key in keys[k]):
+            continue
+        queue = deque([start])
+        while queue:
+            key = queue.popleft()
+            for _, k in sorted(near[key]):
+                edge = file.edges[k]
+                other = keys[k][1] if keys[k][0] == key else keys[k][0]
+                value = None if values.exists(other) else _beyond(file, edge, values, key)
+                if value is not None:
+                    values.insert(other, value)
+                    (queue.appendleft if abs(other - key) == 1 else queue.append)(other)
+    lost = next((key for pair in keys for key in pair if not values.exists(key)), None)
+    if lost is not None:
+        raise DataError.at(
+            file.path, f"vertex {lost & INDEX} has no place: only bearings see it; its VERTEX line is needed"
+        )
+
+
+def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
+    """Value of the other end of an edge, None where it does not say."""
+    z, (first, second) = edge.measured, file.kind(edge)
+    if first != (kind := second):
+        if key != edge.ends[0] or key >> 56 or edge.tag == "EDGE_BEARING_SE2_XY":
+            return None
+        if edge.tag == "BR":
+            z = z[1] * np.array([np.cos(z[0]), np.sin(z[0])])
+        if kind == POINT2:
+            return np.asarray(values.atPose2(key).transformFrom(z))
+        if edge.parameter in file.offsets:
+            z = pose3(file.offsets[edge.parameter]).transformFrom(z)
+        return np.asarray(values.atPose3(key).transformFrom(z))
+    here: Any = values.atPose2(key) if first == POSE2 else values.atPose3(key)
+    step_ = MAKE[first](z)
+    return here.compose(step_ if key == edge.ends[0] else step_.inverse())
+
+
+def another_start(file: GraphFile, values: gtsam.Values) -> gtsam.Values | None:
+    """The values along the edges alone, shifted onto the first pose of `values`; None where no vertex was given."""
+    if not file.poses:
+        return None
+    start = gtsam.Values()
+    with suppress(DataError):
+        _follow(replace(file, poses={}, points={}), start)
+        first = min(key for edge in file.edges for key in edge.ends)
+        pose: Any = values.atPose2(first) if file.kind(file.edges[0])[0] == POSE2 else values.atPose3(first)
+        return _shifted(start, pose.compose(_pose_of(start, first).inverse()))
+    return None
+
+
+def _pose_of(values: gtsam.Values, key: int) -> Any:
+    planar = key in set(gtsam.utilities.allPose2s(values).keys())
+    return values.atPose2(key) if planar else values.atPose3(key)
+
+
+def _shifted(values: gtsam.Values, by: Any) -> gtsam.Values:
+    """Poses and points moved by a pose."""
+    out = gtsam.Values()
+    planar, spatial = set(gtsam.utilities.allPose2s(values).keys()), set(gtsam.utilities.allPose3s(values).keys())
+    for key in values.dims():
+        if key in planar:
+            out.insert(key, by.compose(values.atPose2(key)))
+        elif key in spatial:
+            out.insert(key, by.compose(values.atPose3(key)))
+        else:
+            point = values.atPoint2(key) if isinstance(by, gtsam.Pose2) else values.atPoint3(key)
+            out.insert(key, np.asarray(by.transformFrom(point)))
+    return out
+
+
+def moved(system: System, at: IntArray, x: Array, values: gtsam.Values) -> gtsam.Values:
+    """Values after a step (N,)."""
+    vector = gtsam.VectorValues()
+    for key, first, d in zip(system.keys, at.tolist(), system.dim.tolist(), strict=True):
+        vector.insert(key, x[first : first + d])
+    return values.retract(vector)
+
+
+def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, quick: bool = False) -> gtsam.Values:
+    """The minimum near the values: Levenberg-Marquardt, then Gauss-Newton while the cost falls; gauge freedom stays.
+
+    `quick`: the minimum is near, Gauss-Newton alone.
+    """
+    own = sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
+    if not quick and own * values.size() < COPIES:
+        held = gtsam.NonlinearFactorGraph(graph)
+        hold(held, values)
+        with suppress(RuntimeError):  # indeterminate: what follows leaves such directions alone
+            values = gtsam.LevenbergMarquardtOptimizer(held, values).optimize()
+    system = linearize(graph, values)
+    order, cost = ordering(system), graph.error(values)
+    for _ in range(MOST):
+        f = factorize(system, order)
+        whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
+        if whole - f.square < CLOSE**2:
+            return values
+        x = step(f)
+        better = None
+        for share in (1.0, 0.3, 0.1, 0.01, 1e-3):
+            tried = moved(system, f.at, share * x, values)
+            new = graph.error(tried)
+            if new < cost:
+                better = tried
+                break
+        if better is None:
+            return values
+        values, before, cost = better, cost, new
+        if before - cost <= 1e-10 * max(cost, 1.0):
+            return values
+        system = linearize(graph, values)
+    return values
+
+
+def hold(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:
+    """Add a weak prior at the first pose, which only ties the gauge."""
+    planar, spatial = list(gtsam.utilities.allPose2s(values).keys()), list(gtsam.utilities.allPose3s(values).keys())
+    if planar:
+        graph.add(gtsam.PriorFactorPose2(planar[0], values.atPose2(planar[0]), N.Isotropic.Sigma(3, 1.0)))
+    elif spatial:
+        graph.add(gtsam.PriorFactorPose3(spatial[0], values.atPose3(spatial[0]), N.Isotropic.Sigma(6, 1.0)))
+
+
+def built_by(place: str) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+    """Graph and values that `FILE.py:FUNCTION` returns. Raises UsageError for anything else."""
+    file, _, name = place.rpartition(":")
+    path = Path(file)
+    if not path.is_file():
+        raise UsageError(f"{place}: no file {path}")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent.resolve()))
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        sys.path.pop(0)
+    function = getattr(module, name, None)
+    if not callable(function):
+        raise UsageError(f"{place}: {path} has no function {name!r}")
+    made = function()
+    if not (
+        isinstance(made, tuple)
+        and len(made) == 2
+        and isinstance(made[0], gtsam.NonlinearFactorGraph)
+        and isinstance(made[1], gtsam.Values)
+    ):
+        raise UsageError(f"{place}: {name} returned {type(made).__name__}; (NonlinearFactorGraph, Values) is needed")
+    return made

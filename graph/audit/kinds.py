@@ -1,0 +1,147 @@
+"""Kinds of factors: what they measure, whether of neighbours, and their noise; which rows are which component."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import gtsam
+import numpy as np
+
+from data.inputs import IntArray
+from data.se2 import BoolArray
+
+ODOMETRY, LOOP, PRIOR = "odometry", "loop", "prior"
+MOST_NOISES, FEWEST = 4, 20  # noise models that divide a kind: at most, and each of at least so many factors
+AXES = {
+    "Pose2": ("x", "y", "theta"),
+    "Pose3": ("rotation x", "rotation y", "rotation z", "x", "y", "z"),
+    "BearingRangeFactor2D": ("bearing", "range"),
+    "BearingRangeFactorPose2": ("bearing", "range"),
+    "Point2": ("x", "y"),
+    "Point3": ("x", "y", "z"),
+    "Projection": ("u", "v"),
+}
+"""Names of the residuals, by a part of the name of the factor's class; gtsam puts a Pose3's rotation first."""
+POINTS = {"Pose2": (0, 1), "Pose3": (3, 4, 5)}
+"""Components of a pose's tangent that are a position in m."""
+
+Grouping = Callable[[int, gtsam.NonlinearFactor], str] | Sequence[str] | None
+
+
+@dataclass(frozen=True)
+class Kinds:
+    """Kind of each factor, -1 of an empty slot: `of` (F,), names, and per kind the names of its components.
+
+    `loops` (F,): relations of variables that are no neighbours. A kind without names of components has a noise that is
+    not diagonal, or one residual.
+    """
+
+    of: IntArray
+    names: tuple[str, ...]
+    axes: tuple[tuple[str, ...], ...]
+    loops: BoolArray
+
+
+def kinds(graph: gtsam.NonlinearFactorGraph, by: Grouping = None) -> Kinds:
+    """The kinds of a graph's factors; `by`: own names, or a function of number and factor; empty: ours."""
+    present = [i for i in range(graph.size()) if graph.exists(i)]
+    factors = {i: graph.at(i) for i in present}
+    own = {} if by is None else {i: str(by(i, f)) if callable(by) else str(by[i]) for i, f in factors.items()}
+    every = _roles(factors)
+    roles = {i: name for i, name in every.items() if not own.get(i)}
+    names = _divided(factors, roles | {i: name for i, name in own.items() if name}) if roles else own
+    known = list(dict.fromkeys(names.values()))
+    place = {name: k for k, name in enumerate(known)}
+    of = np.full(graph.size(), -1)
+    for i, name in names.items():
+        of[i] = place[name]
+    axes: list[tuple[str, ...] | None] = [None] * len(known)
+    for i, factor in factors.items():
+        k = int(of[i])
+        if axes[k] is None or axes[k]:
+            mine = _axes(factor)
+            axes[k] = mine if axes[k] in (None, mine) else ()
+    loops = np.array([every.get(i, "").startswith(LOOP) for i in range(graph.size())], bool)
+    return Kinds(of, tuple(known), tuple(a or () for a in axes), loops)
+
+
+def _roles(factors: dict[int, gtsam.NonlinearFactor]) -> dict[int, str]:
+    """What each factor measures; a relation of neighbours in the order of keys of one letter is odometry."""
+    pairs: dict[int, tuple[int, int]] = {}
+    ends: set[int] = set()
+    for i, factor in factors.items():
+        if type(factor).__name__.startswith(("BetweenFactor", "FrobeniusBetween")):
+            a, b = factor.keys()
+            pairs[i] = (min(a, b), max(a, b))
+            ends.update((a, b))
+    rank = {key: k for k, key in enumerate(sorted(ends))}
+    names = {}
+    for i, factor in factors.items():
+        name = type(factor).__name__
+        if i in pairs:
+            a, b = pairs[i]
+            next_to = rank[b] == rank[a] + 1 and a >> 56 == b >> 56
+            names[i] = ODOMETRY if next_to else LOOP
+        elif name.startswith(("PriorFactor", "ExtendedPrior", "NonlinearEquality", "GPSFactor")):
+            names[i] = PRIOR if not name.startswith("GPS") else "GPS"
+        else:
+            names[i] = name
+    several = defaultdict(set)
+    for i, factor in factors.items():
+        several[names[i]].add(type(factor).__name__)
+    for i, factor in factors.items():  # say the type where one role has several
+        if len(several[names[i]]) > 1:
+            names[i] = f"{names[i]} {type(factor).__name__.replace('BetweenFactor', '').replace('PriorFactor', '')}"
+    return names
+
+
+def _divided(factors: dict[int, gtsam.NonlinearFactor], names: dict[int, str]) -> dict[int, str]:
+    """The names, with the stated sigmas where a kind has a few noise models."""
+    members: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for i, factor in factors.items():
+        members[names[i]][_noise(factor)].append(i)
+    out = dict(names)
+    for name, by_noise in members.items():
+        if 1 < len(by_noise) <= MOST_NOISES and min(map(len, by_noise.values())) >= FEWEST:
+            for noise, some in by_noise.items():
+                for i in some:
+                    out[i] = f"{name}, {noise}"
+    return out
+
+
+def _noise(factor: gtsam.NonlinearFactor) -> str:
+    """The sigmas of a noise model, in words."""
+    if not isinstance(factor, gtsam.NoiseModelFactor):
+        return ""
+    model = factor.noiseModel()
+    if isinstance(model, gtsam.noiseModel.Robust):
+        return f"sigma {' '.join(f'{s:.3g}' for s in model.noise().sigmas())}, robust"
+    return "" if model is None else f"sigma {' '.join(f'{s:.3g}' for s in model.sigmas())}"
+
+
+def _axes(factor: gtsam.NonlinearFactor) -> tuple[str, ...]:
+    """Names of a factor's residuals if their noise is diagonal."""
+    if not isinstance(factor, gtsam.NoiseModelFactor) or factor.dim() < 2:
+        return ()
+    model = factor.noiseModel()
+    plain = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
+    if not isinstance(plain, gtsam.noiseModel.Diagonal):
+        return ()
+    name = type(factor).__name__
+    for part, axes in AXES.items():
+        if part in name and len(axes) == factor.dim():
+            return axes
+    return tuple(str(k + 1) for k in range(factor.dim()))
+
+
+def positions_of(values: gtsam.Values, keys: Sequence[int]) -> list[IntArray]:
+    """Per variable, the components of its tangent that are a position in m: of poses, or of points without a pose."""
+    none = np.zeros(0, np.int64)
+    poses = dict.fromkeys(gtsam.utilities.allPose2s(values).keys(), np.array(POINTS["Pose2"]))
+    poses |= dict.fromkeys(gtsam.utilities.allPose3s(values).keys(), np.array(POINTS["Pose3"]))
+    if any(key in poses for key in keys):
+        return [poses.get(key, none) for key in keys]
+    dims = values.dims()
+    return [np.arange(dims[key]) if dims[key] in (2, 3) else none for key in keys]

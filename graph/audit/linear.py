@@ -1,0 +1,126 @@
+"""Any gtsam graph, linearized: whitened residuals and Jacobians of each factor, in groups of equal shape.
+
+A factor with a robust noise is linearized with the noise beneath, and has a weight: the estimate depends on the
+weighted residual, the test of the factor on its stated noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from data.errors import DataError
+from data.inputs import IntArray
+from data.se2 import Array
+
+Graph = gtsam.NonlinearFactorGraph
+Values = gtsam.Values
+EXACT = 1e5  # weight of a constraint, a noise of zero, over the largest coefficient of all other rows
+IGNORED = 1e-9  # weight of a factor that its robust noise ignores: what it alone determines stays determined
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Factors with equally many residuals and the same dimensions of their variables.
+
+    Attributes:
+        factor: (n,) numbers in the graph.
+        variables: (n, k) positions in the keys of the system.
+        A: (n, d, c) whitened Jacobians, the columns of the variables side by side.
+        r: (n, d) whitened residuals, prediction minus measurement.
+        weight: (n,) of a robust noise, else 1.
+    """
+
+    factor: IntArray
+    variables: IntArray
+    A: Array
+    r: Array
+    weight: Array
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """A graph around its values: keys (V,) and dimensions (V,) of the variables, groups of factors, number of slots."""
+
+    keys: Sequence[int]
+    dim: IntArray
+    groups: Sequence[Group]
+    size: int
+
+    @property
+    def rows(self) -> int:
+        """Number of residuals."""
+        return sum(group.r.size for group in self.groups)
+
+
+def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System:
+    """The graph around the values. Empty slots have no group; variables without a factor no column.
+
+    Raises DataError for a factor of an unknown variable, or one whose residual or Jacobian is not finite.
+    """
+    dims = values.dims()
+    used = sorted(graph.keyVector())
+    absent = next((key for key in used if key not in dims), None)
+    if absent is not None:
+        number = next(i for i in range(graph.size()) if graph.exists(i) and absent in set(graph.at(i).keys()))
+        raise DataError(f"factor {number}: {name(absent)} has no value; a value for each variable is needed")
+    place = {key: k for k, key in enumerate(used)}
+    linear = graph.linearize(values)
+    shaped: dict[tuple[int, ...], tuple[list[int], list[list[int]], list[Array], list[Array], list[float]]] = {}
+    constraints: list[tuple[tuple[int, ...], int, Array]] = []
+    for i in range(graph.size()):
+        if not graph.exists(i):
+            continue
+        factor = graph.at(i)
+        keys = factor.keys()
+        A, r, weight, exact = _whitened(factor, linear, i, keys, values)
+        if A.shape[1] != sum(dims[key] for key in keys):  # a factor that sorts or repeats its keys
+            keys = list(dict.fromkeys(keys))
+        if not (np.isfinite(A).all() and np.isfinite(r).all()):
+            raise DataError(f"factor {i}: its residual at {', '.join(map(name, keys))} is not finite; check its noise")
+        shape = (len(r), *(dims[key] for key in keys))
+        if shape not in shaped:
+            shaped[shape] = ([], [], [], [], [])
+        if exact is not None:
+            constraints.append((shape, len(shaped[shape][0]), exact))
+        for into, what in zip(shaped[shape], (i, [place[key] for key in keys], A, r, weight), strict=True):
+            into.append(what)  # type: ignore[attr-defined]
+    largest = max((float(np.abs(A).max(initial=0.0)) for each in shaped.values() for A in each[2]), default=0.0)
+    for shape, at, exact in constraints:
+        scale = np.where(exact, EXACT * max(largest, 1.0), 1.0)
+        shaped[shape][2][at], shaped[shape][3][at] = scale[:, None] * shaped[shape][2][at], scale * shaped[shape][3][at]
+    groups = [
+        Group(np.array(i), np.array(k, np.int64).reshape(len(i), -1), np.array(A), np.array(r), np.array(w))
+        for i, k, A, r, w in shaped.values()
+    ]
+    return System(used, np.array([dims[key] for key in used], np.int64), groups, graph.size())
+
+
+def _whitened(
+    factor: gtsam.NonlinearFactor, linear: gtsam.GaussianFactorGraph, i: int, keys: list[int], values: gtsam.Values
+) -> tuple[Array, Array, float, Array | None]:
+    """Jacobian, residual, weight, and which rows are constraints (None: none)."""
+    model = factor.noiseModel() if isinstance(factor, gtsam.NoiseModelFactor) else None
+    if isinstance(factor, gtsam.NoiseModelFactor) and isinstance(model, gtsam.noiseModel.Robust):
+        blocks = gtsam.JacobianVector([np.empty((0, 0))] * len(keys))
+        error, beneath = factor.unwhitenedError(values, blocks), model.noise()
+        loss: Any = model.robust()  # the stubs do not know the weight
+        r = beneath.whiten(error)
+        weight = max(float(loss.weight(float(np.linalg.norm(r)))), IGNORED)
+        return beneath.Whiten(np.hstack(list(blocks))), r, weight, None
+    if not linear.exists(i):  # a factor that is switched off at these values
+        return np.zeros((0, sum(values.dims()[key] for key in keys))), np.zeros(0), 1.0, None
+    A, b = linear.at(i).jacobian()
+    if isinstance(model, gtsam.noiseModel.Constrained):
+        exact = np.asarray(model.sigmas()) == 0.0
+        return A, -b, 1.0, exact if exact.any() else None
+    return A, -b, 1.0, None
+
+
+def name(key: int) -> str:
+    """A key as gtsam prints it."""
+    return str(gtsam.DefaultKeyFormatter(key))

@@ -1,0 +1,264 @@
+"""Bad ground truth is found with its edges, told from odometry and sensor at fault, and map rows are told from both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.formats.mrclam.load import Treatment, corrected_landmarks, load_mrclam
+from data.inputs import LandmarkMap
+from data.log import Log
+from data.logs import open_log
+from data.notice import Code
+from data.questions import ask
+from data.se2 import Array
+from data.truth import BadTruth, TruthFault
+from data.truth_windows import bad_truth, misplaced, without, without_bad_truth
+
+FIRST, LAST = 70, 110
+"""Frames with a fault."""
+WORLDS = ("arena:{}", "arena:{}:drift=0.03+detection=0.7+clutter=1", "arena:{}:sensor=relative_point", "linear:{}",
+          "corridor:{}:people", "corridor:{}:no-odometry", "circle:{}:frames=300", "park:{}:frames=300",
+          "walls:{}:frames=400", "arena:{}:scale=-0.1+curvature=0.02")  # fmt: skip
+
+
+def truth(log: Log, change) -> Log:
+    """The log with its true path changed in place."""
+    pose = log.truth.pose.copy()
+    change(pose)
+    return replace(log, truth=replace(log.truth, pose=pose))
+
+
+def odometry(log: Log, change) -> Log:
+    mean = log.recorded.increments.mean.copy()
+    change(mean)
+    return replace(log, recorded=replace(log.recorded, increments=replace(log.recorded.increments, mean=mean)))
+
+
+def observations(log: Log, **changes: Array) -> Log:
+    return replace(log, recorded=replace(log.recorded, observations=replace(log.recorded.observations, **changes)))
+
+
+def nameless(log: Log) -> Log:
+    return replace(log, truth=replace(log.truth, landmark_of=None))
+
+
+def kidnapped(log: Log, first: int, last: int) -> Log:
+    """The log without these frames; its odometry does not know."""
+    r, kept = log.recorded, np.ones(len(log.recorded), bool)
+    kept[first : last + 1] = False
+    o, seen = r.observations, kept[r.observations.frame]
+    frame = (np.cumsum(kept) - 1)[o.frame[seen]]
+    increments = replace(r.increments, mean=r.increments.mean[kept], covariance=r.increments.covariance[kept])
+    inputs = replace(
+        r,
+        time=r.time[: kept.sum()],
+        increments=increments,
+        observations=replace(o, frame=frame, z=o.z[seen], R=o.R[seen]),
+    )
+    ids = None if log.truth.landmark_of is None else log.truth.landmark_of[seen]
+    return replace(log, recorded=inputs, truth=replace(log.truth, pose=log.truth.pose[kept], landmark_of=ids))
+
+
+def faulty(log: Log, rng: np.random.Generator) -> Iterator[tuple[str, Log]]:
+    """The log, and with each fault of odometry, sensor and stated noise."""
+    n, o = len(log.recorded), log.recorded.observations
+    first = int(rng.integers(n // 6, n // 2))
+    last = first + int(rng.integers(4, n // 4))
+    window = slice(first, last + 1)
+
+    def times(part: slice | int, factor: float):
+        def change(mean: Array) -> None:
+            mean[window, part] *= factor
+
+        return change
+
+    def plus(frames: slice | int, column: int, value: float):
+        def change(mean: Array) -> None:
+            mean[frames, column] += value
+
+        return change
+
+    yield "none", log
+    yield "kidnapped", kidnapped(log, first, last)
+    yield "wheels slip", odometry(log, times(slice(2), 0.2))
+    yield "wheels spin", odometry(log, times(slice(2), 3.0))
+    yield "encoders stand", odometry(log, times(slice(3), 0.0))
+    yield "gyro bias", odometry(log, plus(slice(1, None), 2, 0.05))
+    yield "gyro bias for a while", odometry(log, plus(window, 2, 0.1))
+    yield "turned by hand", odometry(log, plus(first, 2, 1.5))
+    for factor in (0.01, 100.0):
+        yield f"R times {factor}", observations(log, R=o.R * factor)
+        scaled = replace(log.recorded.increments, covariance=log.recorded.increments.covariance * factor)
+        yield f"Q times {factor}", replace(log, recorded=replace(log.recorded, increments=scaled))
+    then = (o.frame >= first) & (o.frame <= last)
+    yield "bearing off for a while", observations(log, z=o.z + then[:, None] * [0.0, 0.3])
+    yield "range off for a while", observations(log, z=o.z + then[:, None] * [1.5, 0.0])
+
+
+def wrongly(seeds: range) -> list[tuple[str, str, bool]]:
+    """Logs with true ground truth and a right map in which a bad window or map row is found."""
+    found = []
+    for seed in seeds:
+        for world in WORLDS:
+            log = open_log(world.format(seed))
+            for named in (True, False):
+                rng = np.random.default_rng(seed)
+                for fault, changed in faulty(log if named else nameless(log), rng):
+                    if bad_truth(changed) or misplaced(changed):
+                        found.append((log.name, fault, named))
+    return found
+
+
+def test_nothing_is_found_in_a_simulated_log_whatever_is_wrong_with_its_odometry_and_sensor():
+    assert wrongly(range(1)) == []
+
+
+@pytest.mark.slow
+def test_at_most_one_log_in_300_has_a_bad_window_or_row():
+    found = wrongly(range(100, 115))  # 3600 logs
+    assert len(found) <= 12, found
+
+
+def freeze(pose):
+    pose[FIRST : LAST + 1] = pose[FIRST - 1]
+
+
+def jump(pose):
+    pose[FIRST : LAST + 1, :2] += [2.0, -2.0]
+
+
+def turn(pose):
+    pose[FIRST : LAST + 1, 2] += 1.0
+
+
+def drift(pose):
+    pose[FIRST : LAST + 1, 2] += np.linspace(0.0, 1.5, LAST - FIRST + 1)
+
+
+def lag(pose):
+    """At a third of the speed, and then three times as fast."""
+    behind = np.interp(np.arange(FIRST, LAST + 1), (FIRST, LAST - 10, LAST), (FIRST, FIRST + 10, LAST))
+    pose[FIRST : LAST + 1] = np.unwrap(pose, axis=0)[np.rint(behind).astype(int)]
+
+
+@pytest.mark.parametrize("world", ["arena:3", "arena:4:detection=0.6+clutter=2", "park:5:frames=300"])
+@pytest.mark.parametrize(
+    ("change", "fault", "late"),
+    [
+        (freeze, TruthFault.FROZEN, 0), (jump, TruthFault.JUMP, 0), (turn, TruthFault.HEADING, 0),
+        (drift, TruthFault.HEADING, 8), (lag, None, 4),
+    ],
+)  # fmt: skip
+def test_a_bad_stretch_is_found_with_its_edges(world, change, fault, late):
+    log = truth(open_log(world), change)
+    (w,) = bad_truth(log)
+    assert FIRST <= w.first <= FIRST + late  # a drift is found when it is larger than noise
+    assert LAST - late // 4 <= w.last <= LAST
+    assert fault in (None, w.fault)
+    assert w.carried < 0.3 * w.off
+    time = log.recorded.time
+    assert time[w.first] - 1e-3 <= w.start <= time[w.first]
+    assert time[w.last] <= w.end <= time[w.last] + 1e-3
+
+
+def test_without_a_map_landmarks_are_where_they_are_seen_at_other_times():
+    log = open_log("arena:3:frames=400")
+    log = replace(log, recorded=replace(log.recorded, map=None), truth=replace(log.truth, landmarks=None))
+    (w,) = bad_truth(truth(log, jump))
+    assert (w.first, w.last) == (FIRST, LAST)
+
+
+def test_a_truth_that_stays_shifted_is_bad_to_the_end():
+    def moved(pose):
+        pose[250:, :2] += 3.0
+
+    (w,) = bad_truth(truth(open_log("arena:3:frames=400"), moved))
+    assert (w.first, w.last) == (250, 399)
+
+
+@pytest.mark.parametrize("change", [freeze, turn])
+def test_without_ids_a_truth_is_bad_that_comes_back_to_the_odometry(change):
+    (w,) = bad_truth(truth(nameless(open_log("arena:3")), change))
+    assert (w.first, w.last) == (FIRST, LAST)
+    assert np.isnan(w.off)
+
+
+def test_without_ids_and_without_return_nobody_knows_who_is_wrong():
+    def moved(pose):
+        pose[FIRST:, :2] += 3.0
+
+    assert bad_truth(truth(nameless(open_log("arena:3")), moved)) == ()
+
+
+def test_what_is_left_out_is_remembered_and_the_line_for_it_leaves_out_the_same():
+    log = replace(truth(open_log("arena:3"), jump), source={"clock": 40.25})
+    (found,) = [q for q in ask(log) if q.code is Code.BAD_TRUTH]
+    rest = without_bad_truth(log)
+    assert np.flatnonzero(np.isnan(rest.truth.pose[:, 0])).tolist() == list(range(FIRST, LAST + 1))
+    (w,) = rest.truth.left_out
+    assert isinstance(w, BadTruth)
+    assert w.start == pytest.approx(40.25 + log.recorded.time[FIRST], abs=1e-3)
+    (kept,) = [q for q in ask(rest) if q.code is Code.BAD_TRUTH]
+    assert (found.named["left_out"], kept.named["left_out"]) == (False, True)
+    by_hand = without(log, [(w.start, w.end)])
+    np.testing.assert_array_equal(by_hand.truth.pose, rest.truth.pose)
+    assert bad_truth(by_hand) == ()
+
+
+def exchanged(log: Log, moves: dict[int, Array]) -> Log:
+    known = log.recorded.map
+    xy = known.xy.copy()
+    for number, place in moves.items():
+        xy[np.searchsorted(known.id, number)] = place
+    return replace(log, recorded=replace(log.recorded, map=LandmarkMap(known.id, xy)))
+
+
+def test_swapped_and_shifted_rows_of_the_map_are_named_and_no_window_is():
+    log = open_log("arena:3")
+    known, (ids, times) = log.recorded.map, np.unique(log.truth.landmark_of, return_counts=True)
+    a, b, c = (int(i) for i in ids[np.argsort(times)[-3:]])
+    place = {int(i): xy for i, xy in zip(known.id, known.xy, strict=True)}
+    wrong = exchanged(log, {a: place[b], b: place[a], c: place[c] + [3.0, 0.0]})
+    assert misplaced(log) == ()
+    assert {row.id: row.at for row in misplaced(wrong)} | {c: -1} == {a: b, b: a, c: -1}
+    (said,) = [q.named for q in ask(wrong)]
+    assert set(said["swapped"]) == {a, b}
+    assert said["shifted"] == (c,)
+    assert said["distance"] == pytest.approx(max(3.0, np.hypot(*(place[a] - place[b]))), abs=0.1)
+
+
+def test_a_map_in_another_frame_has_no_wrong_rows():
+    log = open_log("arena:3")
+    known = log.recorded.map
+    assert misplaced(replace(log, recorded=replace(log.recorded, map=LandmarkMap(known.id, known.xy + 3.0)))) == ()
+
+
+@pytest.fixture(scope="module")
+def mrclam(shared_data: Path) -> Path:
+    folder = shared_data / "mrclam"
+    if not folder.is_dir():
+        pytest.skip("no MRCLAM recordings beside the project (../shared/data/mrclam)")
+    return folder
+
+
+def test_the_bad_windows_of_utias_dataset_9_are_found(mrclam):
+    found = bad_truth(load_mrclam(mrclam / "MRCLAM_Dataset9.zip", 3))
+    assert [str(w.fault) for w in found] == ["heading", "jump"]
+    # by hand, generously: 755 to 836 s, 945 to 1050 s; the truth is right again from 957 to 989 s
+    edges = [w for window in found for w in (window.start, window.end)]
+    np.testing.assert_allclose(edges, [757.6, 834.9, 991.4, 1045.2], atol=0.1)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("dataset", "robot"), [*((1, r) for r in (1, 2, 3, 4)), *((6, r) for r in range(1, 6))])
+def test_no_other_recording_has_a_bad_window(mrclam, dataset, robot):
+    source = mrclam / f"MRCLAM_Dataset{dataset}.zip"
+    assert bad_truth(load_mrclam(source, robot, Treatment(landmarks=corrected_landmarks(source)))) == ()
+    published = load_mrclam(source, robot)
+    assert bad_truth(published) == ()
+    assert [(r.id, r.at) for r in misplaced(published)] == ([(11, 17), (17, 11)] if dataset == 1 else [])

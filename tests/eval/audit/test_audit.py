@@ -1,0 +1,260 @@
+"""The command and the function `audit`: tables, words, exit status, bad files."""
+
+import pathlib
+
+import gtsam
+import numpy as np
+import pandas as pd
+import pytest
+
+import slamref
+from data.errors import DataError, UsageError
+from data.formats.graph_file import read_graph_file, with_information
+from eval.audit import main
+from eval.report import audited
+from graph.audit.files import build, optimized
+
+
+def opened(*arguments, **how):
+    return audited.opened(*arguments, **how).report
+
+
+COLUMNS = ["keys", "kind", "dim", "chi2", "redundancy", "unchecked", "deleted", "rank", "p", "p_family",
+           "minimal_error", "influence_m"]  # fmt: skip
+KINDS = ["n", "dim", "chi2", "redundancy", "component", "se", "sigma_factor"]
+SHIPPED = ("pose2example.txt", "w100.graph", "w100_30.g2o", "example.graph", "pose3example-grid.txt", "Klaus3.g2o",
+           "known_landmark_localization_20.g2o", "cityTrees_reduced_1k.g2o", "edge_se3_trackxyz_nonidentity_offset.g2o",
+           "noisyToyGraph.txt")  # fmt: skip
+
+
+def grid(seed=0, wrong=0.0, odometry=1.0, spatial=False):
+    """Text of a g2o file: a walk over a square grid, with loops; one wrong by `wrong` sigmas in each component."""
+    rng = np.random.default_rng(seed)
+    sigma = np.array([0.1, 0.1, 0.02])
+    true = [gtsam.Pose2()]
+    for _ in range(80):
+        true.append(true[-1].compose(gtsam.Pose2(1, 0, rng.choice([0, np.pi / 2, -np.pi / 2]))))
+    pairs = [(k, k + 1) for k in range(80)] + [
+        tuple(sorted(rng.choice(81, 2, replace=False).tolist())) for _ in range(60)
+    ]
+    lines = []
+    for n, (a, b) in enumerate(pairs):
+        e = rng.normal(0, sigma) * (odometry if n < 80 else 1.0) + wrong * sigma * (n == 100)
+        z = true[a].between(true[b]).retract(e)
+        lines.append(f"EDGE_SE2 {a} {b} {z.x()!r} {z.y()!r} {z.theta()!r} 100 0 0 100 0 2500")
+    vertices = [f"VERTEX_SE2 {k} {p.x()!r} {p.y()!r} {p.theta()!r}" for k, p in enumerate(true)]
+    return "\n".join([*vertices, *lines]) + "\n"
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(text, name="graph.g2o"):
+        (tmp_path / name).write_text(text)
+        return str(tmp_path / name)
+
+    return write
+
+
+def test_columns_and_rows(written):
+    report = opened(written(grid()), None, draws=20)
+    assert list(report.factors.columns[:12]) == COLUMNS
+    assert list(report.kinds.columns[:7]) == KINDS
+    assert list(report.factors.index) == list(range(140))
+    assert report.factors["keys"][3] == (3, 4)
+    assert report.factors["redundancy"].sum() == pytest.approx(140 * 3 - 80 * 3, abs=1e-8)
+    assert list(report.kinds.index) == ["odometry", "loop"]
+    assert report.kinds["n"].sum() + 0 == 140
+
+
+def test_a_clean_graph_ends_with_0_a_wrong_loop_with_1(written, capsys):
+    assert main([written(grid()), "--draws", "0"]) == 0
+    assert main([written(grid(wrong=5.0)), "--draws", "0"]) == 1
+    out = capsys.readouterr().out
+    assert "factor 100 (loop" in out
+    assert main([written(grid(odometry=2.0)), "--draws", "0"]) == 1
+    assert "stated sigma of odometry" in capsys.readouterr().out
+
+
+def test_values_as_given_are_told_not_to_be_the_optimum(written):
+    report = opened(written(grid()), optimize=False, draws=0)
+    assert report.facts.decrement > 1.0
+    assert "not the optimum" in report.words()
+    assert opened(written(grid()), optimize=True, draws=0).facts.decrement < 0.01
+
+
+def test_files_of_an_output_folder(written, tmp_path):
+    assert main([written(grid(wrong=5.0)), "--out", str(tmp_path / "out"), "--draws", "10"]) == 1
+    table = pd.read_csv(tmp_path / "out" / "factors.csv")
+    assert list(table.columns[:13]) == ["factor", *COLUMNS]
+    assert table["p_family"].idxmin() == 100
+    assert "<img" in (tmp_path / "out" / "report.html").read_text()
+
+
+def test_a_function_of_a_script(written, capsys):
+    text = """
+import gtsam
+def build():
+    g, v = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k in range(3):
+        v.insert(k, gtsam.Pose2(k, 0, 0))
+        g.add(gtsam.PriorFactorPose2(k, gtsam.Pose2(k + 0.01, 0, 0), gtsam.noiseModel.Isotropic.Sigma(3, 0.1)))
+    return g, v
+def other():
+    return 3
+"""
+    place = written(text, "mine.py")
+    main([f"{place}:build", "--draws", "0"])
+    assert "3 parts" in capsys.readouterr().out
+    with pytest.raises(UsageError, match="returned int"):
+        opened(f"{place}:other", None)
+    with pytest.raises(UsageError, match="no function 'nothing'"):
+        opened(f"{place}:nothing", None)
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_files_that_ship_with_gtsam(name):
+    report = opened(gtsam.findExampleDataFile(name), None, draws=0)
+    assert report.factors["redundancy"].sum() == pytest.approx(report.audit.freedom, abs=1e-6)
+    assert report.words()
+    report.figure()
+
+
+BAD = [
+    ("EDGE_SE2 0 1 1 0 0 1 0 0 1 0", "with 10 numbers; 11 are needed"),
+    ("EDGE_SE2 0 1 1 0 nan 1 0 0 1 0 1", "'nan' is not a number"),
+    ("EDGE_SE2 0 1.5 1 0 0 1 0 0 1 0 1", "'1.5' is not an id"),
+    ("EDGE_SE2 0 99 1 0 0 1 0 0 1 0 1", "vertex 99 is missing"),
+    ("EDGE_SE2 4 4 1 0 0 1 0 0 1 0 1", "both ends are 4"),
+    ("EDGE_SE2 0 1 1 0 0 1 0 0 0 0 1", "not positive definite"),
+    ("EDGE_SE2 0 1 1 0 0 1 0 0 -1 0 1", "not positive definite .least eigenvalue -1"),
+    ("EDGE_SE2 0 1 1 0 0 500 0 500 3000 0 0", "Toro's order"),
+    (
+        "EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 1 " + "1 0 0 0 0 0 1 0 0 0 0 1 0 0 0 1 0 0 1 0 1",
+        "0 is a pose2",
+    ),
+    ("VERTEX_SE2 3 0 0 0", "vertex 3 is repeated"),
+    ("VERTEX_SE3:QUAT 300 0 0 0 0 0 0 2", "quaternion of norm 2"),
+]
+
+
+@pytest.mark.parametrize(("line", "message"), BAD)
+def test_a_bad_line_is_named(written, line, message, capsys):
+    text = grid()
+    path = written(text + line + "\n")
+    number = text.count("\n") + 1
+    assert main([path]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert f"{path}:{number}: " in error
+    with pytest.raises(DataError, match=message):
+        read_graph_file(pathlib.Path(path))
+
+
+def test_a_file_without_edges(written):
+    with pytest.raises(DataError, match="no edge"):
+        opened(written("VERTEX_SE2 0 0 0 0\n"), None)
+
+
+def test_damaged_files_are_refused_in_one_line(written):
+    rng = np.random.default_rng(0)
+    text, refused = grid(), 0
+    for _ in range(60):
+        at = int(rng.integers(len(text)))
+        damaged = (
+            text[:at]
+            + str(rng.choice(["", "x", " ", "-", "\n", "nan", "9999", "e308", "\x00"]))
+            + text[at + int(rng.integers(4)) :]
+        )
+        try:
+            opened(written(damaged), None, draws=0)
+        except DataError:
+            refused += 1
+    assert 10 < refused < 60
+
+
+def test_written_with_other_information(written):
+    file = read_graph_file(pathlib.Path(written(grid())))
+    text = with_information(file, {3: np.diag([1.0, 2.0, 3.0])}, {7})
+    again = read_graph_file(pathlib.Path(written(text)))
+    assert len(again.edges) == 139
+    assert np.allclose(again.edges[3].information, np.diag([1.0, 2.0, 3.0]))
+    toro = pathlib.Path(gtsam.findExampleDataFile("w100.graph"))
+    file = read_graph_file(toro)
+    stated = np.array([[4, 1, 0.5], [1, 5, 0.2], [0.5, 0.2, 6]])
+    assert np.allclose(
+        read_graph_file(pathlib.Path(written(with_information(file, {0: stated}, set())))).edges[0].information, stated
+    )
+
+
+def test_values_without_vertices_follow_the_edges(written):
+    text = "".join(line + "\n" for line in grid().splitlines() if line.startswith("EDGE"))
+    a, b = opened(written(text), None, draws=0), opened(written(grid()), None, draws=0)
+    assert a.factors["deleted"].to_numpy() == pytest.approx(b.factors["deleted"].to_numpy(), rel=1e-4, abs=1e-6)
+
+
+def test_indeterminate_variables_and_duplicates_are_named():
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    noise = gtsam.noiseModel.Isotropic.Sigma(3, 0.1)
+    for k in range(6):
+        values.insert(k, gtsam.Pose2(k, 0, 0))
+        if k:
+            graph.add(gtsam.BetweenFactorPose2(k - 1, k, gtsam.Pose2(1, 0, 0), noise))
+    graph.add(gtsam.BetweenFactorPose2(0, 5, gtsam.Pose2(5, 0, 0.01), noise))
+    graph.add(gtsam.BetweenFactorPose2(0, 5, gtsam.Pose2(5, 0, 0.01), noise))
+    landmark = gtsam.symbol("l", 7)
+    values.insert(landmark, np.array([2.0, 3.0]))
+    graph.add(gtsam.BearingFactor2D(2, landmark, gtsam.Rot2(1.0), gtsam.noiseModel.Isotropic.Sigma(1, 0.1)))
+    report = slamref.audit(graph, values, draws=0)
+    assert report.facts.gauge == 3
+    assert report.facts.loose == ("l7 (1 directions)",)
+    assert report.facts.duplicates == ("5 and 6",)
+    assert report.factors["unchecked"].tolist()[-1]
+
+
+def test_optimized_leaves_what_is_not_determined(written):
+    graph, values, _ = build(read_graph_file(pathlib.Path(written(grid()))))
+    better = optimized(graph, values)
+    assert graph.error(better) < graph.error(values)
+
+
+def test_a_cure_is_applied_and_proved(written, tmp_path, capsys):
+    path = written(grid(seed=4, wrong=6.0, odometry=2.0))
+    out = tmp_path / "better.g2o"
+    assert main([path, "--draws", "0", "--rescale", str(out)]) == 1
+    assert "coverage_90" in capsys.readouterr().out
+    table = audited.cured(audited.opened(path, None, draws=0), out, draws=0)
+    before, after = table.to_dict("records")
+    assert after["left_out"] >= 1
+    assert out.read_text().count("# left out: EDGE_SE2") == after["left_out"]
+    assert before["chi2_per_freedom"] > 1.3
+    assert after["chi2_per_freedom"] == pytest.approx(1.0, abs=0.15)
+    assert after["rejected"] == 0
+    assert after["loops_predicted"] == 6
+
+
+def test_only_a_file_can_be_cured(written, tmp_path):
+    place = written("import gtsam\ndef build():\n    g, v = gtsam.NonlinearFactorGraph(), gtsam.Values()\n"
+                    "    v.insert(0, gtsam.Pose2())\n    g.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(),"
+                    " gtsam.noiseModel.Unit.Create(3)))\n    return g, v\n", "m.py")  # fmt: skip
+    with pytest.raises(UsageError, match="only a graph file"):
+        audited.cured(audited.opened(f"{place}:build", None, draws=0), tmp_path / "x.g2o")
+
+
+def test_another_minimum_is_named(written):
+    """A ring whose vertices never turn: the optimizer stays there."""
+    n, radius = 40, 10.0
+    true = [
+        gtsam.Pose2(radius * np.cos(a), radius * np.sin(a), a + np.pi / 2)
+        for a in np.linspace(0, 2 * np.pi, n + 1)[:-1]
+    ]
+    edges = [(k, (k + 1) % n) for k in range(n)]
+    lines = []
+    for a, b in edges:
+        z = true[a].between(true[b])
+        lines.append(f"EDGE_SE2 {a} {b} {z.x()!r} {z.y()!r} {z.theta()!r} 100 0 0 100 0 100")
+    twisted = [gtsam.Pose2(p.x(), p.y(), np.pi / 2) for p in true]
+    vertices = [f"VERTEX_SE2 {k} {p.x()!r} {p.y()!r} {p.theta()!r}" for k, p in enumerate(twisted)]
+    report = opened(written("\n".join([*vertices, *lines]) + "\n"), None, draws=0)
+    assert report.facts.second is not None
+    assert report.facts.second.error < 1e-9 < report.facts.second.ours
+    assert "another minimum" in report.words()

@@ -1,0 +1,64 @@
+"""Loops that agree with each other are tested together."""
+
+import gtsam
+import numpy as np
+import pytest
+
+from graph.audit.audit import examined
+from graph.audit.files import optimized
+from tests.graph.audit import oracle
+from tests.graph.audit.test_components import SIGMAS, ring
+
+N = gtsam.noiseModel
+
+
+def with_false_place(seed, count=10):
+    """A ring, with `count` loops between two places that say the same wrong thing."""
+    rng = np.random.default_rng(seed)
+    graph, values = ring(rng, 80, 50)
+    wrong = gtsam.Pose2(0.3, -0.2, 0.1)
+    first = graph.size()
+    for k in range(count):
+        a, b = 10 + k % 4, 50 + k % 5
+        z = values.atPose2(a_(a)).between(wrong.compose(values.atPose2(a_(b)))).retract(rng.normal(0, SIGMAS))
+        graph.add(gtsam.BetweenFactorPose2(a_(a), a_(b), z, N.Diagonal.Sigmas(SIGMAS)))
+    return graph, optimized(graph, values), set(range(first, first + count))
+
+
+def a_(k):
+    return gtsam.symbol("x", k)
+
+
+def test_ten_wrong_loops_that_agree_are_a_cluster():
+    found = 0
+    for seed in range(5):
+        graph, values, wrong = with_false_place(seed)
+        a = examined(graph, values, draws=0)
+        best = int(np.argmin(a.p_cluster))
+        assert a.p_cluster[best] < 0.01
+        found += len(wrong & set(a.clusters[best].factors)) >= 9
+        assert a.rejected
+    assert found == 5
+
+
+def test_the_test_of_a_cluster_is_that_of_its_residuals_without_it():
+    graph, values, _ = with_false_place(3)
+    a = examined(graph, values, draws=0)
+    c = a.clusters[int(np.argmin(a.p_cluster))]
+    parts = oracle.rows(graph, values)
+    A = np.vstack([parts[i][0] for i in c.factors])
+    r = np.concatenate([parts[i][1] for i in c.factors])
+    others = [p for i, p in enumerate(parts) if i not in c.factors]
+    x, C, _, _ = oracle.solve(others)
+    e, S = r + A @ x, np.eye(len(r)) + A @ C @ A.T
+    assert c.rank == len(r)
+    assert pytest.approx(float(e @ np.linalg.solve(S, e)), rel=1e-6) == c.T
+    assert c.moved > 0.05
+
+
+def test_clean_graphs_have_no_cluster():
+    rejected = 0
+    for seed in range(20):
+        a = examined(*ring(np.random.default_rng(seed), 80, 80), draws=0)
+        rejected += bool((a.p_cluster < 0.05).any())
+    assert rejected <= 3
