@@ -186,6 +186,8 @@ def headline(
         verdict = nearer(preference)
     about = {Verdict.SMOOTHER: [smoothed], Verdict.FILTER: [filtered], Verdict.ONLY: [filtered]}.get(verdict, both)
     found = [o for c in about if c is not None for o in objections(c, measured)]
+    if verdict is Verdict.SMOOTHER and filtered is not None:  # a tick would stand for it, too
+        found += [o for o in objections(filtered, measured) if o.objection is Objection.NEES]
     if measured and verdict in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER) and math.isfinite(rejected):
         found.append(Objected(Objection.CAUSE, "", rejected))
     order = list(Objection)

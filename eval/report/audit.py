@@ -101,6 +101,7 @@ class AuditFacts:
     decrement: float
     gained: float
     second: Second | None
+    curvature: float
     gauge: int
     loose: tuple[str, ...]
     parts: tuple[int, ...]
@@ -272,7 +273,7 @@ def _facts(report: AuditReport) -> AuditFacts:
         int(factors["chi2"].notna().sum()), a.freedom, float(factors["chi2"].sum()), a.rejected, len(wrong),
         tuple(scaled), component, least if least.p < FAMILY else None, _cluster(report), least, len(unchecked),
         tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in counts.items()),
-        hidden, a.decrement, a.gained, report.second, a.condition.gauge, tuple(loose), a.condition.parts,
+        hidden, a.decrement, a.gained, report.second, a.curvature, a.condition.gauge, tuple(loose), a.condition.parts,
         tuple(f"{i} and {j}" for i, j in a.condition.duplicates), int((factors["weight"] < 1.0).sum()),
     )  # fmt: skip
 

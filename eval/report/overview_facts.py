@@ -91,6 +91,13 @@ class LogFacts:
         return Headline(self.verdict, self.objections).sound and all(self.trusted)
 
     @property
+    def unreliable(self) -> bool:
+        """Whether something objects to the estimator that is named, not to the other one or to the model alone."""
+        other = self.filtered if self.verdict == Verdict.SMOOTHER else None
+        spared = {"", other.estimator if other is not None else ""}
+        return any(o.estimator not in spared for o in self.objections)
+
+    @property
     def ratio(self) -> float:
         """The filter's error over the smoother's, where both are to be trusted."""
         a, b = self.errors

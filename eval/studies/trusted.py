@@ -192,6 +192,7 @@ REMOVED = 0.5  # share of the strongest objection that an explanation has to tak
 def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding], bool]:
     """Explanations one after the other, each with earlier ones corrected, and whether they remove the objections."""
     inputs = replace(corrected_inputs(inputs, smoother.errors_final), systematic=None)
+    smoother = replace(smoother, errors_final=None)
     certain = {n: _spread([s.typical[n] for s in made.twins if n in s.typical]) for n in residuals.COMPONENTS}
     twins = [_statistics(s.measured) for s in made.twins]
     usual, typical = _usual(twins), _usual([s.typical for s in made.twins])

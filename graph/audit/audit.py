@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -13,9 +13,10 @@ from data.inputs import IntArray
 from data.se2 import Array
 from graph.audit.clusters import Cluster, clusters
 from graph.audit.components import Components, Estimator
-from graph.audit.condition import Condition, condition
+from graph.audit.condition import Condition, condition, curvature
 from graph.audit.draws import family, independent, smallest_p
-from graph.audit.factors import Tested, directions, examine, holm
+from graph.audit.factors import Tested, directions, examine, holm, row_redundancies
+from graph.audit.files import moved
 from graph.audit.fronts import Factored, factorize, ordering
 from graph.audit.kinds import Grouping, Kinds, kinds, positions_of
 from graph.audit.linear import System, linearize
@@ -43,6 +44,7 @@ class Audit:
         freedom: degrees of freedom.
         f: the factored system.
         condition: what the graph does not determine.
+        curvature: least one along the weakest directions, over that of the linearized problem; negative at a saddle.
         place: (V, 3) position of each variable of the system, NaN where it has none.
     """
 
@@ -63,6 +65,7 @@ class Audit:
     freedom: int
     f: Factored
     condition: Condition
+    curvature: float
     place: Array
 
     @property
@@ -98,6 +101,8 @@ def examined(
     axis, rows = axes_of(of, system)
     estimator = Estimator(f, order, rows, axis[:, 0], rng)
     by_kind, by_axis = estimator.by_kind(), estimator.by_axis()
+    whole_rows, every = np.concatenate([each.ravel() for each in rows]), [row_redundancies(s).ravel() for s in seen]
+    by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
     together, all_ = clusters(f, seen, t, np.flatnonzero(of.loops).tolist(), metres)
     p_cluster = np.concatenate([[c.p for c in together], np.ones(all_ - len(together))])
     family_of = np.concatenate([t.p, by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan), p_cluster])
@@ -116,7 +121,7 @@ def examined(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
         float(np.sqrt(gained)), gained, system.rows - f.rank, f, condition(f, parts(system), firsts(system)),
-        places(values, system.keys),
+        curvature(f, lambda x: float(graph.error(moved(system, f.at, x, values))), rng), places(values, system.keys),
     )  # fmt: skip
 
 

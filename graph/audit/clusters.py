@@ -15,8 +15,9 @@ from scipy.spatial import cKDTree
 from scipy.stats import chi2
 
 from data.inputs import IntArray
+from data.se2 import Array
 from graph.audit.factors import UNSEEN, Directions, Tested, positions
-from graph.audit.fronts import Factored, solved
+from graph.audit.fronts import Factored, forward, solved
 
 NEAR = 5.0  # poses between the ends of the worst loop of a cluster and of another one, at each end
 LOOKED, LARGEST = 60, 40  # clusters that are tested, those of largest mean test first; factors of one
@@ -54,25 +55,30 @@ def clusters(
             if len(beside) > 1:
                 members.append(beside)
     members.sort(key=lambda m: -float(np.sum(T[m] - rank[m])))
-    found = [_tested(f, seen, [where[loops[j]] for j in m.tolist()], metres) for m in members[:LOOKED]]
-    return found, len(members)
+    found = [_tested(f, seen, [where[loops[j]] for j in m.tolist()]) for m in members[:LOOKED]]
+    if not found:
+        return [], 0
+    moved = positions(f, metres)(solved(f, np.column_stack([push for *_, push in found])))
+    made = [
+        Cluster(factors, T, rank, float(chi2.sf(T, rank)) if rank else np.nan, float(far))
+        for (factors, T, rank, _), far in zip(found, moved, strict=True)
+    ]
+    return made, len(members)
 
 
 def _tested(
-    f: Factored, seen: Sequence[Directions], some: Sequence[tuple[int, int]], metres: Sequence[IntArray]
-) -> Cluster:
+    f: Factored, seen: Sequence[Directions], some: Sequence[tuple[int, int]]
+) -> tuple[tuple[int, ...], float, int, Array]:
+    """Factors, T, its degrees of freedom, and the right-hand side whose solution is the motion without them."""
     at = np.cumsum([0] + [f.system.groups[k].r.shape[1] for k, _ in some])
     right, r = np.zeros((f.columns, at[-1])), np.empty(at[-1])
     for (k, n), first, end in zip(some, at[:-1], at[1:], strict=True):
         g, root = f.system.groups[k], np.sqrt(f.system.groups[k].weight[n])
-        right[f.index(g)[n], first:end] = root * g.A[n].T
+        right[f.at_of(g, n), first:end] = root * g.A[n].T
         r[first:end] = root * seen[k].r[n]
-    y = solved(f, right.copy())
-    R = np.eye(at[-1]) - right.T @ y
-    size, V = np.linalg.eigh(0.5 * (R + R.T))
+    y = forward(f, right.copy(), np.unique([f.home[k][n] for k, n in some]))
+    size, V = np.linalg.eigh(np.eye(at[-1]) - y.T @ y)
     kept = size > UNSEEN
     u = V[:, kept].T @ r
-    T, rank = float(np.sum(u**2 / size[kept])), int(kept.sum())
-    moved = float(positions(f, metres)(y @ (V[:, kept] @ (u / size[kept])[:, None]))[0])
     factors = tuple(sorted(int(f.system.groups[k].factor[n]) for k, n in some))
-    return Cluster(factors, T, rank, float(chi2.sf(T, rank)) if rank else np.nan, moved)
+    return factors, float(np.sum(u**2 / size[kept])), int(kept.sum()), right @ (V[:, kept] @ (u / size[kept]))

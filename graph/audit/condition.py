@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from graph.audit.components import weighted_rows
 from graph.audit.fronts import Factored, solved
 
 MOVES = 1e-6  # share of a null vector's largest entry that counts as motion
+WEAKEST, ITERATIONS = 3, 3  # directions, and inverse iterations, in which the curvature is looked at
 MOST = 512  # directions without information that are looked at
 
 
@@ -65,6 +66,24 @@ def _null(f: Factored, dropped: IntArray) -> Array:
     n *= np.where(norm > 0.0, norm, 1.0)
     out: Array = n / np.maximum(np.abs(n).max(0, initial=0.0), np.finfo(float).tiny)
     return out
+
+
+def curvature(f: Factored, cost: Callable[[Array], float], rng: np.random.Generator, tries: int = WEAKEST) -> float:
+    """Least curvature of a cost, half the sum of squares after a step (N,), along the weakest directions.
+
+    It is relative to the linearized problem: 1 if that is exact, negative at a saddle. Each direction is as long as one
+    sigma; they are those of a few inverse iterations.
+    """
+    if f.rank == 0:
+        return 1.0
+    A = weighted_rows(f)
+    x = rng.standard_normal((f.columns, tries))
+    for _ in range(ITERATIONS):
+        x = solved(f, np.linalg.qr(x)[0])
+    length = np.linalg.norm(A @ x, axis=0)
+    x = x / np.where(length > 0.0, length, np.inf)
+    middle = cost(np.zeros(f.columns))
+    return min(cost(step) + cost(-step) - 2.0 * middle for step in x.T)
 
 
 def _duplicates(f: Factored) -> tuple[tuple[int, int], ...]:

@@ -23,7 +23,7 @@ from scipy.stats import chi2, ncx2
 
 from data.inputs import IntArray
 from data.se2 import Array
-from graph.audit.fronts import PART, Factored, joint_covariances, solved, step
+from graph.audit.fronts import PART, Factored, forward, joint_covariances, solved, step
 
 UNSEEN = 1e-6  # redundancy of a direction below which an error in it is not seen; leverages are accurate to 1e-9
 UNCHECKED = 0.05  # share of its dimension below which the redundancy of a factor checks nothing
@@ -131,19 +131,10 @@ def _by_rows(f: Factored, k: int, rough: Directions) -> Directions:
         right = np.zeros((f.columns, len(part), d))
         for j in range(c):
             right[index[part, j], np.arange(len(part))] += g.A[part][:, :, j]
-        y = _forward(f, right.reshape(f.columns, -1)).reshape(f.columns, len(part), d)
+        y = forward(f, right.reshape(f.columns, -1)).reshape(f.columns, len(part), d)
         H[part] = np.einsum("xnd,xne->nde", y, y)
     h, V = np.linalg.eigh(H)
     return Directions(h, V, rough.r, rough.weight, rough.joint)
-
-
-def _forward(f: Factored, right: Array) -> Array:
-    y = np.zeros_like(right)
-    for front in f.fronts:
-        z = front.inverse.T @ right[front.kept]
-        y[front.kept] = z
-        right[front.after] -= front.S.T @ z
-    return y
 
 
 @cache
@@ -198,6 +189,12 @@ def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray])
         else:
             out.minimal_error[i], out.missed[i] = np.inf, np.inf
     _influence(f, seen, metres, out)
+    return out
+
+
+def row_redundancies(s: Directions) -> Array:
+    """Redundancy (n, d) of each row of a group."""
+    out: Array = 1.0 - s.weight[:, None] * np.einsum("nij,nj->ni", s.V**2, s.h)
     return out
 
 

@@ -81,6 +81,10 @@ class Factored:
         """Columns (n, c) of the variables of each factor."""
         return index_of(group, self.at, self.system.dim)
 
+    def at_of(self, group: Group, n: int) -> IntArray:
+        """Columns (c,) of the variables of one factor of a group."""
+        return np.concatenate([self.at[v] + np.arange(self.system.dim[v]) for v in group.variables[n].tolist()])
+
 
 def index_of(group: Group, at: IntArray, dim: IntArray) -> IntArray:
     """Columns (n, c) of the variables of each factor, the first of each variable at `at` (V,)."""
@@ -260,8 +264,8 @@ def step(f: Factored) -> Array:
     return x
 
 
-def solved(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
-    """Solution (N, c) of the normal equations  A' W A x = right (N, c), which may be overwritten.
+def forward(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
+    """R^-T right (N, c), which is overwritten; products of columns are those of `right` with the covariance between.
 
     `homes`: fronts in which alone `right` is not zero, or all.
     """
@@ -271,6 +275,12 @@ def solved(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
         y[front.kept] = z
         if len(front.after):
             right[front.after] -= front.S.T @ z
+    return y
+
+
+def solved(f: Factored, right: Array, homes: IntArray | None = None) -> Array:
+    """Solution (N, c) of the normal equations  A' W A x = right (N, c); arguments as of `forward`."""
+    y = forward(f, right, homes)
     for front in reversed(f.fronts):
         y[front.kept] = front.inverse @ y[front.kept] + front.W @ y[front.after]
     return y

@@ -114,6 +114,8 @@ def _whitened(
         return beneath.Whiten(np.hstack(list(blocks))), r, weight, None
     if not linear.exists(i):  # a factor that is switched off at these values
         return np.zeros((0, sum(values.dims()[key] for key in keys))), np.zeros(0), 1.0, None
+    if type(model) is gtsam.noiseModel.Gaussian and not (np.diagonal(model.R()) > 0.0).all():
+        raise DataError(f"factor {i}: its noise is not positive definite; check its covariance or information")
     A, b = linear.at(i).jacobian()
     if isinstance(model, gtsam.noiseModel.Constrained):
         exact = np.asarray(model.sigmas()) == 0.0

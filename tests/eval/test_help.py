@@ -22,7 +22,7 @@ COMMANDS = {
     "run": "eval.run_all", "step": "eval.step", "play": "eval.play", "convert": "data.convert.__main__",
     "detect": "eval.detect", "inspect": "eval.inspect", "live": "eval.live.__main__",
     "tune": "eval.tune", "twin": "eval.twin", "score": "eval.score", "check": "eval.check",
-    "benchmark": "eval.benchmark", "warm": "eval.warm", "report": "eval.open_report",
+    "benchmark": "eval.benchmark", "audit": "eval.audit", "warm": "eval.warm", "report": "eval.open_report",
 }  # fmt: skip
 HELP = """
 import sys

@@ -102,7 +102,7 @@ def corridors(n: int, seed: int = 0) -> Structure:
 def laser(n: int, seed: int = 0) -> Structure:
     """As `corridors`, closed often (Intel)."""
     s = corridors(n, seed + 7)
-    return Structure(s.poses, s.pairs[: n - 1] + near(s.poses, 3.0, 20, np.random.default_rng(seed), 0.6), PLANE)
+    return Structure(s.poses, s.pairs[: n - 1] + near(s.poses, 2.2, 20, np.random.default_rng(seed), 0.5), PLANE)
 
 
 def landmarks(n: int, seed: int = 0) -> Structure:
@@ -157,11 +157,11 @@ def examined(
     return audit(graph, optimized(graph, values) if relinearized else values, draws=draws)
 
 
-def size(out: Path, graphs: int, poses: int) -> pd.DataFrame:
+def size(out: Path, graphs: int, poses: int, names: tuple[str, ...] = tuple(STRUCTURES)) -> pd.DataFrame:
     """Size and power by structure, to OUT/audit-size.csv."""
     rows = []
-    for name, make in STRUCTURES.items():
-        s = make(poses, 0)
+    for name in names:
+        s = STRUCTURES[name](poses, 0)
         any_, factor, named, told, checked, put = [], [], [], [], [], []
         for k in range(graphs):
             rng = np.random.default_rng([k, 1])

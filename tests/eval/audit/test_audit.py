@@ -13,6 +13,7 @@ from data.formats.graph_file import read_graph_file, with_information
 from eval.audit import main
 from eval.report import audited
 from graph.audit.files import build, optimized
+from tests.graph.audit import graphs
 
 
 def opened(*arguments, **how):
@@ -258,3 +259,64 @@ def test_another_minimum_is_named(written):
     assert report.facts.second is not None
     assert report.facts.second.error < 1e-9 < report.facts.second.ours
     assert "another minimum" in report.words()
+
+
+def test_a_saddle_is_told_from_a_minimum():
+    """A point between two beacons on a line with it: each range is right, and sideways both costs fall."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    noise, tight = gtsam.noiseModel.Isotropic.Sigma(1, 0.1), gtsam.noiseModel.Isotropic.Sigma(2, 1e-3)
+    for key, x in ((1, -1.0), (2, 1.0)):
+        values.insert(key, np.array([x, 0.0]))
+        graph.add(gtsam.PriorFactorPoint2(key, np.array([x, 0.0]), tight))
+        graph.add(gtsam.RangeFactor2(key, 3, 2.0, noise))
+    values.insert(3, np.array([0.0, 0.0]))
+    graph.add(gtsam.PriorFactorPoint2(3, np.zeros(2), gtsam.noiseModel.Isotropic.Sigma(2, 0.5)))
+    report = slamref.audit(graph, values, draws=0)
+    assert report.facts.curvature < 0.0
+    assert "no minimum" in report.words()
+    assert slamref.audit(*quadratic(), draws=0).facts.curvature == pytest.approx(1.0, abs=1e-6)
+
+
+def quadratic():
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k in range(4):
+        values.insert(k, np.array([float(k), 0.0]))
+        graph.add(gtsam.PriorFactorPoint2(k, np.array([k + 0.1, 0.0]), gtsam.noiseModel.Isotropic.Sigma(2, 0.5)))
+    return graph, values
+
+
+def test_a_noise_that_is_not_definite_is_named():
+    graph, values = quadratic()
+    bad = gtsam.noiseModel.Gaussian.Covariance(np.array([[1.0, 2.0], [2.0, 1.0]]))
+    graph.add(gtsam.PriorFactorPoint2(0, np.zeros(2), bad))
+    with pytest.raises(DataError, match="factor 4: its noise is not positive definite"):
+        slamref.audit(graph, values)
+
+
+@pytest.mark.parametrize("make", [graphs.planar, graphs.spatial])
+def test_a_file_that_gtsam_wrote_has_the_statistics_of_its_graph(make, tmp_path):
+    source, values = make(11)
+    graph = gtsam.NonlinearFactorGraph()
+    for i in range(source.size()):
+        factor = source.at(i)
+        if type(factor).__name__.startswith("BetweenFactorPose"):
+            plain = getattr(factor.noiseModel(), "noise", factor.noiseModel)
+            graph.add(factor.cloneWithNewNoiseModel(plain()) if hasattr(factor.noiseModel(), "noise") else factor)
+    keys = {key for i in range(graph.size()) for key in list(graph.at(i).keys())}
+    poses = gtsam.Values(values)
+    for key in set(values.dims()) - keys:
+        poses.erase(key)
+    gtsam.writeG2o(graph, poses, str(tmp_path / "g.g2o"))
+    direct = slamref.audit(graph, optimized(graph, poses), draws=0)
+    read = opened(str(tmp_path / "g.g2o"), None, draws=0)
+    assert read.factors["redundancy"].to_numpy() == pytest.approx(direct.factors["redundancy"].to_numpy(), abs=1e-3)
+    assert read.factors["chi2"].to_numpy() == pytest.approx(direct.factors["chi2"].to_numpy(), rel=0.01, abs=1e-3)
+
+
+@pytest.mark.parametrize("make", [graphs.planar, graphs.spatial, graphs.inertial])
+def test_every_graph_has_words_and_a_figure(make):
+    graph, values = make(2)
+    report = slamref.audit(graph, values, draws=20)
+    assert len(report.words().split("\n")) >= 3
+    assert len(report.figure().axes) >= 2
+    assert len(report.worst()) == 10

@@ -55,6 +55,7 @@ def test_the_noise_of_odometry_is_put_down_to_odometry():
 def test_components_of_axes_are_apart():
     a = examined(*ring(np.random.default_rng(5), 200, 200, axes=(1.0, 1.0, 3.0)), draws=0)
     by = {(a.kinds.names[k], a.kinds.axes[k][x]): a.by_axis.component[i] for i, (k, x) in enumerate(a.axis.tolist())}
+    assert a.by_axis.redundancy.sum() == pytest.approx(a.freedom, abs=1e-8)
     assert by["odometry", "theta"] == pytest.approx(9.0, rel=0.4)
     assert by["odometry", "x"] == pytest.approx(1.0, rel=0.4)
     assert by["loop", "theta"] == pytest.approx(1.0, rel=0.4)

@@ -251,3 +251,11 @@ def test_no_association_method_is_called_the_best_where_path_and_decisions_disag
     assert associations(replace(disputed, decides=False))[0] == Value("none; by decisions jcbb-hindsight", both)
     assert MethodOutcome("jcbb", "ekf", 147, 80, 250, 71).mostly_wrong
     assert not hindsight.mostly_wrong
+
+
+def test_an_overconfident_filter_beside_a_sound_smoother_takes_the_tick_and_the_smoother_is_still_used():
+    f = facts(EKF | {"nees_pose": 13.4})
+    mark = trust_mark(f)
+    assert (mark.word, mark.tone, f.unreliable) == ("smoother", "fair", False)
+    assert "ekf is overconfident: pose NEES 13.4" in mark.note
+    assert facts(EKF, BATCH | {"nees_pose": 13.4}).unreliable
