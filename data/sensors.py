@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numba
 import numpy as np
@@ -152,7 +152,7 @@ def residual(kind: int, z0: float, z1: float, z_hat: Array) -> tuple[float, floa
     """
     if kind == RELATIVE_POINT:
         return z0 - z_hat[0], z1 - z_hat[1]
-    turn: np.float64 = wrap_angle_jit(z1 - z_hat[1])
+    turn: Any = wrap_angle_jit(z1 - z_hat[1])
     if kind == LINE and abs(turn) > 0.5 * math.pi:
         return -z0 - z_hat[0], wrap_angle_jit(turn - math.pi)
     return z0 - z_hat[0], turn
