@@ -198,6 +198,13 @@ def audit(
 
     Raises:
         DataError: a factor without its variable's value, a residual that is not finite, or no factor.
+
+    Example:
+        >>> import gtsam
+        >>> graph, values = gtsam.readG2o(gtsam.findExampleDataFile("noisyToyGraph.txt"))
+        >>> graph.addPriorPose2(0, values.atPose2(0), gtsam.noiseModel.Isotropic.Sigma(3, 0.01))
+        >>> report = slamref.audit(graph, gtsam.LevenbergMarquardtOptimizer(graph, values).optimize())
+        >>> report.factors[["kind", "redundancy", "p_family"]]  # a row for each factor
     """
     with threadpool_limits(1):
         return reported(examined(graph, values, groups, draws, seed, full=full))

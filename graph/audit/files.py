@@ -178,7 +178,7 @@ def another_start(file: GraphFile, values: gtsam.Values) -> gtsam.Values | None:
     start = gtsam.Values()
     with suppress(DataError):
         _follow(replace(file, poses={}, points={}), start)
-        first = min(key for edge in file.edges for key in edge.ends)
+        first = min(edge.ends[0] for edge in file.edges)  # a pose, of every kind of edge
         pose: Any = values.atPose2(first) if file.kind(file.edges[0])[0] == POSE2 else values.atPose3(first)
         return _shifted(start, pose.compose(_pose_of(start, first).inverse()))
     return None

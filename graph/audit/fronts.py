@@ -179,6 +179,8 @@ def factorize(system: System, order: IntArray, scale: Sequence[Array] | None = N
 def _triangle(F: Array, p: int, norm: Array) -> tuple[IntArray, Array]:
     """Determined columns among the first `p`, and the triangle (q + rest, q + after + 1) of all other columns."""
     kept = np.arange(p)
+    if not len(F):
+        return kept[:0], F[:, p:]
     while True:
         T = lapack.dgeqrf(F[:, _all_but(p, kept, F.shape[1])] if len(kept) < p else F)[0]
         q = len(kept)

@@ -158,8 +158,11 @@ def test_a_file_without_edges(written):
 
 def test_damaged_files_are_refused_in_one_line(written):
     rng = np.random.default_rng(0)
-    text, refused = grid(), 0
-    for _ in range(60):
+    shipped = ("known_landmark_localization_20.g2o", "pose3example-grid.txt", "example.graph")
+    texts = [grid(), *(pathlib.Path(gtsam.findExampleDataFile(name)).read_text() for name in shipped)]
+    refused = 0
+    for k in range(80):
+        text = texts[k % 4]
         at = int(rng.integers(len(text)))
         damaged = (
             text[:at]
@@ -170,7 +173,7 @@ def test_damaged_files_are_refused_in_one_line(written):
             opened(written(damaged), None, draws=0)
         except DataError:
             refused += 1
-    assert 10 < refused < 60
+    assert 10 < refused < 80
 
 
 def test_written_with_other_information(written):
@@ -320,3 +323,19 @@ def test_every_graph_has_words_and_a_figure(make):
     assert len(report.words().split("\n")) >= 3
     assert len(report.figure().axes) >= 2
     assert len(report.worst()) == 10
+
+
+def test_landmarks_of_lower_ids_than_poses_have_a_second_start(written):
+    """The first pose, not the first id, ties the path along the edges to the vertices."""
+    text = "VERTEX_SE2 5 0 0 0\nVERTEX_SE2 6 1 0 0\nVERTEX_XY 0 1 1\nEDGE_SE2 5 6 1 0 0 1 0 0 1 0 1\n"
+    text += "EDGE_SE2_XY 5 0 1 1 1 0 1\nEDGE_SE2_XY 6 0 0 1 1 0 1\n"
+    assert opened(written(text), None, draws=0).facts.second is None
+
+
+def test_a_variable_without_information_of_its_own_is_left_out():
+    """A bearing in the direction of nothing else: its landmark's front has no row left."""
+    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    values.insert(0, np.zeros(2))
+    values.insert(1, np.zeros(2))
+    graph.add(gtsam.BetweenFactorPoint2(0, 1, np.zeros(2), gtsam.noiseModel.Isotropic.Sigma(2, 1.0)))
+    assert slamref.audit(graph, values, draws=0).facts.gauge == 2
