@@ -55,7 +55,9 @@ def _pairings(compatible: BoolArray) -> tuple[IntArray, IntArray]:
     m, k = compatible.shape
     first = np.zeros(m + 1, np.int64)
     for i in range(m):
-        first[i + 1] = first[i] + compatible[i].sum()
+        first[i + 1] = first[i]
+        for j in range(k):
+            first[i + 1] += compatible[i, j]
     candidate = np.empty(first[m], np.int64)
     for i in range(m):
         p = first[i]
@@ -97,11 +99,12 @@ def _condition(
         v00, v01 = C[2 * j, 2 * c], C[2 * j, 2 * c + 1]
         v10, v11 = C[2 * j + 1, 2 * c], C[2 * j + 1, 2 * c + 1]
         for r in range(q):
-            a, b = V[r, j], V[r, c]
-            v00 -= a[0, 0] * b[0, 0] + a[1, 0] * b[1, 0]
-            v01 -= a[0, 0] * b[0, 1] + a[1, 0] * b[1, 1]
-            v10 -= a[0, 1] * b[0, 0] + a[1, 1] * b[1, 0]
-            v11 -= a[0, 1] * b[0, 1] + a[1, 1] * b[1, 1]
+            a00, a01, a10, a11 = V[r, j, 0, 0], V[r, j, 0, 1], V[r, j, 1, 0], V[r, j, 1, 1]
+            b00, b01, b10, b11 = V[r, c, 0, 0], V[r, c, 0, 1], V[r, c, 1, 0], V[r, c, 1, 1]
+            v00 -= a00 * b00 + a10 * b10
+            v01 -= a00 * b01 + a10 * b11
+            v10 -= a01 * b00 + a11 * b10
+            v11 -= a01 * b01 + a11 * b11
         v00, v01 = v00 / l00, v01 / l00
         v10, v11 = (v10 - l10 * v00) / l11, (v11 - l10 * v01) / l11
         V[q, c, 0, 0], V[q, c, 0, 1], V[q, c, 1, 0], V[q, c, 1, 1] = v00, v01, v10, v11
@@ -137,10 +140,14 @@ def search_best(
     made, d2 = np.zeros(m + 1, np.int64), np.zeros(m + 1)  # by depth: pairings and joint distance
     chosen, branch, branches = np.empty(m + 1, np.int64), np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
     order = np.empty((m + 1, k), np.int64)
-    closed_at = np.full(pairs, m + 2)  # depth at which a pairing was closed
+    closed_at = np.empty(pairs, np.int64)  # depth at which a pairing was closed
+    for p in range(pairs):
+        closed_at[p] = m + 2
     gain, need = np.empty(pairs), np.empty(k, np.bool_)
     decided, taken = np.zeros(m, np.bool_), np.zeros(k, np.bool_)
-    choice, best_choice = np.full(m, UNPAIRED), np.full(m, UNPAIRED)
+    choice, best_choice = np.empty(m, np.int64), np.empty(m, np.int64)
+    for i in range(m):
+        choice[i] = best_choice[i] = UNPAIRED
     best, best_d2 = 0, 0.0
     t, nodes, arriving = 0, 0, True
     while t >= 0:
@@ -186,7 +193,8 @@ def search_best(
             if pick < 0:
                 if d2[t] < thresholds[q] and (q > best or (q == best and d2[t] < slack)):
                     best, best_d2 = q, d2[t]
-                    best_choice[:] = choice
+                    for i in range(m):
+                        best_choice[i] = choice[i]
                 hopeless = True
             else:
                 hopeless = after < best or (after == best and d2[t] + bound >= slack) or d2[t] >= thresholds[after]
@@ -228,7 +236,8 @@ def search_best(
         j = candidate[order[t, number]]
         choice[i] = j
         taken[j] = True
-        need[:] = False
+        for c in range(k):
+            need[c] = False
         for o in range(m):
             if not decided[o]:
                 for p in range(first[o], first[o + 1]):
@@ -253,14 +262,17 @@ def search_first(
     L, w = np.zeros((2 * m, 2 * m)), np.empty(2 * m)
     made, d2, branch = np.zeros(m + 1, np.int64), np.zeros(m + 1), np.zeros(m + 1, np.int64)
     row = np.empty(m, np.int64)  # candidate of each pairing made
-    choice, best_choice = np.full(m, UNPAIRED), np.full(m, UNPAIRED)
+    choice, best_choice = np.empty(m, np.int64), np.empty(m, np.int64)
+    for i in range(m):
+        choice[i] = best_choice[i] = UNPAIRED
     best, best_d2, t, nodes = 0, 0.0, 0, 1
     while t >= 0:
         q = made[t]
         if t == m:
             if q > best:
                 best, best_d2 = q, d2[t]
-                best_choice[:] = choice
+                for i in range(m):
+                    best_choice[i] = choice[i]
             t -= 1
             continue
         if branch[t] == 0 and q + m - t <= best:

@@ -75,7 +75,9 @@ def accepted_moments(S: Array, passed: Acceptance, turn: int) -> tuple[float, fl
     joint = math.inf if passed.joint is None else gate_threshold(passed.joint, dof)
     white = points[begin : begin + DRAWS, :dof].copy()
     try:
-        n, total, squares = _sums(np.ascontiguousarray(S), white, passed.individual, joint, passed.conditional)
+        innovation, W = white @ np.linalg.cholesky(S).T, np.asarray(np.linalg.inv(S), float)
+        gates = passed.individual, joint, passed.conditional
+        n, total, squares = _sums(np.array(S), W, white, innovation, innovation @ W, gates)
     except np.linalg.LinAlgError:  # singular: the next update raises
         n, total, squares = 0, 0.0, 0.0
     if n < 2:  # hardly anything passes: as if the pairings were independent
@@ -93,14 +95,14 @@ def _points(dimension: int) -> Array:
 
 @njit(cache=True)
 def _sums(
-    S: Array, white: Array, individual: float, joint: float, conditional: float
+    S: Array, W: Array, white: Array, x: Array, y: Array, gates: tuple[float, float, float]
 ) -> tuple[int, float, float]:  # pragma: no cover - compiled
-    """Count, sum and sum of squares of |w|^2 over the draws w (n, 2k) whose innovations L w pass all gates."""
+    """Count, sum and sum of squares of |w|^2 over the draws w (n, 2k) whose innovations x = L w pass all gates.
+
+    W = S^-1, y = W x; `gates`: individual, joint, conditional.
+    """
     n, d = white.shape
-    L = np.linalg.cholesky(S)
-    x = white @ L.T
-    W = np.linalg.inv(S)
-    y = x @ W
+    individual, joint, conditional = gates
     count, total, squares = 0, 0.0, 0.0
     for i in range(n):
         q = 0.0

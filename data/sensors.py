@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numba
 import numpy as np
@@ -31,16 +31,16 @@ wrap_angle_jit = numba.njit(cache=True)(se2.wrap_angle)
 
 
 @numba.njit(cache=True)
-def _measure_line(extrinsic: Array, pose: Array, line: Array, z_hat: Array, Hx: Array, Hl: Array) -> None:
+def _measure_line(extrinsic: Array, pose: Array, rho: float, alpha: float, z_hat: Array, Hx: Array, Hl: Array) -> None:
     """`measure` for a wall: z = (distance, direction of the normal towards the wall).
 
     phi = alpha - theta + rotation, d = rho - n(alpha) . p + n(phi) . T. Beyond the wall d < 0, and the normal towards
     it is the opposite one: z = (-d, phi + pi).
     """
-    c, s = math.cos(line[1]), math.sin(line[1])
-    phi = line[1] - pose[2] + extrinsic[0]
+    c, s = math.cos(alpha), math.sin(alpha)
+    phi = alpha - pose[2] + extrinsic[0]
     arm = math.cos(phi) * extrinsic[2] - math.sin(phi) * extrinsic[1]  # d (n(phi) . T) / d phi
-    d = line[0] - c * pose[0] - s * pose[1] + math.cos(phi) * extrinsic[1] + math.sin(phi) * extrinsic[2]
+    d = rho - c * pose[0] - s * pose[1] + math.cos(phi) * extrinsic[1] + math.sin(phi) * extrinsic[2]
     side = 1.0 if d >= 0.0 else -1.0
     z_hat[0] = side * d
     z_hat[1] = wrap_angle_jit(phi if d >= 0.0 else phi + math.pi)
@@ -51,13 +51,13 @@ def _measure_line(extrinsic: Array, pose: Array, line: Array, z_hat: Array, Hx: 
 
 
 @numba.njit(cache=True)
-def _invert_line(extrinsic: Array, pose: Array, z: Array, line: Array, Gx: Array, Gz: Array) -> None:
+def _invert_line(extrinsic: Array, pose: Array, d: float, phi: float, line: Array, Gx: Array, Gz: Array) -> None:
     """`invert` for a wall: alpha = phi + theta - rotation, rho = d + n(alpha) . p - n(phi) . T."""
-    alpha = z[1] + pose[2] - extrinsic[0]
+    alpha = phi + pose[2] - extrinsic[0]
     c, s = math.cos(alpha), math.sin(alpha)
     turn = c * pose[1] - s * pose[0]  # d (n(alpha) . p) / d alpha
-    arm = math.cos(z[1]) * extrinsic[2] - math.sin(z[1]) * extrinsic[1]
-    line[0] = z[0] + c * pose[0] + s * pose[1] - math.cos(z[1]) * extrinsic[1] - math.sin(z[1]) * extrinsic[2]
+    arm = math.cos(phi) * extrinsic[2] - math.sin(phi) * extrinsic[1]
+    line[0] = d + c * pose[0] + s * pose[1] - math.cos(phi) * extrinsic[1] - math.sin(phi) * extrinsic[2]
     line[1] = wrap_angle_jit(alpha)
     Gx[0, 0], Gx[0, 1], Gx[0, 2] = c, s, turn
     Gx[1, 0], Gx[1, 1], Gx[1, 2] = 0.0, 0.0, 1.0
@@ -66,17 +66,20 @@ def _invert_line(extrinsic: Array, pose: Array, z: Array, line: Array, Gx: Array
 
 
 @numba.njit(cache=True)
-def measure(kind: int, extrinsic: Array, pose: Array, landmark: Array, z_hat: Array, Hx: Array, Hl: Array) -> None:
+def measure(
+    kind: int, extrinsic: Array, pose: Array, first: float, second: float, z_hat: Array, Hx: Array, Hl: Array
+) -> None:
     """Expected measurement z_hat (2,), Jacobians Hx (2, 3) to the world-frame pose and Hl (2, 2) to the landmark.
 
-    Probabilistic Robotics, section 6.6 and Table 7.2; `extrinsic` is (rotation, Tx, Ty) of p_s = R p_b + T.
+    The landmark is (first, second): two numbers, so that a row of any array compiles nothing again. Probabilistic
+    Robotics, section 6.6 and Table 7.2; `extrinsic` is (rotation, Tx, Ty) of p_s = R p_b + T.
     """
     if kind == LINE:
-        _measure_line(extrinsic, pose, landmark, z_hat, Hx, Hl)
+        _measure_line(extrinsic, pose, first, second, z_hat, Hx, Hl)
         return
     c, s = math.cos(pose[2]), math.sin(pose[2])
     ce, se = math.cos(extrinsic[0]), math.sin(extrinsic[0])
-    dx, dy = landmark[0] - pose[0], landmark[1] - pose[1]
+    dx, dy = first - pose[0], second - pose[1]
     bx, by = c * dx + s * dy, -s * dx + c * dy
     px, py = ce * bx - se * by + extrinsic[1], se * bx + ce * by + extrinsic[2]
     # A: d z / d p_s, then through the extrinsic to d z / d p_b
@@ -85,8 +88,9 @@ def measure(kind: int, extrinsic: Array, pose: Array, landmark: Array, z_hat: Ar
         z_hat[0] = r
         z_hat[1] = math.atan2(py, px)
         if r < MIN_RANGE:
-            Hx[:, :] = 0.0
-            Hl[:, :] = 0.0
+            for i in range(2):
+                Hx[i, 0], Hx[i, 1], Hx[i, 2] = 0.0, 0.0, 0.0
+                Hl[i, 0], Hl[i, 1] = 0.0, 0.0
             return
         a00, a01, a10, a11 = px / r, py / r, -py / (r * r), px / (r * r)
     else:
@@ -108,19 +112,21 @@ def measure(kind: int, extrinsic: Array, pose: Array, landmark: Array, z_hat: Ar
 
 
 @numba.njit(cache=True)
-def invert(kind: int, extrinsic: Array, pose: Array, z: Array, landmark: Array, Gx: Array, Gz: Array) -> None:
-    """Landmark (2,) that z implies, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement."""
+def invert(
+    kind: int, extrinsic: Array, pose: Array, z0: float, z1: float, landmark: Array, Gx: Array, Gz: Array
+) -> None:
+    """Landmark (2,) that z = (z0, z1) implies, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement."""
     if kind == LINE:
-        _invert_line(extrinsic, pose, z, landmark, Gx, Gz)
+        _invert_line(extrinsic, pose, z0, z1, landmark, Gx, Gz)
         return
     c, s = math.cos(pose[2]), math.sin(pose[2])
     ce, se = math.cos(extrinsic[0]), math.sin(extrinsic[0])
     if kind == RANGE_BEARING:
-        cz, sz = math.cos(z[1]), math.sin(z[1])
-        px, py = z[0] * cz, z[0] * sz
-        a00, a01, a10, a11 = cz, -z[0] * sz, sz, z[0] * cz
+        cz, sz = math.cos(z1), math.sin(z1)
+        px, py = z0 * cz, z0 * sz
+        a00, a01, a10, a11 = cz, -z0 * sz, sz, z0 * cz
     else:
-        px, py = z[0], z[1]
+        px, py = z0, z1
         a00, a01, a10, a11 = 1.0, 0.0, 0.0, 1.0
     qx, qy = px - extrinsic[1], py - extrinsic[2]
     bx, by = ce * qx + se * qy, -se * qx + ce * qy
@@ -139,26 +145,27 @@ def invert(kind: int, extrinsic: Array, pose: Array, z: Array, landmark: Array, 
 
 
 @numba.njit(cache=True)
-def residual(kind: int, z: Array, z_hat: Array, out: Array) -> None:
-    """Innovation z - z_hat (2,); the only place that wraps a measured angle.
+def residual(kind: int, z0: float, z1: float, z_hat: Array) -> tuple[float, float]:
+    """Innovation z - z_hat of z = (z0, z1); the only place that wraps a measured angle.
 
     Of a wall, (d, phi) and (-d, phi + pi) are one measurement: the one with the nearer normal is used.
     """
-    out[0] = z[0] - z_hat[0]
-    out[1] = z[1] - z_hat[1] if kind == RELATIVE_POINT else wrap_angle_jit(z[1] - z_hat[1])
-    if kind == LINE and abs(out[1]) > 0.5 * math.pi:
-        out[0] = -z[0] - z_hat[0]
-        out[1] = wrap_angle_jit(out[1] - math.pi)
+    if kind == RELATIVE_POINT:
+        return z0 - z_hat[0], z1 - z_hat[1]
+    turn: Any = wrap_angle_jit(z1 - z_hat[1])
+    if kind == LINE and abs(turn) > 0.5 * math.pi:
+        return -z0 - z_hat[0], wrap_angle_jit(turn - math.pi)
+    return z0 - z_hat[0], turn
 
 
 @numba.njit(cache=True)
-def name_as_read(kind: int, z: Array, z_hat: Array, Hx: Array, Hl: Array) -> None:
-    """Give a wall's expectation and Jacobians the sign of the measurement z, in place.
+def name_as_read(kind: int, angle: float, z_hat: Array, Hx: Array, Hl: Array) -> None:
+    """Give a wall's expectation and Jacobians the sign of a measurement with this angle, in place.
 
     Where the robot's side of a wall is uncertain, `measure` may choose the other sign; the noise of z is that of its
     own.
     """
-    if kind == LINE and abs(wrap_angle_jit(z[1] - z_hat[1])) > 0.5 * math.pi:
+    if kind == LINE and abs(wrap_angle_jit(angle - z_hat[1])) > 0.5 * math.pi:
         z_hat[0] = -z_hat[0]
         z_hat[1] = wrap_angle_jit(z_hat[1] + math.pi)
         for j in range(3):
@@ -171,21 +178,20 @@ def name_as_read(kind: int, z: Array, z_hat: Array, Hx: Array, Hl: Array) -> Non
 def measure_all(kind: int, extrinsic: Array, pose: Array, landmarks: Array, z_hat: Array, Hx: Array, Hl: Array) -> None:
     """`measure` landmarks (n, 2), each from its own pose (n, 3)."""
     for i in range(len(landmarks)):
-        measure(kind, extrinsic, pose[i], landmarks[i], z_hat[i], Hx[i], Hl[i])
+        measure(kind, extrinsic, pose[i], landmarks[i, 0], landmarks[i, 1], z_hat[i], Hx[i], Hl[i])
 
 
 @numba.njit(cache=True)
 def invert_all(kind: int, extrinsic: Array, pose: Array, z: Array, landmark: Array, Gx: Array, Gz: Array) -> None:
     """`invert` measurements (n, 2), each from its own pose (n, 3)."""
     for i in range(len(z)):
-        invert(kind, extrinsic, pose[i], z[i], landmark[i], Gx[i], Gz[i])
+        invert(kind, extrinsic, pose[i], z[i, 0], z[i, 1], landmark[i], Gx[i], Gz[i])
 
 
 def _pair(pose: Array, other: Array) -> tuple[Array, Array]:
-    """A row of pose per row of `other`, contiguous float64."""
-    rows = np.ascontiguousarray(np.atleast_2d(np.asarray(other, float)))
-    poses = np.ascontiguousarray(np.broadcast_to(np.asarray(pose, float), (len(rows), 3)))
-    return poses, rows
+    """A row of pose per row of `other`: copies, since read-only arrays would compile the kernels once more."""
+    rows = np.array(np.atleast_2d(np.asarray(other, float)), order="C")
+    return np.array(np.broadcast_to(np.asarray(pose, float), (len(rows), 3)), order="C"), rows
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from ekf import kernels, systematic
 from ekf.filter import DEFAULT, FilterOptions, frame_of
 from ekf.kernels import NEWEST
 from ekf.parking import Triangle, root, symmetric, whitened
-from ekf.whole_run import NO_MAP, FilterRun, Steps, Track, empty_track, filter_run, rules_of, run
+from ekf.whole_run import FilterRun, Track, empty_track, filter_run, rules_of, run, steps_of
 
 LEAST = 300  # landmarks. A smaller map is never parked: at most some tenths of a second would be gained
 STEP, PAIRING = 1.0e-9, 2.0e-10  # s. Cost of a frame per squared length of the state, and additional cost per pairing
@@ -140,20 +140,19 @@ def run_in_epochs(
         slot_of[created : created + new] = (state.d - base) // 2 + np.arange(new)
         decided[rows] = np.where(decisions[rows] >= 0, slot_of[np.maximum(number[rows], 0)], decisions[rows])
         frames = slice(epoch.begin, epoch.end)
-        motion, M = inputs.increments.mean[frames], inputs.increments.covariance[frames]
+        steps = steps_of(inputs, frames, decided, base)
         if epoch.begin:
-            step = state.mean, state.P, state.d, motion[0], M[0], state.first
+            step = state.mean, state.P, state.d, steps.motion[0], steps.M[0], state.first
             if of is None:
                 kernels.predict(*step)
             else:
                 systematic.predict_with_errors(*step, errors)
-        starts = inputs.start[epoch.begin : epoch.end + 1]
-        steps = Steps(motion, M, starts, o.z, o.R, decided, NO_MAP)
         rules = rules_of(options, threshold, base - 3, state.first)
         part = Track(track.pose[frames], track.covariance[frames], track.stats[frames], track.size[frames], track.white)
         d, status, stopped = run(
             sensor.kind, sensor.extrinsic, state.mean, state.P, state.d, steps, rules, errors, part
         )
+        steps.put(decided, track.white)
         reached = epoch.end if status == kernels.OK else epoch.begin + int(stopped) + 1
         track.size[epoch.begin : reached] += base + 2 * created - state.d
         new = (d - state.d) // 2

@@ -123,7 +123,9 @@ class Filter:
     def predict(self, increment: Increment) -> None:
         """Predict with an increment."""
         self._version += 1
-        state = self._mean, self._P, self._used, increment.mean, increment.covariance, self._first
+        # copies: read-only arrays would compile the kernels once more
+        motion, M = np.array(increment.mean), np.array(increment.covariance)
+        state = self._mean, self._P, self._used, motion, M, self._first
         if self._systematic is None:
             kernels.predict(*state)
         else:
@@ -200,7 +202,7 @@ class Filter:
             d = len(mean)
             seen = kernels.Pairings(moved, known[chosen], z_hat[chosen], np.zeros((k, 2, 2)))
             found = kernels.Innovation(np.empty(2 * k), np.empty((d, 2 * k)), np.empty((2 * k, 2 * k)))
-            kernels.innovate(self._kind, self._extrinsic, mean, mean, P, d, seen, found, first)
+            kernels.innovate(self._kind, self._extrinsic, mean, mean, P, d, seen, 0, found, first)
             return found.S
 
         def elsewhere(pose: Array) -> Expectation:
@@ -265,13 +267,12 @@ class Filter:
         done = updates.Outcome(np.ones(len(rows), np.bool_), np.zeros(3), np.full((len(rows), 2), np.nan))
         if len(rows):
             seen = kernels.Pairings(at, known, observations.z[rows], observations.R[rows])
-            how = updates.UpdateRule(threshold, *self._rule, self._first)
-            rest = self._mean, self._P, self._used, seen, how, done
+            start, each = self._mean, self.options.each
             if pose is not None and not len(self._first):
-                status = updates.update_from(self._kind, self._extrinsic, self._state_at(pose), *rest)
-            else:
-                step = updates.update_each if self.options.each else updates.update
-                status = step(self._kind, self._extrinsic, *rest)
+                start, each = self._state_at(pose), False
+            how = updates.UpdateRule(threshold, *self._rule, each, self._first)
+            state = start, self._mean, self._P, self._used
+            status = updates.update(self._kind, self._extrinsic, *state, seen, 0, len(rows), how, done)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
         return done.keep, done.stats, done.white

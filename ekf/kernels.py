@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from data.inputs import IntArray
-from data.se2 import Array, BoolArray
+from data.se2 import Array
 from data.sensors import LINE, invert, measure, name_as_read, residual, wrap_angle_jit
 
 NEWEST = np.empty(0)  # first estimates of a filter without any: Jacobians at the newest estimates
@@ -80,7 +80,7 @@ def predict(mean: Array, P: Array, d: int, motion: Array, M: Array, first: Array
     mean[1] += wy
     mean[2] = wrap_angle_jit(mean[2] + motion[2])
     if len(first):
-        first[:3] = mean[:3]
+        first[0], first[1], first[2] = mean[0], mean[1], mean[2]
 
 
 @numba.njit(cache=True)
@@ -92,27 +92,29 @@ def innovate(
     P: Array,
     d: int,
     seen: Pairings,
+    begin: int,
     out: Innovation,
     first: Array,
 ) -> None:
-    """Fill `out` with the innovation of k paired observations, all Jacobians at `mean` or `first`. `base` is the
-    prediction: nu = z - h(mean) - H (base - mean), so the two differ only in an iterated update.
+    """Fill `out` with the innovation of its k pairings from `begin` on, all Jacobians at `mean` or `first`. `base` is
+    the prediction: nu = z - h(mean) - H (base - mean), so the two differ only in an iterated update.
     """
     at, known, z, R = seen
     nu, PHt, S = out
-    k = len(at)
-    H = np.empty((k, 2, 5))
+    n = len(nu)
+    H = np.empty((n, 5))
     z_hat, Hx, Hl = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
-    for i in range(k):
-        a = at[i]
-        measure_landmark(kind, extrinsic, mean, a, known[i], first, z_hat, Hx, Hl)
-        name_as_read(kind, z[i], z_hat, Hx, Hl)
-        residual(kind, z[i], z_hat, nu[2 * i : 2 * i + 2])
-        H[i, :, :3] = Hx
-        H[i, :, 3:] = Hl
+    for i in range(n // 2):
+        row = begin + i
+        a = at[row]
+        measure_landmark(kind, extrinsic, mean, a, known[row, 0], known[row, 1], first, z_hat, Hx, Hl)
+        name_as_read(kind, z[row, 1], z_hat, Hx, Hl)
+        nu[2 * i], nu[2 * i + 1] = residual(kind, z[row, 0], z[row, 1], z_hat)
         for q in range(2):
             for j in range(3):
+                H[2 * i + q, j] = Hx[q, j]
                 nu[2 * i + q] -= Hx[q, j] * (base[j] - mean[j])
+            H[2 * i + q, 3], H[2 * i + q, 4] = Hl[q, 0], Hl[q, 1]
             if a >= 0:
                 nu[2 * i + q] -= Hl[q, 0] * (base[a] - mean[a]) + Hl[q, 1] * (base[a + 1] - mean[a + 1])
         for r in range(d):
@@ -121,32 +123,47 @@ def innovate(
                 if a >= 0:
                     value += P[r, a] * Hl[q, 0] + P[r, a + 1] * Hl[q, 1]
                 PHt[r, 2 * i + q] = value
-    for i in range(k):
-        a = at[i]
-        for q in range(2):
-            for j in range(2 * k):
-                value = H[i, q, 0] * PHt[0, j] + H[i, q, 1] * PHt[1, j] + H[i, q, 2] * PHt[2, j]
-                if a >= 0:
-                    value += H[i, q, 3] * PHt[a, j] + H[i, q, 4] * PHt[a + 1, j]
-                S[2 * i + q, j] = value
-    for i in range(2 * k):
+    for i in range(n):
+        a = at[begin + i // 2]
+        for j in range(n):
+            value = H[i, 0] * PHt[0, j] + H[i, 1] * PHt[1, j] + H[i, 2] * PHt[2, j]
+            if a >= 0:
+                value += H[i, 3] * PHt[a, j] + H[i, 4] * PHt[a + 1, j]
+            S[i, j] = value
+    for i in range(n):
         for j in range(i):
             mid = 0.5 * (S[i, j] + S[j, i])
             S[i, j], S[j, i] = mid, mid
-    for i in range(k):
-        S[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] += R[i]
+    for i in range(n):
+        for j in range(2):
+            S[i, i - i % 2 + j] += R[begin + i // 2, i % 2, j]
 
 
 @numba.njit(cache=True)
 def measure_landmark(
-    kind: int, extrinsic: Array, mean: Array, a: int, known: Array, first: Array, z_hat: Array, Hx: Array, Hl: Array
+    kind: int,
+    extrinsic: Array,
+    mean: Array,
+    a: int,
+    x: float,
+    y: float,
+    first: Array,
+    z_hat: Array,
+    Hx: Array,
+    Hl: Array,
 ) -> None:
-    """`measure` a landmark at offset `a` of the state, or `known` (2,) where a < 0; Jacobians at `first` if given."""
-    measure(kind, extrinsic, mean, known if a < 0 else mean[a : a + 2], z_hat, Hx, Hl)
+    """`measure` a landmark at offset `a` of the state, or the known one (x, y) where a < 0; Jacobians at `first` if
+    given.
+    """
+    if a >= 0:
+        x, y = mean[a], mean[a + 1]
+    measure(kind, extrinsic, mean, x, y, z_hat, Hx, Hl)
     if len(first):
         at_first = np.empty(2)
-        measure(kind, extrinsic, first, known if a < 0 else first[a : a + 2], at_first, Hx, Hl)
-        name_as_read(kind, z_hat, at_first, Hx, Hl)
+        if a >= 0:
+            x, y = first[a], first[a + 1]
+        measure(kind, extrinsic, first, x, y, at_first, Hx, Hl)
+        name_as_read(kind, z_hat[1], at_first, Hx, Hl)
 
 
 @numba.njit(cache=True)
@@ -171,7 +188,7 @@ def augment(
     no correlation (as in the classic tutorials, overconfident by construction).
     """
     landmark, Gx, Gz = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
-    invert(kind, extrinsic, mean, z, landmark, Gx, Gz)
+    invert(kind, extrinsic, mean, z[0], z[1], landmark, Gx, Gz)
     mean[d], mean[d + 1] = landmark[0], landmark[1]
     if len(first):
         first[d], first[d + 1] = landmark[0], landmark[1]
@@ -191,26 +208,13 @@ def augment(
             value = Gx[q, 0] * P[0, j] + Gx[q, 1] * P[1, j] + Gx[q, 2] * P[2, j]
             P[d + q, j] = value
             P[j, d + q] = value
-    own = Gz @ R @ Gz.T
     for q in range(2):
+        a, b = Gz[q, 0] * R[0, 0] + Gz[q, 1] * R[1, 0], Gz[q, 0] * R[0, 1] + Gz[q, 1] * R[1, 1]
         for j in range(2):
-            own[q, j] += P[d + q, 0] * Gx[j, 0] + P[d + q, 1] * Gx[j, 1] + P[d + q, 2] * Gx[j, 2]
-    mid = 0.5 * (own[0, 1] + own[1, 0])
-    P[d, d], P[d + 1, d + 1] = own[0, 0], own[1, 1]
+            own = a * Gz[j, 0] + b * Gz[j, 1]
+            P[d + q, d + j] = own + (P[d + q, 0] * Gx[j, 0] + P[d + q, 1] * Gx[j, 1] + P[d + q, 2] * Gx[j, 2])
+    mid = 0.5 * (P[d, d + 1] + P[d + 1, d])
     P[d, d + 1], P[d + 1, d] = mid, mid
-
-
-@numba.njit(cache=True)
-def gate(nu: Array, S: Array, threshold: float, keep: BoolArray) -> int:
-    """Set keep (k,) where an observation's squared Mahalanobis distance is below `threshold`; returns the count."""
-    count = 0
-    for i in range(len(keep)):
-        a, b, c = S[2 * i, 2 * i], S[2 * i, 2 * i + 1], S[2 * i + 1, 2 * i + 1]
-        x, y = nu[2 * i], nu[2 * i + 1]
-        distance = (c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b)
-        keep[i] = distance < threshold
-        count += keep[i]
-    return count
 
 
 @numba.njit(cache=True)
@@ -228,23 +232,24 @@ def expect(
     """Expected measurement z_hat (n, 2) of n candidates and the blocks H P H' (n, 2, 2)."""
     Hx, Hl = np.empty((2, 3)), np.empty((2, 2))
     H, columns = np.empty((2, 5)), np.empty(5, np.int64)
+    columns[0], columns[1], columns[2] = 0, 1, 2
     for i in range(len(at)):
         a = at[i]
-        n = 3 if a < 0 else 5
-        measure_landmark(kind, extrinsic, mean, a, known[i], first, z_hat[i], Hx, Hl)
-        H[:, :3], H[:, 3:] = Hx, Hl
-        columns[0], columns[1], columns[2], columns[3], columns[4] = 0, 1, 2, a, a + 1
-        propagate(H, columns[:n], P, blocks[i])
+        measure_landmark(kind, extrinsic, mean, a, known[i, 0], known[i, 1], first, z_hat[i], Hx, Hl)
+        for q in range(2):
+            H[q, 0], H[q, 1], H[q, 2], H[q, 3], H[q, 4] = Hx[q, 0], Hx[q, 1], Hx[q, 2], Hl[q, 0], Hl[q, 1]
+        columns[3], columns[4] = a, a + 1
+        propagate(H, columns, 3 if a < 0 else 5, P, blocks[i])
 
 
 @numba.njit(cache=True)
-def propagate(H: Array, columns: IntArray, P: Array, out: Array) -> None:
-    """H P H' (2, 2) of the states `columns` (n,)."""
+def propagate(H: Array, columns: IntArray, n: int, P: Array, out: Array) -> None:
+    """H P H' (2, 2) of the first n of the states `columns`."""
     for q in range(2):
         for p in range(q + 1):
             total = 0.0
-            for r in range(len(columns)):
-                for c in range(len(columns)):
+            for r in range(n):
+                for c in range(n):
                     total += H[q, r] * P[columns[r], columns[c]] * H[p, c]
             out[q, p] = total
             out[p, q] = total

@@ -68,7 +68,7 @@ class EkfLocalizer(Filter):
         mean[:b], P[:b, :b] = state[:b], self._P[:b, :b]
         if len(first):
             first = np.concatenate([first[:b], np.zeros(d - b)])
-        hold_known(mean, P, b, known, first, self._errors)
+        hold_known(mean, P, b, known, 0, len(known), first, self._errors)
         return mean, P, first, b + 2 * np.arange(len(at), dtype=np.int64)
 
     def update(
@@ -92,7 +92,7 @@ class EkfLocalizer(Filter):
         if self._errors.range_at >= 0:
             # temporary states of the update
             self._grow(len(paired))
-            hold_known(self._mean, self._P, self.base, known, self._first, self._errors)
+            hold_known(self._mean, self._P, self.base, known, 0, len(known), self._first, self._errors)
             given, self._carried = self.base + 2 * np.arange(len(paired), dtype=np.int64), 2 * len(paired)
         updated = self._updated(observations, decisions, given, known, threshold, at)
         self._carried = 0

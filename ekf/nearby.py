@@ -112,7 +112,7 @@ def _search(
     centre, reach, sigmas, within = near
     z, R = seen
     k = D.shape[1]
-    z_hat, Hx, Hl, nu = np.empty(2), np.empty((2, 3)), np.empty((2, 2)), np.empty(2)
+    z_hat, Hx, Hl = np.empty(2), np.empty((2, 3)), np.empty((2, 2))
     place, cross = np.empty(2), np.empty((2, 3))
     for b in range(len(boxes)):
         away = np.hypot(
@@ -135,16 +135,16 @@ def _search(
                     place[q] += weight * x[3 + j]
                     for i in range(3):
                         cross[q, i] += weight * P[3 + j, i]
-            measure(kind, extrinsic, x[:3], place, z_hat, Hx, Hl)
+            measure(kind, extrinsic, x, place[0], place[1], z_hat, Hx, Hl)
             mixed = Hx @ cross.T @ Hl.T
             HPHt = Hx @ np.ascontiguousarray(P[:3, :3]) @ Hx.T + mixed + mixed.T + Hl @ own[n] @ Hl.T
             for i in range(len(z)):
-                residual(kind, z[i], z_hat, nu)
+                nx, ny = residual(kind, z[i, 0], z[i, 1], z_hat)
                 # the noise of a wall's observation has the sign of its own normal
                 side = -1.0 if kind == LINE and math.cos(z[i, 1] - z_hat[1]) < 0.0 else 1.0
                 a, c = HPHt[0, 0] + R[i, 0, 0], HPHt[1, 1] + R[i, 1, 1]
                 off = 0.5 * (HPHt[0, 1] + HPHt[1, 0] + side * (R[i, 0, 1] + R[i, 1, 0]))
                 det = a * c - off * off
-                if not det > 0.0 or c * nu[0] ** 2 - 2.0 * off * nu[0] * nu[1] + a * nu[1] ** 2 <= within * det:
+                if not det > 0.0 or c * nx**2 - 2.0 * off * nx * ny + a * ny**2 <= within * det:
                     found[n] = True
                     break

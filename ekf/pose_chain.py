@@ -14,7 +14,7 @@ import numba
 import numpy as np
 
 from data.inputs import IntArray, Prior
-from data.motion.velocity import carried
+from data.motion.velocity import compose_in_place
 from data.notice import stopped
 from data.result import Failure
 from data.se2 import Array, BoolArray, wrap_angle
@@ -101,16 +101,20 @@ class PoseChainFilter:
 def _augment(pose: Array, P: Array, keys: int, motion: Array, M: Array) -> None:
     n = 3 * keys
     last = pose[keys - 1]
-    wx, wy, F, B = carried(last[2], motion)
-    pose[keys, 0], pose[keys, 1], pose[keys, 2] = last[0] + wx, last[1] + wy, wrapped(last[2] + motion[2])
-    for j in range(n):
-        for i in range(3):
-            P[n + i, j] = P[n - 3 + i, j] + F[i, 2] * P[n - 1, j] if i < 2 else P[n - 1, j]
-    # the newest block: F P F' + B M B'
-    corner = F @ np.ascontiguousarray(P[n - 3 : n, n - 3 : n]) @ F.T + B @ M @ B.T
+    before, corner = np.empty((3, 3)), np.empty((3, 3))
     for i in range(3):
         for j in range(3):
-            P[n + i, n + j] = 0.5 * (corner[i, j] + corner[j, i])
+            before[i, j] = P[n - 3 + i, n - 3 + j]
+    compose_in_place(last, before, motion, M, pose[keys], corner)
+    wx, wy = pose[keys, 0] - last[0], pose[keys, 1] - last[1]
+    pose[keys, 2] = wrapped(pose[keys, 2])
+    for j in range(n):
+        P[n, j] = P[n - 3, j] - wy * P[n - 1, j]
+        P[n + 1, j] = P[n - 2, j] + wx * P[n - 1, j]
+        P[n + 2, j] = P[n - 1, j]
+    for i in range(3):
+        for j in range(3):
+            P[n + i, n + j] = corner[i, j]
 
 
 @numba.njit(cache=True)
@@ -124,7 +128,9 @@ def _innovations(pose: Array, key1: IntArray, key2: IntArray, relative: Array) -
         nu[i, 0], nu[i, 1] = relative[i, 0] - x, relative[i, 1] - y
         nu[i, 2] = wrapped(relative[i, 2] - wrapped(b[2] - a[2]))
         H[i, 0, 3], H[i, 0, 4], H[i, 1, 3], H[i, 1, 4], H[i, 2, 5] = c, s, -s, c, 1.0
-        H[i, :, :3] = -H[i, :, 3:]
+        for r in range(3):
+            for j in range(3):
+                H[i, r, j] = -H[i, r, 3 + j]
         H[i, 0, 2], H[i, 1, 2] = y, -x
     return nu, H
 
@@ -153,11 +159,10 @@ def _downdate(P: Array, V: Array) -> None:
     r, n = V.shape
     for i in range(n):
         end = 3 * (i // 3) + 3
-        row = P[i, :end]
         for q in range(r):
             v = V[q, i]
             for j in range(end):
-                row[j] -= v * V[q, j]
+                P[i, j] -= v * V[q, j]
 
 
 class PoseChainRun(NamedTuple):

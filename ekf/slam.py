@@ -242,12 +242,9 @@ class EkfSlam(Filter):
         fresh = np.flatnonzero(decisions == NEW)
         self._grow(len(fresh))
         end = self._used
-        for i in fresh:
-            distance = float(self.sensor.polar(observations.z[i : i + 1])[0, 0])
-            kernels.augment(
-                self._kind, self._extrinsic, self._mean, self._P, end,
-                observations.z[i], observations.R[i], self.options.augment_variance(distance), self._first,
-            )  # fmt: skip
+        for z, R in zip(observations.z[fresh], observations.R[fresh], strict=True):
+            variance = self.options.augment_variance(float(self.sensor.polar(z[None])[0, 0]))
+            kernels.augment(self._kind, self._extrinsic, self._mean, self._P, end, z, R, variance, self._first)
             end += 2
         if self._carried and len(fresh):
             d, e = self.size, self._used

@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from data.inputs import IntArray, Prior, Systematic
-from data.motion.systematic import BETWEEN_KNOTS, SensorFrame, correct, forgotten, knot, places
+from data.motion.systematic import BETWEEN_KNOTS, SensorFrame, correct, forgotten, knot, places, sandwich
 from data.result import MapState, Systematics
 from data.se2 import Array
 from ekf.kernels import measure_landmark, predict, propagate
@@ -63,7 +63,7 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
     p = len(errors.place)
     a = errors.drift_at
     if a >= 0:
-        ended, errors.since[0] = knot(errors.since[0], motion, errors.drift[2])
+        ended, errors.since[0] = knot(errors.since[0], motion[0], motion[1], errors.drift[2])
         if ended > 0.0:
             decay, fresh = forgotten(ended, errors.drift[1])
             mean[a] *= decay
@@ -82,7 +82,9 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
     for q in range(p):
         x, y = A[0, errors.place[q]], A[1, errors.place[q]]
         D[0, q], D[1, q], D[2, q] = c * x - s * y, s * x + c * y, A[2, errors.place[q]]
-    predict(mean, P, d, corrected, G @ M @ G.T, first)
+    noise = np.empty((3, 3))
+    sandwich(G, M, noise)
+    predict(mean, P, d, corrected, noise, first)
     # J = [[I, D], [0, I]] [[F, 0], [0, I]]: rows, then columns
     for r in range(3):
         for q in range(p):
@@ -98,14 +100,14 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
 
 
 @numba.njit(cache=True)
-def hold_known(mean: Array, P: Array, d: int, known: Array, first: Array, errors: Errors) -> None:
-    """Append known landmarks (k, 2), world frame, as states in the sensor's frame; the buffers have room for d + 2k.
-    They depend on the range error alone: l' = o + (l - o) (1 + range).
+def hold_known(mean: Array, P: Array, d: int, known: Array, begin: int, end: int, first: Array, errors: Errors) -> None:
+    """Append the known landmarks (K, 2), world frame, from row `begin` before `end` as states in the sensor's frame;
+    the buffers have room for them. They depend on the range error alone: l' = o + (l - o) (1 + range).
     """
     a = errors.range_at
-    for i in range(len(known)):
+    for i in range(begin, end):
         for q in range(2):
-            away, r = known[i, q] - errors.origin[q], d + 2 * i + q
+            away, r = known[i, q] - errors.origin[q], d + 2 * (i - begin) + q
             mean[r] = errors.origin[q] + away * (1.0 + mean[a])
             if len(first):
                 first[r] = mean[r]
@@ -129,12 +131,14 @@ def expect_known(
 ) -> None:
     """`ekf.kernels.expect` of known landmarks (n, 2), world frame, under the range error."""
     Hx, Hl, H, columns = np.empty((2, 3)), np.empty((2, 2)), np.empty((2, 4)), np.empty(4, np.int64)
-    columns[:3], columns[3] = np.arange(3), errors.range_at
+    columns[0], columns[1], columns[2], columns[3] = 0, 1, 2, errors.range_at
     for i in range(len(known)):
-        away = known[i] - errors.origin
-        measure_landmark(kind, extrinsic, mean, -1, known[i] + away * mean[errors.range_at], first, z_hat[i], Hx, Hl)
-        H[:, :3], H[:, 3] = Hx, Hl @ away
-        propagate(H, columns, P, blocks[i])
+        ax, ay, more = known[i, 0] - errors.origin[0], known[i, 1] - errors.origin[1], mean[errors.range_at]
+        x, y = known[i, 0] + ax * more, known[i, 1] + ay * more
+        measure_landmark(kind, extrinsic, mean, -1, x, y, first, z_hat[i], Hx, Hl)
+        for q in range(2):
+            H[q, 0], H[q, 1], H[q, 2], H[q, 3] = Hx[q, 0], Hx[q, 1], Hx[q, 2], Hl[q, 0] * ax + Hl[q, 1] * ay
+        propagate(H, columns, 4, P, blocks[i])
 
 
 def poses(state: Array, P: Array, frame: SensorFrame) -> tuple[Array, Array]:

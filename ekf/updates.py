@@ -10,7 +10,7 @@ import numpy as np
 
 from data.se2 import Array, BoolArray
 from data.sensors import wrap_angle_jit
-from ekf.kernels import NEWEST, NOT_PSD, OK, Innovation, Pairings, gate, healthy, innovate
+from ekf.kernels import NOT_PSD, OK, Innovation, Pairings, healthy, innovate
 
 ADDITIVE = 0  # retraction mean += K nu
 INVARIANT = 3
@@ -28,11 +28,12 @@ class UpdateRule(NamedTuple):
     threshold: float  # squared distance of the gate, inf for none
     retraction: int  # `ADDITIVE`, `INVARIANT` or more
     iterations: int  # largest number of linearizations
+    each: bool  # one update per observation, each linearized after the previous one (as in the classic tutorials)
     first: Array  # see `ekf.kernels`; not together with iterations
 
 
 class Outcome(NamedTuple):
-    """Outputs of an update with k observations."""
+    """Outputs of an update with k pairings, by pairing."""
 
     keep: BoolArray  # (k,) passed the gate
     stats: Array  # (3,) sums of NIS, log-likelihood and degrees of freedom
@@ -57,13 +58,14 @@ def cholesky(S: Array, L: Array, n: int) -> bool:
 
 
 @numba.njit(cache=True)
-def forward(L: Array, b: Array, x: Array) -> None:
-    """X = L^-1 b for a lower triangle L (n, n); x may be b."""
-    for i in range(len(b)):
-        total = b[i]
-        for q in range(i):
-            total -= L[i, q] * x[q]
-        x[i] = total / L[i, i]
+def forward(L: Array, rows: Array) -> None:
+    """Each row of `rows` (m, n) <- L^-1 of it, for a lower triangle L (n, n)."""
+    for r in range(len(rows)):
+        for i in range(len(L)):
+            total = rows[r, i]
+            for q in range(i):
+                total -= L[i, q] * rows[r, q]
+            rows[r, i] = total / L[i, i]
 
 
 @numba.njit(cache=True)
@@ -73,20 +75,21 @@ def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, retr
     """
     nu, PHt, S = found
     n = len(nu)
-    L = np.empty((n, n))
+    L, white = np.empty((n, n)), np.empty((1, n))
     if not cholesky(S, L, n):
         return NOT_PSD
-    white = np.empty(n)
-    forward(L, nu, white)
+    for i in range(n):
+        white[0, i] = nu[i]
+    forward(L, white)
+    forward(L, PHt)
     log_det, nis = 0.0, 0.0
     for i in range(n):
-        nis += white[i] * white[i]
+        nis += white[0, i] * white[0, i]
         log_det += 2.0 * math.log(L[i, i])
     shift = np.zeros(d)
     for r in range(d):
-        forward(L, PHt[r], PHt[r])
         for i in range(n):
-            shift[r] += PHt[r, i] * white[i]
+            shift[r] += PHt[r, i] * white[0, i]
         if retraction == ADDITIVE:
             mean[r] += shift[r]
     subtract(P, d, PHt)
@@ -115,17 +118,19 @@ def subtract(P: Array, d: int, W: Array) -> None:
                 P[r, c] -= entry
                 P[c, r] = P[r, c]
         return
-    Wt = np.ascontiguousarray(W.T)
-    total = np.empty(d)
+    Wt, total = np.empty((n, d)), np.empty(d)
     for r in range(d):
-        total[: r + 1] = 0.0
         for i in range(n):
-            weight, row = W[r, i], Wt[i]
-            for c in range(r + 1):
-                total[c] += weight * row[c]
-        line = P[r]
+            Wt[i, r] = W[r, i]
+    for r in range(d):
         for c in range(r + 1):
-            line[c] -= total[c]
+            total[c] = 0.0
+        for i in range(n):
+            weight = W[r, i]
+            for c in range(r + 1):
+                total[c] += weight * Wt[i, c]
+        for c in range(r + 1):
+            P[r, c] -= total[c]
     for top in range(0, d, TILE):
         for left in range(0, top + 1, TILE):
             for r in range(top, min(top + TILE, d)):
@@ -178,58 +183,55 @@ def move(mean: Array, P: Array, d: int, shift: Array, base: int) -> None:
 def iterate(
     kind: int,
     extrinsic: Array,
-    start: Array,
+    point: Array,
     mean: Array,
     P: Array,
     d: int,
     seen: Pairings,
     found: Innovation,
-    iterations: int,
+    how: UpdateRule,
     stats: Array,
-) -> Array:
-    """Point of linearization (d,): Gauss-Newton from `start`, at most `iterations` - 1 steps (Bell and Cathey 1993).
+) -> None:
+    """Move the point of linearization (d,): Gauss-Newton, at most `how.iterations` - 1 steps (Bell and Cathey 1993).
 
-    `found` is at `start`, and is overwritten; its NIS and log-likelihood are added to `stats`. Ends early where no
-    state moves by 1e-6 sigma.
+    `found` is at `point`, before and after; its first NIS and log-likelihood are added to `stats`. Ends early where no
+    state moves by 1e-6 sigma, or where S is singular: the correction then returns the status.
     """
     nu, PHt, S = found
-    point = start[:d].copy()
     n = len(nu)
-    L, white = np.empty((n, n)), np.empty(n)
-    for turn in range(iterations - 1):
+    begin = len(seen.at) - n // 2  # 0, which as a literal would compile `innovate` once more
+    L, white, row = np.empty((n, n)), np.empty((1, n)), np.empty((1, n))
+    for turn in range(how.iterations - 1):
         if not cholesky(S, L, n):
-            return point  # the correction returns the status
-        forward(L, nu, white)
+            return
+        for i in range(n):
+            white[0, i] = nu[i]
+        forward(L, white)
         if turn == 0:
-            stats[0] += (white * white).sum()
-            stats[1] -= 0.5 * ((white * white).sum() + n * math.log(2.0 * math.pi)) + np.log(np.diag(L)).sum()
+            nis, log_det = 0.0, 0.0
+            for i in range(n):
+                nis += white[0, i] * white[0, i]
+                log_det += math.log(L[i, i])
+            stats[0] += nis
+            stats[1] -= 0.5 * (nis + n * math.log(2.0 * math.pi)) + log_det
         moved = 0.0
         for r in range(d):
-            row = np.empty(n)
-            forward(L, PHt[r], row)
+            for i in range(n):
+                row[0, i] = PHt[r, i]
+            forward(L, row)
             place = mean[r]
             for i in range(n):
-                place += row[i] * white[i]
+                place += row[0, i] * white[0, i]
             if P[r, r] > 0.0:
                 moved = max(moved, abs(place - point[r]) / math.sqrt(P[r, r]))
             point[r] = place
+        innovate(kind, extrinsic, point, mean, P, d, seen, begin, found, how.first)
         if moved < 1e-6:
-            break
-        innovate(kind, extrinsic, point, mean, P, d, seen, found, NEWEST)
-    return point
+            return
 
 
 @numba.njit(cache=True)
 def update(
-    kind: int, extrinsic: Array, mean: Array, P: Array, d: int, seen: Pairings, how: UpdateRule, done: Outcome
-) -> int:
-    """One stacked update with k pairings from the prediction; see `update_from`."""
-    status: int = update_from(kind, extrinsic, mean, mean, P, d, seen, how, done)
-    return status
-
-
-@numba.njit(cache=True)
-def update_from(
     kind: int,
     extrinsic: Array,
     start: Array,
@@ -237,64 +239,93 @@ def update_from(
     P: Array,
     d: int,
     seen: Pairings,
+    begin: int,
+    end: int,
     how: UpdateRule,
     done: Outcome,
 ) -> int:
-    """An update first linearized at the state `start` (d,), without pairings outside the gate. Returns a status."""
-    keep, stats = done.keep, done.stats
-    k = len(seen.at)
-    nu, PHt, S = np.empty(2 * k), np.empty((d, 2 * k)), np.empty((2 * k, 2 * k))
-    innovate(kind, extrinsic, start, mean, P, d, seen, Innovation(nu, PHt, S), how.first)
-    keep[:] = True
-    if how.threshold < np.inf:
-        count = gate(nu, S, how.threshold, keep)
+    """Update with the pairings from `begin` before `end` inside the gate, stacked or `how.each` by itself.
+
+    The first linearization is at `start` (d,): `mean` itself for the prediction. Returns a status.
+    """
+    size = 1 if how.each else end - begin
+    for at in range(begin, end, size):
+        found = Innovation(np.empty(2 * size), np.empty((d, 2 * size)), np.empty((2 * size, 2 * size)))
+        innovate(kind, extrinsic, start, mean, P, d, seen, at, found, how.first)
+        count = gate(found, how.threshold, at, done)
         if count == 0:
-            done.white[:] = np.nan
-            return OK
-        if count < k:
-            rows = np.empty(2 * count, np.int64)
-            n = 0
-            for i in range(k):
-                if keep[i]:
-                    rows[n], rows[n + 1] = 2 * i, 2 * i + 1
-                    n += 2
-            nu, PHt, S = nu[rows], PHt[:, rows], S[rows][:, rows]
-    whiten(nu, S, keep, done.white)
-    stats[2] += len(nu)
-    found = Innovation(nu, PHt, S)
-    if how.iterations > 1:
-        used = Pairings(seen.at[keep], seen.known[keep], seen.z[keep], seen.R[keep])
-        point = iterate(kind, extrinsic, start, mean, P, d, used, found, how.iterations, stats)
-        innovate(kind, extrinsic, point, mean, P, d, used, found, NEWEST)
-        stats = np.zeros(3)  # the innovation is the one at `start`
-    return correct(mean, P, d, found, stats, how.retraction)
-
-
-@numba.njit(cache=True)
-def whiten(nu: Array, S: Array, keep: BoolArray, white: Array) -> None:
-    """Innovations nu (2n,) of the n observations kept, each by its own block of S: rows of `white` (k, 2)."""
-    white[:] = np.nan
-    n = 0
-    for i in range(len(keep)):
-        if keep[i]:
-            if S[n, n] > 0.0:
-                b = S[n + 1, n] / S[n, n]
-                rest = S[n + 1, n + 1] - b * S[n, n + 1]
-                if rest > 0.0:
-                    white[i, 0] = nu[n] / math.sqrt(S[n, n])
-                    white[i, 1] = (nu[n + 1] - b * nu[n]) / math.sqrt(rest)
-            n += 2
-
-
-@numba.njit(cache=True)
-def update_each(
-    kind: int, extrinsic: Array, mean: Array, P: Array, d: int, seen: Pairings, how: UpdateRule, done: Outcome
-) -> int:
-    """One update per observation, each linearized after the previous one (as in the classic tutorials)."""
-    for i in range(len(seen.at)):
-        one = slice(i, i + 1)
-        single = Pairings(seen.at[one], seen.known[one], seen.z[one], seen.R[one])
-        status = update(kind, extrinsic, mean, P, d, single, how, Outcome(done.keep[one], done.stats, done.white[one]))
+            continue
+        if count < size:
+            found = passed(found, at, count, done)
+        stats = done.stats
+        stats[2] += 2 * count
+        if how.iterations > 1:
+            used, point = chosen(seen, at, count, done), np.empty(d)
+            for r in range(d):
+                point[r] = start[r]
+            iterate(kind, extrinsic, point, mean, P, d, used, found, how, stats)
+            stats = np.zeros(3)  # the innovation is the one at `start`
+        status = correct(mean, P, d, found, stats, how.retraction)
         if status != OK:
             return status
     return OK
+
+
+@numba.njit(cache=True)
+def gate(found: Innovation, threshold: float, begin: int, done: Outcome) -> int:
+    """Which pairings from `begin` on have a squared Mahalanobis distance below `threshold`, by their own blocks of S,
+    and their whitened innovations; returns the number.
+    """
+    nu, _, S = found
+    count = 0
+    for i in range(len(nu) // 2):
+        row = begin + i
+        done.white[row, 0], done.white[row, 1] = np.nan, np.nan
+        a, b, c = S[2 * i, 2 * i], S[2 * i, 2 * i + 1], S[2 * i + 1, 2 * i + 1]
+        x, y = nu[2 * i], nu[2 * i + 1]
+        done.keep[row] = True
+        if threshold < np.inf:
+            done.keep[row] = (c * x * x - 2.0 * b * x * y + a * y * y) / (a * c - b * b) < threshold
+        if done.keep[row]:
+            count += 1
+            if a > 0.0 and c - b / a * b > 0.0:
+                done.white[row, 0] = x / math.sqrt(a)
+                done.white[row, 1] = (y - b / a * x) / math.sqrt(c - b / a * b)
+    return count
+
+
+@numba.njit(cache=True)
+def passed(found: Innovation, begin: int, count: int, done: Outcome) -> Innovation:
+    """The part of an innovation that passed the gate."""
+    nu, PHt, S = found
+    n, k = len(nu), 2 * count
+    part = Innovation(np.empty(k), np.empty((len(PHt), k)), np.empty((k, k)))
+    i = 0
+    for r in range(n):
+        if done.keep[begin + r // 2]:
+            part.nu[i] = nu[r]
+            for s in range(len(PHt)):
+                part.PHt[s, i] = PHt[s, r]
+            j = 0
+            for c in range(n):
+                if done.keep[begin + c // 2]:
+                    part.S[i, j] = S[r, c]
+                    j += 1
+            i += 1
+    return part
+
+
+@numba.njit(cache=True)
+def chosen(seen: Pairings, begin: int, count: int, done: Outcome) -> Pairings:
+    """The `count` pairings from `begin` on that passed the gate."""
+    part = Pairings(np.empty(count, np.int64), np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2, 2)))
+    i, row = 0, begin
+    while i < count:
+        if done.keep[row]:
+            part.at[i] = seen.at[row]
+            for q in range(2):
+                part.known[i, q], part.z[i, q] = seen.known[row, q], seen.z[row, q]
+                part.R[i, q, 0], part.R[i, q, 1] = seen.R[row, q, 0], seen.R[row, q, 1]
+            i += 1
+        row += 1
+    return part

@@ -11,15 +11,12 @@ from data.blocks import diagonal_blocks
 from data.inputs import Inputs, IntArray, Systematic
 from data.motion.systematic import SensorFrame
 from data.result import DISCARD, NEW, MapState, Systematics
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from ekf import kernels, systematic
 from ekf.filter import DEFAULT, FilterOptions, frame_of
 from ekf.kernels import NEWEST, OK, Pairings, augment, healthy, predict
 from ekf.systematic import Errors, hold_known, predict_with_errors
-from ekf.updates import Outcome, UpdateRule, update, update_each
-
-NO_MAP = np.empty((0, 2))
-NO_MAP.setflags(write=False)  # as a map's positions are: the loop is compiled once
+from ekf.updates import Outcome, UpdateRule, update
 
 
 class FilterRun(NamedTuple):
@@ -48,10 +45,7 @@ def run_filter(
         raise ValueError("a new landmark's variance depends on its distance only in the step-by-step filter")
     n, slam = len(inputs), inputs.map is None
     decided = np.array(decisions, np.int64)
-    if inputs.map is None:
-        known = NO_MAP
-    else:
-        known = inputs.map.xy
+    if inputs.map is not None:
         paired = decided >= 0
         decided[paired] = inputs.map.rows(decided[paired])
         if np.any(decided[paired] < 0):
@@ -70,10 +64,9 @@ def run_filter(
     track = empty_track(n, base, len(inputs.observations.z))
     state, variance = track.pose, track.covariance
     first = mean.copy() if options.first_estimates else NEWEST
-    o, moves = inputs.observations, inputs.increments
-    steps = Steps(moves.mean, moves.covariance, inputs.start, o.z, o.R, decided, known)
-    rules = rules_of(options, threshold, base - 3, first)
+    steps, rules = steps_of(inputs, slice(0, n), decided, base), rules_of(options, threshold, base - 3, first)
     d, status, stopped = run(sensor.kind, sensor.extrinsic, mean, P, base, steps, rules, errors, track)
+    steps.put(decided, track.white)
     failure = None
     if status != kernels.OK:
         failure = (int(stopped), kernels.FAILURES[status])
@@ -102,8 +95,8 @@ def empty_track(frames: int, base: int, observations: int) -> Track:
 
 def rules_of(options: FilterOptions, threshold: float, errors: int, first: Array) -> Rules:
     """The rules of a filter with this many systematic errors."""
-    how = UpdateRule(float(threshold), *options.rule(errors), first)
-    return Rules(options.each, options.augment_variance(0.0), how)
+    how = UpdateRule(float(threshold), *options.rule(errors), options.each, first)
+    return Rules(options.augment_variance(0.0), how)
 
 
 def filter_run(
@@ -125,27 +118,53 @@ def filter_run(
 
 
 class Steps(NamedTuple):
-    """The frames of a log with known decisions for the compiled loop."""
+    """N frames of a log with known decisions for the compiled loop: K pairings, J new landmarks."""
 
     motion: Array  # (N, 3)
     M: Array  # (N, 3, 3) covariance of the motion
-    start: IntArray  # (N + 1,) first row of each frame in z, R and decision
-    z: Array  # (M, 2)
-    R: Array  # (M, 2, 2)
-    decision: IntArray  # (M,) landmark number, `NEW` or `DISCARD`; in localization row of `known` or `DISCARD`
-    known: Array  # (L, 2) known landmarks; empty in SLAM
+    seen: Pairings
+    rows: IntArray  # (K,) of the pairings among all observations
+    paired: IntArray  # (N + 1,) first pairing of each frame
+    keep: BoolArray  # (K,), white (K, 2): outcomes of the pairings
+    white: Array
+    z: Array  # (J, 2) of the new landmarks
+    R: Array  # (J, 2, 2)
+    new: IntArray  # (N + 1,) first new landmark of each frame
+
+    def put(self, decisions: IntArray, white: Array) -> None:
+        """Enter the outcomes: into decisions (M,) that a pairing was rejected, the innovations into white (M, 2)."""
+        decisions[self.rows[~self.keep]] = DISCARD
+        white[self.rows] = self.white
+
+
+def steps_of(inputs: Inputs, frames: slice, decided: IntArray, base: int) -> Steps:
+    """Steps of the frames by `decided` (M,): the place of a landmark in the state behind `base`, or the row of the map.
+
+    All arrays are copies: read-only ones would compile the loop once more.
+    """
+    o, moves, starts = inputs.observations, inputs.increments, inputs.start[frames.start : frames.stop + 1]
+    own = decided[starts[0] : starts[-1]]
+    rows, fresh = starts[0] + np.flatnonzero(own >= 0), starts[0] + np.flatnonzero(own == NEW)
+    at, known = base + 2 * decided[rows], np.zeros((len(rows), 2))
+    if inputs.map is not None:
+        at, known = np.full(len(rows), -1), inputs.map.xy[decided[rows]]
+    return Steps(
+        np.array(moves.mean[frames]), np.array(moves.covariance[frames]),
+        Pairings(at, known, o.z[rows], o.R[rows]), rows, np.searchsorted(rows, starts),
+        np.ones(len(rows), np.bool_), np.full((len(rows), 2), np.nan),
+        o.z[fresh], o.R[fresh], np.searchsorted(fresh, starts),
+    )  # fmt: skip
 
 
 class Rules(NamedTuple):
     """Rules of the compiled loop."""
 
-    each: bool  # one update per observation
     variance: float  # of a new landmark, negative: exact
     how: UpdateRule
 
 
 class Track(NamedTuple):
-    """Outputs of the compiled loop, stats (N, 3) as of `Outcome`; white (M, 2) by observation, the others by frame."""
+    """Outputs of a run, stats (N, 3) as of `Outcome`; white (M, 2) by observation, the others by frame."""
 
     pose: Array
     covariance: Array
@@ -158,62 +177,38 @@ class Track(NamedTuple):
 def run(
     kind: int, extrinsic: Array, mean: Array, P: Array, d: int, steps: Steps, rules: Rules, errors: Errors, track: Track
 ) -> tuple[int, int, int]:
-    """Fill `track` by the steps of a filter, from a state of d entries, in compiled code. Rejected pairings become
-    `DISCARD` in `steps.decision`. Returns (d, status, frame of the failure).
+    """Fill `track` and the outcomes of `steps`, from a state of d entries, in compiled code.
+
+    Returns (d, status, frame of the failure).
     """
-    motion, M, start, z, R, decision, known = steps
-    first = rules.how.first
-    slam = len(known) == 0
-    n, base = len(motion), 3 + len(errors.place)
-    held = not slam and errors.range_at >= 0
+    first, seen = rules.how.first, steps.seen
+    n, base = len(steps.motion), 3 + len(errors.place)
     for f in range(n):
         if f > 0:
             if base > 3:
-                predict_with_errors(mean, P, d, motion[f], M[f], first, errors)
+                predict_with_errors(mean, P, d, steps.motion[f], steps.M[f], first, errors)
             else:
-                predict(mean, P, d, motion[f], M[f], first)
-        begin, end = start[f], start[f + 1]
-        paired = 0
-        for i in range(begin, end):
-            paired += decision[i] >= 0
+                predict(mean, P, d, steps.motion[f], steps.M[f], first)
+        begin, end = steps.paired[f], steps.paired[f + 1]
         status = OK
-        if paired > 0:
-            rows = np.empty(paired, np.int64)
-            seen = Pairings(
-                np.empty(paired, np.int64), np.empty((paired, 2)), np.empty((paired, 2)), np.empty((paired, 2, 2))
-            )
-            done = Outcome(np.empty(paired, np.bool_), track.stats[f], np.empty((paired, 2)))
-            k = 0
-            for i in range(begin, end):
-                if decision[i] >= 0:
-                    rows[k], seen.z[k], seen.R[k] = i, z[i], R[i]
-                    seen.at[k] = -1
-                    if slam:
-                        seen.at[k] = base + 2 * decision[i]
-                    else:
-                        seen.known[k] = known[decision[i]]
-                    k += 1
+        if end > begin:
             used = d
-            if held:  # known landmarks are temporary states of the update
-                hold_known(mean, P, d, seen.known, first, errors)
-                seen.at[:], used = d + 2 * np.arange(paired), d + 2 * paired
-            if rules.each:
-                status = update_each(kind, extrinsic, mean, P, used, seen, rules.how, done)
-            else:
-                status = update(kind, extrinsic, mean, P, used, seen, rules.how, done)
-            for k in range(paired):
-                track.white[rows[k]] = done.white[k]
-                if not done.keep[k]:
-                    decision[rows[k]] = DISCARD
-        if slam and status == OK:
-            for i in range(begin, end):
-                if decision[i] == NEW:
-                    augment(kind, extrinsic, mean, P, d, z[i], R[i], rules.variance, first)
-                    d += 2
+            if errors.range_at >= 0 and seen.at[begin] < 0:  # known landmarks are temporary states of the update
+                hold_known(mean, P, d, seen.known, begin, end, first, errors)
+                for i in range(begin, end):
+                    seen.at[i] = used
+                    used += 2
+            done = Outcome(steps.keep, track.stats[f], steps.white)
+            status = update(kind, extrinsic, mean, mean, P, used, seen, begin, end, rules.how, done)
         if status == OK:
+            for i in range(steps.new[f], steps.new[f + 1]):
+                augment(kind, extrinsic, mean, P, d, steps.z[i], steps.R[i], rules.variance, first)
+                d += 2
             status = healthy(mean, P)
-        track.pose[f] = mean[:base]
-        track.covariance[f] = P[:base, :base]
+        for i in range(base):
+            track.pose[f, i] = mean[i]
+            for j in range(base):
+                track.covariance[f, i, j] = P[i, j]
         track.size[f] = d
         if status != OK:
             return d, status, f

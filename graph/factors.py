@@ -128,7 +128,6 @@ def pose_array(pose: gtsam.Pose2) -> Array:
     return np.array([pose.x(), pose.y(), pose.theta()])
 
 
-@numba.njit(cache=True)
 def root_information(covariance: Array) -> tuple[Array, Array]:
     """Upper triangular R (n, d, d) with R'R = C^-1 for C (n, d, d), and the smallest pivot (n,) of each C.
 
@@ -136,10 +135,18 @@ def root_information(covariance: Array) -> tuple[Array, Array]:
     own `Gaussian.Covariance` inverts C, which is inaccurate for nearly singular C (a rank-one prior of sigma 0.17,
     floored at 1e-6, came out as 0.002).
     """
+    # a copy: a read-only array would compile the kernel once more
+    R, pivot = _root_information(np.array(covariance, float, order="C"))
+    return R, pivot
+
+
+@numba.njit(cache=True)
+def _root_information(covariance: Array) -> tuple[Array, Array]:
     n, d = len(covariance), covariance.shape[1]
-    R, pivot = np.zeros((n, d, d)), np.full(n, np.inf)
+    R, pivot = np.zeros((n, d, d)), np.empty(n)
     U = np.zeros((d, d))  # C = U U'
     for i in range(n):
+        pivot[i] = np.inf
         for c in range(d - 1, -1, -1):
             total = covariance[i, c, c]
             for q in range(c + 1, d):

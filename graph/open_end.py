@@ -12,7 +12,7 @@ from gtsam.symbol_shorthand import X
 
 from data.blocks import diagonal_blocks
 from data.inputs import Increment, IntArray, Prior
-from data.motion.velocity import carried
+from data.motion.velocity import compose_in_place
 from data.result import MapState, PoseEstimate, Systematics
 from data.se2 import Array, world_from_body
 from data.sensors import wrap_angle_jit
@@ -24,10 +24,11 @@ from graph.problem import Problem
 @numba.njit(cache=True)
 def advance(mean: Array, P: Array, Q: Array, motion: Array, M: Array) -> tuple[Array, Array, Array]:
     """Pose (3,), its covariance P and the covariance Q gathered since the anchor, one increment later."""
-    wx, wy, F, B = carried(mean[2], motion)
-    moved = np.array([mean[0] + wx, mean[1] + wy, wrap_angle_jit(mean[2] + motion[2])])
-    G = B @ M @ B.T
-    return moved, F @ P @ F.T + G, F @ Q @ F.T + G
+    moved, new_P, new_Q = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
+    compose_in_place(mean, P, motion, M, moved, new_P)
+    compose_in_place(mean, Q, motion, M, moved, new_Q)
+    moved[2] = wrap_angle_jit(moved[2])
+    return moved, new_P, new_Q
 
 
 def transport(displacement: Array) -> Array:
@@ -100,7 +101,8 @@ class OpenEnd:
 
     def _advance(self, increment: Increment) -> None:
         """Propagate the newest pose and its covariance by one increment (the arithmetic of a filter's prediction)."""
-        self.mean, self.P, self._Q = advance(self.mean, self.P, self._Q, increment.mean, increment.covariance)
+        moved = np.array(increment.mean), np.array(increment.covariance)  # read-only arrays would compile once more
+        self.mean, self.P, self._Q = advance(self.mean, self.P, self._Q, *moved)
         self._path.append(self.mean)
 
     def inflate(self, covariance: Array) -> None:

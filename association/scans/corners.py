@@ -64,7 +64,8 @@ def _corners(ranges: Array, beams: Beams, max_range: float, sigma: float, xy: Ar
             if gap > max(LONGEST_STEP, STEP_SPACINGS * step * min(ranges[end], ranges[end - 1])):
                 break
             end += 1
-        vertices = _vertices(p, ranges, step, begin, end, max(SPLIT, SPLIT_SIGMAS * sigma), vertex)
+        vertex[0], vertex[1] = begin, end - 1
+        vertices = _vertices(p, ranges, step, max(SPLIT, SPLIT_SIGMAS * sigma), vertex)
         for v in range(1, vertices - 1):
             before, at, after = vertex[v - 1], vertex[v], vertex[v + 1]
             c[0], c[1] = p[at, 0], p[at, 1]
@@ -75,8 +76,9 @@ def _corners(ranges: Array, beams: Beams, max_range: float, sigma: float, xy: Ar
                 met = met and _line(p, direction, after, middle, c, sigma, two)
                 met = met and _meet(one, two, c, S)
                 middle = _beam_of(c, origin, direction, before, after)
-            if met and _ends_near(p, one, two, c, step, ranges):
-                xy[count], R[count] = c, S
+            if met and _ends_near(p, one, c, step, ranges) and _ends_near(p, two, c, step, ranges):
+                for i in range(2):
+                    xy[count, i], R[count, i, 0], R[count, i, 1] = c[i], S[i, 0], S[i, 1]
                 count += 1
         begin = end
     return count
@@ -96,15 +98,14 @@ def _farthest(p: Array, a: int, b: int) -> tuple[int, float]:
 
 
 @numba.njit(cache=True)
-def _vertices(p: Array, ranges: Array, step: float, begin: int, end: int, tolerance: float, vertex: IntArray) -> int:
-    """Fill `vertex` with the vertices of a polyline that fits points begin..end - 1, ends included; returns their
-    number.
+def _vertices(p: Array, ranges: Array, step: float, tolerance: float, vertex: IntArray) -> int:
+    """Fill `vertex` with the vertices of a polyline that fits the points from vertex[0] to vertex[1], ends included;
+    returns their number.
 
     Split at the farthest point from a chord, repeatedly. Then remove each vertex whose neighbours' chord is near
     enough, or move it to the farthest point from that chord. Two vertices too close for a line between them become one
     corner.
     """
-    vertex[0], vertex[1] = begin, end - 1
     count, v = 2, 0
     while v < count - 1:
         where, worst = _farthest(p, vertex[v], vertex[v + 1])
@@ -221,10 +222,7 @@ def _beam_of(c: Array, origin: Array, direction: Array, first: int, last: int) -
 
 
 @numba.njit(cache=True)
-def _ends_near(p: Array, one: Array, two: Array, c: Array, step: float, ranges: Array) -> bool:
-    """Whether both lines come near the corner; otherwise it cannot be recognized."""
-    for line in (one, two):
-        i = int(line[6])
-        if math.hypot(p[i, 0] - c[0], p[i, 1] - c[1]) > REACH + 2.0 * step * ranges[i]:
-            return False
-    return True
+def _ends_near(p: Array, line: Array, c: Array, step: float, ranges: Array) -> bool:
+    """Whether a line comes near the corner; otherwise it cannot be recognized."""
+    i = int(line[6])
+    return bool(math.hypot(p[i, 0] - c[0], p[i, 1] - c[1]) <= REACH + 2.0 * step * ranges[i])

@@ -81,12 +81,12 @@ def _pyramid(xy: Array, side: int) -> NDArray[np.uint8]:
 
 
 @numba.njit(cache=True)
-def _score(cells: IntArray, grid: NDArray[np.uint8], level: int, bx: int, by: int) -> int:
+def _score(cells: IntArray, a: int, grid: NDArray[np.uint8], level: int, bx: int, by: int) -> int:
     side = grid.shape[1]
     reach = 1 << level
     total = 0
-    for k in range(len(cells)):
-        i, j = cells[k, 0] + bx, cells[k, 1] + by
+    for k in range(cells.shape[1]):
+        i, j = cells[a, k, 0] + bx, cells[a, k, 1] + by
         if i <= -reach or j <= -reach or i >= side or j >= side:
             continue
         total += grid[level, max(i, 0), max(j, 0)]
@@ -114,18 +114,27 @@ def _search(
             cells[a, k, 0], cells[a, k, 1] = math.floor(x / CELL), math.floor(y / CELL)
         for p in range(nx):
             for q in range(ny):
-                bound[(a * nx + p) * ny + q] = _score(cells[a], grid, top, p * size - reach_x, q * size - reach_y)
-    order = np.argsort(-bound, kind="mergesort")
-    best = floor
-    pose = centre.copy()
-    found = False
+                bound[(a * nx + p) * ny + q] = _score(cells, a, grid, top, p * size - reach_x, q * size - reach_y)
+    # the highest bound first, equal ones as they come: a score is a whole number
+    begin, order = np.zeros(HIGHEST * n + 2, np.int64), np.empty(len(bound), np.int64)
+    for i in range(len(bound)):
+        begin[HIGHEST * n - bound[i] + 1] += 1
+    for v in range(HIGHEST * n):
+        begin[v + 1] += begin[v]
+    for i in range(len(bound)):
+        v = HIGHEST * n - bound[i]
+        order[begin[v]] = i
+        begin[v] += 1
+    best, pose, found = floor, np.empty(3), False
+    for i in range(3):
+        pose[i] = centre[i]
     stack = np.empty((4 * LEVELS + 4, 4), np.int64)
     four = np.empty((4, 3), np.int64)
     for o in order:
         if bound[o] <= best:
             break
         a, p, q = o // (nx * ny), (o // ny) % nx, o % ny
-        stack[0] = top, p * size - reach_x, q * size - reach_y, bound[o]
+        stack[0, 0], stack[0, 1], stack[0, 2], stack[0, 3] = top, p * size - reach_x, q * size - reach_y, bound[o]
         depth = 1
         while depth > 0:
             depth -= 1
@@ -144,10 +153,10 @@ def _search(
                     x, y = bx + i * jump, by + j * jump
                     if x > reach_x or y > reach_y:
                         continue
-                    v = _score(cells[a], grid, level - 1, x, y)
+                    v = _score(cells, a, grid, level - 1, x, y)
                     t = m
                     while t > 0 and four[t - 1, 0] > v:
-                        four[t] = four[t - 1]
+                        four[t, 0], four[t, 1], four[t, 2] = four[t - 1, 0], four[t - 1, 1], four[t - 1, 2]
                         t -= 1
                     four[t, 0], four[t, 1], four[t, 2] = v, x, y
                     m += 1
@@ -261,16 +270,15 @@ def _match(
     mean, information = prior
     x, y, theta = start[0], start[1], start[2]
     side = len(index)
-    H = np.zeros((3, 3))
-    b = np.zeros(3)
-    d = np.zeros(3)
-    J = np.zeros(3)
+    H, b, d, J, step = np.zeros((3, 3)), np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3)
     cost, inliers = 0.0, 0
     scale = WIDE
     for iteration in range(ITERATIONS + 1):
         c, s = math.cos(theta), math.sin(theta)
-        H[:] = 0.0
-        b[:] = 0.0
+        for p in range(3):
+            b[p] = 0.0
+            for q in range(3):
+                H[p, q] = 0.0
         cost, inliers = 0.0, 0
         for k in range(len(xy)):
             rx, ry = c * xy[k, 0] - s * xy[k, 1], s * xy[k, 0] + c * xy[k, 1]
@@ -304,13 +312,16 @@ def _match(
         d[0], d[1] = x - mean[0], y - mean[1]
         d[2] = theta - mean[2]
         d[2] -= 2.0 * math.pi * math.ceil((d[2] - math.pi) / (2.0 * math.pi))
-        Ld = information @ d
-        w = 1.0 / (1.0 + (d @ Ld) / (prior_scale * prior_scale))
-        H += w * information
-        b -= w * Ld
+        for p in range(3):
+            step[p] = information[p, 0] * d[0] + information[p, 1] * d[1] + information[p, 2] * d[2]
+        w = 1.0 / (1.0 + (d[0] * step[0] + d[1] * step[1] + d[2] * step[2]) / (prior_scale * prior_scale))
+        for p in range(3):
+            b[p] -= w * step[p]
+            for q in range(3):
+                H[p, q] += w * information[p, q]
         if iteration == ITERATIONS:
             break
-        step = np.linalg.solve(H, b)
+        _solve(H, b, step)
         x += step[0]
         y += step[1]
         theta += step[2]
@@ -320,4 +331,18 @@ def _match(
                 scale = max(0.3 * scale, NARROW)
         elif size < SMALL_STEP:
             break
-    return np.array([x, y, theta]), H, cost / max(len(xy), 1), inliers / max(len(xy), 1)
+    step[0], step[1], step[2] = x, y, theta
+    return step, H, cost / max(len(xy), 1), inliers / max(len(xy), 1)
+
+
+@numba.njit(cache=True)
+def _solve(H: Array, b: Array, x: Array) -> None:
+    """Solve H x = b for a positive definite H (3, 3), of which the lower triangle is read, by H = L D L'."""
+    l10, l20 = H[1, 0] / H[0, 0], H[2, 0] / H[0, 0]
+    d1 = H[1, 1] - l10 * H[1, 0]
+    l21 = (H[2, 1] - l20 * H[1, 0]) / d1
+    d2 = H[2, 2] - l20 * H[2, 0] - l21 * l21 * d1
+    y1 = b[1] - l10 * b[0]
+    x[2] = (b[2] - l20 * b[0] - l21 * y1) / d2
+    x[1] = y1 / d1 - l21 * x[2]
+    x[0] = b[0] / H[0, 0] - l10 * x[1] - l20 * x[2]

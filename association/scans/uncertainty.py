@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from data.inputs import IntArray
+from data.motion.velocity import compose_in_place
 from data.se2 import Array, BoolArray, between, wrap_angle
 
 AnyArray = TypeVar("AnyArray", Array, IntArray)
@@ -58,7 +59,9 @@ class PoseEdges:
 def compose_covariances(pose: Array, covariance: Array, motion: Array, motion_covariance: Array) -> Array:
     """Covariance (3, 3) of `compose(pose, motion)`, additive errors, to first order (Smith, Self, Cheeseman 1990)."""
     out, out_pose = np.empty((3, 3)), np.empty(3)
-    compose_in_place(pose, covariance, motion, motion_covariance, out_pose, out)
+    # copies: read-only arrays would compile the kernel once more
+    pose, covariance, motion, M = (np.array(a, float) for a in (pose, covariance, motion, motion_covariance))
+    compose_in_place(pose, covariance, motion, M, out_pose, out)
     return out
 
 
@@ -77,11 +80,10 @@ def _doubled(array: AnyArray) -> AnyArray:
 def _project(
     root: int, keys: int, head: IntArray, following: IntArray, ends: IntArray, relative: Array, covariance: Array
 ) -> Array:
-    result = np.full((keys, 3, 3), np.inf)
-    pose = np.zeros((keys, 3))
-    done = np.zeros(keys, np.bool_)
-    cost = np.full(keys, np.inf)
-    edge = np.full(keys, -1, np.int64)
+    result, pose = np.empty((keys, 3, 3)), np.zeros((keys, 3))
+    done, cost, edge = np.zeros(keys, np.bool_), np.empty(keys), np.empty(keys, np.int64)
+    for k in range(keys):
+        result[k], cost[k], edge[k] = np.inf, np.inf, -1
     cost[root] = 0.0
     heap = [(0.0, root)]
     z = np.zeros(3)
@@ -128,24 +130,6 @@ def _invert(pose: Array, covariance: Array, z: Array, C: Array) -> None:
         u2 = J[i][0] * covariance[0, 2] + J[i][1] * covariance[1, 2] + J[i][2] * covariance[2, 2]
         for j in range(3):
             C[i, j] = u0 * J[j][0] + u1 * J[j][1] + u2 * J[j][2]
-
-
-@numba.njit(cache=True)
-def compose_in_place(pose: Array, covariance: Array, z: Array, C: Array, out_pose: Array, out: Array) -> None:
-    """Compose a pose (3,) with the motion z, and their covariances, into `out_pose` and `out`."""
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    dx, dy = c * z[0] - s * z[1], s * z[0] + c * z[1]
-    P = covariance
-    # J = [1, 0, -dy; 0, 1, dx; 0, 0, 1] on the pose, R(theta) on the motion
-    xt, yt = P[0, 2] - dy * P[2, 2], P[1, 2] + dx * P[2, 2]
-    out[0, 0] = P[0, 0] - dy * (P[0, 2] + xt) + c * c * C[0, 0] - 2.0 * c * s * C[0, 1] + s * s * C[1, 1]
-    out[1, 1] = P[1, 1] + dx * (P[1, 2] + yt) + s * s * C[0, 0] + 2.0 * c * s * C[0, 1] + c * c * C[1, 1]
-    out[0, 1] = P[0, 1] - dy * P[1, 2] + dx * xt + c * s * (C[0, 0] - C[1, 1]) + (c * c - s * s) * C[0, 1]
-    out[0, 2] = xt + c * C[0, 2] - s * C[1, 2]
-    out[1, 2] = yt + s * C[0, 2] + c * C[1, 2]
-    out[2, 2] = P[2, 2] + C[2, 2]
-    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
-    out_pose[0], out_pose[1], out_pose[2] = pose[0] + dx, pose[1] + dy, pose[2] + z[2]
 
 
 def nearest_first(distance: Array, apart: int, most: int) -> IntArray:

@@ -94,6 +94,17 @@ def correct(motion: Array, errors: Array, mount: Array, mean: Array, A: Array, G
 
 
 @numba.njit(cache=True)
+def sandwich(G: Array, M: Array, out: Array) -> None:
+    """G M G', (3, 3) each, into `out`."""
+    for i in range(3):
+        a = G[i, 0] * M[0, 0] + G[i, 1] * M[1, 0] + G[i, 2] * M[2, 0]
+        b = G[i, 0] * M[0, 1] + G[i, 1] * M[1, 1] + G[i, 2] * M[2, 1]
+        c = G[i, 0] * M[0, 2] + G[i, 1] * M[1, 2] + G[i, 2] * M[2, 2]
+        for j in range(3):
+            out[i, j] = a * G[j, 0] + b * G[j, 1] + c * G[j, 2]
+
+
+@numba.njit(cache=True)
 def _correct_all(
     motion: Array, noise: Array, errors: Array, place: IntArray, mount: Array, mean: Array, covariance: Array, A: Array
 ) -> None:
@@ -102,9 +113,10 @@ def _correct_all(
         for j in range(len(place)):
             all_errors[place[j]] = errors[k, j]
         correct(motion[k], all_errors, mount, mean[k], whole, G)
-        covariance[k] = G @ noise[k] @ G.T
+        sandwich(G, noise[k], covariance[k])
         for j in range(len(place)):
-            A[k, :, j] = whole[:, place[j]]
+            for i in range(3):
+                A[k, i, j] = whole[i, place[j]]
 
 
 def corrected(increment: Increment, errors: Array, place: IntArray, mount: Array) -> Corrected:
@@ -123,23 +135,22 @@ def corrected_all(mean: Array, covariance: Array, errors: Array, place: IntArray
 
 
 @numba.njit(cache=True)
-def knot(since: float, motion: Array, step: float) -> tuple[float, float]:
-    """Metres ended by a new knot before an increment `motion` (3,), 0 for none, and metres since the last knot after
-    it.
+def knot(since: float, x: float, y: float, step: float) -> tuple[float, float]:
+    """Metres ended by a new knot before an increment by (x, y) m, 0 for none, and metres since the last knot after it.
 
     `since`: metres since the last knot; a knot comes after `step` metres.
     """
     ended = 0.0
     if since >= step:
         ended, since = since, 0.0
-    return ended, since + math.hypot(motion[0], motion[1])
+    return ended, since + math.hypot(x, y)
 
 
 @numba.njit(cache=True)
 def _knots(mean: Array, step: float, of: IntArray, ended: Array) -> int:
     since, count = 0.0, 0
     for k in range(1, len(mean)):
-        end, since = knot(since, mean[k], step)
+        end, since = knot(since, mean[k, 0], mean[k, 1], step)
         if end > 0.0:
             ended[count] = end
             count += 1
@@ -195,7 +206,9 @@ def stated(way: Array, errors: Array, mount: Array, leftwards: bool, m: Array, b
     by_way[0, 0], by_way[0, 1], by_way[0, 2] = xx * c - xy * s, xx * s + xy * c, xx * qy - xy * qx + xt
     by_way[1, 0], by_way[1, 1], by_way[1, 2] = yx * c - yy * s, yx * s + yy * c, yx * qy - yy * qx + yt
     by_way[2, 0], by_way[2, 1], by_way[2, 2] = tx * c - ty * s, tx * s + ty * c, tx * qy - ty * qx + tt
-    by_errors[:, :] = 0.0
+    for i in range(3):
+        for e in range(7):
+            by_errors[i, e] = 0.0
     by_errors[2, SCALE] = slope * d / (scale * more)
     by_errors[2, CURVATURE] = by_errors[2, DRIFT] = -d / more
     by_errors[2, side] = -t / more

@@ -77,13 +77,24 @@ def carried(heading: float, motion: Array) -> tuple[float, float, Array, Array]:
 
 
 @numba.njit(cache=True)
-def _append(mean: Array, cov: Array, step_mean: Array, step_cov: Array) -> None:
-    """mean, cov <- (mean, cov) followed by a step, both in the first body frame: F cov F' + G step_cov G'."""
-    wx, wy, F, B = carried(mean[2], step_mean)
-    cov[:, :] = F @ cov @ F.T + B @ step_cov @ B.T
-    mean[0] += wx
-    mean[1] += wy
-    mean[2] += step_mean[2]
+def compose_in_place(pose: Array, covariance: Array, z: Array, C: Array, out_pose: Array, out: Array) -> None:
+    """Compose a pose (3,) with the motion z, and their covariances, into `out_pose` and `out`, which may be the inputs.
+
+    The pose's covariance becomes F P F' + B C B', F and B as of `carried`; the heading is not wrapped.
+    """
+    c, s = math.cos(pose[2]), math.sin(pose[2])
+    dx, dy = c * z[0] - s * z[1], s * z[0] + c * z[1]
+    P = covariance
+    # J = [1, 0, -dy; 0, 1, dx; 0, 0, 1] on the pose, R(theta) on the motion
+    xt, yt = P[0, 2] - dy * P[2, 2], P[1, 2] + dx * P[2, 2]
+    out[0, 0] = P[0, 0] - dy * (P[0, 2] + xt) + c * c * C[0, 0] - 2.0 * c * s * C[0, 1] + s * s * C[1, 1]
+    out[1, 1] = P[1, 1] + dx * (P[1, 2] + yt) + s * s * C[0, 0] + 2.0 * c * s * C[0, 1] + c * c * C[1, 1]
+    out[0, 1] = P[0, 1] - dy * P[1, 2] + dx * xt + c * s * (C[0, 0] - C[1, 1]) + (c * c - s * s) * C[0, 1]
+    out[0, 2] = xt + c * C[0, 2] - s * C[1, 2]
+    out[1, 2] = yt + s * C[0, 2] + c * C[1, 2]
+    out[2, 2] = P[2, 2] + C[2, 2]
+    out[1, 0], out[2, 0], out[2, 1] = out[0, 1], out[0, 2], out[1, 2]
+    out_pose[0], out_pose[1], out_pose[2] = pose[0] + dx, pose[1] + dy, pose[2] + z[2]
 
 
 @numba.njit(cache=True)
@@ -107,9 +118,8 @@ def _preintegrate(
     rate (K, 3): variances per second of D, A and the final rotation; hold (K,), beyond (K,): s that sample k lasts, and
     of the gap after it; lead: s before the first; fastest (2,): largest |v|, |omega|.
     """
-    n = len(time)
-    k = max(np.searchsorted(time, at[0], side="right") - 1, 0)
-    step_mean, G, M, Q = np.zeros(3), np.zeros((3, 2)), np.zeros((2, 2)), np.zeros((3, 3))
+    n, k = len(time), 0
+    step_mean, G, Q = np.empty(3), np.empty((3, 2)), np.empty((3, 3))
     for f in range(1, len(at)):
         t = at[f - 1]
         m, P = mean[f], cov[f]
@@ -126,21 +136,24 @@ def _preintegrate(
                 step(model, v[k] * dt, omega[k] * dt, step_mean, G)
                 if lateral:  # the tutorials' mapping: 0.5 m sideways per radian, whatever the distance
                     G[0, 1], G[1, 1] = -0.5 * G[1, 0], 0.5 * G[0, 0]
-                M[0, 0], M[1, 1] = rate[k, 0] * dt, rate[k, 1] * dt
-                Q[:, :] = G @ M @ G.T
+                of_D, of_A = rate[k, 0] * dt, rate[k, 1] * dt
+                for i in range(3):
+                    for j in range(3):
+                        Q[i, j] = G[i, 0] * of_D * G[j, 0] + G[i, 1] * of_A * G[j, 1]
                 Q[2, 2] += rate[k, 2] * dt  # a turn in place
             else:  # a gap: unknown motion
                 gap = beyond[k]
                 if t < time[0]:
                     end, gap = min(at[f], time[0]), lead
                 dt = end - t
-                step_mean[:] = 0.0
-                Q[:, :] = 0.0
+                for i in range(3):
+                    step_mean[i] = 0.0
+                    for j in range(3):
+                        Q[i, j] = 0.0
                 Q[0, 0] = Q[1, 1] = fastest[0] ** 2 * gap * dt
                 Q[2, 2] = fastest[1] ** 2 * gap * dt
-            _append(m, P, step_mean, Q)
+            compose_in_place(m, P, step_mean, Q, m, P)
             t = end
-        P[:, :] = 0.5 * (P + P.T)
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
@@ -13,11 +15,13 @@ import numpy as np
 
 from association.decide import METHODS
 from association.scans.constraints import SCAN
+from association.scans.corners import corners
 from association.scans.matching import best_pose, pyramid
 from association.scans.occupancy import occupancy_grid
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.log import Log
+from data.terminal import ROOT
 from data.worlds.arena import Arena, simulate
 from data.worlds.registry import named_log
 from eval.compare import compare
@@ -68,15 +72,22 @@ def _place() -> None:
 
 
 def _laser() -> None:
-    """Every back end on a short drive with loop closures, corners as landmarks, and the grid."""
+    """Every back end on a short drive with loop closures, the grid, and corners."""
     inputs = named_log("floorplan:0:frames=600").recorded
-    compare(inputs, "slam", ("dead-reckoning", "ekf", "isam2", "fixed-lag", *BATCH), SCAN)
-    compare(inputs, "slam", ("ekf",), "jcbb")
+    compare(inputs, "slam", ("ekf", "isam2", "fixed-lag", *BATCH), SCAN)
     # a search that a short drive does not reach
     corner = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     best_pose(corner, pyramid(corner, 2.0), np.zeros(3), np.array([0.2, 0.2, 0.1]), 0.4)
     assert inputs.scans is not None
     occupancy_grid(np.zeros((1, 3)), inputs.scans.ranges[:1], inputs.scans.scanner)
+    corners(inputs.scans.ranges[0], inputs.scans.scanner)
+
+
+def _walls() -> None:
+    """What a laser log has in common with others: the path of odometry, and corners as landmarks."""
+    inputs = named_log("floorplan:0:frames=60").recorded
+    compare(inputs, "slam", ("dead-reckoning",), SCAN)
+    compare(inputs, "slam", ("ekf",), "jcbb")
 
 
 PARTS: dict[str, Callable[[], None]] = {
@@ -86,10 +97,13 @@ PARTS: dict[str, Callable[[], None]] = {
         for task in TASKS
         for what, part in (("estimators", _estimators), ("association", _methods))
     },
+    "corners as landmarks": _walls,
     "place recognition": _place,
     "laser": _laser,
 }
 """Parts to compile, in order."""
+BESIDE = ("laser", "place recognition")
+"""Those that a second process compiles at the same time: half of the work, and little of it in common."""
 
 
 def mark() -> Path | None:
@@ -127,19 +141,34 @@ def compile_all(quiet: bool = False, background: bool = False) -> None:
     with alone(place.parent, wait=not background) as first:
         if first and not (background and _is_there(place)):
             forget_stale()
-            _compile(quiet)
+            _compile(quiet, os.cpu_count() if not background else 1)
             note_sources()
             with suppress(OSError):  # without the mark, the next run checks again
                 place.touch()
 
 
-def _compile(quiet: bool) -> None:
+def _compile(quiet: bool, cores: int | None) -> None:
     from tqdm import tqdm
 
-    with tqdm(desc="compiling", total=len(PARTS), disable=quiet or not sys.stderr.isatty(), leave=False) as bar:
-        for done, (what, part) in enumerate(PARTS.items()):
-            if bar.disable and not quiet:
-                sys.stderr.write(f"compiling, part {done + 1} of {len(PARTS)}: {what}\n")
-            bar.set_postfix_str(what)
-            part()
-            bar.update()
+    second = beside() if (cores or 1) > 1 and set(BESIDE) <= set(PARTS) else None
+    try:
+        with tqdm(desc="compiling", total=len(PARTS), disable=quiet or not sys.stderr.isatty(), leave=False) as bar:
+            for done, (what, part) in enumerate(PARTS.items()):
+                if bar.disable and not quiet:
+                    sys.stderr.write(f"compiling, part {done + 1} of {len(PARTS)}: {what}\n")
+                bar.set_postfix_str(what)
+                if second is None or what not in BESIDE or second.wait() != 0:
+                    part()
+                bar.update()
+    finally:
+        if second is not None:
+            second.kill()
+
+
+def beside() -> subprocess.Popen[bytes] | None:
+    """A process that compiles the parts `BESIDE`; None if there can be no further one."""
+    command = "from eval.plan.warming import BESIDE, PARTS\nfor what in BESIDE:\n    PARTS[what]()"
+    none = subprocess.DEVNULL
+    with suppress(OSError):
+        return subprocess.Popen([sys.executable, "-c", command], cwd=ROOT, stdin=none, stdout=none, stderr=none)
+    return None

@@ -117,7 +117,7 @@ class CalibratedEnd(OpenEnd):
         """Add an increment."""
         ended = 0.0
         if self._errors.drift >= 0:
-            ended, self._since = knot(self._since, increment.mean, self._errors.step)
+            ended, self._since = knot(self._since, increment.mean[0], increment.mean[1], self._errors.step)
         self._ended.append(ended)
         super().move(increment)
 

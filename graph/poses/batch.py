@@ -157,7 +157,8 @@ def _residuals(pose: Array, key1: IntArray, key2: IntArray, relative: Array, roo
     out, r = np.empty((len(key1), 3)), np.empty(3)
     for e in range(len(key1)):
         _error(pose[key1[e]], pose[key2[e]], relative[e], r)
-        out[e] = root[e] @ r
+        for i in range(3):
+            out[e, i] = root[e, i, 0] * r[0] + root[e, i, 1] * r[1] + root[e, i, 2] * r[2]
     return out
 
 
@@ -165,7 +166,8 @@ def _residuals(pose: Array, key1: IntArray, key2: IntArray, relative: Array, roo
 def _linearize(pose: Array, key1: IntArray, key2: IntArray, relative: Array, root: Array) -> tuple[Array, Array]:
     """Rows A (E, 3, 6), columns of key2 before those of key1, and right-hand sides b (E, 3, 1)."""
     A, rhs = np.empty((len(key1), 3, 6)), np.empty((len(key1), 3, 1))
-    r, J = np.empty(3), np.empty((3, 6))
+    r, J = np.empty(3), np.zeros((3, 6))
+    J[2, 2], J[2, 5] = 1.0, -1.0
     for e in range(len(key1)):
         a, m = pose[key1[e]], relative[e]
         x, y, tx, ty, g, h, slope = _error(a, pose[key2[e]], m, r)
@@ -178,10 +180,12 @@ def _linearize(pose: Array, key1: IntArray, key2: IntArray, relative: Array, roo
         J[1, 0], J[1, 1] = -h * c - g * s, -h * s + g * c
         J[0, 2], J[1, 2] = kx, ky
         J[0, 5], J[1, 5] = g * ux + h * uy - kx, -h * ux + g * uy - ky
-        J[:2, 3:5] = -J[:2, :2]
-        J[2] = np.array([0.0, 0.0, 1.0, 0.0, 0.0, -1.0])
-        A[e] = root[e] @ J
-        rhs[e, :, 0] = -(root[e] @ r)
+        for i in range(2):
+            J[i, 3], J[i, 4] = -J[i, 0], -J[i, 1]
+        for i in range(3):
+            rhs[e, i, 0] = -(root[e, i, 0] * r[0] + root[e, i, 1] * r[1] + root[e, i, 2] * r[2])
+            for j in range(6):
+                A[e, i, j] = root[e, i, 0] * J[0, j] + root[e, i, 1] * J[1, j] + root[e, i, 2] * J[2, j]
     return A, rhs
 
 

@@ -66,14 +66,18 @@ def _separators(ends: IntArray, size: int) -> tuple[IntArray, IntArray, IntArray
     others = ends.shape[1] - 1
     for i in range(len(ends)):
         count[ends[i, 0] + 1] += others
-    first = np.cumsum(count)
-    later, fill = np.empty(others * len(ends), np.int64), first.copy()
+    first, fill = np.zeros(size + 1, np.int64), np.zeros(size + 1, np.int64)
+    for v in range(size):
+        first[v + 1] = fill[v + 1] = first[v] + count[v + 1]
+    later = np.empty(others * len(ends), np.int64)
     for i in range(len(ends)):
         for q in range(others):
             later[fill[ends[i, 0]]] = ends[i, 1 + q]
             fill[ends[i, 0]] += 1
-    parent, mark = np.full(size, -1), np.full(size, -1)
-    child, sibling = np.full(size, -1), np.full(size, -1)
+    parent, mark = np.empty(size, np.int64), np.empty(size, np.int64)
+    child, sibling = np.empty(size, np.int64), np.empty(size, np.int64)
+    for v in range(size):
+        parent[v] = mark[v] = child[v] = sibling[v] = -1
     start, out, used = np.zeros(size + 1, np.int64), np.empty(4 * size + 16, np.int64), 0
     for v in range(size):
         begin = used
@@ -85,7 +89,8 @@ def _separators(ends: IntArray, size: int) -> tuple[IntArray, IntArray, IntArray
             c = sibling[c]
         if used + bound > len(out):
             more = np.empty(2 * len(out) + bound, np.int64)
-            more[:used] = out[:used]
+            for i in range(used):
+                more[i] = out[i]
             out = more
         for i in range(first[v], first[v + 1]):
             u = later[i]
@@ -104,7 +109,9 @@ def _separators(ends: IntArray, size: int) -> tuple[IntArray, IntArray, IntArray
             c = sibling[c]
         start[v + 1] = used
         if used > begin:
-            p = out[begin:used].min()
+            p = out[begin]
+            for i in range(begin + 1, used):
+                p = min(p, out[i])
             parent[v] = p
             sibling[v] = child[p]
             child[p] = v
@@ -115,7 +122,9 @@ def _separators(ends: IntArray, size: int) -> tuple[IntArray, IntArray, IntArray
 def _postorder(parent: IntArray) -> IntArray:
     """Positions with children before their parents, subtree by subtree."""
     n = len(parent)
-    child, sibling = np.full(n, -1), np.full(n, -1)
+    child, sibling = np.empty(n, np.int64), np.empty(n, np.int64)
+    for v in range(n):
+        child[v] = sibling[v] = -1
     for v in range(n - 1, -1, -1):
         if parent[v] >= 0:
             sibling[v] = child[parent[v]]
@@ -140,17 +149,13 @@ def _postorder(parent: IntArray) -> IntArray:
     return post
 
 
-@numba.njit(cache=True)
 def _moved(separator: IntArray, start: IntArray, post: IntArray, new: IntArray, moved: IntArray) -> IntArray:
     """The separators by their new positions, each ascending."""
-    out = np.empty_like(separator)
-    for v in range(len(post)):
-        old = post[v]
-        n = start[old + 1] - start[old]
-        for i in range(n):
-            out[moved[v] + i] = new[separator[start[old] + i]]
-        out[moved[v] : moved[v] + n] = np.sort(out[moved[v] : moved[v] + n])
-    return out
+    row = np.repeat(np.arange(len(post)), np.diff(moved))
+    position = new[separator[np.arange(len(separator)) - moved[row] + start[post][row]]]
+    row *= len(post)  # so that a sort leaves every position in its separator
+    sorted_: IntArray = np.sort(row + position) - row
+    return sorted_
 
 
 SLACK = 1.25  # A front with more than this many times the rows that its columns can need is made triangular first
@@ -271,7 +276,8 @@ def _eliminate(
                         for j in range(dim[to]):
                             F[r + row, column[to] + j] = A[k, row, 3 * q + j]
             for row in range(height[k]):
-                F[r + row, at:] = b[k, row]
+                for j in range(c):
+                    F[r + row, at + j] = b[k, row, j]
             r += height[k]
         for q in range(depth - children[v], depth):
             child = kept[q, 0]
@@ -300,29 +306,38 @@ def _eliminate(
         for j in range(dim[v]):
             if not abs(F[j, j]) > max(SINGULAR * np.sqrt(norm[j]), SMALLEST):
                 return R, S, d, left, v
-        R[v, : dim[v], : dim[v]] = F[: dim[v], : dim[v]]
-        S[at_S[v] : at_S[v + 1]] = F[: dim[v], dim[v] : at].copy().ravel()
-        d[v, : dim[v]] = F[: dim[v], at:]
-        rest = F[dim[v] : m, dim[v] :]
-        if m - dim[v] > SLACK * n:
-            rest = rest.copy()
+        for i in range(dim[v]):
+            for j in range(dim[v]):
+                R[v, i, j] = F[i, j]
+            for j in range(width[v]):
+                S[at_S[v] + i * width[v] + j] = F[i, dim[v] + j]
+            for j in range(c):
+                d[v, i, j] = F[i, at + j]
+        # the rest of the rows begins in F at (corner, corner)
+        corner, remain = dim[v], max(m - dim[v], 0)
+        if remain > SLACK * n:
+            rest = np.empty((remain, n))
+            for i in range(remain):
+                for j in range(n):
+                    rest[i, j] = F[corner + i, corner + j]
             reflect(rest, n)
-            rest = rest[:n]
+            F, corner, remain = rest, 0, n
         if parent[v] < 0:
-            for i in range(len(rest)):
+            for i in range(remain):
                 for j in range(c):
                     for q in range(c):
-                        left[j, q] += rest[i, j] * rest[i, q]
+                        left[j, q] += F[corner + i, corner + j] * F[corner + i, corner + q]
             continue
-        need = used + rest.shape[0] * n
-        if need > len(waiting):
-            more = np.empty(2 * need)
-            more[:used] = waiting[:used]
+        if used + remain * n > len(waiting):
+            more = np.empty(2 * (used + remain * n))
+            for i in range(used):
+                more[i] = waiting[i]
             waiting = more
-        for i in range(rest.shape[0]):
-            waiting[used : used + n] = rest[i]
-            used += n
-        kept[depth, 0], kept[depth, 1] = v, rest.shape[0]
+        for i in range(remain):
+            for j in range(n):
+                waiting[used] = F[corner + i, corner + j]
+                used += 1
+        kept[depth, 0], kept[depth, 1] = v, remain
         depth += 1
     return R, S, d, left, -1
 

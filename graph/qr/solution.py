@@ -36,9 +36,12 @@ def _substitute(s: Structure, t: Triangle, dim: IntArray, x: Array) -> None:
     variable, start, separator = s.variable, s.start, s.separator
     R, S, d, at_S = t.R, t.S, t.d, t.at_S
     c = x.shape[2]
+    total = np.empty((3, c))
     for v in range(len(variable) - 1, -1, -1):
         n = dim[v]
-        total = d[v, :n].copy()
+        for r in range(n):
+            for q in range(c):
+                total[r, q] = d[v, r, q]
         width = (at_S[v + 1] - at_S[v]) // n
         for r in range(n):
             at = at_S[v] + r * width
@@ -62,7 +65,9 @@ def _covariances(s: Structure, t: Triangle, dim: IntArray, out: Array) -> None:
     R, S, at_S = t.R, t.S, t.at_S
     size = len(variable)
     cliques, used = np.empty(1024), 0
-    begin, open_children = np.empty(size, np.int64), children.copy()
+    begin, open_children = np.empty(size, np.int64), np.empty(size, np.int64)
+    for v in range(size):
+        open_children[v] = children[v]
     within = np.empty(size, np.int64)
     for v in range(size - 1, -1, -1):
         n = dim[v]
@@ -120,24 +125,30 @@ def _covariances(s: Structure, t: Triangle, dim: IntArray, out: Array) -> None:
                 for j in range(r, n):
                     total += inverse[r, j] * inverse[q, j]
                 own[r, q], own[q, r] = total, total
-        out[variable[v], :n, :n] = own
+        for r in range(n):
+            for q in range(n):
+                out[variable[v], r, q] = own[r, q]
         if children[v] == 0:
             continue
         side = n + w
         if used + side * side > len(cliques):
             more = np.empty(2 * (used + side * side))
-            more[:used] = cliques[:used]
+            for i in range(used):
+                more[i] = cliques[i]
             cliques = more
         begin[v] = used
         for r in range(n):
             at = used + r * side
-            cliques[at : at + n] = own[r]
-            cliques[at + n : at + side] = cross[r]
+            for q in range(n):
+                cliques[at + q] = own[r, q]
+            for i in range(w):
+                cliques[at + n + i] = cross[r, i]
         for i in range(w):
             at = used + (n + i) * side
             for r in range(n):
                 cliques[at + r] = cross[r, i]
-            cliques[at + n : at + side] = below[i]
+            for j in range(w):
+                cliques[at + n + j] = below[i, j]
         used += side * side
 
 

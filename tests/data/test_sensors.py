@@ -74,9 +74,7 @@ def test_a_wall_is_where_its_points_are(x, y, theta, d, phi, along, other):
     ],
 )
 def test_the_innovation_of_a_wall_does_not_depend_on_which_side_it_is_named_from(z, z_hat, expected):
-    out = np.empty(2)
-    residual(LINE, np.array(z), np.array(z_hat), out)
-    assert np.allclose(out, expected)
+    assert np.allclose(residual(LINE, *z, np.array(z_hat)), expected)
     assert np.allclose(Line().residual(np.array(z), np.array(z_hat)), expected)
 
 

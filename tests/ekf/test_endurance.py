@@ -41,8 +41,8 @@ def drive(kind, extrinsic, mean, P, d, landmarks, rng, steps, sigma, rule, first
             else:
                 z[i, 0], z[i, 1] = x, y
             z[i] += sigma * rng.standard_normal(2)
-        seen, how = Pairings(at, np.zeros((2, 2)), z, Rs), UpdateRule(np.inf, rule[0], rule[1], first)
-        status = update(kind, extrinsic, mean, P, d, seen, how, Outcome(keep, stats, white))
+        seen, how = Pairings(at, np.zeros((2, 2)), z, Rs), UpdateRule(np.inf, rule[0], rule[1], False, first)
+        status = update(kind, extrinsic, mean, mean, P, d, seen, 0, 2, how, Outcome(keep, stats, white))
         if status != 0:
             return -1.0
         for i in range(d):

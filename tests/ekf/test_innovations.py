@@ -17,10 +17,11 @@ def whitened(readings: Array, threshold: float) -> Array:
     known, R = np.tile([1.0, 0.0], (k, 1)), np.tile(0.01 * np.eye(2), (k, 1, 1))
     at = np.full(k, -1, np.int64)
     sensor = RelativePoint(max_range=8.0)
-    how = updates.UpdateRule(threshold, updates.ADDITIVE, 1, NEWEST)
+    how = updates.UpdateRule(threshold, updates.ADDITIVE, 1, False, NEWEST)
     done = updates.Outcome(keep, np.zeros(3), white)
     seen = Pairings(at, known, readings, R)
-    updates.update(sensor.kind, sensor.extrinsic, np.zeros(3), 1e-12 * np.eye(3), 3, seen, how, done)
+    mean, P = np.zeros(3), 1e-12 * np.eye(3)
+    updates.update(sensor.kind, sensor.extrinsic, mean, mean, P, 3, seen, 0, k, how, done)
     return white
 
 

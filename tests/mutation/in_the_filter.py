@@ -22,14 +22,13 @@ def with_innovate(innovate):
     """Put in: the update with another `innovate` instead of the compiled one."""
 
     def put_in(monkeypatch):
-        update_from = interpreted(updates.update_from, innovate=innovate)
-        monkeypatch.setattr(updates, "update", interpreted(updates.update, update_from=update_from))
+        monkeypatch.setattr(updates, "update", interpreted(updates.update, innovate=innovate))
 
     return put_in
 
 
-def unwrapped(kind, extrinsic, mean, base, P, d, seen, out, first):
-    kernels.innovate(kind, extrinsic, mean, base, P, d, seen, out, first)
+def unwrapped(kind, extrinsic, mean, base, P, d, seen, begin, out, first):
+    kernels.innovate(kind, extrinsic, mean, base, P, d, seen, begin, out, first)
     bearing = seen.z[:, 1]
     out.nu[1::2] = bearing - wrap_angle(bearing - out.nu[1::2])  # z less what was expected, which is wrapped
 
@@ -37,12 +36,12 @@ def unwrapped(kind, extrinsic, mean, base, P, d, seen, out, first):
 def with_jacobians(choose):
     """`innovate` of a localizer, where `choose(i, landmark, H)` gives the Jacobian (2, 3) of observation i."""
 
-    def innovate(kind, extrinsic, mean, base, P, d, seen, out, first):
-        kernels.innovate(kind, extrinsic, mean, base, P, d, seen, out, first)
+    def innovate(kind, extrinsic, mean, base, P, d, seen, begin, out, first):
+        kernels.innovate(kind, extrinsic, mean, base, P, d, seen, begin, out, first)
         rows = []
         for i, landmark in enumerate(seen.known):
             H = np.empty((2, 3))
-            measure(kind, extrinsic, mean, landmark, np.empty(2), H, np.empty((2, 2)))
+            measure(kind, extrinsic, mean, *landmark, np.empty(2), H, np.empty((2, 2)))
             rows.append(choose(i, landmark, H))
         H = np.concatenate(rows)
         out.PHt[:] = P[:d, :d] @ H.T
@@ -88,10 +87,10 @@ def gain_before_the_prediction(monkeypatch):
         stale["P"] = P.copy()
         predict(mean, P, d, motion, M, first)
 
-    def with_the_old_gain(kind, extrinsic, mean, P, *rest):
+    def with_the_old_gain(kind, extrinsic, start, mean, P, *rest):
         old = stale.get("P", P).copy()
         new = old.copy()
-        status = update(kind, extrinsic, mean, new, *rest)
+        status = update(kind, extrinsic, start, mean, new, *rest)
         P += new - old
         return status
 
@@ -109,8 +108,8 @@ def no_cross_covariance(real):
 
 
 def block_diagonal(real):
-    def update(kind, extrinsic, mean, P, d, *rest):
-        status = real(kind, extrinsic, mean, P, d, *rest)
+    def update(kind, extrinsic, start, mean, P, d, *rest):
+        status = real(kind, extrinsic, start, mean, P, d, *rest)
         block = np.r_[0, 0, 0, np.repeat(np.arange(1, 1 + (d - 3) // 2), 2)]
         P[:d, :d] *= block[:, None] == block
         return status
@@ -139,7 +138,6 @@ def half_the_noise(real):
     def increment(self, frame):
         mean, covariance = real(self, frame)
         half = 0.5 * covariance
-        half.setflags(write=False)  # as the inputs are: the kernels are compiled for that
         return Increment(mean, half)
 
     return increment

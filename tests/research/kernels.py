@@ -1,6 +1,7 @@
 """Processor time of compilation by kernel, exclusive of the kernels that it calls, in a cache of its own.
 
-`python -m tests.research.kernels [-v]`: a row for each kernel: s, how often it was compiled, its signatures.
+`python -m tests.research.kernels [-v]`: a row for each kernel: s, how often it was compiled, its signatures. Last,
+which of ours were compiled more than once: for read-only arrays, another layout, a literal number.
 """
 
 from __future__ import annotations
@@ -53,6 +54,8 @@ def main(argv: list[str]) -> int:
         for args, times in Counter(map(str, signatures[name])).items():
             if "-v" in argv:
                 print(f"{'':18}{times} x {args}")
+    twice = [name for name, args in signatures.items() if len(args) > 1 and not name.startswith("numba.")]
+    print(f"compiled more than once: {', '.join(twice) or 'none'}")
     print(f"{sum(seconds.values()):7.1f} s of compilation, {total:.1f} s in all, {len(seconds)} kernels")
     return 0
 

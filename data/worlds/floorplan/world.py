@@ -133,8 +133,8 @@ def _cast(
         for b in range(beams):
             dx[b], dy[b] = math.cos(first + b * angle_step), math.sin(first + b * angle_step)
         best, what = ranges[k], hit[k]
-        best[:] = np.inf
-        what[:] = -1
+        for b in range(beams):
+            best[b], what[b] = np.inf, -1
         for s in range(len(walls)):
             ax, ay, bx, by = walls[s, 0] - x, walls[s, 1] - y, walls[s, 2] - x, walls[s, 3] - y
             ex, ey = bx - ax, by - ay

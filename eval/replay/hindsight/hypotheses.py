@@ -83,7 +83,10 @@ class Hypotheses:
     def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT) -> None:
         """Start at the prior with an exact map; `options` of the updates."""
         self.sensor, self.map = sensor, known
-        self._how, self._extrinsic = updates.UpdateRule(math.inf, *options.rule(), kernels.NEWEST), sensor.extrinsic
+        self._how, self._extrinsic = (
+            updates.UpdateRule(math.inf, *options.rule(), False, kernels.NEWEST),
+            sensor.extrinsic,
+        )
         self._xy = np.array(known.xy)
         # as far as the map reaches, where the sensor has no limit
         self._reach = min(sensor.max_range, max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0))
@@ -179,7 +182,7 @@ class Hypotheses:
             mean, P, stats = h.mean.copy(), h.P.copy(), np.zeros(3)
             seen = kernels.Pairings(self._at[:1], self._xy[j : j + 1], z, R)
             done = updates.Outcome(np.ones(1, np.bool_), stats, np.empty((1, 2)))
-            status = updates.update(self.sensor.kind, self._extrinsic, mean, P, 3, seen, self._how, done)
+            status = updates.update(self.sensor.kind, self._extrinsic, mean, mean, P, 3, seen, 0, 1, self._how, done)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
             d2_there = float(stats[0])

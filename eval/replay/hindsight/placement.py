@@ -84,8 +84,11 @@ def _poses(
     3), below `threshold`, and the number of poses with at least `fewest` pairings.
     """
     m, n = len(seen), len(there)
-    pairings, distance, count = np.full((kept, m), -1, np.int64), np.empty(kept), 0
-    longest, free = 0.0, np.ones(n, np.bool_)
+    pairings, distance, count = np.empty((kept, m), np.int64), np.empty(kept), 0
+    longest, free = 0.0, np.empty(n, np.bool_)
+    for i in range(kept):
+        for k in range(m):
+            pairings[i, k] = -1
     for i in surest:
         for j in surest:
             longest = max(longest, math.hypot(seen[i, 0] - seen[j, 0], seen[i, 1] - seen[j, 1]))
@@ -106,12 +109,13 @@ def _poses(
                     mx, my = 0.5 * (seen[i, 0] + seen[j, 0]), 0.5 * (seen[i, 1] + seen[j, 1])
                     x = 0.5 * (there[a, 0] + there[b, 0]) - (c * mx - s * my)
                     y = 0.5 * (there[a, 1] + there[b, 1]) - (s * mx + c * my)
-                    pose = np.array([x, y, angle])
-                    d2 = pose @ information @ pose
+                    d2 = 2.0 * (information[0, 1] * x * y + (information[0, 2] * x + information[1, 2] * y) * angle)
+                    d2 += information[0, 0] * x * x + information[1, 1] * y * y + information[2, 2] * angle * angle
                     if d2 > threshold:
                         continue
                     paired = 0
-                    free[:] = True
+                    for o in range(n):
+                        free[o] = True
                     for k in range(m):
                         px, py = c * seen[k, 0] - s * seen[k, 1] + x, s * seen[k, 0] + c * seen[k, 1] + y
                         # the heading is as uncertain as the two points are, across, at their distance

@@ -229,7 +229,9 @@ def _search(
     """
     m, n = len(xy), len(landmarks)
     found, counts, h = np.empty((kept, m), np.int64), np.empty(kept, np.int64), 0
-    choice, branch, made = np.full(m, -1), np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
+    choice, branch, made = np.empty(m, np.int64), np.zeros(m + 1, np.int64), np.zeros(m + 1, np.int64)
+    for s in range(m):
+        choice[s] = -1
     used = np.zeros(n, np.bool_)
     least, t, nodes = fewest, 0, 0
     while t >= 0:
@@ -240,12 +242,16 @@ def _search(
                     rest = 0
                     for i in range(h):
                         if counts[i] >= least:
-                            found[rest], counts[rest] = found[i], counts[i]
+                            counts[rest] = counts[i]
+                            for s in range(m):
+                                found[rest, s] = found[i, s]
                             rest += 1
                     h = rest
                 if h == kept:
                     return found[:h], False
-                found[h], counts[h] = choice, made[t]
+                counts[h] = made[t]
+                for s in range(m):
+                    found[h, s] = choice[s]
                 h += 1
             t -= 1
             continue
