@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.figure import Figure
+from PIL import Image
 
 import data.convert.__main__ as convert
 import slamref
@@ -31,7 +31,7 @@ def full(*_, **__):
 
 @pytest.mark.parametrize(("owner", "name", "more"), [
     (pd.DataFrame, "to_csv", ["--no-plots"]), (np, "savetxt", ["--no-plots"]), (Path, "write_text", ["--no-plots"]),
-    (Path, "mkdir", ["--no-plots"]), (Figure, "savefig", ["--quick"]),
+    (Path, "mkdir", ["--no-plots"]), (Image.Image, "save", ["--quick"]),
 ])  # fmt: skip
 def test_a_full_disk_is_one_line_and_status_2_wherever_it_is_noticed(owner, name, more, tmp_path, monkeypatch, capsys):
     out = tmp_path / "report"
@@ -47,7 +47,7 @@ def test_a_full_disk_is_one_line_and_status_2_wherever_it_is_noticed(owner, name
 def test_every_command_that_writes_says_so_when_the_disk_is_full(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(Path, "mkdir", full)
     monkeypatch.setattr(Path, "write_text", full)
-    monkeypatch.setattr(Figure, "savefig", full)
+    monkeypatch.setattr(Image.Image, "save", full)
     out = str(tmp_path / "out")
     for main, words in (
         (convert.main, ["linear", out]), (inspect.main, ["linear:0", "--plot", f"{out}.png"]),
