@@ -27,7 +27,8 @@ from graph.walls import about_origin
 
 STEP = 1e-6  # sigma. A shorter step ends the search, as a root sum of squares over all directions
 ROUNDING = 2e-5  # sigma; so does one that hardly shrank: gtsam's logarithm of a pose is accurate to about 1e-5 sigma
-CONVERGED = 1e-3  # sigma. Largest component of the remaining step at an optimum
+CONVERGED = 1e-3  # sigma. Largest component of the remaining step at an optimum; above, the search is tried otherwise
+FAILED = 1e-2  # sigma. Above that it is no optimum; a hundredth of a sigma adds 1e-4 to the NEES of a coordinate
 SHRANK = 0.9  # share above which a step hardly shrank. The steps of a robust loss shrink to half or so each time
 MOST = 200  # steps of one search. Five to fifteen are usual; a robust loss converges linearly and may take fifty
 SHORTEST = 1e-3  # share of a step below which it is not shortened further: the search is stuck
@@ -147,7 +148,7 @@ def _smoothed(problem: Problem, linearizer: Linearizer, found: _Found, iteration
     share = np.abs(delta) / sigma
     of_errors = np.abs(found.solution.constants) / np.sqrt(np.diag(found.solution.covariance))
     last_step = float(max(share.max(), of_errors.max(initial=0.0)))
-    if not last_step < CONVERGED:
+    if not last_step < FAILED:
         variable = int(share.max(axis=1).argmax())
         weakest = int(sigma[: n + len(linearizer.numbers), :2].max(axis=1).argmax())
         raise NotConvergedError(
