@@ -21,7 +21,7 @@ from data.inputs import IntArray, Prior
 from data.se2 import Array, pose_error, wrap_angle
 from data.sensors import wrap_angle_jit
 from graph.factors import CAUCHY, HUBER, LOSSES
-from graph.optimum import ARMIJO, CONVERGED, ERROR_ROUNDING, SHORTEST, SHRANK, STEP, TINY, NotConvergedError
+from graph.optimum import ARMIJO, ERROR_ROUNDING, FAILED, SHORTEST, SHRANK, STEP, TINY, NotConvergedError
 from graph.poses.online import roots_at_end
 from graph.qr.elimination import Rows, Structure, Triangle, eliminate, ordering, structure
 from graph.qr.rows import EXACT, put_prior
@@ -321,7 +321,7 @@ def finished(
     sigma = np.sqrt(np.maximum(np.diagonal(covariance, axis1=1, axis2=2), TINY**2))
     share = np.abs(newton.delta) / sigma
     last_step = float(share.max())
-    if not last_step < CONVERGED:
+    if not last_step < FAILED:
         raise NotConvergedError(
             f"the optimization did not converge: after {iterations} steps {last_step:.2g} sigma are left at key pose "
             f"{int(share.max(axis=1).argmax())}, cost {cost:.6g} for {dof} degrees of freedom"

@@ -190,7 +190,7 @@ def test_looser_increments_and_a_bad_start_lead_to_the_same_optimum(task, monkey
 
 def test_a_search_that_is_cut_short_counts_the_steps_of_the_errors(monkeypatch):
     inputs, decisions, created, start, _ = erring(SENSORS["relative point"], "slam", errors_of(ERRORS), frames=40)
-    monkeypatch.setattr(optimum, "MOST", 2)
+    monkeypatch.setattr(optimum, "MOST", 1)
     with pytest.raises(NotConvergedError, match="sigma are left"):
         smooth(inputs, decisions, created, start)
 
