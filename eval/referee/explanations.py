@@ -18,10 +18,10 @@ from scipy import special
 
 from data.inputs import Inputs, IntArray
 from data.se2 import Array
-from eval.referee.attribution import ASSOCIATIONS, NOISE, Finding
+from eval.referee.attribution import NOISE, Finding
 from eval.referee.consistency import successive
 from eval.referee.effects import Effect, Scored, effects, score_of, without
-from eval.referee.residuals import COMPONENTS, Residuals, Used, misfits
+from eval.referee.residuals import COMPONENTS, OUTLYING, Residuals, Used
 
 ALIKE = 3.0
 """Log-likelihood within which two explanations cannot be told apart: odds of 20."""
@@ -285,7 +285,7 @@ def _correlations(e: Evidence) -> list[Explanation]:
 
 
 def _tails(e: Evidence) -> list[Explanation]:
-    """Student's t instead of the Gaussian, or observations that fit another landmark: wrong pairings."""
+    """Student's t instead of the Gaussian."""
     rows = np.flatnonzero(np.isfinite(e.observations).all(axis=1))
     if len(rows) < 4 * FEWEST:
         return []
@@ -300,11 +300,8 @@ def _tails(e: Evidence) -> list[Explanation]:
         likelihood = float(np.sum(t - 0.5 * (dof + 2.0) * np.log1p(squared / (dof * scale)) + 0.5 * squared))
         best = max(best, (likelihood, dof))
     gain, dof = best
-    outlying, elsewhere, _ = misfits(e.inputs, e.path, e.used, e.residuals)
-    net = gain - _penalty(e, 2)
-    if outlying >= 2 and 2 * elsewhere >= outlying:
-        return [Explanation(Finding(ASSOCIATIONS, "pairings", "readings", elsewhere, gain=gain), net)]
-    return [Explanation(Finding(NOISE, "tails", "readings", dof, gain=gain, outliers=outlying), net)]
+    outlying = int((e.residuals.squared > OUTLYING).sum())
+    return [Explanation(Finding(NOISE, "tails", "readings", dof, gain=gain, outliers=outlying), gain - _penalty(e, 2))]
 
 
 def _landmarks(e: Evidence) -> list[Explanation]:
@@ -365,9 +362,8 @@ def corrected(e: Evidence, finding: Finding) -> Inputs:
             R[part] *= float(squares[rows].sum()) / max(2 * int(rows.sum()), 1)
     elif finding.kind == CORRELATION:
         R *= (1.0 + finding.size) / max(1.0 - finding.size, 0.02)  # n readings are worth n (1 - r) / (1 + r)
-    elif finding.kind in ("tails", "pairings"):
-        squared = (e.observations**2).sum(axis=1)
-        dof = finding.size if finding.kind == "tails" else HEAVY[0]
+    elif finding.kind == "tails":
+        squared, dof = (e.observations**2).sum(axis=1), finding.size
         R *= np.nan_to_num(np.maximum((dof + squared) / (dof + 2.0), 0.5), nan=1.0)[:, None, None]
     elif finding.kind in ("landmark", "displaced"):
         row = np.flatnonzero(e.used.identity == int(finding.name))

@@ -16,11 +16,11 @@ from data.log import Log
 from data.motion.systematic import corrected_inputs
 from data.notice import Code, Notice, notice
 from data.result import Run
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
 from eval.referee import attribution, battery, effects, residuals, trust
-from eval.referee.attribution import ESTIMATOR, NOISE, NOTHING, UNLISTED, UNTELLABLE, Finding
-from eval.referee.explanations import CORRELATION, MODELLED, Evidence, corrected, explanations, mirrored
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNLISTED, UNTELLABLE, Finding
+from eval.referee.explanations import CORRELATION, MODELLED, UNINFORMATIVE, Evidence, corrected, explanations, mirrored
 from eval.referee.headline import NEES_LIMIT
 from eval.referee.plausibility import with_plausibility
 from eval.referee.residuals import Used
@@ -184,6 +184,7 @@ ROUNDS = 4  # explanations, one after the other
 REPLICATES = 4  # of the corrected log in a round: they give the spread of residuals to 2 % on a log of 200 frames
 TRIED = 3  # explanations of a kind whose likelihood is computed
 HOPELESS = 10.0  # share of the best odds, below which it is not
+FEWEST_OUTLIERS = 2
 FAR = 10.0  # standard errors of a systematic error beyond which it is linearized anew
 STANDS_OUT = 6.0  # standard deviations, above which a statistic of a corrected log still stands out
 REMOVED = 0.5  # share of the strongest objection that an explanation has to take away
@@ -240,8 +241,45 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
         if finding.kind in MODELLED:
             finding = replace(finding, gain=_likelihood(inputs, e.used) - stated)
         tried.append((x.net - x.finding.gain + finding.gain, finding, inputs))
-    tried = [t for t in tried if t[0] > 0.0]
+    mispaired = _mispaired(e, smoother, stated)
+    # outliers that fit another landmark are no tails
+    tried = [t for t in tried if t[0] > 0.0 and not (mispaired and t[1].kind == "tails")]
+    tried += [t for t in mispaired if t[0] > 0.0]
     return max(tried, key=lambda t: t[0])[1:] if tried else None
+
+
+def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[tuple[float, Finding, Inputs]]:
+    """Outliers most of which fit another landmark, left out; they are those of a robust smoother, as others bend.
+
+    Some are only seen once others are left out.
+    """
+    outliers = int((e.residuals.squared > residuals.OUTLYING).sum())
+    inputs, wrong, all_of_them = e.inputs, 0, 0
+    for _ in range(ROUNDS if outliers >= FEWEST_OUTLIERS else 0):
+        robust = with_plausibility(batch(STAND_IN, inputs, _as_front(smoother)), inputs)
+        if robust.flaw is not None:
+            return []
+        used, path = residuals.used_by(robust, inputs), _path(robust)
+        found = residuals.smoothed_residuals(inputs, path, used)
+        outlying, elsewhere, _ = residuals.misfits(inputs, path, used, found)
+        if not outlying:
+            break
+        o, left_out = inputs.observations, found.squared > residuals.OUTLYING
+        R = np.where(left_out[:, None, None], UNINFORMATIVE * o.R, o.R)
+        inputs = replace(inputs, observations=replace(o, R=R))
+        wrong, all_of_them = wrong + elsewhere, all_of_them + outlying
+    if all_of_them < FEWEST_OUTLIERS or 2 * wrong < all_of_them:
+        return []
+    # a landmark that begins with such an observation would be linearized anywhere, so they are not paired at all; each
+    # has the density of a measurement that says nothing
+    left_out = inputs.observations.R[:, 0, 0] > e.inputs.observations.R[:, 0, 0]
+    density = -math.log(2.0 * math.pi) - 0.5 * np.linalg.slogdet(inputs.observations.R[left_out])[1]
+    gain = _likelihood(inputs, _without(e.used, left_out)) + float(density.sum()) - stated
+    return [(gain, Finding(ASSOCIATIONS, "pairings", "readings", wrong, gain=gain), inputs)]
+
+
+def _without(used: Used, left_out: BoolArray) -> Used:
+    return replace(used, number=np.where(left_out, -1, used.number))
 
 
 def _likelihood(inputs: Inputs, used: Used) -> float:

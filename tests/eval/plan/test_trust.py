@@ -118,7 +118,7 @@ def test_with_a_scheduler_twins_are_drawn_on_the_cluster(outcome, unmeasured, tm
     asked = []
 
     def on_cluster(address, calls):
-        asked.append((address, {arguments[0].__name__ for _, arguments in calls}))
+        asked.append((address, {arguments[2].__name__ for _, arguments in calls}))
         return ((i, function(*arguments)) for i, (function, arguments) in enumerate(calls))
 
     monkeypatch.setattr("eval.plan.work.on_cluster", on_cluster)

@@ -93,10 +93,10 @@ def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path
 def test_formulas_are_mathml_in_the_page_and_latex_in_markdown(tmp_path):
     made = visual_sections(tmp_path, Output(quick=True), trials())
     write_report(tmp_path, Report("Title", "command", ("First.",), tuple(made)))
-    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    page = "".join(p.read_text(encoding="utf-8") for p in sorted(tmp_path.rglob("*.html")))
     assert page.count('<div class="formula"><math display="block">') == 3
     assert not re.search(r"https?://|<script", page)
-    text = (tmp_path / "report.md").read_text(encoding="utf-8")
+    text = "".join(p.read_text(encoding="utf-8") for p in sorted(tmp_path.rglob("*.md")))
     for model in visual.MODELS:
         assert f"```math\n{model.latex}\n```" in text
 
