@@ -32,6 +32,15 @@ def shared_data() -> Path:
     return folder
 
 
+@pytest.fixture(scope="session")
+def mrclam(shared_data: Path) -> Path:
+    """Recordings of UTIAS MRCLAM, as zips."""
+    folder = shared_data / "mrclam"
+    if not folder.is_dir():
+        pytest.skip("no MRCLAM recordings beside the project (../shared/data/mrclam)")
+    return folder
+
+
 @pytest.fixture(scope="module")
 def tables_parsed_once() -> Iterator[None]:
     """The text of a recorded MRCLAM file is parsed once, however often its log is loaded; nobody may write into it."""

@@ -77,18 +77,15 @@ def explanations(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
     return sorted((x for x in found if math.isfinite(x.net)), key=lambda x: -x.net)
 
 
-def size_of(e: Evidence) -> int:
-    """Number of residuals."""
-    return int(np.isfinite(e.residuals.observations).sum() + np.isfinite(e.residuals.odometry).sum())
-
-
 def mirrored(e: Evidence) -> Explanation:
     """Bearings, or the y of points, to the other side: its gain is that of the corrected inputs alone."""
     return Explanation(Finding(NOISE, "mirrored", "z2", -1.0, gain=0.0), -_penalty(e, 1))
 
 
 def _penalty(e: Evidence, parameters: int, places: int = 1) -> float:
-    return 0.5 * parameters * math.log(max(size_of(e), 2)) + math.log(max(places, 1))
+    """Of the Bayesian information criterion, and the logarithm of the number of places that were searched."""
+    known = np.isfinite(e.residuals.observations).sum() + np.isfinite(e.residuals.odometry).sum()
+    return 0.5 * parameters * math.log(max(int(known), 2)) + math.log(max(places, 1))
 
 
 # columns of the linearized problem
@@ -99,7 +96,8 @@ def _linear(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
     plain = effects(e.inputs, e.path, e.used)
     groups: list[tuple[Finding, tuple[Effect, ...], int]]
     groups = [(Finding(NOISE, "systematic", x.name, math.nan), (x,), 1) for x in plain]
-    groups += [*_jumps(e), *_bursts(e), *(_displaced(e) if e.inputs.map is not None else [])]
+    of_points = e.inputs.map is not None and e.inputs.sensor.sees_points
+    groups += [*_jumps(e), *_bursts(e), *(_displaced(e) if of_points else [])]
     hypotheses = list({x.name: x for _, columns, _ in groups for x in columns}.values())
     scored = score_of(e.inputs, e.path, e.used, hypotheses)
     place = {x.name: i for i, x in enumerate(hypotheses)}

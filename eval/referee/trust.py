@@ -147,7 +147,6 @@ class Smoothed:
 
     statistics: dict[str, Measured]  # of its cost, residuals, and slopes of systematic errors
     typical: dict[str, float]  # spread of the residuals without outliers by component, in stated sigmas
-    outlying: int  # number of outliers
 
 
 def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
@@ -162,4 +161,4 @@ def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
         result[name] = Measured(value, 0.0 if name.endswith("_mean") else math.nan)
     for name, (value, error) in effects.scored(inputs, path, used, run.errors_final).slopes().items():
         result[f"slope_{name}"] = Measured(value, 0.0, error)
-    return Smoothed(result, residuals.typical(found), int(np.sum(found.squared > residuals.OUTLYING)))
+    return Smoothed(result, residuals.typical(found))

@@ -33,7 +33,7 @@ class Sample:
     """Truth-free consistency statistics of one log, and of a twin the errors of its estimators.
 
     Attributes:
-        outlying, typical: of the smoother's residuals, see `trust.Smoothed`.
+        typical: of the smoother's residuals, see `trust.Smoothed`.
         apart: RMS [m] between an online path and the batch smoother's, by estimator.
         nees: mean pose NEES by estimator and phase (of a twin).
         counts: tp, tn, fp, fn of the final decisions by estimator (of a twin).
@@ -41,7 +41,6 @@ class Sample:
 
     measured: Mapping[Key, Measured]  # the statistics; none of a failed estimator
     failures: Mapping[str, str] = field(default_factory=dict)  # reasons, by estimator
-    outlying: int = 0
     typical: Mapping[str, float] = field(default_factory=dict)
     apart: Mapping[str, float] = field(default_factory=dict)
     nees: Mapping[tuple[str, str], float] = field(default_factory=dict)
@@ -103,7 +102,7 @@ def sample_of(
     if smoothed is None:
         smoothed = trust.of_smoother(smoother, inputs)
     measured |= {(smoother.estimator, name): m for name, m in smoothed.statistics.items()}
-    return Sample(measured, failures, smoothed.outlying, smoothed.typical, apart)
+    return Sample(measured, failures, smoothed.typical, apart)
 
 
 def one_twin(source: Source, seed: int) -> Sample:
@@ -136,7 +135,7 @@ def twin_sample(
     return replace(sample, nees=nees, counts=counts)
 
 
-PLAIN_FIELDS = ("failures", "outlying", "typical", "apart")  # stored without conversion
+PLAIN_FIELDS = ("failures", "typical", "apart")  # stored without conversion
 
 
 def save(path: Path, sample: Sample) -> None:

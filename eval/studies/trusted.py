@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from association.decide import known_decisions
-from data.inputs import CLUTTER, Inputs, LabelledObservations, Observations
+from data.inputs import CLUTTER, Inputs, LabelledObservations
 from data.log import Log
 from data.motion.systematic import corrected_inputs
 from data.notice import Code, Notice, notice
@@ -30,7 +30,7 @@ from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
 from eval.replay.settings import Setup
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
-from eval.studies.twins import inputs_of, smoothed_twin, source_of
+from eval.studies.twins import corrected_log, inputs_of, smoothed_twin, source_of
 
 COLUMNS = TRUST.names
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
@@ -183,8 +183,8 @@ def _estimators(twins: Sequence[Sample]) -> list[Finding]:
 ROUNDS = 4  # explanations, one after the other
 REPLICATES = 4  # of the corrected log in a round: they give the spread of residuals to 2 % on a log of 200 frames
 TRIED = 3  # explanations of a kind whose likelihood is computed
-HOPELESS = 10.0  # share of the best odds, below which it is not
-FEWEST_OUTLIERS = 2
+HOPELESS = 10.0  # the likelihood is not computed where the log odds are less than the best ones over this
+FEWEST_OUTLIERS = 2  # one outlier is no evidence for another model
 FAR = 10.0  # standard errors of a systematic error beyond which it is linearized anew
 STANDS_OUT = 6.0  # standard deviations, above which a statistic of a corrected log still stands out
 REMOVED = 0.5  # share of the strongest objection that an explanation has to take away
@@ -309,11 +309,8 @@ def _again(inputs: Inputs, smoother: Run, finding: Finding) -> tuple[Inputs, Fin
 
 def _replicated(log: Log, task: str, inputs: Inputs, smoother: Run) -> list[trust.Smoothed]:
     """Statistics of the smoother on replicates of a corrected log."""
-    o = inputs.observations
-    recorded = replace(
-        log.recorded, increments=inputs.increments, observations=Observations(o.frame, o.z, o.R), systematic=None
-    )
-    source = source_of(replace(log, recorded=recorded), smoother, (), Setup())
+    made = corrected_log(log, inputs)
+    source = source_of(replace(made, recorded=replace(made.recorded, systematic=None)), smoother, (), Setup())
     found = [smoothed_twin(source, seed) for seed in range(REPLICATES)]
     return [s for s in found if s is not None]
 

@@ -206,7 +206,7 @@ def calibrated(
         if smoother.flaw is not None or smoother.final is None:
             break
         used = residuals.used_by(smoother, inputs)
-        source = source_of(replace(log, recorded=_recorded(log, inputs)), smoother, (), setup)
+        source = source_of(corrected_log(log, inputs), smoother, (), setup)
         drawn = [smoothed_twin(source, seed) for seed in range(number * TWINS, (number + 1) * TWINS)]
         usual = [s.typical for s in drawn if s is not None]
         rest = corrected_inputs(inputs, smoother.errors_final)
@@ -225,7 +225,7 @@ def calibrated(
         for name, factor in wrong.items():
             done[f"sigma_{name}"] = done.get(f"sigma_{name}", 1.0) * factor
         smoother = with_plausibility(batch("batch", inputs, replace(smoother, online=smoother.final)), inputs)
-    return replace(log, recorded=_recorded(log, inputs)), done
+    return corrected_log(log, inputs), done
 
 
 def smoothed_twin(source: Source, seed: int) -> trust.Smoothed | None:
@@ -235,7 +235,8 @@ def smoothed_twin(source: Source, seed: int) -> trust.Smoothed | None:
     return None if smoother.flaw is not None else trust.of_smoother(smoother, inputs)
 
 
-def _recorded(log: Log, inputs: Inputs) -> Inputs:
-    """The corrected parts of the inputs in the log, with its map, without labels."""
+def corrected_log(log: Log, inputs: Inputs) -> Log:
+    """The log with the corrected parts of the inputs, with its map, without labels."""
     o = inputs.observations
-    return replace(log.recorded, increments=inputs.increments, observations=Observations(o.frame, o.z, o.R))
+    recorded = replace(log.recorded, increments=inputs.increments, observations=Observations(o.frame, o.z, o.R))
+    return replace(log, recorded=recorded)

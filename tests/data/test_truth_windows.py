@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -236,14 +235,6 @@ def test_a_map_in_another_frame_has_no_wrong_rows():
     log = open_log("arena:3")
     known = log.recorded.map
     assert misplaced(replace(log, recorded=replace(log.recorded, map=LandmarkMap(known.id, known.xy + 3.0)))) == ()
-
-
-@pytest.fixture(scope="module")
-def mrclam(shared_data: Path) -> Path:
-    folder = shared_data / "mrclam"
-    if not folder.is_dir():
-        pytest.skip("no MRCLAM recordings beside the project (../shared/data/mrclam)")
-    return folder
 
 
 def test_the_bad_windows_of_utias_dataset_9_are_found(mrclam):

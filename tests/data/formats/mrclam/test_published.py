@@ -20,14 +20,6 @@ BAD_NINE = [(755.0, 836.0), (945.0, 1050.0), (376.0, 380.0)]
 
 
 @pytest.fixture(scope="module")
-def mrclam(shared_data: Path) -> Path:
-    folder = shared_data / "mrclam"
-    if not folder.is_dir():
-        pytest.skip("no MRCLAM recordings beside the project (../shared/data/mrclam)")
-    return folder
-
-
-@pytest.fixture(scope="module")
 def published(mrclam: Path) -> Callable[..., Log]:
     """`published(dataset, robot, **arguments)`: a log of a published zip, uncorrected unless said otherwise."""
 

@@ -11,7 +11,7 @@ from scipy import stats
 
 from data.result import Trajectory
 from data.worlds.linear import LinearWorld, simulate
-from eval.referee import trust
+from eval.referee import residuals, trust
 from eval.referee.trust import difference, filter_smoother, regular
 from eval.replay.run import compare
 
@@ -139,4 +139,5 @@ def test_a_smoother_says_its_cost_its_residuals_and_their_slopes_with_what_is_ex
         assert (m.se > 0.0) == name.startswith("slope_"), name
     assert "nis" in found.statistics
     assert set(found.typical) >= {"odometry_x", "z1"}
-    assert found.outlying == 0
+    left = residuals.smoothed_residuals(inputs, batch.final.pose, residuals.used_by(batch, inputs))
+    assert int(np.sum(left.squared > residuals.OUTLYING)) == 0

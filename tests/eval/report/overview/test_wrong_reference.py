@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -84,14 +83,6 @@ def test_run_scores_what_its_flags_say(tmp_path, flags, missing):
     (experiment,) = make_plan(read_options([str(tmp_path / "log"), *flags]), print).experiments
     assert set(np.flatnonzero(np.isnan(experiment.log.truth.pose[:, 0])).tolist()) == missing
     assert bool(experiment.log.truth.left_out) == (not flags)
-
-
-@pytest.fixture(scope="module")
-def mrclam(shared_data: Path) -> Path:
-    folder = shared_data / "mrclam"
-    if not folder.is_dir():
-        pytest.skip("no MRCLAM recordings beside the project (../shared/data/mrclam)")
-    return folder
 
 
 def test_utias_dataset_1_as_published_is_not_lost_but_has_swapped_rows(mrclam):

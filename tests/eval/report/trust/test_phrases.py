@@ -56,7 +56,7 @@ def noise(name, factor, terms=POLAR):
         ("mount_x", 0.1, 0.02, "the sensor is mounted 0.10 m ± 0.02 m too far ahead of its stated place"),
         ("mount_y", -0.1, 0.02, "the sensor is mounted 0.10 m ± 0.02 m to the right of its stated place"),
         ("map_scale", 0.02, 0.002, "the map is 2.0 % ± 0.2 % too large"),
-        ("odometry_integration", 1.0, 0.1, "steps of the odometry turn by 100 % ± 10 % of half a step's turn"),
+        ("odometry_integration", 1.0, 0.1, "odometry applies 100 % ± 10 % of half of each step's turn too early"),
     ],
 )
 def test_a_systematic_error_has_its_side_and_its_unit(name, size, error, text):
