@@ -16,6 +16,7 @@ from eval.plan.experiment import Experiment, Work
 from eval.plan.experiments import Plan
 from eval.plan.flags.table import Execution, Options
 from eval.plan.flags.variant import Variant
+from eval.plan.progress import say_kept
 from eval.plan.results import with_results
 from eval.plan.trust import trusted
 from eval.plan.tutorials import ABOUT, tutorial_run, variant_log
@@ -28,7 +29,7 @@ from eval.studies.montecarlo import Study, one_run, study_of
 from eval.studies.reproduced import published_rows, replay_stored
 from eval.studies.scenario import Scenario
 from eval.studies.trusted import Trust
-from eval.studies.validation import Examined, Validation
+from eval.studies.validation import Examined, Validation, cases
 
 
 @dataclass(frozen=True)
@@ -109,11 +110,14 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         *(Job(Recorded(i), replay_stored, asked) for i, asked in enumerate(plan.stored)),
         *(Job(Seeded(*key), one_run, (s, key[1])) for key, s in seeds.items() if Seeded(*key) not in done),
     ]
+    say_kept(len(done), len(seeds), execution.quiet)
+    later = sum(len(cases(study, options.study.seed)) for study in plan.validations)
+    progress(0, len(jobs) + later)
     for count, (owner, result) in enumerate(_finished(jobs, execution, lost), start=1):
         done[owner] = result
         if isinstance(owner, Seeded):
             store.save(folders[owner.study], owner.seed, result)
-        progress(count, len(jobs))
+        progress(count, len(jobs) + later)
     trials = _trials(experiments, done, execution, lost, watched=watched)
     calibrations = examine(calibrations, experiments, trials, execution, lost)
 
