@@ -17,6 +17,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
+from data.command import without_places
 from data.errors import UsageError
 from data.notice import Severity
 from data.terminal import INTERRUPTED, WRONG, counted, ended, message_of, unread
@@ -161,6 +162,7 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
     from eval.plan.progress import progress
+    from eval.plan.provenance import words_of
     from eval.plan.warming import compile_if_needed
     from eval.referee.diagnostics import disputed, questions_of_run
     from eval.referee.score import score
@@ -244,7 +246,8 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     for why in missing:
         console.complain(described(why))
     console.say(f"report: {options.output.out / 'report.html'}  (slamref report {options.output.out})")
-    (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
+    text = without_places("\n".join(console.lines), [*command, *words_of(options)])
+    (folder / "run.log").write_text(text + "\n", encoding="utf-8")
     return WRONG if missing else REJECTED if failed else FINE
 
 
