@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from data.formats.recordings import mending
+
 if TYPE_CHECKING:
     from data.convert.parsers import Add
     from data.log import Log
@@ -40,7 +42,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     )
     carmen = add(
         "carmen",
-        help="a CARMEN log with laser scans (.log, .clf, also .gz)",
+        help="a CARMEN log with laser scans (.log, .clf, also .gz, .bz2)",
         description="Odometry and laser scans of a CARMEN log, with reference relations where there are some.",
         epilog=CARMEN,
     )
@@ -67,6 +69,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     carmen.add_argument("--relations", metavar="FILE", type=Path, help=text)
     rosbag.add_argument("--scan", metavar="TOPIC", help="of the scans (default: the only one)")
     rosbag.add_argument("--odom", metavar="TOPIC", help="of the odometry (default: the only one)")
+    mending.add_flags(carmen)
+    mending.add_flags(rosbag)
     lab.add_argument("--camera-translation", choices=("cm", "mm", "m"), default="cm", help="unit of T (default: cm)")
     text = "what R and T do (default: p_c = R p_b + T)"
     lab.add_argument("--camera-reading", choices=("to-camera", "to-body"), default="to-camera", help=text)
@@ -83,11 +87,13 @@ def convert(args: argparse.Namespace) -> Log:
     if args.kind == "carmen":
         from data.formats.recordings.carmen import load_carmen
 
-        return load_carmen(args.source, args.relations, undo_correction=args.undo_correction)
+        return load_carmen(
+            args.source, args.relations, undo_correction=args.undo_correction, mending=mending.given(args)
+        )
     if args.kind == "rosbag":
         from data.formats.recordings.ros import log_of, read_bag
 
-        return log_of(args.source, read_bag(args.source, args.scan, args.odom))
+        return log_of(args.source, read_bag(args.source, args.scan, args.odom), mending.given(args))
     from data.visual.opening import Camera, open_lab_log
 
     camera = Camera(args.camera_translation, args.camera_reading, args.corner_noise, args.trust_pickle)
