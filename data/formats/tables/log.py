@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
+from data.digest import file_sha256
 from data.errors import DataError, UsageError
 from data.formats.csv_table import Table
 from data.formats.recordings.laser import FLOOR
@@ -132,7 +133,8 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
         covariance_floor=FLOOR,
         floored=floored,
     )
-    files = {role: str(path) for role, path in wanted.files.items()}
+    files = {role: path.name for role, path in wanted.files.items()}
+    files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items()}
     return Log(
         name,
         inputs,

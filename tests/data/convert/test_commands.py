@@ -69,7 +69,7 @@ class TestMrclam:
         log = convert()
         assert log.name == "out"
         assert same(log, load_mrclam(source, 1))
-        assert log.source["path"] == str(source)
+        assert log.source["file"] == source.name
         assert log.labels_are_sensed
 
     def test_it_says_what_it_did(
