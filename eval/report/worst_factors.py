@@ -22,7 +22,7 @@ from eval.report.rows import stem
 from eval.report.words import say
 from graph.audit.audit import FAMILY
 from graph.audit.kinds import LOOP
-from graph.audit.replayed import OBSERVATIONS, Replayed, of_landmarks, of_poses
+from graph.audit.replayed import Replayed, of_landmarks, of_poses
 from graph.batch import Start
 from graph.poses.batch import pose_problem
 
@@ -136,7 +136,7 @@ def _named(trial: Trial, run: Run, graph: Replayed, i: int) -> tuple[str, str]:
             ends = run.loops.key1[row], run.loops.key2[row]
             return f"{kind}, key poses {ends[0]} and {ends[1]}", ", ".join(str(run.chain.frame[k]) for k in ends)
         return kind, ", ".join(str(run.chain.frame[k]) for k in (frame - 1, frame) if k >= 0)
-    if kind == OBSERVATIONS:
+    if row >= 0:
         first = int(np.searchsorted(trial.log.recorded.observations.frame, frame))
         number_ = run.initialized[row] if run.initialized[row] >= 0 else run.final_decisions[row]
         return f"observation {row - first} of landmark {number_}", str(frame)

@@ -13,12 +13,17 @@ from graph.audit.audit import Statistics, statistics
 from graph.audit.kinds import LOOP, ODOMETRY, PRIOR, Kinds
 from graph.audit.linear import Group, System
 from graph.batch import Start, build, start_values
-from graph.factors import is_point
 from graph.poses.batch import PoseProblem
 from graph.qr.elimination import Rows
 from graph.qr.rows import Linearizer
 
-OBSERVATIONS, DRIFT, ERRORS, SCANS = "observations", "drift", "systematic errors", "scan matching"
+OBSERVATIONS, NEAR, DRIFT, ERRORS, SCANS = (
+    "observations",
+    "near observations",
+    "drift",
+    "systematic errors",
+    "scan matching",
+)
 SEED = 0  # of the probes of variance components
 DIAGONAL = 1e-9  # correlation below which a noise is diagonal
 
@@ -30,7 +35,7 @@ class Replayed:
     Attributes:
         statistics: of its factors.
         frame: (F,) frame into which an increment leads, or of an observation; of key poses their number; -1: neither.
-        observation: (F,) row of the observation, or of the loop closure; -1 for other factors.
+        observation: (F,) row of the observation, or of the loop closure; -1: another factor.
     """
 
     statistics: Statistics
@@ -49,7 +54,7 @@ def of_landmarks(inputs: Inputs, decisions: IntArray, initialized: IntArray, end
     frame, observation = np.full(blocks + (len(errors) > 0), -1), np.full(blocks + (len(errors) > 0), -1)
     frame[1:n], frame[n : n + m] = np.arange(1, n), inputs.observations.frame[used]
     observation[n : n + m] = used
-    names = [PRIOR, ODOMETRY, OBSERVATIONS, DRIFT, ERRORS]
+    names = [PRIOR, ODOMETRY, OBSERVATIONS, NEAR, DRIFT, ERRORS]
     of = np.repeat(np.arange(5), [1, n - 1, m, blocks - n - m, int(len(errors) > 0)])
     axes = [(), _axes_of_odometry(inputs), _axes_of_observations(inputs, used), (), ()]
     return _replayed(rows, errors, of, names, axes, frame, observation)
@@ -130,8 +135,7 @@ def _axes_of_observations(inputs: Inputs, used: IntArray) -> tuple[str, ...]:
         return ()
     if sensor.kind == RELATIVE_POINT:
         return ("x", "y") if sensor.rotation == 0.0 else ()
-    points = is_point(sensor, o.z[used], o.R[used])
-    return ("bearing", "range") if sensor.kind == RANGE_BEARING and not points.any() else ()
+    return ("bearing", "range") if sensor.kind == RANGE_BEARING else ()
 
 
 def _diagonal(C: Array) -> bool:
