@@ -12,7 +12,7 @@ from data.notice import Code, Notice, notice
 from data.result import Run
 from eval.compare import compare
 from eval.plan.experiment import Experiment
-from eval.plan.flags.table import Options, Study
+from eval.plan.flags.table import TWINS, Options, Study
 from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, cached, work
 from eval.referee.attribution import NOISE
@@ -24,7 +24,6 @@ from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
 from eval.studies.trusted import FEWEST, Trust, judged
 from eval.studies.twins import Source, calibrated, digest_of, inputs_of, source_of
 
-FULL_TWINS = 100  # twins of each log with `--full`
 AFTERWARDS = 39  # most twins of a log after its trial calibration; the family-wise p value can then reach 2.5 %
 Progress = Callable[[int, int], None]
 
@@ -77,7 +76,7 @@ def trusted(
 
 def _count(study: Study) -> int:
     """Number of twins of each log."""
-    return (FULL_TWINS if study.full else 0) if study.twins is None else study.twins
+    return (TWINS if study.full else 0) if study.twins is None else study.twins
 
 
 def _groups(e: Experiment, trial: Trial, study: Study) -> list[Group]:

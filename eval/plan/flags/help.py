@@ -39,7 +39,7 @@ RUN = {
         Everyday("--task LIST", "localization, slam or both", "arena:0 --task slam"),
         Everyday("--estimator LIST", "filters and smoothers, also your own", "arena:0 --estimator ekf,isam2,batch"),
         Everyday("--association LIST", "association methods, also your own", "arena:0 --association known,nn,jcbb"),
-        Everyday("--twins N", "diagnosis without ground truth, from N bootstrap replicates", "my_log/ --twins 100"),
+        Everyday("--twins", "diagnosis without ground truth, from 99 bootstrap replicates", "my_log/ --twins"),
         Everyday("--calibrate", "estimate systematic errors of odometry and sensor", "my_log/ --calibrate"),
     ),
     "output": (
@@ -145,7 +145,7 @@ examples:
   {PROG} --data ~/datasets                  every dataset found in a folder, two levels deep
   {PROG} my_log --estimator ekf,batch-cauchy --association known
   {PROG} arena:0 --estimator ekf,mine=./mine.py:Filter --association known,./mine.py:nearest
-  {PROG} my_log --twins 100                 diagnosis without ground truth
+  {PROG} my_log --twins                     diagnosis without ground truth
   {PROG} my_log --calibrate                 estimate systematic errors beside path and map
   {PROG} arena:0:curvature=0.02 --calibrate curvature,scale=0.05
   {PROG} my_log --gate-known 0.9999 --no-gate-smoothers    only filters leave out labels that fit badly

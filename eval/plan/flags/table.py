@@ -43,6 +43,7 @@ KNOWN_FORMATS = (*FORMATS, "pdf")
 FACTORS = ("1", "2", "5", "10", "20", "50", "auto")
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
+TWINS = 99  # bootstrap replicates of a log: a share of 5 % of the level still leaves ranks for the statistics that need them
 NOT_NEGATIVE = whole(0, "must not be negative")
 FIRST_FRAMES = whole(1, "a whole number from 1 up is needed")  # `--frames` of step and play
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -228,8 +229,9 @@ class Study:
         None,
         NOT_NEGATIVE,
         "N",
-        "diagnose each log without ground truth, from N bootstrap replicates (default: 0; with --full 100 for ekf and "
-        "batch)",
+        "diagnose each log without ground truth, from N bootstrap replicates; without a number 99 (default: 0; with "
+        "--full 99 for ekf and batch)",
+        bare=str(TWINS),
     )
     full: bool = switch_row("run the default suite with every method; takes minutes")
 
