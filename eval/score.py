@@ -16,9 +16,10 @@ PROG = "python -m eval.score"
 HELP = """\
 Score a trajectory against a truth: errors, relative errors, and NEES where the file has covariances.
 Formats: CSV (t,x,y,theta or a header that names others), TUM (also with covariance), SQUARE, EuRoC, OpenVINS, KITTI
-poses, or a topic of a ROS bag. Where both files are in 3-D, so are the numbers with 3d in their names; the others are
-of the projection to x and y. The truth may also be a log. Each line has a name of metrics.csv and a value, in SI units unless the name has a unit.
-Paths are aligned with --align only. For estimates of several runs: the mean NEES, a verdict, and its power."""
+poses, or a topic of a ROS bag. The truth may also be a log. Where both files are in 3-D, numbers with 3d in their names
+are in space, and the others of the projection to x and y. Each line has a name of metrics.csv and a value, in SI units
+unless the name has a unit. Paths are aligned with --align only. For estimates of several runs: the mean NEES, a
+verdict, and its power."""
 EXAMPLES = """\
 examples:
   python -m eval.score estimate.tum truth.tum
