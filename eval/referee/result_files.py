@@ -317,6 +317,12 @@ RELATIONS = File(
     ),
     when="logs with reference relations",
 )
+SPACE = File(
+    "space.csv",
+    "Scores in 3-D, a row per quantity; [results of other programs](results-files.md#in-3-d) has their names.",
+    (*WHO, PHASE, text("quantity", "name with its unit"), Column("value", "value")),
+    when="a result and its truth in 3-D",
+)
 PUBLISHED = File(
     "published.csv",
     "Comparison with published numbers.",
@@ -387,4 +393,4 @@ NOTICES = File(
         text("text", "sentence of the report"),
     ),
 )
-TOP = (METRICS, DECISION_COUNTS, CONSISTENCY, TRUST, RELATIONS, PUBLISHED, NOTICES, TIMING)
+TOP = (METRICS, DECISION_COUNTS, CONSISTENCY, TRUST, RELATIONS, SPACE, PUBLISHED, NOTICES, TIMING)
