@@ -319,9 +319,9 @@ RELATIONS = File(
 )
 SPACE = File(
     "space.csv",
-    "Scores in 3-D, a row per quantity; [results of other programs](results-files.md#in-3-d) has their names.",
-    (*WHO, PHASE, text("quantity", "name with its unit"), Column("value", "value")),
-    when="a result and its truth in 3-D",
+    "[Scores in 3-D](notes/results-files.md), a row per quantity.",
+    (*WHO, PHASE, text("quantity", "name"), Column("value", "value")),
+    when="results in 3-D",
 )
 PUBLISHED = File(
     "published.csv",
