@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
     from association.decide import decide
     from association.expectation import Expectation
+    from data.log import Log
     from data.logs import open_log
     from data.notice import Notice
     from data.result import DISCARD, NEW
@@ -52,6 +53,7 @@ __all__ = [
     "DISCARD",
     "NEW",
     "Expectation",
+    "Log",
     "Notice",
     "Samples",
     "Trial",
@@ -72,6 +74,7 @@ __all__ = [
 
 HOMES = {
     "open_log": "data.logs",
+    "Log": "data.log",
     "audit": "eval.report.audit",
     "compare": "eval.compare",
     "make_estimator": "eval.replay.estimators",
