@@ -10,12 +10,13 @@ Five steps, from a log to a table and its warnings:
     print(slamref.score([trial]).metrics)                                    # RMSE, NEES, NIS, ...
     print([slamref.sentence(n) for n in slamref.notices([trial])])           # warnings
 
-Logs and runs: `open_log`, `compare`, `make_estimator` (one estimator, step by step).
+Logs: `open_log`, `Log` (`Log.from_arrays`).
+Runs: `compare` with `Setup`; `make_estimator` (one estimator, step by step).
 Data association: `Expectation` (candidates and covariances), `decide`, and the decisions `NEW` and `DISCARD`.
 Results: `Trial`, `score`, `notices`, `Notice`, `sentence`.
 Your own estimators and association methods: `Samples`, and `check_estimator`, `check_association` (for tests),
 `estimator_findings`, `association_findings` (as lists).
-
+Many logs: `study` (a `Study` with verdicts). A log without ground truth: `twins` (a `Diagnosis`).
 Factor graphs: `audit` (any gtsam graph with values).
 
 Units are m, rad and s. A pose is (x, y, theta) in the world frame; its covariance (3, 3) has the same coordinates.
@@ -45,17 +46,22 @@ if TYPE_CHECKING:
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
+    from eval.replay.settings import Setup
     from eval.report.audit import audit
+    from eval.report.calls import Diagnosis, Study, study, twins
 
     __version__: str
 
 __all__ = [
     "DISCARD",
     "NEW",
+    "Diagnosis",
     "Expectation",
     "Log",
     "Notice",
     "Samples",
+    "Setup",
+    "Study",
     "Trial",
     "__version__",
     "association_findings",
@@ -70,6 +76,8 @@ __all__ = [
     "open_log",
     "score",
     "sentence",
+    "study",
+    "twins",
 ]
 
 HOMES = {
@@ -77,6 +85,11 @@ HOMES = {
     "Log": "data.log",
     "audit": "eval.report.audit",
     "compare": "eval.compare",
+    "Setup": "eval.replay.settings",
+    "study": "eval.report.calls",
+    "Study": "eval.report.calls",
+    "twins": "eval.report.calls",
+    "Diagnosis": "eval.report.calls",
     "make_estimator": "eval.replay.estimators",
     "decide": "association.decide",
     "Trial": "eval.referee.score",
