@@ -5,8 +5,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
+import sysconfig
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
+
+from data.digest import ROOT
 
 COMPLETION = "_ARGCOMPLETE"
 """Environment variable by which the shell asks for completions (argcomplete)."""
@@ -19,6 +24,29 @@ def stretch(text: str) -> tuple[float, float]:
         if colon and float(begin) < float(end):
             return float(begin), float(end)
     raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO in seconds, FROM before TO")
+
+
+PLACE = re.compile(r"(^|[=,:])(/(?!/)(?:[^/=,:]*/)*)")
+"""Folder of an absolute path in a word of a command, as in `--out=/a/b` or `mine=/a/b.py:Mine`."""
+
+
+def portable(word: str) -> str:
+    """A word of a command with its paths relative to the working directory; of others the file's name alone.
+
+    A result folder that is handed on does not tell where somebody's files lie, and is the same wherever they lie.
+    """
+    here = Path.cwd().as_posix().rstrip("/")
+    return "." if here and word == here else PLACE.sub(r"\1", word.replace(f"{here}/", "") if here else word)
+
+
+def without_places(text: str, words: Iterable[str]) -> str:
+    """A text without the folders that `words` of a command name, the working directory, and those of programs."""
+    found = {place[2] for word in words for place in PLACE.finditer(word)}
+    found |= {f"{place}/" for place in (Path.cwd().as_posix(), ROOT, *map(sysconfig.get_path, ("purelib", "stdlib")))}
+    for place in sorted(found, key=len, reverse=True):
+        if place.strip("/"):
+            text = text.replace(place, "")
+    return text
 
 
 class Parser(argparse.ArgumentParser):

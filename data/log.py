@@ -15,6 +15,8 @@ from data.pictures import Evidence
 from data.se2 import BoolArray, dead_reckoned
 from data.truth import UNKNOWN_ID, Relations, Truth
 
+ODOMETRY_KIND = "odometry_kind"
+"""Key of the source of a log from tables: velocities, poses, steps or ticks."""
 T = TypeVar("T", bound=NDArray[Any])
 
 

@@ -23,7 +23,9 @@ from data.result import (
     revised,
     surviving,
 )
+from eval.replay.external.spec import name_of
 from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.settings import BATCH, INCREMENTAL
 
 
 def _begun(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> IntArray | None:
@@ -163,3 +165,10 @@ def no_run(
         name, association, task, nowhere if online else None, nowhere if final else None, None, nothing, nothing,
         np.full(len(nothing), -1, np.int64), failure=failure,
     )  # fmt: skip
+
+
+def missing_run(name: str, association: str, task: str, inputs: Inputs, failure: Failure) -> Run:
+    """A failed run without results, with the phases that this estimator has."""
+    given = "none" if name == "dead-reckoning" else name_of(association)
+    online, final = name not in BATCH, name in (*BATCH, *INCREMENTAL)
+    return no_run(name_of(name), given, task, inputs, failure, online=online, final=final)

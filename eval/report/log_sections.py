@@ -37,6 +37,7 @@ from eval.report.systematic import systematic_section
 from eval.report.trust import first_page_words, trust_section
 from eval.report.tutorials import variant_note
 from eval.report.words import fine_print, of_runs, paragraph, say
+from eval.report.worst_factors import worst_factors_section
 from eval.studies.trusted import Trust
 
 IN_FULL, WHY_MISSING = "The comparison in words", "Why intervals are missing"
@@ -94,6 +95,7 @@ def trial_sections(
         details += [Folded(NOTES, ("\n".join(f"* {n}" for n in notes),))] if notes else []
         sections.append(Section(f"{_where(trial)}: details", tuple(details), page=stem(trial)))
         sections += trust_section(folder, output, trial, pictures, trust)
+        sections += worst_factors_section(folder, output, trial)
         sections += _decisions(folder, output, group, scores, pictures)
     return sections
 

@@ -5,7 +5,6 @@ Needs `rosbags`.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import struct
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from data.digest import source_file
 from data.errors import DataError, UsageError
 from data.formats.open_log.scans import with_returns
 from data.formats.recordings.laser import laser_inputs
@@ -319,10 +319,7 @@ def log_of(path: Path, bag: Bag) -> Log:
     far = int((time[after] - time[after - 1] > LONG).sum()) if len(time) > 1 else 0
     if far:
         notes.append(f"{counted(far, 'scan is', 'scans are')} where the odometry pauses for more than {LONG:g} s.")
-    source = {"kind": "rosbag", "path": str(path.absolute()), "scan": bag.scan_topic, "odometry": bag.odometry_topic}
-    if path.is_file():
-        with path.open("rb") as file:
-            source["sha256"] = hashlib.file_digest(file, "sha256").hexdigest()
+    source = {"kind": "rosbag", **source_file(path), "scan": bag.scan_topic, "odometry": bag.odometry_topic}
     return Log(path.stem, laser_inputs(pose, stamp, scans), Truth(), source=source, notes=tuple(notes))
 
 
