@@ -26,7 +26,9 @@ Names are loaded on first use. This module is also the command `slamref`; `slamr
 from __future__ import annotations
 
 import sys
+from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -135,13 +137,31 @@ slamref --help lists all commands.
 """
 
 
+PACKAGES = ("association", "data", "ekf", "eval", "graph")
+
+
+@cache
+def _hidden() -> str:
+    """Which file hides a package of ours, for example a `data.py` beside the user's script; empty if none does."""
+    here = Path(__file__).resolve().parent
+    for package in PACKAGES:
+        spec = find_spec(package)
+        places = [*(spec.submodule_search_locations or ()), spec.origin] if spec is not None else []
+        found = next((Path(place) for place in places if place), None)
+        if found is not None and found.resolve() not in (here / package, here / package / "__init__.py"):
+            return f"{found} hides the package {package!r} of slamref; rename it, or start Python in another folder"
+    return ""
+
+
 def __getattr__(name: str) -> Any:
-    """A public name, loaded on first use."""
+    """A public name, loaded on first use. Raises ImportError, in a line, where other files hide our packages."""
     if name == "__version__":
         from importlib.metadata import version
 
         return version("slamref")
     if name in HOMES:
+        if why := _hidden():
+            raise ImportError(why) from None
         return getattr(import_module(HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

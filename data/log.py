@@ -34,6 +34,10 @@ class Log:
         source: provenance; free keys.
         notes: what a reader should know (spans skipped, observations dropped), one sentence each.
         evidence: of a log made from images, its detections.
+
+    Example:
+        >>> print(log)
+        >>> log.truth.pose.shape  # (N, 3)
     """
 
     name: str

@@ -42,9 +42,9 @@ class Study:
     """A finished Monte Carlo study; `done` holds every run.
 
     Example:
-        >>> study = slamref.study(make, ["ekf", "batch"], runs=50)
-        >>> study.verdicts[["estimator", "phase", "quantity", "mean", "lower", "upper", "power", "verdict"]]
-        >>> study.figure().savefig("anees.pdf")
+        >>> found = slamref.study([log], ["ekf"], task="localization")
+        >>> found.verdicts[["estimator", "phase", "quantity", "mean", "lower", "upper", "power", "verdict"]]
+        >>> found.figure().savefig("anees.pdf")
     """
 
     done: montecarlo.Study
@@ -126,7 +126,8 @@ def study(
         UsageError: an unknown name, an impossible combination, or a world that makes no log.
 
     Example:
-        >>> slamref.study(lambda seed: slamref.open_log(f"arena:{seed}"), ["ekf"], runs=20).verdicts
+        >>> found = slamref.study(lambda seed: slamref.open_log(f"arena:{seed}:frames=30"), ["ekf"], runs=2)
+        >>> found.runs[["seed", "estimator", "rmse_position_m", "nees_pose"]]
     """
     logs = list(world) if isinstance(world, Sequence) and not isinstance(world, str) else None
     maker = text_of(_first_of(logs) if logs is not None else world, "world")  # type: ignore[arg-type]
@@ -167,7 +168,12 @@ def _one(live: dict[str, Loaded], scenario: Scenario, seed: int) -> Result:
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """What replicates of a log say about it, without ground truth."""
+    """What replicates of a log say about it, without ground truth.
+
+    Example:
+        >>> found = slamref.twins(log, count=19, task="localization")
+        >>> print(found.cause, found.p, found.words())
+    """
 
     trust: Trust
     terms: Terms
@@ -222,8 +228,7 @@ def twins(
         UsageError: an unknown name, or a log of which no replicates can be drawn.
 
     Example:
-        >>> found = slamref.twins(slamref.open_log("arena:0"), count=39)
-        >>> found.cause, found.p
+        >>> slamref.twins(log, ["ekf"], count=19, task="localization").table
     """
     settings = setup or Setup()
     if jobs > 1 and not all(isinstance(what, str) for what in (*estimators, association)):
