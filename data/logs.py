@@ -76,8 +76,18 @@ def open_log(
         return _open_folder(path, reading, say)
     if path.exists():
         raise UsageError(f"{name}: neither a folder nor a file")
-    hint = meant(name, ["victoria-park", *registry.SIMULATORS]) or f"; known names: {NAMES}"
+    hint = unknown_world(name) or f"; known names: {NAMES}"
     raise UsageError(f"{name}: no such log or folder{hint}")
+
+
+def is_world(name: str) -> bool:
+    """Whether a name is that of a world, not of a file."""
+    return name == "victoria-park" or name.startswith("visual:") or registry.is_simulated(name)
+
+
+def unknown_world(name: str) -> str:
+    """The hint of a message about a name that is neither a file nor a world."""
+    return meant(name, ["victoria-park", *registry.SIMULATORS])
 
 
 def _open_file(path: Path, reading: Reading) -> Log:

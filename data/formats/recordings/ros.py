@@ -173,15 +173,15 @@ def _reported(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
-    """A reader of the bag, within bounds; its errors become a DataError."""
+def opened(path: Path, kinds: frozenset[str] = frozenset()) -> Iterator[Any]:
+    """A reader of the bag, within bounds; its errors become a DataError. `kinds`: more types than those of a log."""
     try:
         from data.formats.recordings.ros_bounded import any_reader, bounded
     except ImportError as error:
         raise UsageError(f"rosbag needs the package rosbags ({error}): pip install 'slamref[ros]'") from None
     if not path.exists():
         raise DataError.at(path, "no such bag; a .bag file, a folder of ROS 2, or its .mcap or .db3 is needed")
-    with bounded(), _reported(path), any_reader(path, {SCAN, ODOMETRY, TRANSFORMS}) as reader:
+    with bounded(), _reported(path), any_reader(path, {SCAN, ODOMETRY, TRANSFORMS, *kinds}) as reader:
         yield reader
 
 

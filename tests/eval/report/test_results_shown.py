@@ -69,3 +69,15 @@ def test_without_truth_it_stands_beside_batch_at_its_own_stamps(trial):
 def test_a_result_is_in_no_comparison_of_filter_and_smoother_frame_by_frame(trial):
     table = score([trial]).differences
     assert not (set(table["a"]) | set(table["b"])) & {"a", "b"}
+
+
+def test_results_without_covariance_alone_end_in_no_empty_words(tmp_path, capsys):
+    from eval.run_all import main
+
+    rows = "\n".join(f"{k} {0.5 * k} {0.1 * k} 0.2 0 0 0 1" for k in range(30))
+    for name in ("a", "gt"):
+        (tmp_path / f"{name}.tum").write_text(rows + "\n")
+    command = ["--truth", f"{tmp_path}/gt.tum", "--result", f"a={tmp_path}/a.tum", "--out", f"{tmp_path}/out"]
+    assert main([*command, "--no-plots"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert not [line for line in said if line.strip() == "()" or "nothing ran" in line]
