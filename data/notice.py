@@ -43,6 +43,8 @@ class Code(StrEnum):
     OUT_OF_NODES = "out-of-nodes"
     NO_COVARIANCE = "no-covariance"
     NO_LANDMARKS = "no-landmarks"
+    NIS_STATED = "nis-stated"
+    NIS_UNCHECKED = "nis-unchecked"
     FILTER_ONLY = "filter-only"
     PARKED = "parked"
     REMOVED = "removed"
