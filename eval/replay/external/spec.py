@@ -24,7 +24,7 @@ from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
 
 GROUPS = {"estimator": "slamref.estimators", "association": "slamref.associations"}
 """Entry points by which an installed package adds names."""
-OURS = {"estimator": ESTIMATORS, "association": (*ASSOCIATIONS, "none")}
+OURS = {"estimator": ESTIMATORS, "association": (*ASSOCIATIONS, "none"), "world": ()}
 NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]{0,38}[A-Za-z0-9_])?")
 """Names are parts of file names: letters, digits, `.`, `_` and `-`, at most 40."""
 FORM = "[NAME=]package.module:Attribute or [NAME=]./file.py:Attribute"
