@@ -27,7 +27,7 @@ def no_odometry(log: Log) -> list[Notice]:
     seen = (ends[1:] > 0.0) | (ends[:-1] > 0.0)
     if not seen.any() or changed[seen].mean() < CHANGED:
         return []
-    return [notice(Code.NO_ODOMETRY, scans=len(scans.frame))]
+    return [notice(Code.NO_ODOMETRY, scans=len(scans.frame), flags=("--no-odometry",))]
 
 
 CHANGED = 0.1
@@ -55,7 +55,8 @@ def odometry_unit(log: Log) -> list[Notice]:
     if not len(step) or float(np.quantile(step, 0.9)) < STRIDE:
         return []
     stride = float(np.median(step))
-    return [notice(Code.ODOMETRY_UNIT, stride=stride, unit="mm" if stride > 50.0 else "cm")]
+    unit = "mm" if stride > 50.0 else "cm"
+    return [notice(Code.ODOMETRY_UNIT, stride=stride, unit=unit, flags=(f"--odometry-unit {unit}",))]
 
 
 def _odometry(inputs: Inputs) -> Array:
@@ -96,7 +97,9 @@ def mounting(log: Log) -> list[Notice]:
     stated = _fits(scans.ranges, scans.scanner, pairs)
     best, gain = "", GAIN
     for name, (clockwise, turned) in MOUNTINGS.items():
-        more = _fits(scans.ranges, _mounted(scans.scanner, clockwise, turned), pairs) - stated
+        more = (
+            _fits(scans.ranges, scans.scanner.mounted(clockwise=clockwise, turned=math.radians(turned)), pairs) - stated
+        )
         error = float(more.std(ddof=1)) / math.sqrt(len(more))
         if float(more.mean()) > max(gain, CLEARLY * error):
             best, gain = name, float(more.mean())
@@ -104,7 +107,8 @@ def mounting(log: Log) -> list[Notice]:
         return []
     clockwise, turned = MOUNTINGS[best]
     found = float(stated.mean())
-    return [notice(Code.MOUNTING, clockwise=clockwise, turned=turned, stated=found, fits=found + gain)]
+    flags = ("--clockwise",) * clockwise + (f"--laser-turned {turned:g}",) * bool(turned)
+    return [notice(Code.MOUNTING, clockwise=clockwise, turned=turned, stated=found, fits=found + gain, flags=flags)]
 
 
 def _pairs(pose: Array) -> list[tuple[int, int, Array]]:
@@ -124,12 +128,6 @@ def _pairs(pose: Array) -> list[tuple[int, int, Array]]:
                 some.append((i, i + 1 + j, relative[j]))
         found += some[:: max(2 * len(some) // PAIRS, 1)][: PAIRS // 2]
     return found
-
-
-def _mounted(scanner: Scanner, clockwise: bool, turned: float) -> Scanner:
-    from data.formats.recordings.mending import Mending
-
-    return Mending(clockwise=clockwise, laser_turned=turned).scanner(scanner)
 
 
 def _fits(ranges: Array, scanner: Scanner, pairs: list[tuple[int, int, Array]]) -> Array:
@@ -181,7 +179,9 @@ def range_unit(log: Log) -> list[Notice]:
     middle = float(np.median(seen)) if len(seen) else 1.0
     if SMALLEST < middle < LARGEST:
         return []
-    return [notice(Code.RANGE_UNIT, middle=middle, unit="mm" if middle > 1000.0 else "cm" if middle > 1.0 else "km")]
+    unit = "mm" if middle > 1000.0 else "cm" if middle > 1.0 else "km"
+    flags = (f"--range-unit {unit}",) if unit != "km" else ()
+    return [notice(Code.RANGE_UNIT, middle=middle, unit=unit, flags=flags)]
 
 
 CHECKS = (no_odometry, odometry_unit, range_unit, returns, mounting)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -88,30 +87,34 @@ def _opened(name: str, reading: Reading, say: Callable[[str], None]) -> Log:
         return _open_folder(path, reading, say)
     if path.exists():
         raise UsageError(f"{name}: neither a folder nor a file")
-    hint = meant(name, ["victoria-park", *registry.SIMULATORS]) or f"; known names: {NAMES}"
+    if name in registry.SIMULATORS:
+        raise UsageError(f"{name}: the seed is missing, as in {registry.SIMULATORS[name].example}")
+    hint = unknown_world(name) or f"; known names: {NAMES}"
     raise UsageError(f"{name}: no such log or folder{hint}")
+
+
+def is_world(name: str) -> bool:
+    """Whether a name is that of a world, not of a file."""
+    return name == "victoria-park" or name.startswith("visual:") or registry.is_simulated(name)
+
+
+def unknown_world(name: str) -> str:
+    """The hint of a message about a name that is neither a file nor a world."""
+    return meant(name, ["victoria-park", *registry.SIMULATORS])
 
 
 def _open_file(path: Path, reading: Reading) -> Log:
     """A CARMEN log, by the file's name."""
     from data.formats.recordings.carmen import is_named_carmen, load_carmen
 
-    kind = CONVERTED.get(path.suffix.lower())
-    if kind is not None:
-        out = shlex.quote(f"logs/{path.stem}")
-        raise UsageError(f"{path}: convert it first: slamref convert {kind} {shlex.quote(str(path))} {out}")
     if not is_named_carmen(path):
+        from data.formats.recognize import what_to_type
+
+        if said := what_to_type(path):
+            raise UsageError(f"{path}: {said}")
         right = f"an open log folder, a CARMEN log (.log, .clf, also .gz, .bz2) or one of {NAMES}"
         raise UsageError(f"{path}: a file of unknown type; expected {right}")
     return load_carmen(path, reading.relations)
-
-
-CONVERTED = {
-    **dict.fromkeys((".g2o", ".graph", ".toro"), "g2o"),
-    **dict.fromkeys((".bag", ".mcap", ".db3"), "rosbag"),
-    ".csv": "table",
-}
-"""Kinds of `slamref convert` by the ending of a file."""
 
 
 def _camera(reading: Reading) -> Camera:
@@ -129,6 +132,10 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
             from data.visual.opening import open_lab_log
 
             return open_lab_log(path, _camera(reading), say)
+        from data.formats.recognize import what_to_type
+
+        if said := what_to_type(path):
+            raise UsageError(f"{path}: {said}")
     return _with_header(path, reading.relations)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from data.errors import DataError
 from data.inputs import Scanner
 from data.notice import Code, Notice, notice
-from data.se2 import Array, inverse, wrap_angle
+from data.se2 import Array
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
@@ -53,41 +52,12 @@ class Mending:
         """The scanner as it is mounted."""
         if self.beam_step is not None:
             scanner = replace(scanner, angle_step=math.copysign(math.radians(self.beam_step), scanner.angle_step))
-        if self.clockwise:
-            scanner = replace(scanner, angle_min=-scanner.angle_min, angle_step=-scanner.angle_step)
         if self.max_range is not None:
             scanner = replace(scanner, max_range=self.max_range)
-        if self.laser_turned:
-            # p_scanner = R p_body + T: the body's pose in the laser's frame
-            on_robot = inverse(np.array([*scanner.translation, scanner.rotation]))
-            on_robot[2] += math.radians(self.laser_turned)
-            tx, ty, turn = inverse(on_robot).tolist()
-            scanner = replace(scanner, rotation=float(wrap_angle(turn)), translation=(tx, ty))
-        return scanner
+        return scanner.mounted(clockwise=self.clockwise, turned=math.radians(self.laser_turned))
 
 
 AS_STATED = Mending()
-
-
-def add_flags(parser: argparse.ArgumentParser) -> None:
-    """The flags of `Mending`."""
-    units = tuple(METRES)
-    parser.add_argument("--range-unit", choices=units, default="m", help="unit of the ranges (default: m)")
-    parser.add_argument("--odometry-unit", choices=units, default="m", help="unit of the odometry (default: m)")
-    parser.add_argument("--clockwise", action="store_true", help="beams run clockwise, or the laser is upside down")
-    parser.add_argument("--laser-turned", metavar="DEG", type=float, default=0.0, help="laser's heading on the robot")
-    parser.add_argument("--beam-step", metavar="DEG", type=float, help="angle between beams (default: as stated)")
-    parser.add_argument("--max-range", metavar="M", type=float, help="longer readings are no return")
-    parser.add_argument("--sort-stamps", action="store_true", help="in the order of the stamps, not of the file")
-    parser.add_argument("--no-odometry", action="store_true", help="odometry is unknown: scans alone tell the motion")
-
-
-def given(args: argparse.Namespace) -> Mending:
-    """The mending that the flags ask for."""
-    return Mending(
-        args.range_unit, args.odometry_unit, args.clockwise, args.laser_turned, args.beam_step, args.max_range,
-        args.sort_stamps, not args.no_odometry,
-    )  # fmt: skip
 
 
 FARTHEST = 100.0
@@ -120,6 +90,7 @@ def beam_angles(first: float, step: float, last: float, beams: int) -> list[Noti
         notice(
             Code.BEAM_ANGLES, beams=beams, step=math.degrees(step), last=math.degrees(last),
             reached=math.degrees(first + (beams - 1) * step), mended=abs(math.degrees(wanted)),
+            flags=(f"--beam-step {abs(math.degrees(wanted)):.6g}",),
         )
     ]  # fmt: skip
 
@@ -216,4 +187,4 @@ def stamps_back(pose: Array, stamp: Array) -> list[Notice]:
     sorted_way = np.hypot(*np.diff(pose[np.argsort(stamp, kind="stable"), :2], axis=0).T).sum()
     if not sorted_way < SHORTER * way:
         return []
-    return [notice(Code.STAMPS_BACK, back=back, way=float(way), sorted=float(sorted_way))]
+    return [notice(Code.STAMPS_BACK, back=back, way=float(way), sorted=float(sorted_way), flags=("--sort-stamps",))]

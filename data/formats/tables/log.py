@@ -17,7 +17,7 @@ from data.formats.tables.files import TextTable, headings, read_text, shared
 from data.formats.tables.flags import Wanted
 from data.formats.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
 from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior
-from data.log import Log
+from data.log import ODOMETRY_KIND, Log
 from data.motion.velocity import floor_covariances
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
@@ -135,6 +135,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
     )
     files = {role: path.name for role, path in wanted.files.items()}
     files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items()}
+    files |= {ODOMETRY_KIND: kind}
     return Log(
         name,
         inputs,

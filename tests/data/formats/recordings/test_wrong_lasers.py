@@ -1,4 +1,4 @@
-"""Laser recordings that are wrong in one way: the fault is named with the flag that mends it, right ones ask nothing."""
+"""Laser recordings wrong in one way: the fault is named with the flag that mends it; right ones ask nothing."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def test_scans_without_odometry_between_are_frames_and_correction_is_not_undone(
 
 
 def test_numbers_of_beams_that_vary_are_brought_to_the_most_frequent(load):
-    wide, narrow = [float(i) for i in range(1, 182)], [float(i) for i in range(1, 181)]
+    wide, narrow = [0.1 * i for i in range(1, 182)], [0.1 * i for i in range(1, 181)]
     lines = []
     for k, ranges in enumerate([wide, narrow, wide]):
         lines += [odom(0.1 * k, 0.0, 0.0, 1.0 + k), flaser(ranges, (0.1 * k, 0.0, 0.0), 1.0 + k)]
