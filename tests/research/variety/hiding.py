@@ -118,9 +118,9 @@ def draw(index: int) -> Hidden:
 
 def _grove() -> Hidden:
     """Seven kilometres among 299 trees; everything but the view is as stated."""
-    name = "park:7:frames=6800+block=60+revisits=9.4+spacing=2.408+max_range=40.0+sigma_v=0.02+sigma_omega=0.002"
-    base = Drawn(GROVE, name, Readings(0.06, 0.008, detection=0.95, clutter=0.01), Crowding(), Misstated())
-    return Hidden(GROVE, base, Hiding(0.5, 0.52, 1.0, 0.0, 0.0, 0.0, 1.5))
+    name = "park:7:frames=6800+block=60+revisits=9.4+spacing=2.408+max_range=80.0+sigma_v=0.02+sigma_omega=0.002"
+    base = Drawn(GROVE, name, Readings(0.06, 0.008, detection=0.95, clutter=0.003), Crowding(), Misstated())
+    return Hidden(GROVE, base, Hiding(0.6, 0.28, 1.5, 0.0, 0.0, 0.0, 1.2))
 
 
 def log_of(hidden: Hidden) -> Log:

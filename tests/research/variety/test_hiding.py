@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data.se2 import wrap_angle
 from tests.research.variety.goals import hiding_table, worlds_of
 from tests.research.variety.hiding import FRONT, GROVE, REACH, WORLDS, Hiding, draw, indices, log_of
 from tests.research.variety.measure import Row
@@ -66,11 +67,15 @@ def test_far_landmarks_are_read_less_often():
 
 
 def test_a_landmark_with_a_front_is_read_from_there_only():
-    _, side, who = distances(read(fronted=0.99))
-    mean = np.angle(np.bincount(who, np.cos(side)) + 1j * np.bincount(who, np.sin(side)))
-    off = np.abs(np.angle(np.exp(1j * (side - mean[who]))))
-    assert np.quantile(off, 0.98) < 2.0 * FRONT
-    assert np.mean(off < FRONT + 0.3) > 0.95
+    """No landmark is read from more than the width of its front, and many are otherwise."""
+
+    def most(log):
+        """Widest angle between two sides from which each landmark is read."""
+        _, side, who = distances(log)
+        return np.array([np.abs(wrap_angle(side[who == i][:, None] - side[who == i])).max() for i in np.unique(who)])
+
+    assert most(read(fronted=1.0)).max() < 2.0 * FRONT + 1e-6
+    assert np.mean(most(read()) > 2.0 * FRONT) > 0.1
 
 
 def test_removed_landmarks_are_read_no_more():
@@ -83,8 +88,9 @@ def test_removed_landmarks_are_read_no_more():
 def test_people_are_no_landmarks_and_stand_for_a_while():
     log = read(standing=0.3)
     frame = log.recorded.observations.frame[log.truth.landmark_of < 0]
-    assert len(frame) > 20
-    assert len(log.truth.landmarks) == len(read().truth.landmarks)
+    assert len(frame) > 0
+    assert len(np.unique(frame)) < 0.9 * len(log.recorded)
+    np.testing.assert_array_equal(log.truth.landmarks.id, read().truth.landmarks.id)
 
 
 def test_an_optimistic_view_is_stated_and_nothing_is_read_beyond():
