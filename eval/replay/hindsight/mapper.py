@@ -175,7 +175,7 @@ class HindsightMapper:
         errors = self._systematic if self.filters.has_errors else None
         found = self.whole.reassociate(self.ledger.records, self.filter.landmarks(), self.restated, errors)
         unobserved = self._remove(self.ledger.reassociate(found)) if found is not None else np.empty(0, np.int64)
-        transient = self.ledger.transient()
+        transient = self.ledger.transient(self.whole.opportunities(self.ledger.view))
         if found is not None:
             self.whole.settle(self.ledger.records)
         self.lost.end(often, transient)
