@@ -61,7 +61,7 @@ SHADOW_WIDTH = 0.15  # m; half the width of a landmark that may occlude another
 
 # --- Persistent or transient landmarks (persistence.py) -------------------------------------------------------------
 
-PERSISTENCE_MEANS = (0.5, 0.5, 0.2, 0.5, 0.8)  # prior means of the fields of `Persistence`, ...
+PERSISTENCE_MEANS = (0.5, 0.5, 0.4, 0.5, 0.8)  # prior means of the fields of `Persistence`, ...
 PERSISTENCE_WORTH = (2.0, 2.0, 5.0, 4.0, 5.0)  # ... and their weights, in landmarks or detection opportunities
 PERSISTENCE_OWN = 10.0  # weight of the common rates against a landmark's own, in opportunities
 PERSISTENCE_CHANCE = 0.01  # detection probability of a landmark that has vanished

@@ -60,7 +60,7 @@ class Ledger:
         self._touched: set[int] = set()
         nothing = np.empty(0, np.int64)
         none = ConditionalInnovations(np.empty((0, 2)), np.empty((0, 2, 2)))
-        self._judged = Judged(nothing, nothing, none, nothing, np.empty((0, 2)))
+        self._judged = Judged(nothing, nothing, none, [], [])
         self._visibility = Visibility()
 
     def move(self, frame: Frame) -> None:
@@ -79,17 +79,17 @@ class Ledger:
         """The sensor's range [m], or the largest observed one."""
         return min(self.sensor.max_range, self._read.max_range)
 
-    def judge(self, e: Expectation, decisions: IntArray, believed: Expectation | None = None) -> None:
-        """Judge the decisions (m,) of a frame by its expectation, for `see`.
+    def judge(self, e: Expectation, decisions: IntArray, pose: Array, believed: Expectation | None = None) -> None:
+        """Judge the decisions (m,) of a frame by its expectation from a pose (3,), for `see`.
 
         `believed`: expectation given these pairings, where the prediction alone is too uncertain.
         """
         rows, chosen = e.paired(decisions)
         expected = believed or e
         absent = missing(expected, decisions, self.view)
-        polar = self.sensor.polar(expected.z_hat[absent])
+        at = [cell(r, pose[2] + b) for r, b in self.sensor.polar(expected.z_hat[absent]).tolist()]
         alone = conditional_innovations(e, rows, chosen)
-        self._judged = Judged(rows, e.number[chosen], alone, expected.number[absent], polar)
+        self._judged = Judged(rows, e.number[chosen], alone, expected.number[absent].tolist(), at)
 
     def see(self, frame: Frame, decisions: IntArray, done: Updated, pose: Array) -> None:
         """Take in the judgement of a frame and its decisions (m,); `pose` (3,) is where it was taken."""
@@ -97,8 +97,8 @@ class Ledger:
         self.frames += 1
         self._read = holding(self._read, self.sensor.polar(z))
         polar = self.sensor.polar(z)
-        for n, (distance, bearing) in zip(judged.missing.tolist(), judged.expected.tolist(), strict=True):
-            if self._opportunity(n, pose, cell(distance, pose[2] + bearing), detected=False):
+        for n, at in zip(judged.missing, judged.viewpoint, strict=True):
+            if self._opportunity(n, pose, at, detected=False):
                 self.records[n].evidence = add_miss(self.records[n].evidence)
                 self._touched.add(n)
         _, _, Gz = self.sensor.inverse(pose, z)
@@ -235,9 +235,9 @@ class Ledger:
         v, total = self._visibility, 0.0
         if sum(v) < constants.ENOUGH_OPPORTUNITIES:
             return 0.0
-        for n in self._judged.missing.tolist():
+        for n, at in zip(self._judged.missing, self._judged.viewpoint, strict=True):
             e = self.records[n].evidence
-            if confirmed(e, v):
+            if at in self.records[n].familiar and confirmed(e, v):
                 rate = min(v.rate, detection_rate(e.opportunities, e.missed - e.row))
                 here = v.row(e.row + 1, rate) / v.row(e.row, rate)
                 total += max(0.0, math.log((1.0 - constants.ELSEWHERE_SHARE * rate) / here))
@@ -252,7 +252,7 @@ class Ledger:
         v, numbers = self._visibility, set(decisions.tolist())
         paired = [self.records[n] for n in numbers if n in self.records]
         newest = self.travelled if NEW in numbers else max((r.first for r in paired), default=-math.inf)
-        missed = [self.records[n] for n in self._judged.missing.tolist() if n not in numbers]
+        missed = [self.records[n] for n in self._judged.missing if n not in numbers]
         return (
             sum(confirmed(r.evidence, v) for r in paired),
             sum(r.last < newest and confirmed(r.evidence, v) for r in missed),

@@ -155,14 +155,14 @@ class Judged(NamedTuple):
     """Judgement of a frame's pairings by its expectation, before the update changes the state.
 
     rows (k,) of the paired observations, the landmarks' numbers (k,), their innovations given each other; missed
-    landmarks (n,), with the ranges [m] and bearings [rad] (n, 2) at which they were expected.
+    landmarks (n) and the cells of the viewpoints from which they were missed.
     """
 
     rows: IntArray
     number: IntArray
     alone: ConditionalInnovations
-    missing: IntArray
-    expected: Array
+    missing: list[int]
+    viewpoint: list[int]
 
 
 class Epoch(NamedTuple):
