@@ -22,7 +22,7 @@ from data.se2 import Array
 from data.sensors import Sensor
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.final_association import Reassociation, beginnings
-from eval.replay.hindsight.opportunities import DETECTED, FAMILIAR, MISSED, beside, cell, missing
+from eval.replay.hindsight.opportunities import DETECTED, FAMILIAR, MISSED, behind_others, beside, cell, missing
 from eval.replay.hindsight.persistence import kept_at_end
 from eval.replay.hindsight.record import (
     Epoch,
@@ -86,8 +86,9 @@ class Ledger:
         """
         rows, chosen = e.paired(decisions)
         expected = believed or e
-        absent = missing(expected, decisions, self.view)
-        at = [cell(r, pose[2] + b) for r, b in self.sensor.polar(expected.z_hat[absent]).tolist()]
+        absent = missing(expected, decisions, self.sensor)
+        polar, behind = self.sensor.polar(expected.z_hat[absent]), behind_others(self.sensor, expected.z_hat)[absent]
+        at = [None if hid else cell(r, pose[2] + b) for (r, b), hid in zip(polar.tolist(), behind, strict=True)]
         alone = conditional_innovations(e, rows, chosen)
         self._judged = Judged(rows, e.number[chosen], alone, expected.number[absent].tolist(), at)
 
@@ -98,7 +99,7 @@ class Ledger:
         self._read = holding(self._read, self.sensor.polar(z))
         polar = self.sensor.polar(z)
         for n, at in zip(judged.missing, judged.viewpoint, strict=True):
-            if self._opportunity(n, pose, at, detected=False):
+            if at is not None and self._opportunity(n, pose, at, detected=False):
                 self.records[n].evidence = add_miss(self.records[n].evidence)
                 self._touched.add(n)
         _, _, Gz = self.sensor.inverse(pose, z)

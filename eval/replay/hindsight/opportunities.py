@@ -41,21 +41,24 @@ def beside(of: int) -> list[int]:
 
 
 def in_sight(sensor: Sensor, z_hat: Array, covariance: Array, z: Array) -> BoolArray:
-    """Which landmarks (n,) expected at z_hat (n, 2) are in view and not occluded.
+    """Which landmarks (n,) expected at z_hat (n, 2) are in view, and not occluded by something observed at z (m, 2).
 
-    They are inside the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2). Something observed at z (m, 2)
-    may occlude them, and so may another landmark before them.
+    They are inside the field of view by `IN_VIEW_SIGMAS` of their covariance (n, 2, 2).
     """
     expected, seen = sensor.polar(z_hat), sensor.polar(z)
     sigma = constants.IN_VIEW_SIGMAS * polar_sigma(sensor, z_hat, covariance)
     inside = sensor.in_view(z_hat, margin_range=-sigma[:, 0], margin_angle=-sigma[:, 1])
     shadow = np.abs(wrap_angle(seen[None, :, 1] - expected[:, None, 1])) < constants.SHADOW
-    behind = shadow & (seen[None, :, 0] < expected[:, None, 0])
-    wide = constants.SHADOW_WIDTH / np.maximum(expected[:, 0], constants.SHADOW_WIDTH)
-    shadow = np.abs(wrap_angle(expected[None, :, 1] - expected[:, None, 1])) < wide[None, :]
-    mapped = shadow & (expected[None, :, 0] < expected[:, None, 0] - constants.SHADOW_WIDTH)
-    free: BoolArray = inside & ~behind.any(axis=1) & ~mapped.any(axis=1)
-    return free
+    return np.asarray(inside & ~(shadow & (seen[None, :, 0] < expected[:, None, 0])).any(axis=1))
+
+
+def behind_others(sensor: Sensor, z_hat: Array) -> BoolArray:
+    """Which landmarks (n,) expected at z_hat (n, 2) may be occluded by another one of them."""
+    expected = sensor.polar(z_hat)
+    width = constants.SHADOW_WIDTH / np.maximum(expected[:, 0], constants.SHADOW_WIDTH)
+    shadow = np.abs(wrap_angle(expected[None, :, 1] - expected[:, None, 1])) < width[None, :]
+    nearer = expected[None, :, 0] < expected[:, None, 0] - constants.SHADOW_WIDTH
+    return np.asarray((shadow & nearer).any(axis=1))
 
 
 def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
@@ -86,7 +89,8 @@ def recounted(
         near = np.flatnonzero(np.hypot(*(known.xy - pose[:2]).T) <= reach)
         z_hat = sensor.predict(pose, known.xy[near])
         detected = np.isin(known.id[near], number[first:end])
-        free = detected | in_sight(sensor, z_hat, np.broadcast_to(noise, (len(near), 2, 2)), z)
+        open_to = in_sight(sensor, z_hat, np.broadcast_to(noise, (len(near), 2, 2)), z)
+        free = detected | (open_to & ~behind_others(sensor, z_hat))
         polar, elsewhere = sensor.polar(z_hat), np.hypot(*(place[near] - pose[:2]).T) >= apart
         for q in np.flatnonzero(free & (detected | elsewhere)).tolist():
             i, found = int(near[q]), bool(detected[q])

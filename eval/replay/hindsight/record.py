@@ -155,14 +155,14 @@ class Judged(NamedTuple):
     """Judgement of a frame's pairings by its expectation, before the update changes the state.
 
     rows (k,) of the paired observations, the landmarks' numbers (k,), their innovations given each other; missed
-    landmarks (n) and the cells of the viewpoints from which they were missed.
+    landmarks (n) and the cells of the viewpoints from which they were missed, None: another one may occlude it.
     """
 
     rows: IntArray
     number: IntArray
     alone: ConditionalInnovations
     missing: list[int]
-    viewpoint: list[int]
+    viewpoint: list[int | None]
 
 
 class Epoch(NamedTuple):

@@ -10,7 +10,7 @@ from data.inputs import Frame, FrameObservations, Increment
 from data.result import DISCARD, NEW, Updated
 from data.sensors import RelativePoint
 from eval.replay.hindsight.ledger import MERGED, Ledger
-from eval.replay.hindsight.record import Epoch, Record
+from eval.replay.hindsight.record import Epoch
 
 FAR = np.array([[5.0, 0.0], [5.0, 4.0], [5.0, -4.0]])
 
@@ -119,15 +119,6 @@ def test_a_landmark_has_its_looks_from_different_places_in_their_order():
     looked(story, [], 0.9 * FAR[:1], stride=0.0)
     looked(story, [], 0.9 * FAR[:1], stride=0.0)
     assert bytes(story.ledger.records[0].opportunities) == bytes([1, 2, 2, 3, 2]), "from one place it is one look"
-
-
-def test_a_miss_where_nothing_was_ever_read_is_no_look():
-    story = Story().see([NEW, NEW, NEW])
-    outside = np.array([[-5.0, 0.5]])  # in the stated view, all around, and behind all that was read
-    looked(story, [], outside)
-    assert (bytes(story.ledger.records[0].opportunities), story.ledger.records[0].evidence.missed) == (b"", 0)
-    looked(story, [], 0.9 * FAR[:1])
-    assert (bytes(story.ledger.records[0].opportunities), story.ledger.records[0].evidence.missed) == (b"\2", 1)
 
 
 def test_a_miss_from_an_unfamiliar_viewpoint_is_noted_but_is_no_evidence():
