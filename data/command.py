@@ -5,8 +5,14 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
+import re
+import sysconfig
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any, NoReturn
+
+from data.digest import ROOT
+from data.errors import did_you_mean, unknown
 
 COMPLETION = "_ARGCOMPLETE"
 """Environment variable by which the shell asks for completions (argcomplete)."""
@@ -21,15 +27,85 @@ def stretch(text: str) -> tuple[float, float]:
     raise argparse.ArgumentTypeError(f"{text!r} is not FROM:TO in seconds, FROM before TO")
 
 
+PLACE = re.compile(r"(^|[=,:])(/(?!/)(?:[^/=,:]*/)*)")
+"""Folder of an absolute path in a word of a command, as in `--out=/a/b` or `mine=/a/b.py:Mine`."""
+
+
+def portable(word: str) -> str:
+    """A word of a command with its paths relative to the working directory; of others the file's name alone.
+
+    A result folder that is handed on does not tell where somebody's files lie, and is the same wherever they lie.
+    """
+    here = Path.cwd().as_posix().rstrip("/")
+    return "." if here and word == here else PLACE.sub(r"\1", word.replace(f"{here}/", "") if here else word)
+
+
+def without_places(text: str, words: Iterable[str]) -> str:
+    """A text without the folders that `words` of a command name, the working directory, and those of programs."""
+    found = {place[2] for word in words for place in PLACE.finditer(word)}
+    found |= {f"{place}/" for place in (Path.cwd().as_posix(), ROOT, *map(sysconfig.get_path, ("purelib", "stdlib")))}
+    for place in sorted(found, key=len, reverse=True):
+        if place.strip("/"):
+            text = text.replace(place, "")
+    return text
+
+
 class Parser(argparse.ArgumentParser):
-    """Reports errors in one line; flags must be written out, and texts keep their layout."""
+    """Reports errors in one line; flags must be written out, and texts keep their layout.
+
+    A word that begins with a minus and a digit is a value, as in `--view -60deg,60deg`.
+    """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message: str) -> NoReturn:
         """One line, status 2."""
         self.exit(2, f"{self.prog}: {message}; {self.prog} --help shows the flags\n")
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Values by name; a word too many ends the process with the flag that it probably means."""
+        found, left = self.parse_known_args(args, namespace)
+        self.refuse(left)
+        return found
+
+    def refuse(self, left: Sequence[str]) -> None:
+        """End the process if words are left over."""
+        if left:
+            below = [a.choices for a in self._actions if isinstance(a, argparse._SubParsersAction)]
+            parsers = [self, *(p for choices in below for p in choices.values())]
+            flags = [flag for p in parsers for flag in p._option_string_actions if flag.startswith("--")]
+            word = next((w for w in left if w.startswith("-")), left[0])
+            hint = did_you_mean(word.partition("=")[0], flags) if word.startswith("--") else ""
+            what = "unknown flag" if word.startswith("-") else "a word too many"
+            self.error(f"{word}: {what}{hint}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            raise argparse.ArgumentError(action, f"{value}: {unknown(str(value), map(str, action.choices))}")
+
+    def _match_argument(self, action: argparse.Action, arg_strings_pattern: str) -> int:
+        try:
+            return super()._match_argument(action, arg_strings_pattern)
+        except argparse.ArgumentError:
+            shown = action.metavar or action.dest.upper()
+            form = shown if isinstance(shown, str) else " ".join(shown)
+            flag = f"{action.option_strings[-1]} " if action.option_strings else ""
+            raise argparse.ArgumentError(action, f"a value is needed: {flag}{form}") from None
+
+    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
+        try:
+            return super()._get_value(action, arg_string)
+        except argparse.ArgumentError as fault:
+            needed = NEEDED.get(getattr(action.type, "__name__", ""))
+            if needed is None or isinstance(fault.__context__, argparse.ArgumentTypeError):
+                raise
+            raise argparse.ArgumentError(action, f"{arg_string}: {needed} is needed") from fault
+
+
+NEEDED = {"int": "a whole number", "float": "a number", "number": "a number"}
+"""Kinds of values by the name of the function that reads them."""
 
 
 class Command(Parser):
@@ -46,7 +122,9 @@ class Command(Parser):
     def read(self, argv: Sequence[str] | None = None) -> argparse.Namespace:
         """Values by name. Positional words and flags may be mixed; ends the process as argparse does."""
         complete(self)
-        return self.parse_intermixed_args(argv)
+        found, left = self.parse_known_intermixed_args(argv)
+        self.refuse(left)
+        return found
 
 
 def complete(parser: argparse.ArgumentParser) -> None:

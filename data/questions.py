@@ -1,19 +1,21 @@
 """Questions to the author of a log: units, frames, numbers of things.
 
-A question is a notice with the numbers that raise it.
+A question is a notice with the numbers that raise it. Its value `flags` are the words of a command that mend it, of
+`slamref convert table` unless the notice says otherwise.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 
 from data.inputs import Inputs
-from data.log import Log
+from data.log import ODOMETRY_KIND, Log
 from data.motion.velocity import carried
 from data.notice import Code, Notice, notice
-from data.se2 import Array, BoolArray, compose, wrap_angle
+from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT, RangeBearing
 from data.timeline import MAX_GAP
 from data.truth_windows import bad_truth, misplaced
@@ -70,8 +72,10 @@ def bearings(log: Log) -> list[Notice]:
         return []
     low, high = float(z[:, 1].min()), float(z[:, 1].max())
     one_turn = max(abs(low), abs(high)) <= TURN * (1.0 + 1e-6)
-    count = int(beyond.sum())
-    return [notice(Code.BEARING_UNIT, beyond=count, readings=len(z), low=low, high=high, one_turn=one_turn)]
+    count, flags = int(beyond.sum()), ("--unit bearing=deg",)
+    return [
+        notice(Code.BEARING_UNIT, beyond=count, readings=len(z), low=low, high=high, one_turn=one_turn, flags=flags)
+    ]
 
 
 def turn_rates(log: Log) -> list[Notice]:
@@ -85,13 +89,25 @@ def turn_rates(log: Log) -> list[Notice]:
     for of, rate in (("odometry", odometry), ("truth", truth)):
         if rate is not None and (np.abs(rate) > FASTEST).sum() > max(2.0, SHARE * np.count_nonzero(rate)):
             fast, largest = int((np.abs(rate) > FASTEST).sum()), float(np.abs(rate).max())
-            found.append(notice(Code.TURN_RATE, of=of, fast=fast, seconds=len(rate), largest=largest))
+            flags = _in_degrees(log, of)
+            found.append(notice(Code.TURN_RATE, of=of, fast=fast, seconds=len(rate), largest=largest, flags=flags))
     if found or truth is None:
         return found
     one, two = (float(np.sqrt(np.mean(rate**2))) for rate in (odometry, truth))
     if min(one, two) > 0.0 and max(one, two) > TURNING and max(one / two, two / one) > RATIO:
-        found.append(notice(Code.TURN_RATES, odometry=one, truth=two))
+        flags = _in_degrees(log, "odometry" if one > two else "truth")
+        found.append(notice(Code.TURN_RATES, odometry=one, truth=two, flags=flags))
     return found
+
+
+IN_DEGREES = {"velocities": "odometry.omega=deg/s", "poses": "odometry.theta=deg", "steps": "odometry.dtheta=deg"}
+"""Unit of the angles of each kind of odometry in tables."""
+
+
+def _in_degrees(log: Log, of: str) -> tuple[str, ...]:
+    """The flag that reads the angles of odometry or truth as degrees."""
+    unit = "truth.theta=deg" if of == "truth" else IN_DEGREES.get(str(log.source.get(ODOMETRY_KIND)), "angle=deg")
+    return (f"--unit {unit}",)
 
 
 def _changes(heading: Array) -> Array:
@@ -126,7 +142,8 @@ def stamps(log: Log) -> list[Notice]:
         if blind <= 0.5:
             return []
         unit = "ms"
-    return [notice(Code.TIME_UNIT, gap=gap, span=span, unit=unit, blind=blind)]
+    flags = (f"--unit time={unit}",) if unit else ()
+    return [notice(Code.TIME_UNIT, gap=gap, span=span, unit=unit, blind=blind, flags=flags)]
 
 
 BEYOND = 0.01
@@ -145,6 +162,17 @@ SLACK, SLACK_HEADING = 1.0, 0.2
 """m, rad, added to five standard deviations of the prior as limit of its distance from the true pose."""
 
 
+def outwards(length: float) -> str:
+    """A length with three digits, not less."""
+    unit = 10.0 ** (math.floor(math.log10(length)) - 2)
+    return f"{math.ceil(length / unit - 1e-9) * unit:.12g}"
+
+
+def as_pose(pose: Array) -> str:
+    """A pose (3,) as flags read it."""
+    return f"{pose[0]:.6g},{pose[1]:.6g},{np.degrees(pose[2]):.6g}deg"
+
+
 def reach(log: Log) -> list[Notice]:
     """Observations outside the sensor's stated range or angles."""
     inputs = log.recorded
@@ -157,15 +185,20 @@ def reach(log: Log) -> list[Notice]:
     past = polar[:, 0] > sensor.max_range + MARGIN * sigma
     if past.mean() > BEYOND:
         beyond, farthest = int(past.sum()), float(polar[:, 0].max())
-        values = (("farthest", farthest), ("past", beyond), ("readings", len(past)), ("stated", sensor.max_range))
-        found.append(Notice(Code.MAX_RANGE, values))
+        stated, flags = sensor.max_range, (f"--max-range {outwards(farthest)}",)
+        about = notice(Code.MAX_RANGE, farthest=farthest, past=beyond, readings=len(past), stated=stated, flags=flags)
+        found.append(about)
     middle, half = 0.5 * (sensor.min_angle + sensor.max_angle), 0.5 * (sensor.max_angle - sensor.min_angle)
     cartesian = sensor.kind == RELATIVE_POINT
     sigma = sigma / np.maximum(polar[:, 0], 1e-6) if cartesian else np.sqrt(o.R[:, 1, 1])
     aside = np.abs(wrap_angle(polar[:, 1] - middle)) > half + MARGIN * sigma
     if aside.mean() > BEYOND:
         low, high = sensor.min_angle, sensor.max_angle
-        found.append(notice(Code.FIELD_OF_VIEW, aside=int(aside.sum()), readings=len(aside), low=low, high=high))
+        off = np.degrees(np.append(wrap_angle(polar[:, 1] - middle), [-half, half]))
+        ends = (math.floor(math.degrees(middle) + off.min()), math.ceil(math.degrees(middle) + off.max()))
+        flags = (f"--view={ends[0]}deg,{ends[1]}deg",)
+        outside = int(aside.sum())
+        found.append(notice(Code.FIELD_OF_VIEW, aside=outside, readings=len(aside), low=low, high=high, flags=flags))
     return found
 
 
@@ -179,6 +212,7 @@ def prior(log: Log) -> list[Notice]:
         return []
     first = None if log.truth.pose is None else log.truth.pose[0]
     low, high = inputs.map.xy.min(axis=0).tolist(), inputs.map.xy.max(axis=0).tolist()
+    known = first is not None and bool(np.isfinite(first).all())
     return [
         notice(
             Code.PRIOR,
@@ -188,7 +222,8 @@ def prior(log: Log) -> list[Notice]:
             x=(low[0], high[0]),
             y=(low[1], high[1]),
             walls=not inputs.sensor.sees_points,
-            truth=None if first is None or not np.isfinite(first).all() else tuple(first.tolist()),
+            truth=tuple(first.tolist()) if first is not None and known else None,
+            flags=(f"--prior={as_pose(first)}",) if first is not None and known else (),
         )
     ]
 
@@ -227,7 +262,9 @@ def truth_start(log: Log) -> list[Notice]:
     distance, turned = float(np.hypot(*away[:2])), abs(float(wrap_angle(away[2])))
     if distance <= SLACK + 5.0 * sigma[:2].max() and turned <= SLACK_HEADING + 5.0 * sigma[2]:
         return []
-    return [notice(Code.TRUTH_FRAME, distance=distance, turned=turned, sigma=tuple(sigma.tolist()))]
+    carry = compose(inputs.prior.mean, inverse(pose[0]))
+    flags = (f"--truth-transform={as_pose(carry)}",)
+    return [notice(Code.TRUTH_FRAME, distance=distance, turned=turned, sigma=tuple(sigma.tolist()), flags=flags)]
 
 
 def labels_against_map(log: Log) -> list[Notice]:
@@ -277,6 +314,7 @@ def truth_windows(log: Log) -> list[Notice]:
             faults=tuple(str(w.fault) for w in found),
             off=max(off) if off else None,
             left_out=bool(log.truth.left_out),
+            flags=tuple(f"--exclude-truth {w.start:.15g}:{w.end:.15g}" for w in found),
         )
     ]
 

@@ -17,6 +17,7 @@ from pathlib import Path
 from types import FrameType
 from typing import NoReturn
 
+from data.command import without_places
 from data.errors import UsageError
 from data.notice import Severity
 from data.terminal import INTERRUPTED, WRONG, counted, ended, message_of, unread
@@ -160,8 +161,11 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     from eval.plan.appearance import figure_style_of, require_latex
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
+    from eval.plan.progress import progress
+    from eval.plan.provenance import words_of
     from eval.plan.warming import compile_if_needed
     from eval.referee.diagnostics import disputed, questions_of_run
+    from eval.referee.headline import Verdict
     from eval.referee.score import score
     from eval.report.contents import write_results
     from eval.report.headline import headlines, lines, trust_line
@@ -190,8 +194,8 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     for log in {e.log.name: e.log for e in plan.experiments if e.variant_of is None}.values():
         for question in ask(log):
             warn(asked(question))
-    with _bar("estimating", console.quiet, check) as progress:
-        outcome = execute(plan, options, progress)
+    with progress("estimating", console.quiet, check) as update:
+        outcome = execute(plan, options, update)
     judged = [j for study in outcome.studies for j in judge(study)]
     for trial in outcome.trials:
         for run in trial.runs:
@@ -224,10 +228,12 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     for trial in outcome.trials:
         if trial.variant_of is None and not in_lab:
             facts = facts_of(trial, scores, outcome.trust)
+            if facts.verdict is Verdict.NOTHING:  # results of other programs alone
+                continue
             mark = trust_mark(facts)
             console.say(trust_line(facts, mark), COLOURS.get(mark.tone, ""))
-    with _bar("writing", console.quiet, check) as progress, figure_style(style):
-        missing, answers = write_results(folder, options, outcome, scores, judged, command, progress)
+    with progress("writing", console.quiet, check, "part") as update, figure_style(style):
+        missing, answers = write_results(folder, options, outcome, scores, judged, command, update)
     failed = failed_declarations(judged)
     for j in failed:
         task, estimator, _, phase = j.key
@@ -243,23 +249,9 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     for why in missing:
         console.complain(described(why))
     console.say(f"report: {options.output.out / 'report.html'}  (slamref report {options.output.out})")
-    (folder / "run.log").write_text("\n".join(console.lines) + "\n", encoding="utf-8")
+    text = without_places("\n".join(console.lines), [*command, *words_of(options)])
+    (folder / "run.log").write_text(text + "\n", encoding="utf-8")
     return WRONG if missing else REJECTED if failed else FINE
-
-
-@contextmanager
-def _bar(what: str, quiet: bool, check: Callable[[], None]) -> Iterator[Callable[[int, int], None]]:
-    """A progress bar on a terminal; yields its update (done, total)."""
-    from tqdm import tqdm
-
-    with tqdm(desc=what, disable=quiet or not sys.stderr.isatty(), leave=False, unit="job") as bar:
-
-        def progress(done: int, total: int) -> None:
-            check()
-            bar.total = total
-            bar.update(done - bar.n)
-
-        yield progress
 
 
 if __name__ == "__main__":

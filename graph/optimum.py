@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gtsam
 import numpy as np
@@ -31,6 +31,7 @@ CONVERGED = 1e-3  # sigma. Largest component of the remaining step at an optimum
 FAILED = 1e-2  # sigma. Above that it is no optimum; a hundredth of a sigma adds 1e-4 to the NEES of a coordinate
 SHRANK = 0.9  # share above which a step hardly shrank. The steps of a robust loss shrink to half or so each time
 MOST = 200  # steps of one search. Five to fifteen are usual; a robust loss converges linearly and may take fifty
+FURTHER = 200  # steps of each further search, damped or by dog leg, before a smoother gives up
 SHORTEST = 1e-3  # share of a step below which it is not shortened further: the search is stuck
 ARMIJO = 0.1  # share of the predicted decrease of the linearized problem that a step must reach
 ERROR_ROUNDING = 1e-9  # relative increase of the cost allowed in a step (ranges to beacons are rounded to nanometres)
@@ -101,6 +102,14 @@ def optimize(problem: Problem, start: gtsam.Values, *, loss: str = "gaussian") -
             iterations += first.iterations + second.iterations
             if second.error < best.error * (1.0 - ERROR_ROUNDING):
                 best = second
+    if best.solution.length > FAILED * math.sqrt(3 * len(linearizer.structure.variable)):
+        for search in (_damped, _dog_leg):
+            other = _descend(linearizer, search(problem, best.values))
+            iterations += other.iterations
+            if other.error < best.error * (1.0 - ERROR_ROUNDING) or other.solution.length < best.solution.length:
+                best = other
+            if best.solution.length < short:
+                break
     return _smoothed(problem, linearizer, best, iterations, loss)
 
 
@@ -135,6 +144,31 @@ def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = ST
             break
         values, error, before = moved, moved_error, left
     return _Found(values, error, step, rows, triangle, solution)
+
+
+def _damped(problem: Problem, values: gtsam.Values) -> gtsam.Values:
+    """Where gtsam's Levenberg-Marquardt ends: short steps first, where the linearized problem predicts badly."""
+    return _searched(problem, values, gtsam.LevenbergMarquardtOptimizer, gtsam.LevenbergMarquardtParams())
+
+
+def _dog_leg(problem: Problem, values: gtsam.Values) -> gtsam.Values:
+    """Where gtsam's dog leg ends: between the steepest descent and the step of Gauss-Newton."""
+    return _searched(problem, values, gtsam.DoglegOptimizer, gtsam.DoglegParams())
+
+
+def _searched(problem: Problem, values: gtsam.Values, optimizer: Any, parameters: Any) -> gtsam.Values:
+    """The end of a search of gtsam, or its start where that stops; systematic errors have no graph of their own."""
+    if problem.calibrated is not None:
+        return values
+    parameters.setLinearSolverType("MULTIFRONTAL_QR")
+    parameters.setMaxIterations(FURTHER)
+    parameters.setRelativeErrorTol(0.0)
+    parameters.setAbsoluteErrorTol(0.0)
+    try:
+        found: gtsam.Values = optimizer(problem.graph(), values, parameters).optimize()
+    except RuntimeError:  # an indeterminate system: its message names no more than our own search does
+        return values
+    return found
 
 
 def _smoothed(problem: Problem, linearizer: Linearizer, found: _Found, iterations: int, loss: str) -> Smoothed:

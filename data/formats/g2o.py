@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
+from data.digest import source_file
 from data.errors import LARGEST, DataError, UsageError
 from data.formats.csv_table import bytes_of, is_number, read_table, symmetric
 from data.formats.recordings.laser import FLOOR
@@ -206,7 +207,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     truth = Truth(
         pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None, relations=relations
     )
-    source = {"kind": "g2o", "path": str(graph.path.absolute())}
+    source = {"kind": "g2o", **source_file(graph.path)}
     return Log(name, inputs, truth, label=label if len(label) and not true else None, source=source, notes=tuple(notes))
 
 

@@ -24,6 +24,8 @@ MANY_TO_ONE = (nn, ml, ml_ratio, jcbb_first)
 """Ours that pair several observations with one landmark; others declare it by an attribute `one_to_one = False`."""
 IN_ORDER = (jcbb_first,)
 """Ours that depend on the order of equal candidates, as a recorded program does; others declare `any_order = False`."""
+LIMITED = (ml_ratio,)
+"""Ours with a limit inside the gate; others declare `all_inside = False`."""
 
 
 def polar_residual(z: Array, z_hat: Array) -> Array:
@@ -159,6 +161,60 @@ def gate(f: Method) -> Iterator[str]:
     yield f"no pair is outside the gates of {GATE:g} and 0.5; without a gate {without}"
 
 
+def lone(rng: np.random.Generator, share: float, gate: float) -> Expectation:
+    """One candidate and one observation of it, at a share of the gate's squared distance in any direction."""
+    A, B = rng.uniform(-0.3, 0.3, (2, 2, 2))
+    HPHt, R = A @ A.T + 0.01 * np.eye(2), B @ B.T + 0.01 * np.eye(2)
+    turn = rng.uniform(-math.pi, math.pi)
+    white = math.sqrt(share * gate_threshold(gate)) * np.array([math.cos(turn), math.sin(turn)])
+    z_hat = np.array([[9.0, 0.5]])
+    z = z_hat + np.linalg.cholesky(HPHt + R) @ white
+    return Expectation.from_arrays(z, z_hat, HPHt, R[None], polar_residual, number=np.array([4]))
+
+
+@check("inside the gate")
+def inside(f: Method, *, allowed: bool) -> Iterator[Finding | str]:
+    """A lone pair inside the gate is paired, unless the method declares a limit of its own."""
+    rng, pairs = np.random.default_rng(8), 0
+    for p in (GATE, 0.5):
+        for _ in range(PROBLEMS):
+            e = lone(rng, float(rng.uniform(0.3, 0.98)), p)
+            found, pairs = f(e, p), pairs + 1
+            if found.tolist() != [4]:
+                d2 = e.individual_distances()[0, 0]
+                sentence = (
+                    f"an observation and the only landmark at squared distance {d2:.4g}, inside the gate {p:g} of "
+                    f"{gate_threshold(p):.4g}, are not paired: is S = HPHt + R, and the gate chi-square with 2 dof?"
+                )
+                yield declared("inside the gate", allowed, sentence)
+                return
+    yield f"{pairs} lone pairs inside the gates of {GATE:g} and 0.5 are paired"
+
+
+@check("nearest")
+def nearest(f: Method) -> Iterator[str]:
+    """Of two landmarks expected equally well, the farther one by Mahalanobis distance is not taken."""
+    rng = np.random.default_rng(9)
+    for _ in range(PROBLEMS):
+        turn = rng.uniform(-math.pi, math.pi)
+        axes = np.array([[math.cos(turn), -math.sin(turn)], [math.sin(turn), math.cos(turn)]])
+        S = axes @ np.diag([0.3, 0.03]) ** 2 @ axes.T
+        z = np.array([[9.0, 0.5]])
+        # the near one lies along the long axis, farther away in metres
+        near, far = z[0] + axes @ np.array([0.3, 0.0]), z[0] + axes @ np.array([0.0, 0.07])
+        z_hat, number = np.array([near, far]), np.array([7, 3])
+        if rng.random() < 0.5:
+            z_hat, number = z_hat[::-1], number[::-1]
+        joint = np.kron(np.eye(2), 0.5 * S)
+        found = f(Expectation.from_arrays(z, z_hat, joint, 0.5 * S[None], polar_residual, number=number), GATE)
+        if found.tolist() == [3]:
+            raise FailedError(
+                "of two landmarks with equal covariances, at squared distances 1 and 5.4, it takes the farther one: "
+                "the distance is nu' S^-1 nu"
+            )
+    yield f"in {PROBLEMS} frames the farther of two landmarks is not taken"
+
+
 @check("order of candidates")
 def order(f: Method, *, allowed: bool) -> Iterator[Finding | str]:
     """Candidates in another order give the same decisions, unless the method declares otherwise."""
@@ -207,4 +263,5 @@ def run(f: Method, original: Callable[..., Any]) -> Iterator[Finding]:
     ordered = original in IN_ORDER or not getattr(original, "any_order", True)
     for each in (exact_readings(f), seam(f), twice(f, allowed=many), empty(f), gate(f), order(f, allowed=ordered)):
         yield from each
-    yield from (*purity(f), *determinism(f))
+    limited = original in LIMITED or not getattr(original, "all_inside", True)
+    yield from (*inside(f, allowed=limited), *(() if ordered else nearest(f)), *purity(f), *determinism(f))

@@ -11,6 +11,7 @@ from association.decide import METHODS, PLAIN
 from association.jcbb import jcbb, jcbb_first
 from data.errors import UsageError
 from eval.checks import associations, estimators
+from eval.checks.exactness import exactness
 from eval.checks.finding import CheckError, Finding
 from eval.replay.external.guard import ForeignError
 from eval.replay.external.load import load, text_of
@@ -19,9 +20,9 @@ from eval.replay.external.spec import is_foreign, name_of, one_settled
 from eval.replay.settings import STEPPING, TASKS
 
 ESTIMATOR = (
-    *(estimators.purity, estimators.covariances, estimators.runs, estimators.linear_world, estimators.without_noise),
+    *(estimators.purity, estimators.covariances, estimators.runs, exactness, estimators.without_noise),
     *(estimators.seams, estimators.empty_frames, estimators.determinism, estimators.covariance, estimators.numbers),
-    *(estimators.expectation, estimators.removal),
+    estimators.removal,
 )
 OWN = {**PLAIN, "jcbb": jcbb, "jcbb-first": jcbb_first}
 
@@ -33,7 +34,7 @@ def estimator_findings(estimator: str | Callable[..., Any]) -> list[Finding]:
         estimator: class (docs/extending.md), text `FILE.py:NAME`, or built-in name.
 
     Returns:
-        Findings (check, passed, sentence).
+        Findings (check, passed, sentence, facts).
 
     Raises:
         UsageError: it cannot be loaded, or works on whole logs only.
@@ -62,7 +63,7 @@ def association_findings(association: str | Callable[..., Any]) -> list[Finding]
         association: function (docs/extending.md), text `FILE.py:NAME`, or built-in name.
 
     Returns:
-        Findings (check, passed, sentence).
+        Findings (check, passed, sentence, facts).
 
     Raises:
         UsageError: it cannot be loaded, or decides over several frames.

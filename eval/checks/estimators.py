@@ -15,7 +15,6 @@ from data.result import DISCARD, Run, Trajectory
 from data.se2 import Array, world_from_body, wrap_angle
 from eval.checks import worlds
 from eval.checks.finding import FailedError, Finding, check, graded
-from eval.compare import compare
 from eval.referee.errors import named
 from eval.replay.external.guard import ForeignError
 from eval.replay.frontend import FrontEnd
@@ -64,22 +63,6 @@ def runs(text: str, task: str) -> Iterator[str]:
     path, ours = (completed(name, inputs, task)[1] for name in (text, "ekf"))
     far = off(path.pose, ours.pose, ours.covariance)
     yield f"{worlds.FRAMES} frames of an ordinary log, at most {far:.2g} sigma from our EKF"
-
-
-@check("linear world")
-def linear_world(text: str, task: str) -> Iterator[Finding]:
-    """In a linear world the exact estimate is known: least squares over all data up to the last frame."""
-    inputs = inputs_for(worlds.linear_log(), task)
-    path, (exact,) = completed(text, inputs, task)[1], compare(inputs, task, ("batch",))
-    assert exact.final is not None
-    right, P = exact.final.pose[-1:], exact.final.covariance[-1:]
-    yield graded("linear world", off(path.pose[-1:], right, P), "the exact solution (least squares) at the last frame")
-    claimed = path.covariance[-1]
-    if np.isfinite(claimed).all():
-        share = np.sqrt(np.diag(claimed) / np.diag(P[0]))
-        close = float(np.abs(np.log2(share)).max()) <= 1.0
-        text = f"sigmas are {', '.join(f'{s:.3g}' for s in share)} times the exact ones (x, y, theta)"
-        yield Finding("linear world, sigmas", close, text if close else f"{text}; a factor of 2 at most is right")
 
 
 @check("noise-free input")
@@ -208,35 +191,6 @@ def numbers(text: str, task: str) -> Iterator[str]:
 
 
 HALF = worlds.FRAMES // 2
-ROUNDING = 1e-6
-
-
-@check("expectation")
-def expectation(text: str, task: str) -> Iterator[str]:
-    """Nearest neighbour decides as with our EKF; the diagonal of `joint` equals `HPHt`."""
-    inputs = inputs_for(worlds.noise_free(worlds.arena_log()), task)
-    front = driven(text, inputs, task, HALF)
-    if front.foreign is not None and not front.foreign.has("expect"):
-        yield "it has no `expect`, so it works with --association known alone"
-        return
-    frame = inputs.frame(HALF)
-    front.move(frame)
-    e = front.estimator.expect(frame.observations)
-    rows = np.arange(min(len(e.number), 4))
-    joint = e.joint(rows)
-    blocks = joint.reshape(len(rows), 2, len(rows), 2)[rows, :, rows, :]
-    apart = float(np.abs(blocks - e.HPHt[rows]).max(initial=0.0)) / max(float(np.abs(joint).max(initial=0.0)), 1e-300)
-    if apart > ROUNDING:
-        raise FailedError(f"joint() and HPHt differ by {100 * apart:.2g} % of the largest covariance")
-    unlabelled = inputs.without_labels()
-    theirs, ours = (
-        completed(name, unlabelled, task, "with nearest neighbour: ", "nn")[0].decisions for name in (text, "ekf")
-    )
-    other = int((theirs != ours).sum())
-    found = f"{other} of {len(ours)} decisions of nearest neighbour on exact observations are not those of our EKF"
-    if other > 0.05 * len(ours):
-        raise FailedError(f"{found}: look at z_hat, HPHt and number")
-    yield found
 
 
 @check("removal")

@@ -15,11 +15,12 @@ wrap is far above."""
 
 
 class Finding(NamedTuple):
-    """A check by name, whether it passed, and a sentence."""
+    """A check by name, whether it passed, a sentence, and the facts (`eval.checks.exactness`) where it has any."""
 
     check: str
     passed: bool
     sentence: str
+    facts: object = None
 
     @property
     def line(self) -> str:

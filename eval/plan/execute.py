@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
+from pathlib import Path
 from typing import Any
 
 from data.log import Log
@@ -16,6 +17,7 @@ from eval.plan.experiment import Experiment, Work
 from eval.plan.experiments import Plan
 from eval.plan.flags.table import Execution, Options
 from eval.plan.flags.variant import Variant
+from eval.plan.progress import say_kept
 from eval.plan.results import with_results
 from eval.plan.trust import trusted
 from eval.plan.tutorials import ABOUT, tutorial_run, variant_log
@@ -28,7 +30,7 @@ from eval.studies.montecarlo import Study, one_run, study_of
 from eval.studies.reproduced import published_rows, replay_stored
 from eval.studies.scenario import Scenario
 from eval.studies.trusted import Trust
-from eval.studies.validation import Examined, Validation
+from eval.studies.validation import Examined, Validation, cases
 
 
 @dataclass(frozen=True)
@@ -94,7 +96,7 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     Runs of studies are cached on disk. Jobs that run out of memory are repeated one estimator at a time; if that fails,
     too, their results are missing.
     """
-    execution, watched = options.execution, not options.output.no_plots
+    execution, given, watched = options.execution, options.selection, not options.output.no_plots
     lost = Unfinished(execution.jobs)
     experiments, calibrations = settle(plan.experiments, execution, lost)
     variants = [(e, v) for e in experiments for v in options.variants if e.task == v.task and e.variant_of is None]
@@ -103,17 +105,21 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     done: dict[Owner, Any] = {
         Seeded(i, seed): found for i, seed in seeds if (found := store.load(folders[i], seed)) is not None
     }
+    places = tuple(dict.fromkeys([*(Path(p) for p in given.data), *(Path(p).absolute().parent for p in given.log)]))
     jobs: list[Job[Owner]] = [
         *_estimations(experiments, watched=watched),
-        *(Job(Tutorial(i), _tutorial, (e.log, v)) for i, (e, v) in enumerate(variants)),
+        *(Job(Tutorial(i), _tutorial, (e.log, v, places)) for i, (e, v) in enumerate(variants)),
         *(Job(Recorded(i), replay_stored, asked) for i, asked in enumerate(plan.stored)),
         *(Job(Seeded(*key), one_run, (s, key[1])) for key, s in seeds.items() if Seeded(*key) not in done),
     ]
+    say_kept(len(done), len(seeds), execution.quiet)
+    later = sum(len(cases(study, options.study.seed)) for study in plan.validations)
+    progress(0, len(jobs) + later)
     for count, (owner, result) in enumerate(_finished(jobs, execution, lost), start=1):
         done[owner] = result
         if isinstance(owner, Seeded):
             store.save(folders[owner.study], owner.seed, result)
-        progress(count, len(jobs))
+        progress(count, len(jobs) + later)
     trials = _trials(experiments, done, execution, lost, watched=watched)
     calibrations = examine(calibrations, experiments, trials, execution, lost)
 
@@ -173,8 +179,8 @@ def seconds_of(log: Log, work: Work) -> float:
     return each * len(log.recorded.observations.frame) * len(work.estimators)
 
 
-def _tutorial(log: Log, variant: Variant) -> Trial:
-    changed = variant_log(with_systematic(log, None), variant)
+def _tutorial(log: Log, variant: Variant, places: Sequence[Path]) -> Trial:
+    changed = variant_log(with_systematic(log, None), variant, places)
     return Trial(changed, variant.task, (tutorial_run(changed, variant),), log.name, ABOUT)
 
 

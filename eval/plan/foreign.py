@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from data.command import portable
 from data.errors import UsageError
 from eval.plan.experiment import Experiment
 from eval.replay.external.guard import ForeignError
@@ -72,6 +73,7 @@ def sources_of(texts: Iterable[str]) -> dict[str, object]:
         if is_foreign(text):
             loaded: Loaded = load(text)
             place = place_of(text)
-            where = f"{place.file or place.module}:{place.attribute}"
-            found[loaded.name] = {"is": where, "sha256": loaded.digest, "files": [str(Path(f)) for f in loaded.sources]}
+            where = portable(f"{place.file or place.module}:{place.attribute}")
+            files = [portable(Path(f).as_posix()) for f in loaded.sources]
+            found[loaded.name] = {"is": where, "sha256": loaded.digest, "files": files}
     return found

@@ -13,6 +13,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from data.command import portable
 from data.log import Log
 from eval.plan.first_use import kernels
 from eval.plan.flags.table import Options
@@ -24,7 +25,12 @@ PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-
 
 
 def command_of(options: Options) -> str:
-    """The command that reproduces the numbers; output folder and number of processes do not affect them.
+    """The command that reproduces the numbers; output folder and number of processes do not affect them."""
+    return shlex.join(portable(word) for word in words_of(options))
+
+
+def words_of(options: Options) -> list[str]:
+    """The words of that command, with its paths.
 
     A config file that must be read again is followed by all its keys, so that flags override it as before.
     """
@@ -46,7 +52,7 @@ def command_of(options: Options) -> str:
                 named = found if dashed else found[1::2]
             else:
                 words += found
-    return shlex.join(["slamref", command, *named, *words])
+    return ["slamref", command, *named, *words]
 
 
 def provenance(
@@ -63,7 +69,7 @@ def provenance(
     file; `lab`: a lab's settings by log.
     """
     content: dict[str, object] = {
-        "command": list(command),
+        "command": [portable(word) for word in command],
         "kernels": kernels(),
         "versions": {
             "slamref": version("slamref"),
@@ -78,13 +84,15 @@ def provenance(
     if lab:
         content["lab"] = lab
     if results:
-        content["results"] = {name: dict(files) for name, files in results.items()}
+        content["results"] = {
+            name: {portable(file): digest for file, digest in files.items()} for name, files in results.items()
+        }
     return json.dumps(content, indent=2, sort_keys=True) + "\n"
 
 
 def _plain(log: Log) -> dict[str, object]:
     return {
-        str(k): v if isinstance(v, (str, int, float, bool, list)) or v is None else str(v)
+        str(k): portable(v) if isinstance(v, str) else v if isinstance(v, (int, float, list)) or v is None else str(v)
         for k, v in log.source.items()
     }
 

@@ -12,7 +12,7 @@ from data.notice import Code, Notice, notice
 from data.result import Run
 from eval.compare import compare
 from eval.plan.experiment import Experiment
-from eval.plan.flags.table import Options, Study
+from eval.plan.flags.table import TWINS, Options, Study
 from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, cached, work
 from eval.referee.attribution import NOISE
@@ -24,7 +24,6 @@ from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
 from eval.studies.trusted import FEWEST, Trust, judged
 from eval.studies.twins import Source, calibrated, digest_of, inputs_of, source_of
 
-FULL_TWINS = 100  # twins of each log with `--full`
 AFTERWARDS = 39  # most twins of a log after its trial calibration; the family-wise p value can then reach 2.5 %
 Progress = Callable[[int, int], None]
 
@@ -77,7 +76,7 @@ def trusted(
 
 def _count(study: Study) -> int:
     """Number of twins of each log."""
-    return (FULL_TWINS if study.full else 0) if study.twins is None else study.twins
+    return (TWINS if study.full else 0) if study.twins is None else study.twins
 
 
 def _groups(e: Experiment, trial: Trial, study: Study) -> list[Group]:
@@ -88,7 +87,8 @@ def _groups(e: Experiment, trial: Trial, study: Study) -> list[Group]:
         filters = tuple(texts.get(r.estimator, r.estimator) for r in runs if r.estimator in (*FILTERS, *texts))
         twins = filters or tuple(r.estimator for r in runs if steps(r.estimator))
         if study.full and study.twins is None:
-            twins = ("ekf",) if association == "known" and "ekf" in filters else ()
+            own = tuple(f for f in filters if f == "ekf" or is_foreign(f))
+            twins = own if association == "known" and "ekf" in filters else ()
         if not _count(study) or e.variant_of is not None:
             twins = ()
         groups.append(Group(e.log, e.task, association, e.setup, runs, twins))

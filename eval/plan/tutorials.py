@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -97,6 +97,7 @@ def running(expectation: Expectation) -> IntArray:
     return decisions
 
 
+DIGESTS = ("sha256", "landmarks_sha256")
 ABOUT = "the same recording with a classic tutorial's numbers"
 
 
@@ -105,20 +106,20 @@ def is_tutorial(trial: Trial) -> bool:
     return trial.about == ABOUT
 
 
-def variant_log(log: Log, variant: Variant) -> Log:
-    """The recording behind a log, converted with the settings of a variant; UsageError if it is not from MRCLAM."""
+def variant_log(log: Log, variant: Variant, places: Sequence[Path] = ()) -> Log:
+    """The recording behind a log, converted with the settings of a variant.
+
+    It is looked for by its name in the working directory and `places`. Raises UsageError if the log is not from MRCLAM,
+    or its recording is not found or has another digest.
+    """
     s = log.source
     if s.get("kind") != "mrclam":
         raise UsageError(
             f"{variant.name}: log {log.name!r} does not come from a UTIAS MRCLAM recording; "
             "type `slamref convert mrclam` to make one"
         )
-    source = Path(str(s["path"]))
-    if not source.exists():
-        raise UsageError(
-            f"{variant.name}: the recording of log {log.name!r} is not at {source} any more; convert again"
-        )
-    landmarks = s.get("landmarks")
+    source = _found(s, "file", variant, log, places)
+    landmarks = _found(s, "landmarks", variant, log, places) if "landmarks" in s else None
     calibration = replace(
         Calibration().with_sigma(*variant.sigma),
         motion=VelocityModel(VelocityNoise(variant.noise, alphas=variant.alphas), variant.model),
@@ -126,12 +127,16 @@ def variant_log(log: Log, variant: Variant) -> Log:
     treatment = Treatment(
         start=_later(_seconds(s.get("start")), variant.start),
         stop=_seconds(s.get("stop")),
-        landmarks=None if landmarks is None else Path(str(landmarks)),
+        landmarks=landmarks,
         exclude_truth=[*_pairs(s.get("exclude_truth")), *((w.start, w.end) for w in log.truth.left_out)],
         grid=Grid(variant.grid, variant.own_odometry, variant.gapless, variant.skip_led_by),
         calibration=calibration,
     )
     changed = load_mrclam(source, int(str(s["robot"])), treatment)
+    if not all(_alike(changed.source[key], s[key]) for key in DIGESTS if key in s):
+        raise UsageError(
+            f"{variant.name}: {source} is not the recording that log {log.name!r} was made from (its digest is another)"
+        )
     shape = np.ones((3, 3)) if variant.filled_prior else np.eye(3)
     prior = Prior(changed.recorded.prior.mean, variant.prior_variance * shape)
     return replace(
@@ -140,6 +145,25 @@ def variant_log(log: Log, variant: Variant) -> Log:
         recorded=replace(changed.recorded, prior=prior),
         source={**changed.source, **_original(s, variant)},
         notes=(*changed.notes, *variant.notes),
+    )
+
+
+def _alike(one: object, other: object) -> bool:
+    """Whether two digests agree, or those of all files that both name."""
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return all(one[name] == other[name] for name in one.keys() & other.keys())
+    return one == other
+
+
+def _found(source: Mapping[str, object], key: str, variant: Variant, log: Log, places: Sequence[Path]) -> Path:
+    """A file that a log states by its name (formerly by its path)."""
+    stated = Path(str(source.get(key) or source.get("path", "")))
+    for place in (Path(), *places):
+        if (place / stated).exists():
+            return place / stated
+    raise UsageError(
+        f"{variant.name}: {stated.name}, which log {log.name!r} was made from, is neither here nor beside the log;"
+        " start in its folder, or convert again there"
     )
 
 

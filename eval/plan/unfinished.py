@@ -13,8 +13,8 @@ from eval.compare import compare
 from eval.plan.experiment import Experiment, Work
 from eval.player.watch import Watch
 from eval.replay.external.spec import name_of
-from eval.replay.recorder import no_run
-from eval.replay.settings import BATCH, INCREMENTAL
+from eval.replay.recorder import missing_run
+from eval.replay.settings import BATCH
 
 
 def estimate(experiment: Experiment, part: Work, watched: bool = False) -> list[Run]:
@@ -33,9 +33,7 @@ def estimate_one(experiment: Experiment, part: Work, name: str, watched: bool = 
 
 def incomplete(name: str, association: str, task: str, inputs: Inputs, why: Notice) -> Run:
     """A run without results, and the reason."""
-    given = "none" if name == "dead-reckoning" else name_of(association)
-    online, final = name not in BATCH, name in (*BATCH, *INCREMENTAL)
-    return no_run(name_of(name), given, task, inputs, Failure("incomplete", 0, why), online=online, final=final)
+    return missing_run(name, association, task, inputs, Failure("incomplete", 0, why))
 
 
 MISSING_RUN = notice(Code.MISSING, Severity.ERROR)

@@ -17,6 +17,7 @@ from data.notice import Code, Notice, Severity, notice
 from data.words import sentence
 from eval.figures.figure_style import FigureStyle, current, figure_style
 from eval.plan.flags.table import Execution
+from eval.plan.progress import say_kept
 from eval.replay.external.spec import introduce, introduced
 from eval.replay.run import one_thread
 
@@ -87,6 +88,7 @@ def cached(
     """Results by owner, each saved in its file when it is done; files of earlier runs are loaded instead."""
     found = {job.owner: kept for job, path in jobs if (kept := load(path)) is not None}
     missing = {job.owner: (job, path) for job, path in jobs if job.owner not in found}
+    say_kept(len(found), len(jobs), execution.quiet)
     results = work([job for job, _ in missing.values()], execution, far=True, lost=lost)
     for done, (owner, result) in enumerate(results, start=1):
         save(missing[owner][1], result)

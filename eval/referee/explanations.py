@@ -73,7 +73,9 @@ class Evidence:
 
 def explanations(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
     """All explanations of the residuals, the best first; `taken`: systematic errors that are estimated already."""
-    found = [*_linear(e, taken), *_spreads(e), *_changes(e), *_correlations(e), *_tails(e), *_landmarks(e)]
+    landmarks = _landmarks(e)
+    tails = [] if any(_are_of(e, x) for x in landmarks) else _tails(e, e.observations)
+    found = [*_linear(e, taken), *_spreads(e), *_changes(e), *_correlations(e), *tails, *landmarks]
     return sorted((x for x in found if math.isfinite(x.net)), key=lambda x: -x.net)
 
 
@@ -282,12 +284,20 @@ def _correlations(e: Evidence) -> list[Explanation]:
     return [Explanation(finding, gain + ordered - _penalty(e, 4))] if apart else []
 
 
-def _tails(e: Evidence) -> list[Explanation]:
-    """Student's t instead of the Gaussian."""
-    rows = np.flatnonzero(np.isfinite(e.observations).all(axis=1))
+def _are_of(e: Evidence, landmark: Explanation) -> bool:
+    """Whether heavy tails are those of one landmark: without its observations they gain next to nothing."""
+    row = np.flatnonzero(e.used.identity == int(landmark.finding.name))
+    others = np.where(np.isin(e.used.number, row)[:, None], np.nan, e.observations)
+    gain = [sum(x.finding.gain for x in _tails(e, values)) for values in (others, e.observations)]
+    return landmark.net > 0.0 and gain[0] < SAME * gain[1]
+
+
+def _tails(e: Evidence, observations: Array) -> list[Explanation]:
+    """Student's t instead of the Gaussian, for residuals (M, 2) in their usual spread; NaN: not paired."""
+    rows = np.flatnonzero(np.isfinite(observations).all(axis=1))
     if len(rows) < 4 * FEWEST:
         return []
-    squared = (e.observations[rows] ** 2).sum(axis=1)
+    squared = (observations[rows] ** 2).sum(axis=1)
     best = (-math.inf, math.nan)
     for dof in HEAVY:
         scale = 1.0

@@ -36,7 +36,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
             front.created, None, None, None, seconds, failure, (), front.removed,
         )  # fmt: skip
 
-    if front.failure is not None or front.online is None:
+    if front.online is None or (front.failure is not None and not np.isfinite(front.online.pose).all()):
         at = front.failure.frame if front.failure else 0
         why = notice(Code.FRONT_END_STOPPED, Severity.ERROR, front=front.estimator, at=at)
         return failed(Failure("incomplete", 0, why), 0.0)
@@ -106,11 +106,11 @@ def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
     """
     assert front.online is not None
     places = np.full((int(initialized.max(initial=-1)) + 1, 2), np.nan)
+    o = inputs.observations
+    for i in np.flatnonzero(initialized >= 0):
+        pose = front.online.pose[o.frame[i]]
+        places[initialized[i]] = inputs.sensor.inverse(pose, o.z[i : i + 1])[0][0]
     if front.map is not None:
-        o = inputs.observations
-        for i in np.flatnonzero(initialized >= 0):
-            pose = front.online.pose[o.frame[i]]
-            places[initialized[i]] = inputs.sensor.inverse(pose, o.z[i : i + 1])[0][0]
         held = front.map.number < len(places)
         places[front.map.number[held]] = front.map.xy[held]
     # the front end's last errors; knots of the drift that it has forgotten are the last one's

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,9 @@ from data.result import (
     revised,
     surviving,
 )
+from eval.replay.external.spec import name_of
 from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.settings import BATCH, INCREMENTAL
 
 
 def _begun(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> IntArray | None:
@@ -135,6 +138,39 @@ class Observer:
         """A frame is over; decisions and initialized landmarks (M,) are those of the whole log so far."""
 
 
+class ObserverError(BaseException):
+    """What an observer raised: no failure of the estimator, so no guard of it may catch this."""
+
+    def __init__(self, of: Exception) -> None:
+        super().__init__(str(of))
+        self.of = of
+
+
+class Apart(Observer):
+    """An observer whose exceptions are told apart from those of the estimator."""
+
+    def __init__(self, observer: Observer) -> None:
+        self._observer = observer
+
+    def moved(self, front: FrontEnd) -> None:
+        """Hand on."""
+        self._call(self._observer.moved, front)
+
+    def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
+        """Hand on."""
+        self._call(self._observer.decided, front, frame, pairing)
+
+    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
+        """Hand on."""
+        self._call(self._observer.updated, front, decisions, created)
+
+    def _call(self, stage: Callable[..., None], *given: Any) -> None:
+        try:
+            stage(*given)
+        except Exception as fault:
+            raise ObserverError(fault) from fault
+
+
 class Writing(Observer):
     """An observer with a result, which stays with the run as `Run.watched`."""
 
@@ -163,3 +199,10 @@ def no_run(
         name, association, task, nowhere if online else None, nowhere if final else None, None, nothing, nothing,
         np.full(len(nothing), -1, np.int64), failure=failure,
     )  # fmt: skip
+
+
+def missing_run(name: str, association: str, task: str, inputs: Inputs, failure: Failure) -> Run:
+    """A failed run without results, with the phases that this estimator has."""
+    given = "none" if name == "dead-reckoning" else name_of(association)
+    online, final = name not in BATCH, name in (*BATCH, *INCREMENTAL)
+    return no_run(name_of(name), given, task, inputs, failure, online=online, final=final)

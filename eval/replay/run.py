@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -16,7 +17,8 @@ from association.decide import known_decisions
 from association.expectation import SingularInnovationError, gate_threshold
 from association.scans.constraints import SCAN
 from association.truncated import truncated_square
-from data.inputs import Frame, Inputs, IntArray
+from data.errors import SlamrefError, UsageError, unknown
+from data.inputs import Frame, Inputs, IntArray, LabelledObservations
 from data.notice import stopped
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, Updated, map_estimate
 from data.se2 import Array
@@ -27,7 +29,7 @@ from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import batch
 from eval.replay.estimators import OPTIONS, lack_with_walls
 from eval.replay.external.guard import ForeignError
-from eval.replay.external.load import Thing, text_of
+from eval.replay.external.load import Thing, in_one_line, text_of
 from eval.replay.external.make import CannotError, require
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.frontend import FrontEnd
@@ -35,14 +37,29 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
-from eval.replay.recorder import Observer, Recorder, Writing, no_run
-from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, Given, Setup
+from eval.replay.recorder import Apart, Observer, ObserverError, Recorder, Writing, missing_run
+from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, TASKS, Given, Setup
 from graph.factors import UnderConstrained
 
 PLAIN = Setup()
 NULL_OBSERVER = Observer()
 DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)
 """Errors of our estimators that cannot continue."""
+
+
+def crashed(fault: Exception, frame: int) -> Failure:
+    """The failure of an estimator in which an exception was raised: it alone has failed, whatever runs beside it.
+
+    Errors of the input and a lack of memory are raised again: they concern the whole log.
+    """
+    if isinstance(fault, ForeignError):
+        return Failure("diverged", frame, stopped(str(fault)), fault.trace)
+    if isinstance(fault, DIVERGED):
+        return Failure("diverged", frame, stopped(str(fault)))
+    if isinstance(fault, (SlamrefError, MemoryError)):
+        raise fault
+    trace = "".join(traceback.format_exception(fault))
+    return Failure("diverged", frame, stopped(in_one_line(fault)), trace)
 
 
 _found: tuple[int, ThreadpoolController] | None = None
@@ -122,16 +139,16 @@ def step_by_step(
     stage.
     """
     begin = time.perf_counter()
+    _check_granted(inputs, association)
     setup = setup.settled(inputs.labels_are_sensed)
     try:
         if is_foreign(name):
             require(name, task, association, setup)
         front = front_end(name, association, inputs, setup, options)
     except CannotError as stop:
-        return no_run(name_of(name), name_of(association), task, inputs, Failure("incomplete", 0, stopped(str(stop))))
-    except ForeignError as stop:  # its constructor crashed
-        failure = Failure("diverged", 0, stopped(str(stop)), stop.trace)
-        return no_run(name_of(name), name_of(association), task, inputs, failure)
+        return missing_run(name, association, task, inputs, Failure("incomplete", 0, stopped(str(stop))))
+    except Exception as stop:  # noqa: BLE001 - whatever its constructor raised
+        return missing_run(name, association, task, inputs, crashed(stop, 0))
     each = options is not None and options.each
     run = driven(name, front, inputs, task, each=each, finish=finish, observer=observer)
     return replace(run, seconds=time.perf_counter() - begin)
@@ -151,6 +168,7 @@ def driven(
     begin = time.perf_counter()
     record = Recorder(len(inputs), len(inputs.observations.frame), inputs.systematic)
     failure, finished = None, Finished(None, None)
+    observer = observer if observer is NULL_OBSERVER else Apart(observer)
     try:
         for k in range(len(inputs)):
             through(front, inputs.frame(k), record.update, each=each, observer=observer)
@@ -159,10 +177,10 @@ def driven(
         if finish:
             front.close()
             finished = front.estimator.finish()
-    except DIVERGED as stop:
-        failure = Failure("diverged", front.k, stopped(str(stop)))
-    except ForeignError as stop:
-        failure = Failure("diverged", max(front.k, 0), stopped(str(stop)), stop.trace)
+    except ObserverError as fault:
+        raise fault.of from fault.of.__cause__
+    except Exception as stop:  # noqa: BLE001 - `crashed` raises again what concerns the log
+        failure = crashed(stop, max(front.k, 0))
     return record.run(name_of(name), task, front, finished, failure, time.perf_counter() - begin)
 
 
@@ -229,6 +247,10 @@ def compare(
     `watch` makes an observer of each replay of point landmarks; its result is the run's `watched`. `judge` gets the
     runs with their inputs, before either is converted (`eval.compare`: the referee).
     """
+    if not isinstance(inputs, Inputs):
+        raise UsageError(f"{type(inputs).__name__}: the inputs of a log are needed, as in log.inputs(labels=True)")
+    if task not in TASKS:
+        raise UsageError(f"task {task!r}: {unknown(task, TASKS)}")
     names, association = [text_of(e, "estimator") for e in estimators], text_of(association, "association")
     with one_thread():
         if association == SCAN:
@@ -252,9 +274,16 @@ def _compare(
         inputs = inputs.without_map()
     if association != "known":
         inputs = inputs.without_labels()
+    _check_granted(inputs, association)
     each = _Comparison(inputs, task, estimators, association, setup.settled(inputs.labels_are_sensed), watch)
     runs = [each.run(name) for name in estimators]
     return runs if inputs.sensor.sees_points else [replace(run, walls=True) for run in runs]
+
+
+def _check_granted(inputs: Inputs, association: str) -> None:
+    """Raise ValueError for known association of observations without labels."""
+    if association == "known" and not isinstance(inputs.observations, LabelledObservations):
+        raise ValueError("known association was not granted to these inputs")
 
 
 class _Comparison:
@@ -275,17 +304,26 @@ class _Comparison:
 
     def run(self, name: str) -> Run:
         """The run of an estimator by name."""
-        if name == "dead-reckoning":
-            return dead_reckoning(self.inputs, self.task)
-        return self._batch(name) if name in BATCH else self._ahead(name)
+        if name in BATCH:
+            return self._guarded(name, self._batch)
+        return self._ahead(name)
 
     def _ahead(self, name: str) -> Run:
         if name not in self._done:
-            self._done[name] = self._stepping(name)
+            self._done[name] = self._guarded(name, self._stepping)
         return self._done[name]
+
+    def _guarded(self, name: str, make: Callable[[str], Run]) -> Run:
+        """A run, or a blank one that says what crashed."""
+        try:
+            return make(name)
+        except Exception as fault:  # noqa: BLE001 - as there
+            return missing_run(name, self.association, self.task, self.inputs, crashed(fault, 0))
 
     def _stepping(self, name: str) -> Run:
         """In one compiled loop where possible; an observer needs the same steps once more."""
+        if name == "dead-reckoning":
+            return dead_reckoning(self.inputs, self.task)
         quick = self._compiled(name)
         if quick is not None and self.watch is None:
             return quick
@@ -307,11 +345,14 @@ class _Comparison:
 
     def _batch(self, name: str) -> Run:
         if self.association != "known":
-            return batch(name, self.inputs, self._ahead("isam2" if "isam2" in self.estimators else "ekf"), None)
+            first = batch(name, self.inputs, self._ahead("isam2" if "isam2" in self.estimators else "ekf"), None)
+            if first.failure is None or "isam2" not in self.estimators:
+                return first
+            second = batch(name, self.inputs, self._ahead("ekf"), None)
+            return second if second.failure is None else first
         # also where isam2 was asked for; the iterated filter's path is better where the plain one gets lost
-        front = self._ahead("ekf")
-        if front.failure is not None:
-            front = self._ahead("ekf-iterated")
+        fronts = (self._ahead(front) for front in ("ekf", "ekf-iterated", "isam2"))
+        front = next((run for run in fronts if run.failure is None), self._ahead("ekf"))
         if not self.setup.gate_smoothers:
             decisions, created = known_decisions(self.inputs)
             front = replace(front, decisions=decisions, final_decisions=decisions, created=created, begun=None)

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from eval.report.words import as_sentence, say
-from graph.audit.audit import DRAWS, FAMILY, Audit, examined
+from graph.audit.audit import DRAWS, FAMILY, Audit, Statistics, examined
 from graph.audit.factors import UNCHECKED
 from graph.audit.kinds import Grouping
 from graph.audit.linear import Graph, Values, name
@@ -213,7 +213,12 @@ def audit(
 
 
 def reported(a: Audit) -> AuditReport:
-    """The tables of an audit."""
+    """The report of an audit."""
+    return AuditReport(*tables(a), a)
+
+
+def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
+    """The tables `factors`, `kinds` and `components` of an `AuditReport`."""
     t, of = a.factors, a.kinds.of
     unchecked = np.where(np.isfinite(t.redundancy), t.redundancy < UNCHECKED * t.dim, False)
     factors = pd.DataFrame(
@@ -248,7 +253,7 @@ def reported(a: Audit) -> AuditReport:
             "p": a.by_axis.p[divided], "p_family": a.p_axis[divided],
         }
     )  # fmt: skip
-    return AuditReport(factors, kinds, components, a)
+    return factors, kinds, components
 
 
 def printable(frame: pd.DataFrame) -> pd.DataFrame:

@@ -181,14 +181,23 @@ def one_run(scenario: Scenario, seed: int) -> Result:
 
 def study_of(scenario: Scenario, seeds: Sequence[int], results: Sequence[Result]) -> Study:
     """The study of results of `one_run`, one per seed in order."""
-    samples: dict[Key, list[Sample]] = {}
-    for result in results:
-        for key, value in result.items():
-            samples.setdefault(key, []).append(value)
+    keys = dict.fromkeys(key for result in results for key in result)
+    samples = {key: [_of_phase(result, key) for result in results] for key in keys}
+    whole = {key[:3] for key, found in samples.items() if any(s.failure is None for s in found)}
+    # a run that failed at once may be filed under a phase that its estimator does not have
+    samples = {k: v for k, v in samples.items() if k[:3] not in whole or any(s.failure is None for s in v)}
     recorded = scenario.simulate(seeds[0]).recorded
     order = {name: i for i, name in enumerate(scenario.estimators)}
     ranked = sorted(samples, key=lambda k: (scenario.task.index(k[0]), k[2], order[k[1]], k[3] == "final"))
     return Study(scenario, tuple(seeds), recorded.time, recorded.time_is_index, {k: samples[k] for k in ranked})
+
+
+def _of_phase(result: Result, key: Key) -> Sample:
+    """What one run gives to a phase; if it stopped before that, or has none, its failure."""
+    if key in result:
+        return result[key]
+    other = next((s for k, s in result.items() if k[:3] == key[:3] and s.failure is not None), None)
+    return other if other is not None else Sample(failure=f"it has no {key[3]} estimate")
 
 
 @dataclass(frozen=True)

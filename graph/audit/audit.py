@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import gtsam
@@ -15,7 +15,7 @@ from graph.audit.clusters import Cluster, clusters
 from graph.audit.components import Components, Estimator
 from graph.audit.condition import Condition, condition, curvature
 from graph.audit.draws import family, independent, smallest_p
-from graph.audit.factors import Tested, directions, examine, holm, row_redundancies
+from graph.audit.factors import BRIEF, INEXACT, Directions, Tested, directions, examine, holm, row_redundancies
 from graph.audit.files import moved
 from graph.audit.fronts import Factored, factorize, ordering
 from graph.audit.kinds import Grouping, Kinds, kinds, positions_of
@@ -24,11 +24,12 @@ from graph.audit.simulated import smallest_p_optimized
 
 DRAWS = 200
 FAMILY = 0.05  # family-wise level of a rejection
+Draws = Callable[[Factored, Sequence[Directions]], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Audit:
-    """Numbers of an audit.
+class Statistics:
+    """Statistics of a linearized graph.
 
     Attributes:
         keys: (F,) of each factor; empty in an empty slot.
@@ -39,13 +40,8 @@ class Audit:
         by_kind, by_axis: components of the kinds, and of the axes of each; `axis` (K, 2) kind and axis, -1: whole.
         p_kind, p_axis: Holm's, in the same family as the factors.
         clusters, p_cluster: loops that agree with each other, tested together; Holm's, in the same family.
-        decrement: length of the step to the minimum of the linearized problem, in sigmas.
-        gained: decrease of the sum of squares that this step promises.
         freedom: degrees of freedom.
         f: the factored system.
-        condition: what the graph does not determine.
-        curvature: least one along the weakest directions, over that of the linearized problem; negative at a saddle.
-        place: (V, 3) position of each variable of the system, NaN where it has none.
     """
 
     keys: Sequence[tuple[int, ...]]
@@ -60,19 +56,33 @@ class Audit:
     p_axis: Array
     clusters: Sequence[Cluster]
     p_cluster: Array
-    decrement: float
-    gained: float
     freedom: int
     f: Factored
-    condition: Condition
-    curvature: float
-    place: Array
 
     @property
     def rejected(self) -> bool:
         """Whether anything is rejected at a family-wise 5 %."""
         p = np.concatenate([self.p_family, self.p_kind, self.p_axis, self.p_cluster])
         return bool(np.any(p < FAMILY))
+
+
+@dataclass(frozen=True, eq=False)
+class Audit(Statistics):
+    """Numbers of an audit.
+
+    Attributes:
+        decrement: length of the step to the minimum of the linearized problem, in sigmas.
+        gained: decrease of the sum of squares that this step promises.
+        condition: what the graph does not determine.
+        curvature: least one along the weakest directions, over that of the linearized problem; negative at a saddle.
+        place: (V, 3) position of each variable of the system, NaN where it has none.
+    """
+
+    decrement: float
+    gained: float
+    condition: Condition
+    curvature: float
+    place: Array
 
 
 def examined(
@@ -91,13 +101,47 @@ def examined(
     system = linearize(graph, values)
     if not system.rows or not len(system.keys):
         raise DataError("the graph has no factor of a variable; at least one is needed")
+    of, rng = kinds(graph, by), np.random.default_rng(seed)
+    drawn: Draws | None = None
+    if draws and full:
+        drawn = lambda _f, _seen: smallest_p_optimized(graph, values, draws, rng)  # noqa: E731
+    elif draws:
+        drawn = lambda f, seen: smallest_p(f, seen, draws, rng)  # noqa: E731
+    keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
+    s = statistics(system, keys, of, positions_of(values, system.keys), rng, drawn)
+    whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
+    gained = max(whole - s.f.square, 0.0)
+    bent = curvature(s.f, lambda x: float(graph.error(moved(system, s.f.at, x, values))), rng)
+    found = condition(s.f, parts(system), firsts(system))
+    return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found, curvature=bent,
+                 place=places(values, system.keys))  # fmt: skip
+
+
+def statistics(
+    system: System,
+    keys: Sequence[tuple[int, ...]],
+    of: Kinds,
+    metres: Sequence[IntArray],
+    rng: np.random.Generator,
+    draws: Draws | None = None,
+    *,
+    brief: bool = False,
+) -> Statistics:
+    """Statistics of a linearized graph.
+
+    Args:
+        system: the graph around its values.
+        keys: of each factor.
+        of: kinds of the factors.
+        metres: per variable, the components that are a position in m.
+        rng: of the probes.
+        draws: smallest p value of all factors in each draw of the graph's own noise; without, none are drawn.
+        brief: for a report of the worst factors: see `examine`; leverages are accurate to `BRIEF`.
+    """
     order = ordering(system, firsts(system))
     f = factorize(system, order)
-    seen = directions(f)
-    metres = positions_of(values, system.keys)
-    t = examine(f, seen, metres)
-    rng = np.random.default_rng(seed)
-    of = kinds(graph, by)
+    seen = directions(f, BRIEF if brief else INEXACT)
+    t = examine(f, seen, metres, brief=brief)
     axis, rows = axes_of(of, system)
     estimator = Estimator(f, order, rows, axis[:, 0], rng)
     by_kind, by_axis = estimator.by_kind(), estimator.by_axis()
@@ -106,22 +150,16 @@ def examined(
     together, all_ = clusters(f, seen, t, np.flatnonzero(of.loops).tolist(), metres)
     p_cluster = np.concatenate([[c.p for c in together], np.ones(all_ - len(together))])
     family_of = np.concatenate([t.p, by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan), p_cluster])
-    drawn = np.zeros(0)
-    if draws:
-        drawn = smallest_p_optimized(graph, values, draws, rng) if full else smallest_p(f, seen, draws, rng)
+    drawn = np.zeros(0) if draws is None else draws(f, seen)
     tests, several = int(np.isfinite(t.p).sum()), int(np.isfinite(family_of).sum())
-    alone = min(independent(drawn), tests) if draws and tests else tests
+    alone = min(independent(drawn), tests) if len(drawn) and tests else tests
     adjusted = holm(family_of, (alone + several - tests) / max(several, 1))
     n, k = len(t.p), len(of.names)
-    p_drawn = family(t.p, drawn) if draws else np.full(n, np.nan)
-    keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
-    whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
-    gained = max(whole - f.square, 0.0)
-    return Audit(
+    p_drawn = family(t.p, drawn) if len(drawn) else np.full(n, np.nan)
+    return Statistics(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
-        float(np.sqrt(gained)), gained, system.rows - f.rank, f, condition(f, parts(system), firsts(system)),
-        curvature(f, lambda x: float(graph.error(moved(system, f.at, x, values))), rng), places(values, system.keys),
+        system.rows - f.rank, f,
     )  # fmt: skip
 
 

@@ -38,6 +38,8 @@ def clusters(
     f: Factored, seen: Sequence[Directions], t: Tested, loops: Sequence[int], metres: Sequence[IntArray]
 ) -> tuple[list[Cluster], int]:
     """Tested clusters of two or more of the factors `loops`, each of two variables, and the number of all clusters."""
+    if len(loops) < 2:
+        return [], 0
     where = {int(i): (k, n) for k, g in enumerate(f.system.groups) for n, i in enumerate(g.factor)}
     loops = [i for i in loops if i in where and f.system.groups[where[i][0]].variables.shape[1] == 2]
     if len(loops) < 2:

@@ -80,6 +80,12 @@ def residuals(f: Factored, A: csr_matrix, e: Array) -> Array:
     return out
 
 
+def _probes(size: int, count: int, rng: np.random.Generator) -> Array:
+    """Probes (size, m) of random signs, or all unit vectors where these are fewer: exact."""
+    out: Array = np.sqrt(size) * np.eye(size) if size <= count else rng.choice([-1.0, 1.0], (size, count))
+    return out
+
+
 class Estimator:
     """Estimates the components of the rows of a system, by axis of a kind and by kind."""
 
@@ -91,15 +97,20 @@ class Estimator:
         self._row = np.concatenate([each.ravel() for each in of])
         self._size = np.bincount(self._row, minlength=len(kind))
         probes = np.clip(np.ceil(ROWS / np.maximum(self._size, 1)), 2, 400).astype(int)
-        self._signs = [rng.choice([-1.0, 1.0], (int(n), m)) for n, m in zip(self._size, probes.tolist(), strict=True)]
+        self._signs = [_probes(n, m, rng) for n, m in zip(self._size.tolist(), probes.tolist(), strict=True)]
+        self._axes: Components | None = None
         self._stated = self._equations(np.ones(len(kind)), f)
 
     def by_axis(self) -> Components:
         """Each axis has its own component."""
-        return self._estimate(np.eye(len(self._kind)))
+        if self._axes is None:
+            self._axes = self._estimate(np.eye(len(self._kind)))
+        return self._axes
 
     def by_kind(self) -> Components:
         """All axes of a kind share a component."""
+        if len(self._kind) == self._kind.max() + 1:
+            return self.by_axis()
         return self._estimate((self._kind[:, None] == np.arange(self._kind.max() + 1)).astype(float))
 
     def _equations(self, theta: Array, f: Factored | None = None) -> tuple[Array, Array]:

@@ -28,10 +28,12 @@ from graph.audit.fronts import PART, Factored, forward, joint_covariances, solve
 UNSEEN = 1e-6  # redundancy of a direction below which an error in it is not seen; leverages are accurate to 1e-9
 UNCHECKED = 0.05  # share of its dimension below which the redundancy of a factor checks nothing
 SIGNIFICANCE, POWER = 1e-3, 0.8  # of the smallest error that is found (Baarda 1968)
-INEXACT = 1e-9  # error of the sum of all redundancies, to the degrees of freedom, beyond which leverages are redone
+INEXACT, BRIEF = 1e-9, 1e-6
+"""Error of the sum of all redundancies, to the degrees of freedom, beyond which leverages are redone; where only a
+report's ten worst factors are wanted."""
 QUICK = 2e5  # fronts times rows up to which they are taken by rows at once
 BUDGET = 3e8  # factors times coefficients up to which the influence of every factor is solved for
-WORST = 768  # factors whose influence is solved for beyond that
+WORST, LEAST = 768, 20  # factors whose influence is solved for beyond that: those of most motion, and of least p
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,14 +105,15 @@ class Tested:
     cost: Array
 
 
-def directions(f: Factored) -> list[Directions]:
+def directions(f: Factored, inexact: float = INEXACT) -> list[Directions]:
     """Leverages of all factors, by group."""
     joint, x = joint_covariances(f), step(f)
     out = [_directions(f, g.A, g.r + np.einsum("ndc,nc->nd", g.A, x[f.index(g)]), g.weight, C)
            for g, C in zip(f.system.groups, joint, strict=True)]  # fmt: skip
     total = sum(float(np.sum(1.0 - each.weight[:, None] * each.h)) for each in out)
     freedom = f.system.rows - f.rank
-    if abs(total - freedom) > INEXACT * max(1, freedom) or len(f.fronts) * f.system.rows < QUICK:
+    quick = inexact == INEXACT and len(f.fronts) * f.system.rows < QUICK
+    if quick or abs(total - freedom) > inexact * max(1, freedom):
         out = [_by_rows(f, k, each) for k, each in enumerate(out)]
     return out
 
@@ -159,8 +162,11 @@ def holm(p: Array, share: float = 1.0) -> Array:
     return out
 
 
-def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray]) -> Tested:
-    """Statistics of all factors. `metres`: per variable, the components that are a position in m."""
+def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray], *, brief: bool = False) -> Tested:
+    """Statistics of all factors. `metres`: per variable, the components that are a position in m.
+
+    `brief`: the influence of the factors of least p value is solved for, no other.
+    """
     size = f.system.size
     nan, zero = np.full(size, np.nan), np.zeros(size, np.int64)
     out = Tested(
@@ -188,7 +194,7 @@ def examine(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray])
             out.missed[i] = np.where(seen_of, moved, np.inf)
         else:
             out.minimal_error[i], out.missed[i] = np.inf, np.inf
-    _influence(f, seen, metres, out)
+    _influence(f, seen, metres, out, brief)
     return out
 
 
@@ -230,7 +236,7 @@ def _own(f: Factored, variables: IntArray, x: Array, metres: Sequence[IntArray])
     return far
 
 
-def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray], out: Tested) -> None:
+def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArray], out: Tested, brief: bool) -> None:
     """How far the worst point moves without each factor: its own ones first, all where that is affordable."""
     right = [pushes(f, k, s) for k, s in enumerate(seen)]
     for g, s, b in zip(f.system.groups, seen, right, strict=True):
@@ -239,7 +245,9 @@ def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArra
     size = sum(front.R.size + front.S.size for front in f.fronts)
     ranked = np.argsort(-np.nan_to_num(out.moved), kind="stable")
     chosen = np.zeros(f.system.size, bool)
-    chosen[ranked if size * f.system.size <= BUDGET else ranked[:WORST]] = True
+    chosen[np.lexsort((-np.nan_to_num(out.deleted), np.nan_to_num(out.p, nan=1.0)))[:LEAST]] = True
+    if not brief:
+        chosen[ranked if size * f.system.size <= BUDGET else ranked[:WORST]] = True
     point = positions(f, metres)
     for k, g in enumerate(f.system.groups):
         some, index, home = np.flatnonzero(chosen[g.factor]), f.index(g), f.home[k]

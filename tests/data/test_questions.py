@@ -14,6 +14,7 @@ from data.log import Log, shortened
 from data.logs import find_logs, open_log
 from data.notice import Code, Value
 from data.questions import CHECKS, ask, turn_rates
+from data.se2 import compose
 from data.worlds.arena import Arena, simulate
 
 RECORDINGS = Path(__file__).parents[3] / "shared" / "data"
@@ -186,3 +187,43 @@ def test_a_log_without_observations_can_be_asked(arena):
 
 def test_of_a_single_frame_no_turn_is_asked():
     assert turn_rates(shortened(simulate(Arena(), 0), 1)) == []
+
+
+def flags(log: Log) -> list[str]:
+    """All flags that mend a log, by its questions."""
+    return [str(flag) for question in ask(log) for flag in question.named.get("flags", ())]
+
+
+def test_each_question_has_the_flag_that_mends_it(arena):
+    """With the value: whoever pastes it has the answer."""
+    z, sensor = arena.recorded.observations.z, arena.recorded.sensor
+    assert flags(seen(arena, z=z * [1.0, np.degrees(1.0)]))[0] == "--unit bearing=deg"
+    assert flags(recorded(arena, time=arena.recorded.time * 1e3))[0] == "--unit time=ms"
+    short = recorded(arena, sensor=replace(sensor, max_range=0.5 * z[:, 0].max()))
+    (flag,) = [f for f in flags(short) if f.startswith("--max-range ")]
+    assert z[:, 0].max() <= float(flag.split()[1]) < 1.02 * z[:, 0].max()
+    narrow = recorded(arena, sensor=replace(sensor, min_angle=-0.1, max_angle=0.1))
+    (flag,) = [f for f in flags(narrow) if f.startswith("--view=")]
+    low, high = (float(text.removesuffix("deg")) for text in flag.removeprefix("--view=").split(","))
+    assert np.isclose([low, high], np.degrees([z[:, 1].min(), z[:, 1].max()]), atol=1.0).all()
+
+
+@pytest.mark.parametrize(("kind", "flag"), [
+    ("velocities", "--unit odometry.omega=deg/s"), ("poses", "--unit odometry.theta=deg"),
+    ("steps", "--unit odometry.dtheta=deg"), ("", "--unit angle=deg"),
+])  # fmt: skip
+def test_the_unit_of_turning_is_that_of_the_column(arena, kind, flag):
+    u = arena.recorded.increments
+    fast = recorded(arena, increments=Increments(u.mean * [1.0, 1.0, 100.0], u.covariance))
+    assert flag in flags(replace(fast, source={"odometry_kind": kind}))
+
+
+def test_a_transform_of_the_truth_carries_its_first_pose_to_the_prior(arena):
+    away = np.array([30.0, -4.0, 1.2])
+    pose = np.array([compose(away, p) for p in arena.truth.pose])
+    r = arena.recorded
+    log = replace(arena, truth=replace(arena.truth, pose=pose), recorded=replace(r, map=None))
+    (flag,) = [f for f in flags(log) if f.startswith("--truth-transform=")]
+    x, y, theta = flag.removeprefix("--truth-transform=").removesuffix("deg").split(",")
+    carried = compose(np.array([float(x), float(y), np.radians(float(theta))]), pose[0])
+    np.testing.assert_allclose(carried, r.prior.mean, atol=1e-3)

@@ -67,7 +67,8 @@ def score(log, run):
 
 
 @pytest.mark.slow
-def test_tutorials_join_the_table_of_the_log_they_treat(shared_data, tmp_path):
+def test_tutorials_join_the_table_of_the_log_they_treat(shared_data, tmp_path, monkeypatch):
+    monkeypatch.chdir(shared_data / "mrclam")  # where the recording is found by its name
     folder = tmp_path / "window"
     source = shared_data / "mrclam" / "MRCLAM_Dataset1.zip"
     landmarks = shared_data / "mrclam" / "Landmark_Groundtruth.corrected.dat"

@@ -61,7 +61,8 @@ def test_no_optimizer_of_gtsam_finds_anything_lower():
 
 def test_a_search_that_is_cut_short_says_how_far_it_came(monkeypatch):
     _, inputs, decisions, created = labelled("park:1:frames=300")
-    monkeypatch.setattr(optimum, "MOST", 1)
+    monkeypatch.setattr(optimum, "MOST", 0)
+    monkeypatch.setattr(optimum, "FURTHER", 0)
     with pytest.raises(
         NotConvergedError, match=r"did not converge: after \d+ steps .* sigma are left at .* weakest is"
     ):
@@ -71,7 +72,8 @@ def test_a_search_that_is_cut_short_says_how_far_it_came(monkeypatch):
 def test_a_landmark_that_has_come_to_lie_on_the_robot_is_named_as_a_likely_reason(monkeypatch):
     """Where it was seen from no bearing has a slope; here whatever is nearer than five metres counts as there."""
     _, inputs, decisions, created = labelled("park:1:frames=300")
-    monkeypatch.setattr(optimum, "MOST", 1)
+    monkeypatch.setattr(optimum, "MOST", 0)
+    monkeypatch.setattr(optimum, "FURTHER", 0)
     monkeypatch.setattr(optimum, "ON_THE_ROBOT", 5.0)
     with pytest.raises(NotConvergedError, match=r"; landmark \d+ is only .* m from the robot at frame \d+"):
         smooth(inputs, decisions, created, filtered(inputs, decisions))
@@ -84,3 +86,17 @@ def test_loosened_increments_are_nowhere_better_known_than_a_share_of_their_wors
         covariance = np.linalg.inv(factor.noiseModel().R().T @ factor.noiseModel().R())[:2, :2]
         best, worst = np.linalg.eigvalsh(stated[:2, :2])
         np.testing.assert_allclose(np.linalg.eigvalsh(covariance), [best + 0.09 * worst, 1.09 * worst], rtol=1e-6)
+
+
+@pytest.mark.parametrize("search", ["_damped", "_dog_leg"])
+def test_before_it_gives_up_damped_steps_and_the_dog_leg_are_tried(search, monkeypatch):
+    """Own searches of one step each fail here; either of the others reaches the optimum alone."""
+    _, inputs, decisions, created = labelled("park:1:frames=300")
+    start = filtered(inputs, decisions)
+    whole = smooth(inputs, decisions, created, start)
+    monkeypatch.setattr(optimum, "MOST", 1)
+    (other,) = {"_damped", "_dog_leg"} - {search}
+    monkeypatch.setattr(optimum, other, lambda problem, values: values)
+    helped = smooth(inputs, decisions, created, start)
+    assert helped.cost == pytest.approx(whole.cost, rel=1e-7)
+    assert helped.last_step < 1e-2

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from data.digest import file_sha256
 from data.errors import DataError, UsageError
 from data.formats.mrclam.calibration import FROZEN, Calibration
 from data.formats.mrclam.files import (
@@ -248,7 +249,8 @@ class Treatment:
         given = {
             "start": self.start,
             "stop": self.stop,
-            "landmarks": None if self.landmarks is None else str(Path(self.landmarks).absolute()),
+            "landmarks": None if self.landmarks is None else Path(self.landmarks).name,
+            "landmarks_sha256": None if self.landmarks is None else file_sha256(Path(self.landmarks)),
             "exclude_truth": [list(map(float, s)) for s in self.exclude_truth] or None,
             "keep_robots": self.keep_robots or None,
             "grid": None if self.grid is None else self.grid.period,
@@ -292,7 +294,7 @@ def load_mrclam(source: Path, robot: int, treatment: Treatment = Treatment()) ->
     )
     provenance = {
         "kind": "mrclam",
-        "path": str(source.absolute()),
+        "file": source.absolute().name,
         "dataset": files.name,
         "robot": robot,
         "first_stamp": round(origin + float(course.time[0]), 6),

@@ -10,7 +10,6 @@ Some programs repeat the corrected pose as an ODOM line without a stamp, before 
 
 from __future__ import annotations
 
-import hashlib
 import math
 import re
 from dataclasses import replace
@@ -19,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from data.digest import file_sha256
 from data.errors import DataError
 from data.formats.open_log.reader import read_relations
 from data.formats.open_log.scans import with_returns
@@ -162,12 +162,11 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None) 
     raw[frame[kept]] = scans.stamp[kept]
     taken = Scans(scanner, frame[kept], with_returns(scans.ranges[kept], scanner.max_range))
     recorded = laser_inputs(pose, stamp, taken)
-    source = {"kind": "carmen", "path": str(file.absolute()), "sha256": sha256}
+    source = {"kind": "carmen", "file": file.name, "sha256": sha256}
     truth = Truth()
     if relations is not None:
         truth = Truth(relations=read_relations(relations, len(pose), raw))
-        source["relations"] = str(relations.absolute())
-        source["relations_sha256"] = hashlib.sha256(relations.read_bytes()).hexdigest()
+        source["relations"], source["relations_sha256"] = relations.name, file_sha256(relations)
     notes = [*_notes(lines, frame.astype(np.int64), kept, stamp), *of_scanner]
     return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes))
 

@@ -5,7 +5,6 @@ Needs `rosbags`.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import struct
 from collections.abc import Iterator
@@ -16,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from data.errors import DataError, UsageError
+from data.digest import source_file
+from data.errors import DataError, UsageError, did_you_mean
 from data.formats.open_log.scans import with_returns
 from data.formats.recordings.laser import laser_inputs
 from data.inputs import Scanner, Scans
@@ -173,15 +173,15 @@ def _reported(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def opened(path: Path) -> Iterator[Any]:
-    """A reader of the bag, within bounds; its errors become a DataError."""
+def opened(path: Path, kinds: frozenset[str] = frozenset()) -> Iterator[Any]:
+    """A reader of the bag, within bounds; its errors become a DataError. `kinds`: more types than those of a log."""
     try:
         from data.formats.recordings.ros_bounded import any_reader, bounded
     except ImportError as error:
         raise UsageError(f"rosbag needs the package rosbags ({error}): pip install 'slamref[ros]'") from None
     if not path.exists():
         raise DataError.at(path, "no such bag; a .bag file, a folder of ROS 2, or its .mcap or .db3 is needed")
-    with bounded(), _reported(path), any_reader(path, {SCAN, ODOMETRY, TRANSFORMS}) as reader:
+    with bounded(), _reported(path), any_reader(path, {SCAN, ODOMETRY, TRANSFORMS, *kinds}) as reader:
         yield reader
 
 
@@ -194,7 +194,7 @@ def _topic(path: Path, topics: dict[str, str], kind: str, wanted: str | None, fl
             raise UsageError(f"{path}: {flag} TOPIC is needed, because the topic is ambiguous; {there}")
         return of_kind[0]
     if wanted not in topics:
-        raise UsageError(f"{flag} {wanted}: no such topic in {path}; of {there}")
+        raise UsageError(f"{flag} {wanted}: no such topic in {path}{did_you_mean(wanted, of_kind)}; of {there}")
     if topics[wanted] != kind:
         raise UsageError(f"{flag} {wanted}: its messages are {topics[wanted]}; topics of {there}")
     return wanted
@@ -319,10 +319,7 @@ def log_of(path: Path, bag: Bag) -> Log:
     far = int((time[after] - time[after - 1] > LONG).sum()) if len(time) > 1 else 0
     if far:
         notes.append(f"{counted(far, 'scan is', 'scans are')} where the odometry pauses for more than {LONG:g} s.")
-    source = {"kind": "rosbag", "path": str(path.absolute()), "scan": bag.scan_topic, "odometry": bag.odometry_topic}
-    if path.is_file():
-        with path.open("rb") as file:
-            source["sha256"] = hashlib.file_digest(file, "sha256").hexdigest()
+    source = {"kind": "rosbag", **source_file(path), "scan": bag.scan_topic, "odometry": bag.odometry_topic}
     return Log(path.stem, laser_inputs(pose, stamp, scans), Truth(), source=source, notes=tuple(notes))
 
 

@@ -80,7 +80,7 @@ def load_victoria_park(path: Path | None = None) -> Log:
         name="victoria-park",
         recorded=recorded,
         truth=Truth(landmark_of=observations[:, 1].astype(np.int64)),
-        source={"kind": "victoria-park", "path": str(file.absolute()), "sha256": hashlib.sha256(content).hexdigest()},
+        source={"kind": "victoria-park", "file": file.name, "sha256": hashlib.sha256(content).hexdigest()},
         notes=("No ground truth: poses are compared with the batch smoother's.",),
     )
 

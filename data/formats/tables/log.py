@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
+from data.digest import file_sha256
 from data.errors import DataError, UsageError
 from data.formats.csv_table import Table
 from data.formats.recordings.laser import FLOOR
@@ -16,7 +17,7 @@ from data.formats.tables.files import TextTable, headings, read_text, shared
 from data.formats.tables.flags import Wanted
 from data.formats.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
 from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior
-from data.log import Log
+from data.log import ODOMETRY_KIND, Log
 from data.motion.velocity import floor_covariances
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
@@ -132,7 +133,9 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
         covariance_floor=FLOOR,
         floored=floored,
     )
-    files = {role: str(path) for role, path in wanted.files.items()}
+    files = {role: path.name for role, path in wanted.files.items()}
+    files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items()}
+    files |= {ODOMETRY_KIND: kind}
     return Log(
         name,
         inputs,

@@ -39,7 +39,7 @@ RUN = {
         Everyday("--task LIST", "localization, slam or both", "arena:0 --task slam"),
         Everyday("--estimator LIST", "filters and smoothers, also your own", "arena:0 --estimator ekf,isam2,batch"),
         Everyday("--association LIST", "association methods, also your own", "arena:0 --association known,nn,jcbb"),
-        Everyday("--twins N", "diagnosis without ground truth, from N bootstrap replicates", "my_log/ --twins 100"),
+        Everyday("--twins", "diagnosis without ground truth, from 99 bootstrap replicates", "my_log/ --twins"),
         Everyday("--calibrate", "estimate systematic errors of odometry and sensor", "my_log/ --calibrate"),
     ),
     "output": (
@@ -145,7 +145,7 @@ examples:
   {PROG} --data ~/datasets                  every dataset found in a folder, two levels deep
   {PROG} my_log --estimator ekf,batch-cauchy --association known
   {PROG} arena:0 --estimator ekf,mine=./mine.py:Filter --association known,./mine.py:nearest
-  {PROG} my_log --twins 100                 diagnosis without ground truth
+  {PROG} my_log --twins                     diagnosis without ground truth
   {PROG} my_log --calibrate                 estimate systematic errors beside path and map
   {PROG} arena:0:curvature=0.02 --calibrate curvature,scale=0.05
   {PROG} my_log --gate-known 0.9999 --no-gate-smoothers    only filters leave out labels that fit badly
@@ -163,7 +163,8 @@ examples:
   {PROG} my_log --result mine=est.tum --cov est.cov      another program's result beside ours
   {PROG} my_log --result a=a.tum --result b=bag:/odom --align se2 --cov-frame b=world
   {PROG} --truth gt.tum --truth-gap 0.2 --result a=a.csv     results alone, against a truth
-  {PROG} --truth gt.txt --result a=kitti.txt --times times.txt --axes camera    KITTI poses
+  {PROG} --truth gt.txt --result a=kitti.txt --times times.txt --axes truth=robot    KITTI poses, a truth with z up
+  {PROG} --truth gt.csv --result a=a.tum --cov-order rotation-first --unit truth=deg    what files do not state
   {PROG} arena:0 --table-width column --columns rmse_position_m,nees_pose,nis
   {PROG} arena:0 --figure-width 3.4in --font Times --font-size 8    figures for a column
   {PROG} arena:0 --figure-width 86mm --usetex --pgf      text set by LaTeX

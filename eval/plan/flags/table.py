@@ -43,6 +43,7 @@ KNOWN_FORMATS = (*FORMATS, "pdf")
 FACTORS = ("1", "2", "5", "10", "20", "50", "auto")
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
+TWINS = 99  # replicates of a log: a share of the level of 5 % still leaves ranks to those statistics that need them
 NOT_NEGATIVE = whole(0, "must not be negative")
 FIRST_FRAMES = whole(1, "a whole number from 1 up is needed")  # `--frames` of step and play
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -151,17 +152,28 @@ class Reading:
     )
     cov_frame: tuple[str, ...] = several(
         "[NAME=]FRAME",
-        "frame of the covariances: world, local (right perturbation, body axes) or left (repeatable; default: that of "
-        "the format)",
+        "frame of the covariances: world, local (right perturbation, body axes), left, or mixed (position in world "
+        "axes, rotation in body axes; repeatable; default: that of the format)",
     )
-    axes: str = choice(
-        "robot", ("camera",), "AXES", "axes of poses in 3-D: robot (z up) or camera (z forward, y down; default: robot)"
+    cov_order: tuple[str, ...] = several(
+        "[NAME=]ORDER",
+        "order of 6x6 covariances: translation-first or rotation-first (repeatable; default: the former)",
+    )
+    axes: tuple[str, ...] = several(
+        "[NAME=]AXES",
+        "axes of poses in 3-D: robot (z up) or camera (z forward, y down; repeatable; default: robot, of KITTI camera)",
+    )
+    unit: tuple[str, ...] = several(
+        "[NAME=]UNIT",
+        "unit of a file: of stamps s, ms, us, ns (default: as stated, else inferred), of headings rad, deg, of "
+        "positions m, cm, mm (repeatable)",
     )
     align: str = choice(
         "none",
-        ("first", "se2"),
+        ("first", "se2", "se3", "sim3", "yaw"),
         "HOW",
-        "align each result with the truth: none, first (first matched pose) or se2 (best rigid fit; default: none)",
+        "align each result with the truth: none, first (first matched pose), se2 or se3 (best rigid fit), sim3 (with "
+        "scale), yaw (position and heading, 4 dof); in space where both files are 3-D (default: none)",
     )
     truth_gap: float = row(
         1.0, positive, "S", "largest gap [s] between two true poses that is interpolated (default: 1)"
@@ -228,8 +240,9 @@ class Study:
         None,
         NOT_NEGATIVE,
         "N",
-        "diagnose each log without ground truth, from N bootstrap replicates (default: 0; with --full 100 for ekf and "
-        "batch)",
+        "diagnose each log without ground truth, from N bootstrap replicates; without a number 99 (default: 0; with "
+        "--full 99 for ekf and batch)",
+        bare=str(TWINS),
     )
     full: bool = switch_row("run the default suite with every method; takes minutes")
 

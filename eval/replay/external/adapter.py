@@ -37,6 +37,14 @@ class Samples(NamedTuple):
     poses: Array
     weights: Array | None = None
 
+    @property
+    def effective(self) -> float:
+        """Effective number of different samples, (sum w)^2 / sum w^2 over different poses."""
+        w = np.ones(len(self.poses)) if self.weights is None else np.asarray(self.weights, float)
+        _, which = np.unique(np.asarray(self.poses, float), axis=0, return_inverse=True)
+        each = np.bincount(which.ravel(), w)
+        return float(each.sum() ** 2 / (each @ each))
+
     def estimate(self) -> PoseEstimate:
         """Weighted mean (circular for the heading) and unbiased weighted covariance, sum w d d' / (1 - sum w^2).
 
@@ -206,6 +214,7 @@ class Adapter:
         self.name, self.inner, self._known = name, inner, known
         self.smooths = bool(getattr(inner, "smooths", False))  # whether it revises its past
         self.lacks_covariance = False  # whether it ever gave a pose without one
+        self.samples = math.inf  # least effective number of samples that a pose was given as; infinite: none was
         self._created, self._takes = 0, _taken(inner)
 
     def has(self, verb: str) -> bool:
@@ -264,7 +273,10 @@ class Adapter:
 
     def estimate(self) -> PoseEstimate:
         """The newest pose; NaN for a covariance that it does not give."""
-        found = pose_of(f"{self.name}.estimate", self._call("estimate"))
+        given = self._call("estimate")
+        found = pose_of(f"{self.name}.estimate", given)
+        if isinstance(given, Samples):
+            self.samples = min(self.samples, given.effective)
         self.lacks_covariance |= not np.isfinite(found.covariance).all()
         return found
 

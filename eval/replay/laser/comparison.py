@@ -54,6 +54,7 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
     row = np.full(count, -1)
     row[scans.frame] = np.arange(len(scans.frame))
     nothing = np.zeros(scans.ranges.shape[1])
+    step = np.zeros(count) if inputs.time_is_index else np.diff(inputs.time, prepend=inputs.time[0])
 
     frames: list[int] = []
     motions: list[Array] = []
@@ -65,7 +66,7 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
     for frame in range(count):
         began = time.perf_counter()
         if frame:
-            tracker.predict(*inputs.increment(frame))
+            tracker.predict(*inputs.increment(frame), float(step[frame]))
         scanned = row[frame] >= 0
         ranges = scans.ranges[row[frame]] if scanned else nothing
         seen = scan_points(ranges, beams, p.max_range)

@@ -6,20 +6,27 @@ import math
 
 import numpy as np
 
-from association.scans.matching import Match, MotionPrior, NearestGrid, match
+from association.scans.matching import Match, MotionPrior, NearestGrid, best_pose, match, pyramid
 from association.scans.points import Points
 from association.scans.uncertainty import compose_covariances
 from data.se2 import Array, between, compose, transform_points, wrap_angle
 from eval.replay.laser.parameters import LaserParameters
+from eval.replay.laser.slip import Travel, least_penalty, repeated, slip_deviation
 
 REACH = 0.3  # m, the farthest partner of a point
 OTHER_START = np.array([0.03, 0.03, 0.01])
 """m, m, rad: a prediction by the last motion that differs from odometry by more is a second start."""
-BETTER = 0.02  # least decrease of cost by the second start; where both fit (a corridor), odometry wins
-SURPRISE, MUCH_BETTER = 25.0, 0.1
+MOST_SIGMAS = 3.0  # of a slip, up to which poses are starts
+SURPRISE = 25.0
 """Chi-square (3 dof) from which a match contradicts odometry: the wheels slipped, or the scan was matched to the wrong
-surface. It is accepted if its cost is smaller by this much than that of a match that keeps to odometry."""
+surface. A match that keeps to odometry is then tried, too."""
 FIRM = 1e3  # scale of a prior that does not yield, in standard deviations
+UNUSUAL = 0.1  # of cost above that of the scan before: from then on a match is searched for around odometry
+SEARCHED, FARTHEST = 90, 10.0  # points of a search, and their distance [m]
+LEAST_CORRELATION = 0.4  # score of a search
+WIDEST = np.array([2.0, 2.0, 0.5 * math.pi])  # m, m, rad of a search to either side
+POINTS = 150
+"""Points of a scan that are evidence, at most: neighbouring beams have one surface in common."""
 
 
 class Tracker:
@@ -29,50 +36,78 @@ class Tracker:
         self.parameters = parameters
         self.sigma = parameters.distance_sigma(sigma)
         self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
+        self.surprise = 0.0  # chi-square (3 dof) of the last match against odometry
         self._grid = NearestGrid(parameters.max_range + 2.0, REACH)
         self._keys: list[Points] = []
         self._matched = np.zeros(3)
         self._motion = np.zeros(3)
-        self._frames = 0
+        self._travelled = self._travel = Travel()
+        self._cost = 0.0
+        self._slipped = False
 
-    def predict(self, motion: Array, covariance: Array) -> None:
-        """Add the odometry of one frame."""
+    def predict(self, motion: Array, covariance: Array, seconds: float = 0.0) -> None:
+        """Add the odometry of one frame; `seconds` since the frame before, 0 where unknown."""
         self.covariance = compose_covariances(self.pose, self.covariance, motion, covariance)
         self.pose = compose(self.pose, motion)
         self.pose[2] = wrap_angle(float(self.pose[2]))
-        self._frames += 1
+        self._travel = self._travel.plus(motion, seconds)
 
     def correct(self, points: Points) -> bool:
-        """Match the frame's scan; returns False if it does not fit and the prediction is kept."""
+        """Match the frame's scan; returns False if it does not fit and the prediction is kept.
+
+        Of the matches from several starts the one is kept whose cost and contradiction of odometry are least.
+        """
+        self.surprise = 0.0
         if not self._keys or len(points.xy) == 0:
             return False
         prior = MotionPrior(self.pose, np.asarray(np.linalg.inv(self.covariance + 1e-10 * np.eye(3)), float))
-        best = self._match(points, self.pose, prior)
-        start = self._matched
-        for _ in range(self._frames):
-            start = compose(start, self._motion)
-        apart = start - self.pose
-        apart[2] = wrap_angle(float(apart[2]))
-        if (np.abs(apart) > OTHER_START).any():
-            other = self._match(points, start, prior)
-            if other.cost < best.cost - BETTER:
-                best = other
-        error = best.pose - self.pose
-        error[2] = wrap_angle(float(error[2]))
-        if error @ prior.information @ error > SURPRISE:
-            held = self._match(points, self.pose, prior, FIRM)
-            if best.cost > held.cost - MUCH_BETTER:
-                best = held
+        slip = slip_deviation(self._travel)
+        tried = [self._match(points, self.pose, prior)]
+        going_on = None
+        again = repeated(self._motion, self._travelled, self._travel)
+        if again is not None:
+            start = compose(self._matched, again)
+            apart = _apart(start, self.pose)
+            if (np.abs(apart) > OTHER_START).any() and (np.abs(apart) <= MOST_SIGMAS * slip).all():
+                tried.append(self._match(points, start, prior))
+                going_on = start if self._slipped else None
+        if min(m.cost for m in tried) > self._cost + UNUSUAL:
+            found = self._searched(points, slip)
+            if found is not None:
+                tried.append(self._match(points, found, prior))
+        if any(self._chi2(m, prior) > SURPRISE for m in tried):
+            tried.append(self._match(points, self.pose, prior, FIRM))
+        evidence = min(len(points.xy), POINTS)
+        best = min(tried, key=lambda m: evidence * m.cost + self._penalty(m, prior, slip, going_on))
         if best.share < self.parameters.least_share:
             return False
-        self._motion = between(self._matched, best.pose) / max(self._frames, 1)
+        self.surprise = self._chi2(best, prior)
+        self._slipped = self.surprise > SURPRISE
+        self._motion = between(self._matched, best.pose)
         self.pose, self.covariance = best.pose, best.covariance
-        self._matched, self._frames = best.pose, 0
+        self._matched, self._cost = best.pose, best.cost
+        self._travelled, self._travel = self._travel, Travel()
         return True
 
     def _match(self, points: Points, start: Array, prior: MotionPrior, prior_scale: float = 0.0) -> Match:
         scale = prior_scale or self.parameters.prior_scale
         return match(points, self._reference, start, prior, self.sigma, scale)
+
+    def _chi2(self, found: Match, prior: MotionPrior) -> float:
+        error = _apart(found.pose, prior.mean)
+        return float(error @ prior.information @ error)
+
+    def _penalty(self, found: Match, prior: MotionPrior, slip: Array, going_on: Array | None) -> float:
+        further = None if going_on is None else _apart(found.pose, going_on)
+        return least_penalty(self._chi2(found, prior), _apart(found.pose, prior.mean), slip, further)
+
+    def _searched(self, points: Points, slip: Array) -> Array | None:
+        """The pose around odometry, as far as the wheels may slip, where the scan fits the reference best."""
+        window = np.minimum(MOST_SIGMAS * slip, WIDEST)
+        near = points.xy[np.hypot(points.xy[:, 0], points.xy[:, 1]) < FARTHEST]
+        some = near[:: max(len(near) // SEARCHED, 1)]
+        pose, score = best_pose(some, pyramid(self._reference.xy, FARTHEST + 2.0), self.pose, window, LEAST_CORRELATION)
+        return pose if score > 0.0 else None
 
     @property
     def is_due(self) -> bool:
@@ -93,6 +128,12 @@ class Tracker:
         )
         self._matched = between(self.pose, self._matched)
         self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
+
+
+def _apart(pose: Array, other: Array) -> Array:
+    error = pose - other
+    error[2] = wrap_angle(float(error[2]))
+    return error
 
 
 def rotated(theta: float, vectors: Array) -> Array:

@@ -21,6 +21,7 @@ TITLES = {
     "coverage": "Coverage of the last positions [%]", "relations": "Errors against reference relations",
     "graph-sizes": "Sizes of the pose graph", "revisions": "Revised decisions",
     "knowledge": "Ablation of labels and map",
+    "kinds": "Noise by kind of factor", "worst": "Worst factors",
     "published": "Ours beside published numbers", "trust": "Consistency without ground truth",
 }  # fmt: skip
 """Of a LaTeX table, by a part of its name."""

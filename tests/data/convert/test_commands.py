@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.convert.__main__ import main
+from data.convert.__main__ import _flags_of, main, mended, parser
 from data.convert.mrclam import CALIBRATION
 from data.errors import DataError
 from data.formats.mrclam.calibration import FROZEN, Calibration
@@ -69,7 +70,7 @@ class TestMrclam:
         log = convert()
         assert log.name == "out"
         assert same(log, load_mrclam(source, 1))
-        assert log.source["path"] == str(source)
+        assert log.source["file"] == source.name
         assert log.labels_are_sensed
 
     def test_it_says_what_it_did(
@@ -285,3 +286,36 @@ def test_each_flag_of_a_lab_recording_says_how_its_camera_is_read(monkeypatch, t
         (tmp_path, Camera("cm", "to-camera", "lab", False)),
         (tmp_path, Camera("mm", "to-body", "depth", True)),
     ]
+
+
+@pytest.mark.parametrize(("given", "flags", "again"), [
+    ("table a b", ["--unit bearing=deg"], "table a b --unit bearing=deg"),
+    ("table a b --unit time=ms", ["--unit bearing=deg"], "table a b --unit time=ms,bearing=deg"),
+    ("table a b --unit=time=ms", ["--unit bearing=deg"], "table a b --unit=time=ms,bearing=deg"),
+    ("table a b --max-range 4", ["--max-range 7"], "table a b --max-range 7"),
+    ("table a b", ["--view=-60deg,60deg"], "table a b --view=-60deg,60deg"),
+    ("mrclam a b --exclude-truth 1:2", ["--exclude-truth 755:836", "--max-range 7"],
+     "mrclam a b --exclude-truth 1:2 --exclude-truth 755:836"),
+    ("mrclam a b", ["--max-range 7"], ""),
+])  # fmt: skip
+def test_the_converter_prints_the_command_that_mends_what_it_found(given, flags, again):
+    kind = given.split()[0]
+    assert mended(given.split(), flags, _flags_of(parser(), kind)) == again.split()
+
+
+def test_the_command_that_it_prints_mends_the_log(tmp_path, capsys):
+    """Degrees, milliseconds and a range that is too short, all at once; the last line is pasted."""
+    k = np.arange(60)
+    (tmp_path / "odo.csv").write_text("t,v,omega\n" + "".join(f"{1000 * i},1,20\n" for i in k))
+    (tmp_path / "seen.csv").write_text(
+        "t,range,bearing\n" + "".join(f"{1000 * i},{3 + i % 5},{37 * i % 300 - 150}\n" for i in k)
+    )
+    words = ["table", str(tmp_path / "odo.csv"), str(tmp_path / "log"), "--observations", str(tmp_path / "seen.csv")]
+    words += ["--odometry-sigma", ".05,.02", "--observation-sigma", ".1,1deg", "--max-range", "4"]
+    assert main(words, "slamref convert") == 0
+    (line,) = [text for text in capsys.readouterr().out.splitlines() if text.startswith("if so: ")]
+    pasted = shlex.split(line.removeprefix("if so: "))
+    assert pasted[:2] == ["slamref", "convert"]
+    assert pasted[-3:] == ["7", "--unit", "time=ms,bearing=deg,odometry.omega=deg/s"]
+    assert main(pasted[2:], "slamref convert") == 0
+    assert "warning" not in capsys.readouterr().out

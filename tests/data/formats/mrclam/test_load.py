@@ -84,7 +84,7 @@ class TestANoiseFreeRecording:
     def test_the_source_names_file_robot_and_digest(self, files: Texts, tmp_path: Path) -> None:
         path = save_zip(tmp_path / "set.zip", files)
         log = load_mrclam(path, 1, Treatment(2.0, 9.0))
-        assert log.source["path"] == str(path)
+        assert log.source["file"] == "set.zip"
         assert log.source["sha256"] == {"set.zip": hashlib.sha256(path.read_bytes()).hexdigest()}
         assert (log.source["robot"], log.source["start"], log.source["stop"]) == (1, 2.0, 9.0)
         folder = load_mrclam(save_folder(tmp_path / "f", files), 1)

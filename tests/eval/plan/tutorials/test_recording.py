@@ -20,11 +20,12 @@ def test_a_log_from_elsewhere_is_refused_with_how_to_make_one():
         variant_log(circle_log(), VARIANT)
 
 
-def test_a_recording_that_is_gone_is_said_to_be(tmp_path):
-    gone = tmp_path / "gone"
-    log = replace(circle_log(), source={"kind": "mrclam", "path": str(gone), "robot": 3})
-    with pytest.raises(UsageError, match="gone any more; convert again"):
-        variant_log(log, VARIANT)
+@pytest.mark.parametrize("key", ["file", "path"])
+def test_a_recording_that_is_gone_is_said_to_be(key, tmp_path):
+    gone = {"file": "gone.zip", "path": str(tmp_path / "gone.zip")}[key]
+    log = replace(circle_log(), source={"kind": "mrclam", key: gone, "robot": 3})
+    with pytest.raises(UsageError, match=r"gone\.zip, which log .* is neither here nor beside the log"):
+        variant_log(log, VARIANT, [tmp_path])
 
 
 def test_the_original_program_s_numbers_are_known_where_the_log_has_them():

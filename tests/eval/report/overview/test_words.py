@@ -166,9 +166,9 @@ def test_the_cause_is_one_word_also_without_twins(said, word):
 @pytest.mark.parametrize(
     ("nis", "tone", "note"),
     [
-        (1.0, "good", "no fault found; --twins 100 tests this"),
-        (0.81, "fair", "covariances too large (NIS 0.81, 95 % bounds 0.88-1.03); --twins 100 looks for the cause"),
-        (1.6, "fair", "covariances too small (NIS 1.6, 95 % bounds 0.88-1.03); --twins 100 looks for the cause"),
+        (1.0, "good", "no fault found; --twins tests this"),
+        (0.81, "fair", "covariances too large (NIS 0.81, 95 % bounds 0.88-1.03); --twins looks for the cause"),
+        (1.6, "fair", "covariances too small (NIS 1.6, 95 % bounds 0.88-1.03); --twins looks for the cause"),
     ],
 )
 def test_a_rejected_nis_is_named_where_nothing_else_was_found(nis, tone, note):

@@ -1,0 +1,403 @@
+"""An estimator against the exact Kalman filter, frame by frame: what it expects, uses, states and estimates.
+
+In a linear Gaussian world an estimator that claims to be exact agrees within `EXACTLY`. In a mildly nonlinear one every
+sound estimator agrees within `NEARLY`. A mistake by which the Kalman filter gives the same numbers
+is named.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from functools import lru_cache
+
+import numpy as np
+
+from association.decide import decide, known_decisions
+from association.expectation import Expectation, SingularInnovationError
+from data.blocks import block_diagonal
+from data.inputs import Frame, Inputs, IntArray
+from data.result import DISCARD
+from data.se2 import Array, wrap_angle
+from data.words import environment
+from eval.checks import worlds
+from eval.checks.finding import APPROXIMATE, Finding, check
+from eval.checks.kalman import NONE, Bug, Expected, Rules, State, rules_of, states_of
+from eval.replay.estimators import Estimator, capabilities, make_estimator
+from eval.replay.external.adapter import Adapter
+from eval.replay.external.guard import ForeignError
+from eval.replay.external.load import load
+from eval.replay.external.spec import is_foreign
+from eval.replay.settings import INCREMENTAL
+
+EXACTLY, NEARLY = 1e-6, 0.05  # largest differences, in standard deviations of the exact filter
+SAMPLING = 5.0
+"""Standard errors that a mean or sigma of samples may be off: over the frames and numbers compared, chance gives 4. At
+most `APPROXIMATE` is allowed.
+"""
+ALIKE = 0.1  # a mistake is named if its filter is this much closer to the estimator than the exact one
+KNOWN = 1e-4  # rad; a heading with a smaller standard deviation is known
+GATE, NEW_GATE = 0.99, 0.99999
+
+
+class Quantity(StrEnum):
+    """What is compared, in the order of a frame; `templates/checks.j2` has the words."""
+
+    CANDIDATES = "candidates"
+    EXPECTED = "expected"
+    INNOVATIONS = "innovations"
+    NOISE = "noise"
+    MARGINALS = "marginals"
+    JOINT = "joint"
+    DECISIONS = "decisions"
+    USED = "used"
+    NIS = "nis"
+    POSE = "pose"
+    COVARIANCE = "covariance"
+    LANDMARKS = "landmarks"
+    LANDMARK_COVARIANCE = "landmark-covariance"
+
+
+COUNTED = (Quantity.CANDIDATES, Quantity.DECISIONS, Quantity.USED)
+"""Numbers of candidates or observations; all others are in standard deviations."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Everything is as the exact filter has it.
+
+    Attributes:
+        world: `worlds.LINEAR` or `worlds.MILD`.
+        frames: number of frames compared.
+        quantities: compared.
+        largest: difference [sigma]; allowed: [sigma].
+    """
+
+    world: str
+    frames: int
+    quantities: tuple[Quantity, ...]
+    largest: float
+    allowed: float
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A quantity is not as the exact filter has it.
+
+    Attributes:
+        world, quantity: where and what.
+        frame: first frame beyond what is allowed; observed: whether that frame has observations.
+        first: whether no other quantity is beyond it earlier.
+        largest: difference [sigma], or number of candidates or observations; allowed: as that.
+        bug: mistake with the same consequences, if one is known.
+        exact: whether the estimator claims to be exact.
+    """
+
+    world: str
+    quantity: Quantity
+    frame: int
+    observed: bool
+    first: bool
+    largest: float
+    allowed: float
+    bug: Bug | None
+    exact: bool
+
+
+@dataclass(frozen=True)
+class Stopped:
+    """An estimator stopped in a frame, for a reason in words; `bug` as of `Deviation`."""
+
+    world: str
+    frame: int
+    why: str
+    bug: Bug | None
+
+
+Fact = Agreement | Deviation | Stopped
+
+
+def sentence(fact: Fact) -> str:
+    """It in words."""
+    macro = getattr(environment("eval.checks").get_template("checks.j2").module, type(fact).__name__.lower())
+    return str(macro(fact)).strip()
+
+
+def claims_exactness(text: str) -> bool:
+    """Whether an estimator claims to be exact in a linear world.
+
+    A foreign one declares otherwise by `exact = False`; ours in `INCREMENTAL` leave out changes below a limit.
+    """
+    return bool(getattr(load(text).thing, "exact", True)) if is_foreign(text) else text not in INCREMENTAL
+
+
+@check("exactness")
+def exactness(text: str, task: str) -> Iterator[Finding]:
+    """All that an estimator says about two small worlds is as the exact filter has it."""
+    exact = claims_exactness(text)
+    for world in (worlds.LINEAR, worlds.MILD) if exact else (worlds.MILD,):
+        facts = compared(text, task, world, exact=exact)
+        for fact in facts:
+            part = f", {fact.quantity.replace('-', ' ')}" if isinstance(fact, Deviation) else ""
+            yield Finding(f"{world} world{part}", isinstance(fact, Agreement), sentence(fact), fact)
+        if not isinstance(facts[0], Agreement):
+            return  # the same mistake again
+
+
+def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
+    """The facts about an estimator in a world: it agrees, or deviations in the order of their appearance."""
+    frames, right = exact_states(world, task)
+    given, samples, stop = recorded(text, inputs_of(world, task), frames)
+    allowed = EXACTLY if exact and world == worlds.LINEAR else NEARLY
+    if samples < math.inf:
+        allowed = min(NEARLY + SAMPLING / math.sqrt(samples), APPROXIMATE)
+    each = [differences(g, r) for g, r in zip(given, right[: len(given)], strict=True)]
+    begin: dict[Quantity, int] = {}
+    largest = dict.fromkeys(Quantity, 0.0)
+    for k, found in enumerate(each):
+        for quantity, size in found.items():
+            largest[quantity] = max(largest[quantity], size)
+            if size > (0.0 if quantity in COUNTED else allowed):
+                begin.setdefault(quantity, k)
+    if not begin and stop is None:
+        measured = tuple(q for q in Quantity if any(q in found for found in each))
+        most = max(size for q, size in largest.items() if q not in COUNTED)
+        return [Agreement(world, len(each), measured, most, allowed)]
+    bug = likely(world, task, given)
+    order = sorted(begin, key=lambda q: (begin[q], list(Quantity).index(q)))
+    facts: list[Fact] = []
+    for q in order:
+        observed, limit = len(frames[begin[q]][1]) > 0, 0.0 if q in COUNTED else allowed
+        own = bug or likely(world, task, given, only=q)
+        facts.append(Deviation(world, q, begin[q], observed, q is order[0], largest[q], limit, own, exact))
+    return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bug)]
+
+
+def inputs_of(world: str, task: str) -> Inputs:
+    """Labelled inputs of a world for a task."""
+    inputs = worlds.small(world)
+    return inputs if task == "localization" else inputs.without_map()
+
+
+Frames = list[tuple[Frame, IntArray]]
+
+
+@lru_cache(maxsize=4)
+def exact_states(world: str, task: str) -> tuple[Frames, list[State]]:
+    """Frames with the decisions that are handed to every estimator, and the exact filter."""
+    inputs = inputs_of(world, task)
+    decisions, _ = known_decisions(inputs)
+    frames = [(inputs.frame(k), decisions[inputs.start[k] : inputs.start[k + 1]]) for k in range(len(inputs))]
+    states = states_of(frames, inputs, Rules())
+    return frames, [_with_decisions(s, f, inputs) for s, (f, _) in zip(states, frames, strict=True)]
+
+
+def _with_decisions(state: State, frame: Frame, inputs: Inputs) -> State:
+    e, residual = state.expected, inputs.sensor.residual
+    if e is None:
+        return state
+    problem = Expectation.from_arrays(frame.observations.z, e.z_hat, e.joint, e.R, residual, number=e.number)
+    return replace(state, expected=_formed(problem, known_map=inputs.map is not None))
+
+
+@lru_cache(maxsize=4)
+def mistaken(world: str, task: str) -> tuple[tuple[Bug, ...], Array]:
+    """The filter with each mistake (b,) that makes a difference, in numbers (b, n)."""
+    frames, right = exact_states(world, task)
+    inputs, exact, (weights, _) = inputs_of(world, task), numbers(right, right), _layout(world, task)
+    found = [(b, numbers(states_of(frames, inputs, r), right)) for b in Bug for r in rules_of(b)]
+    found = [(b, n) for b, n in found if _distance(n - exact, weights) > 0.0]
+    return tuple(b for b, _ in found), np.array([n for _, n in found])
+
+
+@lru_cache(maxsize=4)
+def _layout(world: str, task: str) -> tuple[Array, Array]:
+    """Weights (n,) of `numbers`, the same for every quantity of every frame; and the quantities (n,), as strings."""
+    _, right = exact_states(world, task)
+    each = [(q, part.size) for s in right for q, part in parts(s, s).items()]
+    return np.concatenate([np.full(n, 1.0 / n) for _, n in each]), np.repeat([q for q, _ in each], [n for _, n in each])
+
+
+def likely(world: str, task: str, given: Sequence[State], only: Quantity | None = None) -> Bug | None:
+    """The mistake by which the Kalman filter gives the same numbers, all or those of a quantity; None: no known one."""
+    _, right = exact_states(world, task)
+    bugs, each = mistaken(world, task)
+    mine = numbers(given, right[: len(given)])
+    n = len(mine)
+    weights, quantities = (a[:n] for a in _layout(world, task))
+    if only is not None:
+        weights = np.where(quantities == only, weights, 0.0)
+    apart = _distance(mine - each[:, :n], weights)
+    i = int(np.argmin(apart))
+    return bugs[i] if apart[i] < ALIKE * _distance(mine - numbers(right, right)[:n], weights) else None
+
+
+def _distance(off: Array, weights: Array) -> Array:
+    """Weighted mean of absolute differences (..., n), each at most 1, without those that are unknown."""
+    known = np.isfinite(off)
+    size = np.minimum(np.abs(np.where(known, off, 0.0)), 1.0)
+    return np.asarray((size @ weights) / np.maximum(known @ weights, 1e-300))
+
+
+def numbers(given: Sequence[State], right: Sequence[State]) -> Array:
+    """All that is said about frames as one vector (n,), in standard deviations; NaN: it is not said."""
+    return np.concatenate([part.ravel() for g, r in zip(given, right, strict=True) for part in parts(g, r).values()])
+
+
+def parts(given: State, right: State) -> dict[Quantity, Array]:
+    """What is said about a frame, by quantity; shapes are those of the exact filter `right`."""
+    found = {}
+    g, r = given.expected, right.expected
+    if r is not None and len(r.number):
+        z_hat, joint, blocks = (np.full(a.shape, np.nan) for a in (r.z_hat, r.joint, r.blocks))
+        if g is not None and np.array_equal(np.sort(g.number), r.number):
+            mine = np.argsort(g.number)
+            inner = _coordinates(mine)
+            z_hat, joint, blocks = g.z_hat[mine], g.joint[np.ix_(inner, inner)], g.blocks[mine]
+        sigma = np.sqrt(np.einsum("nii->ni", r.blocks + r.R.min(axis=0)))
+        found[Quantity.EXPECTED] = z_hat / sigma
+        found[Quantity.MARGINALS] = blocks / _outer(sigma)
+        found[Quantity.JOINT] = joint / _outer(sigma.ravel())
+    if len(right.used):
+        found[Quantity.NIS] = np.array([given.nis / max(right.nis, 2.0 * len(right.used))])
+    sigma = np.sqrt(np.diag(right.covariance))
+    off = given.pose - right.pose
+    off[2] = wrap_angle(float(off[2]))
+    found[Quantity.POSE] = off / sigma
+    found[Quantity.COVARIANCE] = given.covariance / _outer(sigma)
+    if len(right.number):
+        xy, own = np.full_like(right.xy, np.nan), np.full_like(right.blocks, np.nan)
+        if np.array_equal(given.number, right.number):
+            xy, own = given.xy, given.blocks
+        sigma = np.sqrt(np.einsum("nii->ni", right.blocks))
+        found[Quantity.LANDMARKS] = xy / sigma
+        found[Quantity.LANDMARK_COVARIANCE] = own / _outer(sigma)
+    return found
+
+
+def _outer(sigma: Array) -> Array:
+    """Products (..., d, d) of standard deviations (..., d)."""
+    return np.asarray(sigma[..., :, None] * sigma[..., None, :])
+
+
+def differences(given: State, right: State) -> dict[Quantity, float]:
+    """Differences of a frame from the exact filter, in its standard deviations; infinite where a value is missing."""
+    found = {} if given.expected is None else _expectations(given, right)
+    if len(given.decisions):
+        found[Quantity.USED] = float(len(np.setxor1d(given.used, right.used)))
+    if len(right.used) and not math.isnan(given.nis):
+        found[Quantity.NIS] = abs(given.nis - right.nis) / max(right.nis, 2.0 * len(right.used)) / 2.0
+    off = given.pose - right.pose
+    off[2] = wrap_angle(float(off[2]))
+    # a heading that is known has no covariance beyond rounding
+    d = 2 if right.covariance[2, 2] < KNOWN**2 else 3
+    found[Quantity.POSE] = _size((off / np.sqrt(np.diag(right.covariance)))[:d])
+    if not np.isnan(given.covariance).any():
+        found[Quantity.COVARIANCE] = _apart(given.covariance[:d, :d], right.covariance[:d, :d])
+    if len(given.number):
+        if not np.array_equal(given.number, right.number):
+            return found | {Quantity.LANDMARKS: math.inf}
+        sigma = np.sqrt(np.einsum("nii->ni", right.blocks))
+        found[Quantity.LANDMARKS] = _size((given.xy - right.xy) / sigma)
+        if not np.isnan(given.blocks).any():
+            found[Quantity.LANDMARK_COVARIANCE] = _furthest(given.blocks, right.blocks)
+    return found
+
+
+def _expectations(given: State, right: State) -> dict[Quantity, float]:
+    """Differences of what is expected, over the candidates that the estimator names."""
+    g, r = given.expected, right.expected
+    assert g is not None
+    assert r is not None
+    paired = given.decisions[given.decisions >= 0]
+    strange = len(np.setdiff1d(paired, g.number)) + len(np.setdiff1d(g.number, r.number))
+    found = {Quantity.CANDIDATES: float(strange), Quantity.NOISE: _furthest(g.R, r.R)}
+    number = np.intersect1d(g.number, r.number)
+    if not len(number):
+        return found
+    mine, theirs = _rows(g, number), _rows(r, number)
+    inner, outer = (np.ix_(_coordinates(w), _coordinates(w)) for w in (mine, theirs))
+    S = r.blocks[theirs][None] + r.R[:, None]
+    each = r.blocks[theirs] + r.R.min(axis=0)  # by candidate, with the least noise of the frame
+    found[Quantity.EXPECTED] = _size((g.z_hat[mine] - r.z_hat[theirs]) / np.sqrt(np.einsum("nii->ni", each)))
+    off = g.innovations[:, mine] - r.innovations[:, theirs]
+    found[Quantity.INNOVATIONS] = _size(off / np.sqrt(np.einsum("mnii->mni", S)))
+    found[Quantity.MARGINALS] = _furthest(g.blocks[mine], r.blocks[theirs], each)
+    whole = r.joint[outer] + block_diagonal(each - r.blocks[theirs])
+    found[Quantity.JOINT] = _apart(g.joint[inner], r.joint[outer], whole)
+    if g.decided is not None and r.decided is not None:
+        found[Quantity.DECISIONS] = float((g.decided != r.decided).sum())
+    return found
+
+
+def _rows(e: Expected, number: IntArray) -> IntArray:
+    """Candidates by number."""
+    order = np.argsort(e.number)
+    return np.asarray(order[np.searchsorted(e.number, number, sorter=order)])
+
+
+def _coordinates(rows: IntArray) -> IntArray:
+    return np.asarray((2 * rows[:, None] + np.arange(2)).ravel())
+
+
+def _size(off: Array) -> float:
+    """Largest absolute value; infinite if one is not finite."""
+    return float(np.abs(off).max(initial=0.0)) if np.isfinite(off).all() else math.inf
+
+
+def _apart(given: Array, right: Array, whole: Array | None = None) -> float:
+    """Difference of covariances in sigmas of `whole` (default: of the exact one): half of that of variances."""
+    sigma = np.sqrt(np.diag(right if whole is None else whole))
+    return 0.5 * _size((given - right) / np.outer(sigma, sigma))
+
+
+def _furthest(given: Array, right: Array, whole: Array | None = None) -> float:
+    """Largest of covariances (n, d, d)."""
+    return max(map(_apart, given, right, right if whole is None else whole), default=0.0)
+
+
+def recorded(text: str, inputs: Inputs, frames: Frames) -> tuple[list[State], float, ForeignError | None]:
+    """What an estimator says about frames, until it stops for a reason (None: it does not).
+
+    Also its least effective number of samples (infinite: it has none).
+    """
+    estimator = make_estimator(text, inputs)
+    foreign = estimator if isinstance(estimator, Adapter) else None
+    found: list[State] = []
+    stop = None
+    try:
+        for frame, decisions in frames:
+            found.append(_said(estimator, frame, decisions, slam=inputs.map is None))
+    except ForeignError as fault:
+        stop = fault
+    return found, math.inf if foreign is None else foreign.samples, stop
+
+
+def _said(estimator: Estimator, frame: Frame, decisions: IntArray, *, slam: bool) -> State:
+    """One frame of `recorded`."""
+    if frame.increment is not None:
+        estimator.predict(frame.increment)
+    if (timed := capabilities(estimator).timed) is not None:
+        timed.stamp(frame.time)
+    expected, used, nis = None, NONE, math.nan
+    if len(decisions):
+        if not isinstance(estimator, Adapter) or estimator.has("expect"):
+            expected = _formed(estimator.expect(frame.observations), known_map=not slam)
+        done = estimator.update(frame.observations, decisions.copy())
+        used, nis = np.flatnonzero(done.used), done.nis
+    pose, P = estimator.estimate()
+    number, xy, blocks = estimator.landmarks() if slam else (NONE, np.empty((0, 2)), np.empty((0, 2, 2)))
+    return State(expected, decisions, used, nis, pose, P, number, xy, blocks)
+
+
+def _formed(e: Expectation, *, known_map: bool) -> Expected:
+    """An expectation in numbers, before the update makes it invalid."""
+    n = len(e.number)
+    joint = np.asarray(e.joint(np.arange(n))) if n else np.empty((0, 0))
+    try:
+        decided = decide("jcbb", e, GATE, NEW_GATE, known_map=known_map).decisions
+    except SingularInnovationError:
+        decided = np.full(len(e.z), DISCARD)
+    return Expected(e.number, e.z_hat, joint, e.HPHt, np.asarray(e.innovations()), e.R, decided)

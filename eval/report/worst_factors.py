@@ -1,0 +1,175 @@
+"""The report's section on the graph that `batch` ends with: its kinds of factors and its ten worst, by the audit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from threadpoolctl import threadpool_limits
+
+from association.scans.constraints import LaserRun
+from data.result import Run
+from eval.plan.flags.table import Output
+from eval.referee.score import Trial
+from eval.report.audit import TEN, tables
+from eval.report.page.blocks import Block, FinePrint, Section
+from eval.report.page.files import written_table
+from eval.report.page.tables import number
+from eval.report.rows import stem
+from eval.report.words import say
+from graph.audit.audit import FAMILY
+from graph.audit.kinds import LOOP
+from graph.audit.replayed import Replayed, of_landmarks, of_poses
+from graph.batch import Start
+from graph.poses.batch import pose_problem
+
+HEADING = "Factors of the smoother"
+FINE = FinePrint(
+    HEADING,
+    "T: chi-square of the residual predicted from all other factors. p, family: over all factors and kinds (Holm)."
+    " Smallest error: found with 80 % power at 0.1 %. Motion: of the worst pose without the factor."
+    " Component: factor of the stated variance that the residuals ask for. Definitions: docs/audit.md.",
+)
+
+
+@dataclass(frozen=True)
+class GraphFacts:
+    """What the words say of a graph.
+
+    `scaled`: kinds whose stated noise is rejected, with the factors of their sigmas; `worst`, `frames`: the first row.
+    """
+
+    association: str
+    factors: int
+    rejected: int
+    unchecked: int
+    scaled: tuple[tuple[str, float], ...]
+    worst: str
+    frames: str
+
+
+def end_of(run: Run) -> Start:
+    """The estimate that a batch smoother ends with."""
+    assert run.final is not None
+    places = np.full((int(run.initialized.max(initial=-1)) + 1, 2), np.nan)
+    if run.map is not None:
+        held = run.map.number < len(places)
+        places[run.map.number[held]] = run.map.xy[held]
+    return Start(run.final.pose, places, None if run.errors_final is None else run.errors_final.mean)
+
+
+def graph_at_end(trial: Trial, run: Run) -> Replayed:
+    """The graph that a batch smoother ends with."""
+    inputs = trial.log.recorded if run.task == "localization" else trial.log.recorded.without_map()
+    with threadpool_limits(1):
+        if not isinstance(run, LaserRun):
+            return of_landmarks(inputs, run.final_decisions, run.initialized, end_of(run))
+        chain, loops, pose = run.chain, run.loops, run.key_pose
+        assert chain is not None
+        assert loops is not None
+        assert pose is not None
+        order = np.argsort(loops.believed, kind="stable")
+        b = order[loops.believed[order] >= 0].astype(np.int64)
+        problem = pose_problem(
+            inputs.prior, chain.motion, chain.covariance, loops.key1[b], loops.key2[b], loops.relative[b],
+            loops.covariance[b],
+        )  # fmt: skip
+        return of_poses(problem, pose, b)
+
+
+def runs_of(trial: Trial) -> list[Run]:
+    """The batch smoothers of a trial that reached their end, one an association."""
+    return [r for r in trial.runs if r.estimator == "batch" and not r.handed_in and r.flaw is None and _ended(r)]
+
+
+def _ended(run: Run) -> bool:
+    return run.final is not None and (not isinstance(run, LaserRun) or run.key_pose is not None)
+
+
+def kinds_frame(graph: Replayed) -> pd.DataFrame:
+    """A row for each kind of factor, and for each axis where the noise is diagonal."""
+    _, kinds, components = tables(graph.statistics)
+    rows = []
+    for name, k in kinds.iterrows():
+        rows.append({"kind": name, "factors": int(k["n"]), "unchecked": int(k["unchecked"])} | _component(k))
+        rows += [{"kind": f"{name}, {c['axis']}", "factors": None, "unchecked": None} | _component(c)
+                 for _, c in components[components["kind"] == name].iterrows()]  # fmt: skip
+    return pd.DataFrame(rows, dtype=object)
+
+
+def _component(row: pd.Series[Any]) -> dict[str, object]:
+    known = np.isfinite(row["component"])
+    return {
+        "redundancy": number(row["redundancy"]),
+        "variance component": f"{number(row['component'])} ± {number(row['se'], 2)}" if known else None,
+        "sigma times": number(row["sigma_factor"]) if known else None,
+        "p, family": number(row["p_family"], 2) if np.isfinite(row["p_family"]) else None,
+    }
+
+
+def worst_frame(trial: Trial, run: Run, graph: Replayed) -> pd.DataFrame:
+    """The ten factors of least p value."""
+    t, p = graph.statistics.factors, graph.statistics.p_family
+    order = np.lexsort((-np.nan_to_num(t.deleted), t.p))
+    rows = []
+    for i in order[np.isfinite(t.p[order])][:TEN].tolist():
+        what, frames = _named(trial, run, graph, i)
+        rows.append({
+            "factor": what, "frames": frames, "T": number(t.deleted[i]), "dof": int(t.rank[i]),
+            "p": number(t.p[i], 2), "p, family": number(p[i], 2), "smallest error [σ]": number(t.minimal_error[i]),
+            "motion [m]": number(t.moved[i], 2),
+        })  # fmt: skip
+    return pd.DataFrame(rows, dtype=object)
+
+
+def _named(trial: Trial, run: Run, graph: Replayed, i: int) -> tuple[str, str]:
+    """A factor as a person knows it, and its frames."""
+    s, frame, row = graph.statistics, int(graph.frame[i]), int(graph.observation[i])
+    kind = s.kinds.names[s.kinds.of[i]]
+    if isinstance(run, LaserRun):
+        assert run.chain is not None
+        assert run.loops is not None
+        if kind == LOOP:
+            ends = run.loops.key1[row], run.loops.key2[row]
+            return f"{kind}, key poses {ends[0]} and {ends[1]}", ", ".join(str(run.chain.frame[k]) for k in ends)
+        return kind, ", ".join(str(run.chain.frame[k]) for k in (frame - 1, frame) if k >= 0)
+    if row >= 0:
+        first = int(np.searchsorted(trial.log.recorded.observations.frame, frame))
+        number_ = run.initialized[row] if run.initialized[row] >= 0 else run.final_decisions[row]
+        return f"observation {row - first} of landmark {number_}", str(frame)
+    return kind, "" if frame < 0 else f"{frame - 1}, {frame}"
+
+
+def graph_facts(run: Run, graph: Replayed, worst: pd.DataFrame) -> GraphFacts:
+    """The facts of a graph."""
+    factors, kinds, components = tables(graph.statistics)
+    scaled = [(f"{c['kind']}, {c['axis']}", float(c["sigma_factor"]))
+              for _, c in components.iterrows() if c["p_family"] < FAMILY]  # fmt: skip
+    divided = {name.rpartition(", ")[0] for name, _ in scaled}
+    scaled += [(str(name), float(k["sigma_factor"]))
+               for name, k in kinds.iterrows() if k["p_family"] < FAMILY and name not in divided]  # fmt: skip
+    first = ("", "") if worst.empty else (str(worst["factor"].iloc[0]), str(worst["frames"].iloc[0]))
+    rejected = int((factors["p_family"] < FAMILY).sum())
+    unchecked = int(factors["unchecked"].sum())
+    return GraphFacts(run.association, len(factors), rejected, unchecked, tuple(scaled), *first)
+
+
+def worst_factors_section(folder: Path, output: Output, trial: Trial) -> list[Section]:
+    """Words and both tables for each batch smoother of a log and task; none where there is none."""
+    runs, facts, blocks = runs_of(trial), list[GraphFacts](), list[Block]()
+    for run in runs:
+        graph = graph_at_end(trial, run)
+        worst = worst_frame(trial, run, graph)
+        made = graph_facts(run, graph, worst)
+        facts.append(made)
+        blocks.append(say("audit#of_log", a=made, several=len(runs) > 1))
+        suffix = f"-{run.association}" if len(runs) > 1 else ""
+        for what, frame in (("kinds", kinds_frame(graph)), ("worst", worst)):
+            if len(frame):
+                caption = say(f"audit#log_{what}", where=f"{trial.log.name}, {trial.task}")
+                blocks.append(written_table(frame, folder, stem(trial, what + suffix), caption, output, fine=FINE))
+    heading = f"{HEADING}: {trial.log.name}, {trial.task}"
+    return [Section(heading, tuple(blocks), 3, tuple(facts), page=stem(trial))] if blocks else []

@@ -1,0 +1,131 @@
+"""The zoo of wrong estimators and wrong ways of association: every one is rejected, most with the name of its mistake.
+
+Right ones and sound approximations are accepted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from eval.checks import exactness, kalman, worlds
+from eval.checks.exactness import Agreement, Deviation, Quantity, Stopped, sentence
+from eval.replay.external.load import text_of
+from eval.replay.settings import FILTERS, INCREMENTAL
+from tests.eval.checks.plain import Plain
+from tests.eval.checks.zoo import MUTANTS, UnscentedSlam, Window
+from tests.oracle import reference_ekf
+
+
+def facts(estimator, task="slam"):
+    text = estimator if isinstance(estimator, str) else text_of(estimator, "estimator")
+    return [f.facts for f in exactness.exactness(text, task)]
+
+
+def test_there_are_enough_of_them():
+    assert len(MUTANTS) >= 30
+
+
+@pytest.mark.parametrize("name", MUTANTS)
+def test_a_wrong_estimator_is_rejected_and_its_mistake_named(name):
+    mutant, bug = MUTANTS[name]
+    wrong = [f for f in facts(mutant) if not isinstance(f, Agreement)]
+    assert wrong
+    assert {f.bug for f in wrong} == {bug}
+    assert all(bug is None or "Likely: " in sentence(f) for f in wrong)
+
+
+@pytest.mark.parametrize(
+    "name", ["R-doubled", "stale-Jacobians", "no-wrap", "NIS-is-dof", "body-frame", "last-dropped"]
+)
+def test_so_it_is_in_localization(name):
+    mutant, bug = MUTANTS[name]
+    wrong = [f for f in facts(mutant, "localization") if not isinstance(f, Agreement)]
+    assert {f.bug for f in wrong} == {bug}
+
+
+@pytest.mark.parametrize("task", ["localization", "slam"])
+@pytest.mark.parametrize("estimator", [Plain, *FILTERS])
+def test_what_claims_to_be_exact_is(estimator, task):
+    linear, mild = facts(estimator, task)
+    assert isinstance(linear, Agreement)
+    assert isinstance(mild, Agreement)
+    assert (linear.world, linear.allowed, mild.world) == (worlds.LINEAR, exactness.EXACTLY, worlds.MILD)
+    assert linear.frames == 14
+    assert set(linear.quantities) >= set(Quantity) - {Quantity.LANDMARKS, Quantity.LANDMARK_COVARIANCE}
+
+
+@pytest.mark.parametrize(
+    ("estimator", "task"),
+    [(UnscentedSlam, "localization"), (UnscentedSlam, "slam"), (Window, "slam"), *((n, "slam") for n in INCREMENTAL)],
+)
+def test_a_sound_approximation_is_accepted(estimator, task):
+    (mild,) = facts(estimator, task)
+    assert isinstance(mild, Agreement)
+    assert (mild.world, mild.allowed) == (worlds.MILD, exactness.NEARLY)
+
+
+def test_an_approximation_that_claims_to_be_exact_is_told_how_to_declare_it():
+    class Claiming(UnscentedSlam):
+        exact = True
+
+    linear = [f for f in facts(Claiming) if isinstance(f, Deviation)]
+    assert linear
+    assert all(f.world == worlds.LINEAR for f in linear)
+    assert any("declares `exact = False`" in sentence(f) for f in linear)
+
+
+def test_of_two_mistakes_one_that_only_one_number_has_is_named():
+    class Both(Plain):
+        def nis(self, nu, S, R, rows):
+            return float(len(nu))
+
+        def estimate(self):
+            mean, P = super().estimate()
+            return mean, 0.5 * P
+
+    bugs = {f.quantity: f.bug for f in facts(Both)}
+    assert bugs == {Quantity.NIS: kalman.Bug.NIS_IS_DOF, Quantity.COVARIANCE: None}
+
+
+def test_what_stops_is_named_where_it_stops():
+    class Short(Plain):
+        def update(self, o, decisions):
+            if len(self.x) > 12:
+                raise RuntimeError("full")
+            return super().update(o, decisions)
+
+    (stopped,) = facts(Short)
+    assert isinstance(stopped, Stopped)
+    assert stopped.bug is None
+    assert "RuntimeError: full" in sentence(stopped)
+
+
+@pytest.mark.parametrize("world", [worlds.LINEAR, worlds.MILD])
+@pytest.mark.parametrize("task", ["localization", "slam"])
+def test_the_exact_filter_is_that_of_the_textbook(world, task):
+    """`tests.oracle.reference_ekf` shares no code with it."""
+    inputs = exactness.inputs_of(world, task)
+    frames, states = exactness.exact_states(world, task)
+    o, kind = inputs.observations, inputs.sensor.kind
+    known = None if inputs.map is None else {int(i): xy for i, xy in zip(inputs.map.id, inputs.map.xy)}
+    path, P, nis, x, full = reference_ekf.run(
+        kind, np.zeros(3), inputs.prior.mean, inputs.prior.covariance, inputs.increments.mean,
+        inputs.increments.covariance, o.frame, o.z, o.R, np.concatenate([d for _, d in frames]), known,
+    )  # fmt: skip
+    np.testing.assert_allclose([s.pose for s in states], path, atol=1e-6)
+    sigma = np.sqrt(np.einsum("nii->ni", P))
+    off = (np.array([s.covariance for s in states]) - P) / (sigma[:, :, None] * sigma[:, None, :])
+    assert np.abs(off).max() < 1e-5
+    np.testing.assert_allclose([0.0 if np.isnan(s.nis) else s.nis for s in states], nis, rtol=1e-4, atol=1e-9)
+    if known is None:
+        np.testing.assert_allclose(states[-1].xy.ravel(), x[3:], atol=1e-5)
+        np.testing.assert_allclose(states[-1].blocks[0], full[3:5, 3:5], rtol=1e-4)
+
+
+def test_every_mistake_has_words_and_makes_a_difference():
+    made = {bug for world in (worlds.LINEAR, worlds.MILD) for bug in exactness.mistaken(world, "slam")[0]}
+    assert made == set(kalman.Bug)
+    for bug in kalman.Bug:
+        said = sentence(Deviation(worlds.LINEAR, Quantity.POSE, 1, True, True, 1.0, 1e-6, bug, True))
+        assert "Likely: " in said

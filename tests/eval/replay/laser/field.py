@@ -1,0 +1,128 @@
+"""Simulated laser logs as robots in the field have them: odometry that lies, rooms that repeat, halls, glass."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from data.formats.recordings.laser import laser_inputs
+from data.inputs import IntArray, Scanner, Scans
+from data.log import Log
+from data.se2 import Array, between, compose, dead_reckoned
+from data.truth import Truth
+from data.worlds.floorplan.world import drive, plan_of, scan_ranges
+
+SICK = Scanner(-0.5 * math.pi, math.pi / 180.0, 30.0, 0.01)
+BEAMS = 180
+PERIOD = 0.2
+
+
+def path_of(seed: int, frames: int = 1200, speed: float = 0.5) -> tuple[Array, Array]:
+    """Walls (W, 4) and a path (N, 3) through the plan of a seed."""
+    building = plan_of(seed)
+    time = PERIOD * np.arange(frames, dtype=float)
+    return building.walls, drive(building.ways, np.random.default_rng(seed), time, speed, 0.6)
+
+
+def backing(truth: Array, rng: np.random.Generator, every: int = 150, back: int = 40) -> tuple[Array, IntArray]:
+    """The path with stretches driven back and forth, and the sign of each step's motion."""
+    order, sign = [0], [1]
+    while True:
+        for way, steps in ((1, int(rng.integers(every // 2, every))), (-1, int(rng.integers(back // 2, back)))):
+            for _ in range(steps):
+                following = order[-1] + way
+                if following < 0:
+                    break
+                if following == len(truth):
+                    return truth[order], np.array(sign)
+                order.append(following)
+                sign.append(way)
+
+
+def recorded(
+    truth: Array,
+    walls: Array,
+    rng: np.random.Generator,
+    *,
+    told: Array | None = None,
+    period: float = PERIOD,
+    thin: int = 1,
+    scanner: Scanner = SICK,
+    glass: Array | None = None,
+    noise: float = 0.01,
+    stamp: Array | None = None,
+) -> Log:
+    """A log of a path (N, 3) with odometry whose increments are `told` (N, 3), those of the path by default, plus
+    noise with the travel as of real wheels. One of `thin` frames has a scan.
+    """
+    exact = np.zeros_like(truth)
+    exact[1:] = between(truth[:-1], truth[1:])
+    told = exact if told is None else told
+    distance, turn = np.hypot(told[:, 0], told[:, 1]), np.abs(told[:, 2])
+    along, about = np.sqrt(0.03**2 * distance + 0.03**2 * turn), np.sqrt(0.05**2 * distance + 0.04**2 * turn)
+    odometry = told + np.stack([along, along, about], axis=1) * rng.standard_normal(truth.shape)
+    pose = dead_reckoned(truth[0], odometry)
+    frame = np.arange(0, len(truth), thin)
+    ranges = scan_ranges(truth[frame], scanner, BEAMS, walls, glass=glass)
+    ranges = np.maximum(ranges + noise * rng.standard_normal(ranges.shape), 1e-3)
+    ranges[ranges >= scanner.max_range] = 0.0
+    times = period * np.arange(len(truth), dtype=float) if stamp is None else stamp
+    inputs = laser_inputs(pose, times, Scans(scanner, frame, ranges))
+    return Log("field", inputs, Truth(truth))
+
+
+def reporting_forward(seed: int) -> Log:
+    """A robot that backs in some stretches while its odometry says forward."""
+    walls, truth = path_of(seed)
+    rng = np.random.default_rng(seed + 1000)
+    truth, sign = backing(truth, rng)
+    told = np.zeros_like(truth)
+    told[1:] = between(truth[:-1], truth[1:])
+    told[:, 0] *= sign
+    assert (told[1:, 0] > -0.02).all()
+    return recorded(truth, walls, rng, told=told)
+
+
+def slipping_at_rest(seed: int, angle: float, thin: int = 5) -> Log:
+    """A robot that turns by up to an angle [rad] while its wheels say that it rests, seven times."""
+    walls, truth = path_of(seed, 600)
+    rng = np.random.default_rng(seed + 2000)
+    told = np.zeros_like(truth)
+    told[1:] = between(truth[:-1], truth[1:])
+    turned, spoken = [], []
+    for part, own in zip(np.array_split(truth, 7), np.array_split(told, 7), strict=True):
+        # turned by the slip in `thin` frames, which the wheels do not see, and back, which they do
+        slip = angle * rng.uniform(0.5, 1.0) * rng.choice([-1.0, 1.0])
+        there = slip * np.linspace(0.0, 1.0, thin + 1)[1:]
+        at = np.repeat(part[-1:], 2 * thin, axis=0)
+        at[:, 2] += np.concatenate([there, slip - there])
+        motion = np.zeros((2 * thin, 3))
+        motion[thin:, 2] = -slip / thin
+        turned += [part, at]
+        spoken += [own, motion]
+    path = np.concatenate(turned)
+    path[:, 2] = (path[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
+    return recorded(path, walls, rng, told=np.concatenate(spoken), thin=thin)
+
+
+def symmetric_room(seed: int, *, thin: int = 5) -> Log:
+    """A robot that turns and drives in a rectangle that looks the same after half a turn."""
+    rng = np.random.default_rng(seed)
+    w, h = rng.uniform(3.0, 6.0), rng.uniform(2.0, 3.5)
+    walls = np.array([[-w, -h, w, -h], [w, -h, w, h], [w, h, -w, h], [-w, h, -w, -h]])
+    pose, path = np.zeros(3), []
+    for _ in range(12):
+        rate = rng.uniform(-1.2, 1.2)
+        for _ in range(int(rng.integers(5, 20))):
+            pose = compose(pose, np.array([0.0, 0.0, PERIOD * rate]))
+            path.append(pose)
+        path += [pose] * int(rng.integers(0, 10))
+        for _ in range(int(rng.integers(0, 8))):
+            onward = compose(pose, np.array([0.06, 0.0, 0.0]))
+            if abs(onward[0]) < w - 1.0 and abs(onward[1]) < h - 1.0:
+                pose = onward
+            path.append(pose)
+    truth = np.array(path)
+    truth[:, 2] = (truth[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
+    return recorded(truth, walls, rng, thin=thin)
