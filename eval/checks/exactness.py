@@ -19,7 +19,7 @@ from association.decide import decide, known_decisions
 from association.expectation import Expectation, SingularInnovationError
 from data.blocks import block_diagonal
 from data.inputs import Frame, Inputs, IntArray
-from data.result import DISCARD
+from data.result import DISCARD, NEW
 from data.se2 import Array, wrap_angle
 from data.words import environment
 from eval.checks import worlds
@@ -149,7 +149,7 @@ def exactness(text: str, task: str) -> Iterator[Finding]:
 def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
     """The facts about an estimator in a world: it agrees, or deviations in the order of their appearance."""
     frames, right = exact_states(world, task)
-    given, samples, stop = recorded(text, inputs_of(world, task), frames)
+    given, samples, stop = recorded(text, inputs_of(world, task), frames, exact=exact)
     allowed = EXACTLY if exact and world == worlds.LINEAR else NEARLY
     if samples < math.inf:
         allowed = min(NEARLY + SAMPLING / math.sqrt(samples), APPROXIMATE)
@@ -358,38 +358,46 @@ def _furthest(given: Array, right: Array, whole: Array | None = None) -> float:
     return max(map(_apart, given, right, right if whole is None else whole), default=0.0)
 
 
-def recorded(text: str, inputs: Inputs, frames: Frames) -> tuple[list[State], float, ForeignError | None]:
+def recorded(
+    text: str, inputs: Inputs, frames: Frames, *, exact: bool = True
+) -> tuple[list[State], float, ForeignError | None]:
     """What an estimator says about frames, until it stops for a reason (None: it does not).
 
-    Also its least effective number of samples (infinite: it has none).
+    Also its least effective number of samples (infinite: it has none). A landmark that is not initialized at once ends
+    the comparison, as numbers differ from then on; for an estimator that claims to be `exact` it is a reason.
     """
-    estimator = make_estimator(text, inputs)
+    estimator, slam = make_estimator(text, inputs), inputs.map is None
     foreign = estimator if isinstance(estimator, Adapter) else None
     found: list[State] = []
     stop = None
     try:
         for frame, decisions in frames:
-            found.append(_said(estimator, frame, decisions, slam=inputs.map is None))
+            state, absent = _said(estimator, frame, decisions, slam=slam)
+            if absent:
+                stop = ForeignError(f"{absent} NEW observations initialize no landmark") if exact else None
+                break
+            found.append(state)
     except ForeignError as fault:
         stop = fault
     return found, math.inf if foreign is None else foreign.samples, stop
 
 
-def _said(estimator: Estimator, frame: Frame, decisions: IntArray, *, slam: bool) -> State:
-    """One frame of `recorded`."""
+def _said(estimator: Estimator, frame: Frame, decisions: IntArray, *, slam: bool) -> tuple[State, int]:
+    """One frame of `recorded`, and how many landmarks are not initialized."""
     if frame.increment is not None:
         estimator.predict(frame.increment)
     if (timed := capabilities(estimator).timed) is not None:
         timed.stamp(frame.time)
-    expected, used, nis = None, NONE, math.nan
+    expected, used, nis, absent = None, NONE, math.nan, 0
     if len(decisions):
         if not isinstance(estimator, Adapter) or estimator.has("expect"):
             expected = _formed(estimator.expect(frame.observations), known_map=not slam)
         done = estimator.update(frame.observations, decisions.copy())
         used, nis = np.flatnonzero(done.used), done.nis
+        absent = int(((decisions == NEW) & (done.created < 0)).sum()) if slam else 0
     pose, P = estimator.estimate()
     number, xy, blocks = estimator.landmarks() if slam else (NONE, np.empty((0, 2)), np.empty((0, 2, 2)))
-    return State(expected, decisions, used, nis, pose, P, number, xy, blocks)
+    return State(expected, decisions, used, nis, pose, P, number, xy, blocks), absent
 
 
 def _formed(e: Expectation, *, known_map: bool) -> Expected:

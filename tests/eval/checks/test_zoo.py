@@ -101,6 +101,22 @@ def test_what_stops_is_named_where_it_stops():
     assert "RuntimeError: full" in sentence(stopped)
 
 
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_landmark_that_waits_is_an_error_only_of_what_claims_to_be_exact(exact):
+    class Waiting(Plain):
+        def update(self, o, decisions):
+            kept = np.where(decisions == -1, -2, decisions) if len(self.x) > 12 else decisions
+            return super().update(o, kept) | {"created": np.where(kept == -1, self.numbers(kept), -1)}
+
+        def numbers(self, decisions):
+            return (len(self.x) - 3) // 2 - (decisions == -1).sum() + np.cumsum(decisions == -1) - 1
+
+    Waiting.exact = exact
+    (only,) = facts(Waiting)
+    assert isinstance(only, Stopped if exact else Agreement)
+    assert not exact or "NEW observations initialize no landmark" in only.why
+
+
 @pytest.mark.parametrize("world", [worlds.LINEAR, worlds.MILD])
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_the_exact_filter_is_that_of_the_textbook(world, task):
