@@ -27,9 +27,10 @@ from eval.checks.finding import APPROXIMATE, Finding, check
 from eval.checks.kalman import NONE, Bug, Expected, Rules, State, rules_of, states_of
 from eval.replay.estimators import Estimator, capabilities, make_estimator
 from eval.replay.external.adapter import Adapter
-from eval.replay.external.guard import ForeignError
+from eval.replay.external.guard import ForeignError, call
 from eval.replay.external.load import load
 from eval.replay.external.spec import is_foreign
+from eval.replay.run import DIVERGED
 from eval.replay.settings import INCREMENTAL
 
 EXACTLY, NEARLY = 1e-6, 0.05  # largest differences, in standard deviations of the exact filter
@@ -165,7 +166,7 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
         measured = tuple(q for q in Quantity if any(q in found for found in each))
         most = max(size for q, size in largest.items() if q not in COUNTED)
         return [Agreement(world, len(each), measured, most, allowed)]
-    bug = likely(world, task, given)
+    bug = likely(world, task, given) if given else None
     order = sorted(begin, key=lambda q: (begin[q], list(Quantity).index(q)))
     facts: list[Fact] = []
     for q in order:
@@ -377,8 +378,8 @@ def recorded(
                 stop = ForeignError(f"{absent} NEW observations initialize no landmark") if exact else None
                 break
             found.append(state)
-    except ForeignError as fault:
-        stop = fault
+    except (ForeignError, *DIVERGED) as fault:
+        stop = ForeignError(str(fault))
     return found, math.inf if foreign is None else foreign.samples, stop
 
 
@@ -404,8 +405,9 @@ def _formed(e: Expectation, *, known_map: bool) -> Expected:
     """An expectation in numbers, before the update makes it invalid."""
     n = len(e.number)
     joint = np.asarray(e.joint(np.arange(n))) if n else np.empty((0, 0))
+    nu = np.asarray(call("the residual of the expectation", e.innovations))
     try:
         decided = decide("jcbb", e, GATE, NEW_GATE, known_map=known_map).decisions
     except SingularInnovationError:
         decided = np.full(len(e.z), DISCARD)
-    return Expected(e.number, e.z_hat, joint, e.HPHt, np.asarray(e.innovations()), e.R, decided)
+    return Expected(e.number, e.z_hat, joint, e.HPHt, nu, e.R, decided)
