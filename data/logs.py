@@ -76,6 +76,8 @@ def open_log(
         return _open_folder(path, reading, say)
     if path.exists():
         raise UsageError(f"{name}: neither a folder nor a file")
+    if name in registry.SIMULATORS:
+        raise UsageError(f"{name}: the seed is missing, as in {registry.SIMULATORS[name].example}")
     hint = unknown_world(name) or f"; known names: {NAMES}"
     raise UsageError(f"{name}: no such log or folder{hint}")
 
@@ -95,6 +97,10 @@ def _open_file(path: Path, reading: Reading) -> Log:
     from data.formats.recordings.carmen import is_named_carmen, load_carmen
 
     if not is_named_carmen(path):
+        from data.formats.recognize import what_to_type
+
+        if said := what_to_type(path):
+            raise UsageError(f"{path}: {said}")
         right = f"an open log folder, a CARMEN log (.log, .clf, also .gz) or one of {NAMES}"
         raise UsageError(f"{path}: a file of unknown type; expected {right}")
     return load_carmen(path, reading.relations)
@@ -115,6 +121,10 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
             from data.visual.opening import open_lab_log
 
             return open_lab_log(path, _camera(reading), say)
+        from data.formats.recognize import what_to_type
+
+        if said := what_to_type(path):
+            raise UsageError(f"{path}: {said}")
     return _with_header(path, reading.relations)
 
 

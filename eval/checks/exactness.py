@@ -170,7 +170,8 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
     facts: list[Fact] = []
     for q in order:
         observed, limit = len(frames[begin[q]][1]) > 0, 0.0 if q in COUNTED else allowed
-        facts.append(Deviation(world, q, begin[q], observed, q is order[0], largest[q], limit, bug, exact))
+        own = bug or likely(world, task, given, only=q)
+        facts.append(Deviation(world, q, begin[q], observed, q is order[0], largest[q], limit, own, exact))
     return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bug)]
 
 
@@ -205,26 +206,29 @@ def _with_decisions(state: State, frame: Frame, inputs: Inputs) -> State:
 def mistaken(world: str, task: str) -> tuple[tuple[Bug, ...], Array]:
     """The filter with each mistake (b,) that makes a difference, in numbers (b, n)."""
     frames, right = exact_states(world, task)
-    inputs, exact = inputs_of(world, task), numbers(right, right)
+    inputs, exact, (weights, _) = inputs_of(world, task), numbers(right, right), _layout(world, task)
     found = [(b, numbers(states_of(frames, inputs, r), right)) for b in Bug for r in rules_of(b)]
-    found = [(b, n) for b, n in found if _distance(n - exact, _weights(world, task)) > 0.0]
+    found = [(b, n) for b, n in found if _distance(n - exact, weights) > 0.0]
     return tuple(b for b, _ in found), np.array([n for _, n in found])
 
 
 @lru_cache(maxsize=4)
-def _weights(world: str, task: str) -> Array:
-    """Weights (n,) of `numbers`: every quantity of every frame has the same."""
+def _layout(world: str, task: str) -> tuple[Array, Array]:
+    """Weights (n,) of `numbers`, the same for every quantity of every frame; and the quantities (n,), as strings."""
     _, right = exact_states(world, task)
-    return np.concatenate([np.full(part.size, 1.0 / part.size) for s in right for part in parts(s, s) if part.size])
+    each = [(q, part.size) for s in right for q, part in parts(s, s).items()]
+    return np.concatenate([np.full(n, 1.0 / n) for _, n in each]), np.repeat([q for q, _ in each], [n for _, n in each])
 
 
-def likely(world: str, task: str, given: Sequence[State]) -> Bug | None:
-    """The mistake by which the Kalman filter gives the same numbers, if there is one."""
+def likely(world: str, task: str, given: Sequence[State], only: Quantity | None = None) -> Bug | None:
+    """The mistake by which the Kalman filter gives the same numbers, all or those of a quantity; None: no known one."""
     _, right = exact_states(world, task)
     bugs, each = mistaken(world, task)
     mine = numbers(given, right[: len(given)])
     n = len(mine)
-    weights = _weights(world, task)[:n]
+    weights, quantities = (a[:n] for a in _layout(world, task))
+    if only is not None:
+        weights = np.where(quantities == only, weights, 0.0)
     apart = _distance(mine - each[:, :n], weights)
     i = int(np.argmin(apart))
     return bugs[i] if apart[i] < ALIKE * _distance(mine - numbers(right, right)[:n], weights) else None
@@ -239,12 +243,12 @@ def _distance(off: Array, weights: Array) -> Array:
 
 def numbers(given: Sequence[State], right: Sequence[State]) -> Array:
     """All that is said about frames as one vector (n,), in standard deviations; NaN: it is not said."""
-    return np.concatenate([part.ravel() for g, r in zip(given, right, strict=True) for part in parts(g, r)])
+    return np.concatenate([part.ravel() for g, r in zip(given, right, strict=True) for part in parts(g, r).values()])
 
 
-def parts(given: State, right: State) -> list[Array]:
-    """The same about a frame, by quantity; their shapes are those of the exact filter `right`."""
-    found = []
+def parts(given: State, right: State) -> dict[Quantity, Array]:
+    """What is said about a frame, by quantity; shapes are those of the exact filter `right`."""
+    found = {}
     g, r = given.expected, right.expected
     if r is not None and len(r.number):
         z_hat, joint, blocks = (np.full(a.shape, np.nan) for a in (r.z_hat, r.joint, r.blocks))
@@ -252,24 +256,30 @@ def parts(given: State, right: State) -> list[Array]:
             mine = np.argsort(g.number)
             inner = _coordinates(mine)
             z_hat, joint, blocks = g.z_hat[mine], g.joint[np.ix_(inner, inner)], g.blocks[mine]
-        S = r.blocks + r.R.min(axis=0)
-        sigma = np.sqrt(np.einsum("nii->ni", S))
-        flat = sigma.ravel()
-        found += [z_hat / sigma, joint / np.outer(flat, flat), blocks / (sigma[:, :, None] * sigma[:, None, :])]
+        sigma = np.sqrt(np.einsum("nii->ni", r.blocks + r.R.min(axis=0)))
+        found[Quantity.EXPECTED] = z_hat / sigma
+        found[Quantity.MARGINALS] = blocks / _outer(sigma)
+        found[Quantity.JOINT] = joint / _outer(sigma.ravel())
     if len(right.used):
-        found.append(np.array([given.nis / max(right.nis, 2.0 * len(right.used))]))
+        found[Quantity.NIS] = np.array([given.nis / max(right.nis, 2.0 * len(right.used))])
     sigma = np.sqrt(np.diag(right.covariance))
-    apart = given.pose - right.pose
-    apart[2] = wrap_angle(float(apart[2]))
-    found += [apart / sigma, given.covariance / np.outer(sigma, sigma)]
+    off = given.pose - right.pose
+    off[2] = wrap_angle(float(off[2]))
+    found[Quantity.POSE] = off / sigma
+    found[Quantity.COVARIANCE] = given.covariance / _outer(sigma)
     if len(right.number):
-        same = np.array_equal(given.number, right.number)
+        xy, own = np.full_like(right.xy, np.nan), np.full_like(right.blocks, np.nan)
+        if np.array_equal(given.number, right.number):
+            xy, own = given.xy, given.blocks
         sigma = np.sqrt(np.einsum("nii->ni", right.blocks))
-        xy, own = (
-            (given.xy, given.blocks) if same else (np.full_like(right.xy, np.nan), np.full_like(right.blocks, np.nan))
-        )
-        found += [xy / sigma, own / (sigma[:, :, None] * sigma[:, None, :])]
+        found[Quantity.LANDMARKS] = xy / sigma
+        found[Quantity.LANDMARK_COVARIANCE] = own / _outer(sigma)
     return found
+
+
+def _outer(sigma: Array) -> Array:
+    """Products (..., d, d) of standard deviations (..., d)."""
+    return np.asarray(sigma[..., :, None] * sigma[..., None, :])
 
 
 def differences(given: State, right: State) -> dict[Quantity, float]:

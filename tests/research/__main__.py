@@ -11,6 +11,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from data.command import Parser
 from data.terminal import ended
 
 
@@ -21,7 +22,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def parser() -> argparse.ArgumentParser:
     """The flags of all studies."""
-    p = argparse.ArgumentParser(prog="python -m tests.research", description="Studies too long for the suite.")
+    p = Parser(prog="python -m tests.research", description="Studies too long for the suite.")
     studies = p.add_subparsers(dest="study", required=True)
     variety = studies.add_parser(
         "variety", help="jcbb and jcbb-hindsight on 200 simulated worlds, to OUT/variety.csv and OUT/variety.png"

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from data.digest import source_file
-from data.errors import DataError, UsageError
+from data.errors import DataError, UsageError, did_you_mean
 from data.formats.open_log.scans import with_returns
 from data.formats.recordings.laser import laser_inputs
 from data.inputs import Scanner, Scans
@@ -194,7 +194,7 @@ def _topic(path: Path, topics: dict[str, str], kind: str, wanted: str | None, fl
             raise UsageError(f"{path}: {flag} TOPIC is needed, because the topic is ambiguous; {there}")
         return of_kind[0]
     if wanted not in topics:
-        raise UsageError(f"{flag} {wanted}: no such topic in {path}; of {there}")
+        raise UsageError(f"{flag} {wanted}: no such topic in {path}{did_you_mean(wanted, of_kind)}; of {there}")
     if topics[wanted] != kind:
         raise UsageError(f"{flag} {wanted}: its messages are {topics[wanted]}; topics of {there}")
     return wanted

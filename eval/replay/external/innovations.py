@@ -98,18 +98,17 @@ class OwnInnovations:
 
     def notes(self) -> list[Notice]:
         """Messages about what it states otherwise, or what cannot be compared."""
-        name = self._estimator.name
         found = []
         if self._differing:
             per_dof = max(self._dof, 1)
             found.append(
                 notice(
-                    Code.NIS_STATED, name=name, frames=self._differing, of=self._frames,
+                    Code.NIS_STATED, frames=self._differing, of=self._frames,
                     stated=self._stated / per_dof, formed=self._formed / per_dof,
                 )
             )  # fmt: skip
         if self._unchecked or (self._why and self._estimator.has("expect")):
-            found.append(notice(Code.NIS_UNCHECKED, name=name, why=self._why, stated=self._unchecked))
+            found.append(notice(Code.NIS_UNCHECKED, why=self._why, stated=self._unchecked))
         return found
 
 

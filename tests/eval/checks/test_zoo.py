@@ -75,6 +75,19 @@ def test_an_approximation_that_claims_to_be_exact_is_told_how_to_declare_it():
     assert any("declares `exact = False`" in sentence(f) for f in linear)
 
 
+def test_of_two_mistakes_one_that_only_one_number_has_is_named():
+    class Both(Plain):
+        def nis(self, nu, S, R, rows):
+            return float(len(nu))
+
+        def estimate(self):
+            mean, P = super().estimate()
+            return mean, 0.5 * P
+
+    bugs = {f.quantity: f.bug for f in facts(Both)}
+    assert bugs == {Quantity.NIS: kalman.Bug.NIS_IS_DOF, Quantity.COVARIANCE: None}
+
+
 def test_what_stops_is_named_where_it_stops():
     class Short(Plain):
         def update(self, o, decisions):
