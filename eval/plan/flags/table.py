@@ -175,6 +175,13 @@ class Reading:
         "align each result with the truth: none, first (first matched pose), se2 or se3 (best rigid fit), sim3 (with "
         "scale), yaw (position and heading, 4 dof); in space where both files are 3-D (default: none)",
     )
+    pairs: str = choice(
+        "evo",
+        ("rpg", "openvins"),
+        "WHOSE",
+        "pairs of relative errors in 3-D: evo (1 m, 10 m), rpg (a tenth to half of the path) or openvins (8 to 40 m; "
+        "default: evo)",
+    )
     truth_gap: float = row(
         1.0, positive, "S", "largest gap [s] between two true poses that is interpolated (default: 1)"
     )
