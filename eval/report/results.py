@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from data.errors import DataError
 from data.formats.results.bags import is_bag
@@ -19,19 +20,21 @@ from data.logs import is_world, open_log, unknown_world
 from data.notice import QUESTIONS, Code, notice
 from data.se2 import Array
 from data.words import sentence
-from eval.plan.flags.table import Reading
+from eval.plan.flags.table import Output, Reading
 from eval.plan.results import TRUTH, Result, manner_of, phase_of, runs_of, true_path, truth_of
-from eval.referee import consistency, errors
+from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
 from eval.referee.given_runs import GivenRun, TruePath, truth_log
 from eval.referee.in_space import NONE
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
+from eval.referee.space_scores import CONVENTIONS, columns_in_space
 from eval.referee.space_scores import ERRORS as NAMED
-from eval.referee.space_scores import columns_in_space
-from eval.report.page.tables import is_blank
-from eval.report.rows import Row, value_of
-from eval.report.words import one_line, say
+from eval.report.page.blocks import Table
+from eval.report.page.files import written_table
+from eval.report.page.tables import drop_blank_columns, is_blank
+from eval.report.rows import Row, stem, value_of
+from eval.report.words import one_line, paragraph, say
 from eval.studies.montecarlo import Sample, verdicts
 
 ESTIMATE = "estimate"
@@ -159,6 +162,54 @@ def _sample(s: Scored) -> Sample:
             "heading": math.radians(errors.heading_rmse_deg(t.pose, truth)) ** 2,
         },
     )
+
+
+def space_rows(trials: Sequence[Trial]) -> list[dict[str, object]]:
+    """The rows of space.csv."""
+    found: list[dict[str, object]] = []
+    for trial, run, phase in _in_space(trials):
+        key = (trial.log.name, run.task, run.estimator, run.association, phase)
+        values = columns_in_space(run.space[phase])
+        found += [dict(zip(result_files.SPACE.names, (*key, name, v), strict=True)) for name, v in values.items()]
+    return found
+
+
+def _in_space(trials: Sequence[Trial]) -> Iterator[tuple[Trial, GivenRun, str]]:
+    for trial in trials:
+        for run in trial.runs:
+            if isinstance(run, GivenRun):
+                yield from ((trial, run, phase) for phase in run.phases if phase in run.space)
+
+
+SPACE_HEADS = {
+    "rmse_position_3d_m": "position RMSE [m]",
+    "rmse_rotation_3d_deg": "rotation RMSE [deg]",
+    "rmse_position_3d_se3_m": "after SE(3) [m]",
+    "rmse_position_3d_yaw_m": "after yaw [m]",
+    "rmse_position_3d_sim3_m": "after Sim(3) [m]",
+    "scale_sim3": "scale",
+    "rpe_10m_3d_m": "over 10 m [m]",
+    "nees_3d_left_invariant": "NEES, left-invariant (expected 6)",
+    "nees_3d_right_invariant": "right-invariant",
+    "nees_3d_decoupled": "decoupled",
+    "nees_3d_position": "position (expected 3)",
+    "nees_3d_rotation": "rotation (expected 3)",
+}
+
+
+def space_tables(folder: Path, output: Output, trial: Trial) -> list[Table]:
+    """Scores in 3-D of the results of a trial: none, or a table."""
+    rows = []
+    for _, run, phase in _in_space([trial]):
+        values, stated = columns_in_space(run.space[phase]), run.space[phase].estimate
+        convention = CONVENTIONS.get(stated.frame, "") if stated.covariance is not None else ""
+        row: dict[str, object] = {"estimator": run.estimator, "phase": phase, "stated error": convention or None}
+        rows.append(row | {head: values.get(name) for name, head in SPACE_HEADS.items()})
+    if not rows:
+        return []
+    frame = drop_blank_columns(pd.DataFrame(rows, dtype=object))
+    caption = paragraph("results#space", where=f"{trial.log.name}, {trial.task}")
+    return [written_table(frame, folder, stem(trial, "space"), caption, output)]
 
 
 @dataclass(frozen=True)

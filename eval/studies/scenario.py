@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from data.errors import UsageError
+from data.errors import UsageError, did_you_mean
 from data.log import Log
 from data.motion.priors import AUTO, PRIORS, systematic
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
@@ -32,7 +32,7 @@ from eval.replay.external.spec import (
 from eval.replay.flag import read_values, rows
 from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
-from eval.studies.shipped import offered, path_of
+from eval.studies.shipped import offered, path_of, scenarios
 
 RECORDED = "esde"  # a stored run of others, found through `--data`
 OWN = "own"  # a function of the user's makes the logs
@@ -172,7 +172,7 @@ def load_scenario(name: str) -> Scenario:
     """A shipped scenario by name or any by file. Raises UsageError for an error in it."""
     path = path_of(name)
     if not path.is_file():
-        raise UsageError(f"--scenario {name}: no such file; shipped: {offered()}")
+        raise UsageError(f"--scenario {name}: no such file{did_you_mean(name, scenarios())}; shipped: {offered()}")
 
     def fault(what: str) -> UsageError:
         return UsageError(f"--scenario {name}: {what}")

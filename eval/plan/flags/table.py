@@ -106,9 +106,9 @@ class Selection:
 
     log: tuple[str, ...] = several(
         "PATH|NAME",
-        "open log folder, CARMEN log (.log, .clf, also .gz), or victoria-park, arena:SEED, circle:SEED, linear:SEED, "
-        "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, five corridors and "
-        "60 frames of visual:0)",
+        "open log folder, CARMEN log (.log, .clf, also .gz, .bz2), or victoria-park, arena:SEED, circle:SEED, "
+        "linear:SEED, corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, five "
+        "corridors and 60 frames of visual:0)",
     )
     data: tuple[str, ...] = several(
         "DIR",
@@ -180,6 +180,13 @@ class Reading:
         "align each result with the truth: none, first (first matched pose), se2 or se3 (best rigid fit), sim3 (with "
         "scale), yaw (position and heading, 4 dof); in space where both files are 3-D (default: none)",
     )
+    pairs: str = choice(
+        "evo",
+        ("rpg", "openvins"),
+        "WHOSE",
+        "pairs of relative errors in 3-D: evo (1 m, 10 m), rpg (a tenth to half of the path) or openvins (8 to 40 m; "
+        "default: evo)",
+    )
     truth_gap: float = row(
         1.0, positive, "S", "largest gap [s] between two true poses that is interpolated (default: 1)"
     )
@@ -228,6 +235,7 @@ class Opening:
     relations: str | None = file_row(
         "reference relations of the only laser log (default: NAME.relations.csv, or relations.csv in its folder)"
     )
+    no_odometry: bool = switch_row("laser logs: the odometry is unknown, and scans alone tell the motion")
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from data.errors import UsageError
+from data.errors import UsageError, unknown
 from eval.replay.flag import Read, texts
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
 
@@ -179,8 +179,8 @@ def one_settled(label: str, text: str, kind: str) -> str:
     if is_foreign(text):
         return settled(label, text, kind)
     if text not in added:
-        known = ", ".join((*(n for n in OURS[kind] if n != "none"), *added))
-        raise UsageError(f"{label} {text}: unknown; known: {known}; or your own as {FORM}")
+        known = (*(n for n in OURS[kind] if n != "none"), *added)
+        raise UsageError(f"{label} {text}: {unknown(text, known)}; or your own as {FORM}")
     return settled(label, f"{text}={added[text]}", kind)
 
 

@@ -81,3 +81,26 @@ def test_results_without_covariance_alone_end_in_no_empty_words(tmp_path, capsys
     assert main([*command, "--no-plots"]) == 0
     said = capsys.readouterr().out.splitlines()
     assert not [line for line in said if line.strip() == "()" or "nothing ran" in line]
+
+
+def test_results_in_space_have_a_table_a_file_and_two_projections(tmp_path):
+    from data.formats.results.reading import read_path
+    from eval.figures.space import space_figure
+    from eval.referee.given_runs import TruePath, truth_log
+    from eval.report.pictures import kinds
+    from eval.report.results import space_rows
+    from tests.oracle.evo_space import files
+
+    files(tmp_path)
+    truth, estimate = (read_path(str(tmp_path / f"{name}.tum")) for name in ("truth", "estimate"))
+    log = truth_log("truth", truth)
+    run = given_run("a", "slam", {"final": estimate}, log, TruePath.of(truth), align="yaw")
+    trial = Trial(log, "slam", (run,))
+    rows = {row["quantity"]: row["value"] for row in space_rows([trial])}
+    assert rows["rmse_position_3d_m"] == pytest.approx(rows["rmse_position_3d_yaw_m"])
+    assert "space" in kinds(trial)
+    above, side = space_figure(trial.runs).axes
+    drawn = above.lines[1].get_xydata(), side.lines[1].get_xydata()
+    assert drawn[0] == pytest.approx(run.space["final"].estimate.position[:, :2])
+    assert drawn[1] == pytest.approx(run.space["final"].estimate.position[:, ::2])
+    assert "space" not in kinds(replace(trial, runs=(replace(run, space={}),)))
