@@ -15,6 +15,7 @@ from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from eval.report.words import as_sentence, say
 from graph.audit.audit import DRAWS, FAMILY, Audit, Statistics, examined
+from graph.audit.conventions import Question, questions
 from graph.audit.factors import UNCHECKED
 from graph.audit.kinds import Grouping
 from graph.audit.linear import Graph, Values, name
@@ -102,7 +103,8 @@ class AuditFacts:
     hidden: Hidden | None
     decrement: float
     gained: float
-    second: Second | None
+    minima: tuple[Second, ...]
+    questions: tuple[Question, ...]
     curvature: float
     gauge: int
     loose: tuple[str, ...]
@@ -128,7 +130,8 @@ class AuditReport:
     kinds: pd.DataFrame
     components: pd.DataFrame
     audit: Audit
-    second: Second | None = None
+    minima: tuple[Second, ...] = ()
+    questions: tuple[Question, ...] = ()
 
     @property
     def clusters(self) -> pd.DataFrame:
@@ -209,12 +212,12 @@ def audit(
         >>> report.factors[["kind", "redundancy", "p_family"]]  # a row for each factor
     """
     with threadpool_limits(1):
-        return reported(examined(graph, values, groups, draws, seed, full=full))
+        return reported(examined(graph, values, groups, draws, seed, full=full), graph)
 
 
-def reported(a: Audit) -> AuditReport:
-    """The report of an audit."""
-    return AuditReport(*tables(a), a)
+def reported(a: Audit, graph: Graph) -> AuditReport:
+    """The report of an audit of a graph."""
+    return AuditReport(*tables(a), a, questions=questions(a, graph))
 
 
 def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
@@ -287,7 +290,8 @@ def _facts(report: AuditReport) -> AuditFacts:
         int(factors["chi2"].notna().sum()), a.freedom, float(factors["chi2"].sum()), a.rejected, len(wrong),
         tuple(scaled), component, least if least.p < FAMILY else None, _cluster(report), least, len(unchecked),
         tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in counts.items()),
-        hidden, a.decrement, a.gained, report.second, a.curvature, a.condition.gauge, tuple(loose), a.condition.parts,
+        hidden, a.decrement, a.gained, report.minima, report.questions,
+        a.curvature, a.condition.gauge, tuple(loose), a.condition.parts,
         tuple(f"{i} and {j}" for i, j in a.condition.duplicates), int((factors["weight"] < 1.0).sum()),
     )  # fmt: skip
 

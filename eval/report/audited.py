@@ -14,7 +14,7 @@ from data.formats.graph_file import GraphFile, read_graph_file, with_information
 from eval.report.audit import AuditReport, Second, reported
 from graph.audit.audit import DRAWS, examined, places
 from graph.audit.cure import LEVELS, Cure, coverage, cure, known
-from graph.audit.files import another_start, build, built_by, optimized
+from graph.audit.files import build, built_by, optimized, other_starts
 from graph.audit.kinds import ODOMETRY
 from graph.audit.linear import Graph, Values, name
 
@@ -58,31 +58,33 @@ def _of_file(
         values.update(known(near, values))
     report, values = _audit(graph, values, names, optimize, draws, seed, full)
     if near is None and optimize and graph.size() <= LARGEST:
-        report = replace(report, second=_second(file, graph, values, report))
+        report = replace(report, minima=_minima(file, graph, values, report))
     return Opened(report, graph, values, file)
 
 
-def _second(file: GraphFile, graph: Graph, values: Values, report: AuditReport) -> Second | None:
-    """Where the optimizer ends from the edges alone, if that is another minimum."""
-    start = another_start(file, values)
-    if start is None:
-        return None
-    other = optimized(graph, start)
-    ours, error = graph.error(values), graph.error(other)
-    if abs(error - ours) < DIFFERENT * max(1.0, min(ours, error)):
-        return None
-    keys, place = report.audit.f.system.keys, report.audit.place
-    apart = np.nan_to_num(np.linalg.norm(places(other, keys) - place, axis=1))
-    most = int(np.argmax(apart))
-    far = int((apart > SHARE * apart.max(initial=0.0)).sum())
-    return Second("the path along the edges", error, ours, far, name(keys[most]), float(apart[most]))
+def _minima(file: GraphFile, graph: Graph, values: Values, report: AuditReport) -> tuple[Second, ...]:
+    """Where the optimizer ends from other starts, each other minimum once."""
+    out: list[Second] = []
+    ours = graph.error(values)
+    for start, begin in other_starts(file, values).items():
+        other = optimized(graph, begin)
+        error = graph.error(other)
+        if not any(
+            abs(error - known) < DIFFERENT * max(1.0, min(known, error)) for known in (ours, *(s.error for s in out))
+        ):
+            keys, place = report.audit.f.system.keys, report.audit.place
+            apart = np.nan_to_num(np.linalg.norm(places(other, keys) - place, axis=1))
+            most = int(np.argmax(apart))
+            far = int((apart > SHARE * apart.max(initial=0.0)).sum())
+            out.append(Second(start, error, ours, far, name(keys[most]), float(apart[most])))
+    return tuple(out)
 
 
 def _audit(
     graph: Graph, values: Values, names: list[str] | None, optimize: bool, draws: int, seed: int, full: bool
 ) -> tuple[AuditReport, Values]:
     values = optimized(graph, values) if optimize else values
-    return reported(examined(graph, values, names, draws, seed, full=full)), values
+    return reported(examined(graph, values, names, draws, seed, full=full), graph), values
 
 
 def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0) -> pd.DataFrame:

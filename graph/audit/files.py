@@ -19,6 +19,7 @@ from data.errors import DataError, UsageError
 from data.formats.graph_file import POINT2, POINT3, POSE2, POSE3, Edge, GraphFile
 from data.inputs import IntArray
 from data.se2 import Array
+from graph.audit.chordal import chordal
 from graph.audit.fronts import factorize, ordering, step
 from graph.audit.linear import System, linearize
 
@@ -171,17 +172,23 @@ def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
     return here.compose(step_ if key == edge.ends[0] else step_.inverse())
 
 
-def another_start(file: GraphFile, values: gtsam.Values) -> gtsam.Values | None:
-    """The values along the edges alone, shifted onto the first pose of `values`; None where no vertex was given."""
-    if not file.poses:
-        return None
-    start = gtsam.Values()
-    with suppress(DataError):
-        _follow(replace(file, poses={}, points={}), start)
-        first = min(edge.ends[0] for edge in file.edges)  # a pose, of every kind of edge
-        pose: Any = values.atPose2(first) if file.kind(file.edges[0])[0] == POSE2 else values.atPose3(first)
-        return _shifted(start, pose.compose(_pose_of(start, first).inverse()))
-    return None
+EDGES, CHORDAL = "the path along the edges", "the chordal start"
+
+
+def other_starts(file: GraphFile, values: gtsam.Values) -> dict[str, gtsam.Values]:
+    """Starts by name, shifted onto the first pose of `values`: along the edges, if there are vertices, and chordal."""
+    out = {}
+    first = min(edge.ends[0] for edge in file.edges)  # a pose, of every kind of edge
+    for name, poses in ((EDGES, {}), (CHORDAL, chordal(file))):
+        if (name == EDGES and not file.poses) or (name == CHORDAL and not poses):
+            continue
+        start = gtsam.Values()
+        for key, (kind, v) in poses.items():
+            start.insert(key, MAKE[kind](v))
+        with suppress(DataError):  # a landmark that bearings alone see has no place
+            _follow(replace(file, poses={}, points={}), start)
+            out[name] = _shifted(start, _pose_of(values, first).compose(_pose_of(start, first).inverse()))
+    return out
 
 
 def _pose_of(values: gtsam.Values, key: int) -> Any:
