@@ -227,13 +227,21 @@ def test_a_cure_is_applied_and_proved(written, tmp_path, capsys):
     assert main([path, "--draws", "0", "--rescale", str(out)]) == 1
     assert "coverage_90" in capsys.readouterr().out
     table = audited.cured(audited.opened(path, None, draws=0), out, draws=0)
-    before, after = table.to_dict("records")
+    before, after, robust = table.to_dict("records")
     assert after["left_out"] >= 1
     assert out.read_text().count("# left out: EDGE_SE2") == after["left_out"]
     assert before["chi2_per_freedom"] > 1.3
     assert after["chi2_per_freedom"] == pytest.approx(1.0, abs=0.15)
     assert after["rejected"] == 0
     assert after["loops_predicted"] == 6
+    assert robust["robust"] >= 1
+    assert robust["left_out"] == 0
+    assert robust["factors"] == 140
+    assert robust["coverage_90"] >= 0.5
+    audited.cured(audited.opened(path, None, draws=0), out, draws=0, rejected="robust")
+    kept = audited.opened(str(out), None, draws=0)
+    assert "left out" not in out.read_text()
+    assert kept.file.edges[100].information[0, 0] < 0.3 * kept.file.edges[101].information[0, 0]
 
 
 def test_only_a_file_can_be_cured(written, tmp_path):
