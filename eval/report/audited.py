@@ -51,9 +51,9 @@ def opened(
         if script.endswith(".py") and function.isidentifier():
             graph, values = built_by(place)
             return Opened(
-                _audit(graph, values, None, bool(optimize), draws, seed, full, TWENTY)[0], graph, values, None
+                _audit(graph, values, None, bool(optimize), draws, seed, full, resolve)[0], graph, values, None
             )
-        return _of_file(read_graph_file(Path(place)), optimize is not False, draws, seed, full=full)
+        return _of_file(read_graph_file(Path(place)), optimize is not False, draws, seed, full=full, resolve=resolve)
 
 
 def _of_file(
