@@ -10,12 +10,13 @@ Five steps, from a log to a table and its warnings:
     print(slamref.score([trial]).metrics)                                    # RMSE, NEES, NIS, ...
     print([slamref.sentence(n) for n in slamref.notices([trial])])           # warnings
 
-Logs and runs: `open_log`, `compare`, `make_estimator` (one estimator, step by step).
+Logs: `open_log`, `Log` (`Log.from_arrays`).
+Runs: `compare` with `Setup`; `make_estimator` (one estimator, step by step).
 Data association: `Expectation` (candidates and covariances), `decide`, and the decisions `NEW` and `DISCARD`.
 Results: `Trial`, `score`, `notices`, `Notice`, `sentence`.
 Your own estimators and association methods: `Samples`, and `check_estimator`, `check_association` (for tests),
 `estimator_findings`, `association_findings` (as lists).
-
+Many logs: `study` (a `Study` with verdicts). A log without ground truth: `twins` (a `Diagnosis`).
 Factor graphs: `audit` (any gtsam graph with values).
 
 Units are m, rad and s. A pose is (x, y, theta) in the world frame; its covariance (3, 3) has the same coordinates.
@@ -25,7 +26,9 @@ Names are loaded on first use. This module is also the command `slamref`; `slamr
 from __future__ import annotations
 
 import sys
+from functools import cache
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,6 +37,7 @@ if TYPE_CHECKING:
 
     from association.decide import decide
     from association.expectation import Expectation
+    from data.log import Log
     from data.logs import open_log
     from data.notice import Notice
     from data.result import DISCARD, NEW
@@ -44,16 +48,22 @@ if TYPE_CHECKING:
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
+    from eval.replay.settings import Setup
     from eval.report.audit import audit
+    from eval.report.calls import Diagnosis, Study, study, twins
 
     __version__: str
 
 __all__ = [
     "DISCARD",
     "NEW",
+    "Diagnosis",
     "Expectation",
+    "Log",
     "Notice",
     "Samples",
+    "Setup",
+    "Study",
     "Trial",
     "__version__",
     "association_findings",
@@ -68,12 +78,20 @@ __all__ = [
     "open_log",
     "score",
     "sentence",
+    "study",
+    "twins",
 ]
 
 HOMES = {
     "open_log": "data.logs",
+    "Log": "data.log",
     "audit": "eval.report.audit",
     "compare": "eval.compare",
+    "Setup": "eval.replay.settings",
+    "study": "eval.report.calls",
+    "Study": "eval.report.calls",
+    "twins": "eval.report.calls",
+    "Diagnosis": "eval.report.calls",
     "make_estimator": "eval.replay.estimators",
     "decide": "association.decide",
     "Trial": "eval.referee.score",
@@ -119,13 +137,31 @@ slamref --help lists all commands.
 """
 
 
+PACKAGES = ("association", "data", "ekf", "eval", "graph")
+
+
+@cache
+def _hidden() -> str:
+    """Which file hides a package of ours, for example a `data.py` beside the user's script; empty if none does."""
+    here = Path(__file__).resolve().parent
+    for package in PACKAGES:
+        spec = find_spec(package)
+        places = [*(spec.submodule_search_locations or ()), spec.origin] if spec is not None else []
+        found = next((Path(place) for place in places if place), None)
+        if found is not None and found.resolve() not in (here / package, here / package / "__init__.py"):
+            return f"{found} hides the package {package!r} of slamref; rename it, or start Python in another folder"
+    return ""
+
+
 def __getattr__(name: str) -> Any:
-    """A public name, loaded on first use."""
+    """A public name, loaded on first use. Raises ImportError, in a line, where other files hide our packages."""
     if name == "__version__":
         from importlib.metadata import version
 
         return version("slamref")
     if name in HOMES:
+        if why := _hidden():
+            raise ImportError(why) from None
         return getattr(import_module(HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 

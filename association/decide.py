@@ -11,7 +11,7 @@ import numpy as np
 from association.expectation import Expectation, gate_threshold
 from association.jcbb import BUDGET, search
 from association.methods import ALPHA, RATIO, gnn, ml, ml_ratio, newness, nn, singles
-from data.errors import UsageError
+from data.errors import UsageError, unknown
 from data.inputs import Inputs, IntArray, LabelledObservations
 from data.result import DISCARD, NEW
 
@@ -85,7 +85,7 @@ def decide(
         found = search(expectation, gate, first=SEARCHES[method], budget=budget)
         decisions, complete = found.decisions, found.complete
     else:
-        raise UsageError(f"no association method {method!r}; there are {', '.join(METHODS)}")
+        raise UsageError(f"association method {method!r}: {unknown(method, METHODS)}")
     if known_map:
         decisions = np.where(decisions == NEW, DISCARD, decisions)
     elif method != OWN_NEWNESS:

@@ -212,7 +212,23 @@ class Expectation:
         """
         if not len(rows):
             return 0.0, 0, 0.0
-        nu, root = self.innovation_root(rows, chosen)
-        white = np.linalg.solve(root, nu)
-        nis, dof = float(white @ white), len(white)
-        return nis, dof, -0.5 * (nis + 2.0 * float(np.log(np.diag(root)).sum()) + dof * math.log(2.0 * math.pi))
+        return _statistics(*self.innovation_root(rows, chosen))
+
+
+def statistics(nu: Array, S: Array) -> tuple[float, int, float]:
+    """NIS, degrees of freedom and log-likelihood of an innovation (d,) with covariance (d, d).
+    Raises SingularInnovationError if it is not positive definite.
+    """
+    if not len(nu):
+        return 0.0, 0, 0.0
+    try:
+        return _statistics(nu, np.asarray(np.linalg.cholesky(S), np.float64))
+    except np.linalg.LinAlgError:
+        raise SingularInnovationError("the joint innovation covariance is singular") from None
+
+
+def _statistics(nu: Array, root: Array) -> tuple[float, int, float]:
+    """The same by the lower Cholesky factor."""
+    white = np.linalg.solve(root, nu)
+    nis, dof = float(white @ white), len(white)
+    return nis, dof, -0.5 * (nis + 2.0 * float(np.log(np.diag(root)).sum()) + dof * math.log(2.0 * math.pi))

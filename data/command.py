@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from data.digest import ROOT
+from data.errors import did_you_mean, unknown
 
 COMPLETION = "_ARGCOMPLETE"
 """Environment variable by which the shell asks for completions (argcomplete)."""
@@ -50,14 +51,61 @@ def without_places(text: str, words: Iterable[str]) -> str:
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports errors in one line; flags must be written out, and texts keep their layout."""
+    """Reports errors in one line; flags must be written out, and texts keep their layout.
+
+    A word that begins with a minus and a digit is a value, as in `--view -60deg,60deg`.
+    """
 
     def __init__(self, **options: Any) -> None:
         super().__init__(allow_abbrev=False, formatter_class=argparse.RawDescriptionHelpFormatter, **options)
+        self._negative_number_matcher = re.compile(r"-\.?\d")
 
     def error(self, message: str) -> NoReturn:
         """One line, status 2."""
         self.exit(2, f"{self.prog}: {message}; {self.prog} --help shows the flags\n")
+
+    def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Values by name; a word too many ends the process with the flag that it probably means."""
+        found, left = self.parse_known_args(args, namespace)
+        self.refuse(left)
+        return found
+
+    def refuse(self, left: Sequence[str]) -> None:
+        """End the process if words are left over."""
+        if left:
+            below = [a.choices for a in self._actions if isinstance(a, argparse._SubParsersAction)]
+            parsers = [self, *(p for choices in below for p in choices.values())]
+            flags = [flag for p in parsers for flag in p._option_string_actions if flag.startswith("--")]
+            word = next((w for w in left if w.startswith("-")), left[0])
+            hint = did_you_mean(word.partition("=")[0], flags) if word.startswith("--") else ""
+            what = "unknown flag" if word.startswith("-") else "a word too many"
+            self.error(f"{word}: {what}{hint}")
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            raise argparse.ArgumentError(action, f"{value}: {unknown(str(value), map(str, action.choices))}")
+
+    def _match_argument(self, action: argparse.Action, arg_strings_pattern: str) -> int:
+        try:
+            return super()._match_argument(action, arg_strings_pattern)
+        except argparse.ArgumentError:
+            shown = action.metavar or action.dest.upper()
+            form = shown if isinstance(shown, str) else " ".join(shown)
+            flag = f"{action.option_strings[-1]} " if action.option_strings else ""
+            raise argparse.ArgumentError(action, f"a value is needed: {flag}{form}") from None
+
+    def _get_value(self, action: argparse.Action, arg_string: str) -> Any:
+        try:
+            return super()._get_value(action, arg_string)
+        except argparse.ArgumentError as fault:
+            needed = NEEDED.get(getattr(action.type, "__name__", ""))
+            if needed is None or isinstance(fault.__context__, argparse.ArgumentTypeError):
+                raise
+            raise argparse.ArgumentError(action, f"{arg_string}: {needed} is needed") from fault
+
+
+NEEDED = {"int": "a whole number", "float": "a number", "number": "a number"}
+"""Kinds of values by the name of the function that reads them."""
 
 
 class Command(Parser):
@@ -74,7 +122,9 @@ class Command(Parser):
     def read(self, argv: Sequence[str] | None = None) -> argparse.Namespace:
         """Values by name. Positional words and flags may be mixed; ends the process as argparse does."""
         complete(self)
-        return self.parse_intermixed_args(argv)
+        found, left = self.parse_known_intermixed_args(argv)
+        self.refuse(left)
+        return found
 
 
 def complete(parser: argparse.ArgumentParser) -> None:

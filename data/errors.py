@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from os import PathLike
 
 LARGEST = 1e15
 """Largest accepted value in SI units: products stay finite, and whole numbers exact."""
 LONGEST = 800
 """Most characters of a message; keys, names and values come from files."""
+SHORTEST = 3
+"""Fewest letters of a word that is taken for a part of a name."""
 
 
 def printable(text: str) -> str:
@@ -38,3 +41,26 @@ class DataError(SlamrefError):
 
 class UsageError(SlamrefError):
     """A wrong or contradictory combination of options."""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """The known name that an unknown word probably means, whatever its case and dashes; empty if none is near."""
+    from difflib import get_close_matches
+
+    plain = {name.lower().replace("_", "-"): name for name in known}
+    asked = word.strip().lower().replace("_", "-")
+    near = [asked] if asked in plain else get_close_matches(asked, plain, 1)
+    within = [name for name in plain if len(asked) >= SHORTEST and asked in name]
+    return next((plain[name] for name in [*near, *within]), "")
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """` (did you mean NAME?)`, or nothing if no known name is near."""
+    near = nearest(word, known)
+    return f" (did you mean {near}?)" if near else ""
+
+
+def unknown(word: str, known: Iterable[str]) -> str:
+    """What is wrong with an unknown name: the nearest known one, and all of them."""
+    names = list(known)
+    return f"unknown{did_you_mean(word, names)}; known: {', '.join(names)}"

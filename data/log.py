@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from typing import Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations
+from data.notice import Notice
 from data.pictures import Evidence
 from data.se2 import BoolArray, dead_reckoned
 from data.truth import UNKNOWN_ID, Relations, Truth
@@ -19,7 +21,7 @@ ODOMETRY_KIND = "odometry_kind"
 T = TypeVar("T", bound=NDArray[Any])
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Log:
     """One log. `recorded` holds all that an estimator may be given; use `inputs()` to get it.
 
@@ -33,6 +35,11 @@ class Log:
         source: provenance; free keys.
         notes: what a reader should know (spans skipped, observations dropped), one sentence each.
         evidence: of a log made from images, its detections.
+        asked: questions to its author that only the recording raises (`data.questions` has the others).
+
+    Example:
+        >>> print(log)
+        >>> log.truth.pose.shape  # (N, 3)
     """
 
     name: str
@@ -43,6 +50,7 @@ class Log:
     source: Mapping[str, object] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     evidence: Evidence | None = None
+    asked: tuple[Notice, ...] = ()
 
     @property
     def has_labels(self) -> bool:
@@ -72,6 +80,55 @@ class Log:
         labelled = LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed)
         return replace(self.recorded, observations=labelled)
 
+    @staticmethod
+    def from_arrays(
+        name: str, prior: tuple[ArrayLike, ArrayLike], sensor: Mapping[str, Any], observations: ArrayLike, **more: Any
+    ) -> Log:
+        """A log from arrays, checked as a log folder is (docs/logs.md); errors name array and row, from 0.
+
+        Args:
+            name: unique in a run.
+            prior: mean (3,) of the first pose, and its covariance (3, 3) or sigmas (3,).
+            sensor: the keys of [sensor] in log.toml, as in `{"kind": "range_bearing", "sigma": [0.1, 0.02]}`.
+            observations: (M, 3): frame from 0 (with `odometry`: time [s]), z1, z2, ascending.
+            more: increments (N, 3), row 0 zero, with covariance (N, 3, 3), (3, 3) or sigmas (3,), and time (N,) [s]
+                (None: frames without stamps); or odometry (K, 3): t, v, omega, with motion: the keys of [motion].
+                R (M, 2, 2) or (2, 2) instead of the sensor's sigma. landmarks (L, 3): id, x, y. truth (N, 3), NaN where
+                unknown (with odometry (K, 4): t, x, y, theta). true_id (M,): -1 false alarm, NaN unknown. label (M,),
+                NaN unknown. labels_are_sensed: bool.
+
+        Raises:
+            DataError: a wrong shape or value.
+
+        Example:
+            >>> log = slamref.Log.from_arrays(
+            ...     "mine", (np.zeros(3), np.zeros(3)), {"kind": "relative_point", "sigma": [0.1, 0.1]},
+            ...     [[0, 4.0, 1.0], [1, 3.0, 1.0]], increments=[[0, 0, 0], [1.0, 0, 0]], covariance=[0.1, 0.1, 0.02],
+            ... )
+            >>> len(log.recorded)
+            2
+        """
+        # the format builds on this module, so it is found by its name
+        made: Log = import_module("data.formats.open_log.arrays").log_of_arrays(
+            name, prior, sensor, observations, **more
+        )
+        return made
+
+    def _facts(self) -> list[tuple[str, str]]:
+        r, truth = self.recorded, self.truth
+        span = "no stamps" if r.time_is_index else f"{r.time[-1] - r.time[0]:.1f} s"
+        return [
+            ("frames", f"{len(r)} ({span})"),
+            ("observations", str(len(r.observations.frame))),
+            ("sensor", r.sensor.name),
+            ("map", "none" if r.map is None else f"{len(r.map.id)} landmarks"),
+            ("truth", f"in {truth.known_poses} frames" if truth.known_poses else "none"),
+            ("labels", "yes" if self.has_labels else "none"),
+        ]
+
+    def __repr__(self) -> str:
+        return "\n".join([f"Log {self.name}", *(f"  {what}: {value}" for what, value in self._facts())])
+
     def _repr_html_(self) -> str:
         """Notebook view: contents of the log, and its true path or else dead reckoning."""
         from data import card
@@ -84,16 +141,7 @@ class Log:
             paths = [card.Path("dead reckoning", reckoned[:, :2], card.GREY)]
         known = truth.landmarks if truth.landmarks is not None else r.map
         points = [] if known is None or not r.sensor.sees_points else [card.Points("landmarks", known.xy, card.GREY)]
-        span = "no stamps" if r.time_is_index else f"{r.time[-1] - r.time[0]:.1f} s"
-        facts = [
-            ("frames", f"{len(r)} ({span})"),
-            ("observations", str(len(r.observations.frame))),
-            ("sensor", r.sensor.name),
-            ("map", "none" if r.map is None else f"{len(r.map.id)} landmarks"),
-            ("truth", f"in {truth.known_poses} frames" if truth.known_poses else "none"),
-            ("labels", "yes" if self.has_labels else "none"),
-        ]
-        return card.card(f"Log {self.name}", facts, paths, points)
+        return card.card(f"Log {self.name}", self._facts(), paths, points)
 
 
 def shortened(log: Log, n: int) -> Log:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,7 @@ NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in regist
 @dataclass(frozen=True)
 class Reading:
     """How logs are read: options of images (`data.visual.opening.Camera`), the cache of rendered detections, and the
-    file of reference relations of a laser log (None: the one beside it).
+    file of reference relations of a laser log (None: the one beside it), and whether its odometry is left out.
     """
 
     camera_translation: str = "cm"
@@ -33,6 +33,7 @@ class Reading:
     trust_pickle: bool = False
     cache: Path | None = None
     relations: Path | None = None
+    no_odometry: bool = False
 
 
 def open_log(
@@ -56,7 +57,17 @@ def open_log(
         >>> log = slamref.open_log("arena:0")
         >>> log.recorded.increments.mean.shape  # (N, 3): frames of dx, dy [m], dtheta [rad]
     """
-    name = os.fspath(name)
+    log = _opened(os.fspath(name), reading, say)
+    if not reading.no_odometry:
+        return log
+    if log.recorded.scans is None:
+        raise UsageError(f"--no-odometry: {log.name} has no laser scans, which alone tell the motion then")
+    from data.formats.recordings.laser import without_odometry
+
+    return replace(log, recorded=without_odometry(log.recorded))
+
+
+def _opened(name: str, reading: Reading, say: Callable[[str], None]) -> Log:
     path = Path(name)
     if os.path.isfile(path):  # unlike Path.is_file, also false for a name the system refuses
         return _open_file(path, reading)
@@ -76,8 +87,20 @@ def open_log(
         return _open_folder(path, reading, say)
     if path.exists():
         raise UsageError(f"{name}: neither a folder nor a file")
-    hint = meant(name, ["victoria-park", *registry.SIMULATORS]) or f"; known names: {NAMES}"
+    if name in registry.SIMULATORS:
+        raise UsageError(f"{name}: the seed is missing, as in {registry.SIMULATORS[name].example}")
+    hint = unknown_world(name) or f"; known names: {NAMES}"
     raise UsageError(f"{name}: no such log or folder{hint}")
+
+
+def is_world(name: str) -> bool:
+    """Whether a name is that of a world, not of a file."""
+    return name == "victoria-park" or name.startswith("visual:") or registry.is_simulated(name)
+
+
+def unknown_world(name: str) -> str:
+    """The hint of a message about a name that is neither a file nor a world."""
+    return meant(name, ["victoria-park", *registry.SIMULATORS])
 
 
 def _open_file(path: Path, reading: Reading) -> Log:
@@ -85,7 +108,11 @@ def _open_file(path: Path, reading: Reading) -> Log:
     from data.formats.recordings.carmen import is_named_carmen, load_carmen
 
     if not is_named_carmen(path):
-        right = f"an open log folder, a CARMEN log (.log, .clf, also .gz) or one of {NAMES}"
+        from data.formats.recognize import what_to_type
+
+        if said := what_to_type(path):
+            raise UsageError(f"{path}: {said}")
+        right = f"an open log folder, a CARMEN log (.log, .clf, also .gz, .bz2) or one of {NAMES}"
         raise UsageError(f"{path}: a file of unknown type; expected {right}")
     return load_carmen(path, reading.relations)
 
@@ -105,6 +132,10 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
             from data.visual.opening import open_lab_log
 
             return open_lab_log(path, _camera(reading), say)
+        from data.formats.recognize import what_to_type
+
+        if said := what_to_type(path):
+            raise UsageError(f"{path}: {said}")
     return _with_header(path, reading.relations)
 
 

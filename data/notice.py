@@ -37,12 +37,23 @@ class Code(StrEnum):
     FIELD_OF_VIEW = "field-of-view"
     PRIOR = "prior"
     TRUTH_FRAME = "truth-frame"
+    # about a laser log, for its author
+    NO_ODOMETRY = "no-odometry"
+    ODOMETRY_UNIT = "odometry-unit"
+    RANGE_UNIT = "range-unit"
+    FEW_RETURNS = "few-returns"
+    MOUNTING = "mounting"
+    BEAM_ANGLES = "beam-angles"
+    STAMPS_BACK = "stamps-back"
+    STAMPS_BROKEN = "stamps-broken"
     # about a run: how it was made
     NOTE = "note"
     DECIDED_BY = "decided-by"
     OUT_OF_NODES = "out-of-nodes"
     NO_COVARIANCE = "no-covariance"
     NO_LANDMARKS = "no-landmarks"
+    NIS_STATED = "nis-stated"
+    NIS_UNCHECKED = "nis-unchecked"
     FILTER_ONLY = "filter-only"
     PARKED = "parked"
     REMOVED = "removed"
@@ -56,6 +67,17 @@ class Code(StrEnum):
     NO_TRUTH = "no-truth"
     ALIGNED = "aligned"
     LANDMARKS_GONE = "landmarks-gone"
+    # about the files of a result and its truth
+    TILT = "tilt"
+    PARTLY_KNOWN = "partly-known"
+    FRAMES_DIFFER = "frames-differ"
+    PATH_AXES = "path-axes"
+    PATH_TURNS = "path-turns"
+    PATH_DEGREES = "path-degrees"
+    PATH_SWAPPED = "path-swapped"
+    PATH_ORDER = "path-order"
+    PATH_SCALE = "path-scale"
+    PATH_TILT = "path-tilt"
     # about a run of hindsight
     LARGER_SIGMAS = "larger-sigmas"
     REVISED = "revised"
@@ -103,6 +125,21 @@ class Code(StrEnum):
     STOOD_IN = "stood-in"
     NO_TWINS = "no-twins"
     TOO_FEW_TWINS = "too-few-twins"
+
+
+QUESTIONS = frozenset(
+    {
+        Code.FRAMES_DIFFER,
+        Code.PATH_AXES,
+        Code.PATH_TURNS,
+        Code.PATH_DEGREES,
+        Code.PATH_SWAPPED,
+        Code.PATH_ORDER,
+        Code.PATH_SCALE,
+        Code.PATH_TILT,
+    }
+)
+"""Findings about the files of a result that the user has to answer."""
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ import stat
 import sys
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from difflib import get_close_matches
 from pathlib import Path
 
-from data.errors import SlamrefError
+from data.errors import SlamrefError, nearest
 
 FINE, WRONG, INTERRUPTED = 0, 2, 130
 ROOT = Path(__file__).parents[1]
@@ -51,8 +50,8 @@ def ended(body: Callable[[], int | None], interrupted: Callable[[], str] | str =
 
 def meant(word: str, known: Iterable[str]) -> str:
     """A question that names the known word nearest to an unknown one; empty if none is near."""
-    near = get_close_matches(word.partition(":")[0], list(known), 1)
-    return f". Did you mean {near[0] + ''.join(word.partition(':')[1:])}?" if near else ""
+    near = nearest(word.partition(":")[0], known)
+    return f". Did you mean {near + ''.join(word.partition(':')[1:])}?" if near else ""
 
 
 def unread() -> bool:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import LARGEST, SlamrefError
+from data.errors import LARGEST, SlamrefError, did_you_mean, unknown
 from data.se2 import Array
 
 Fault = Callable[[str], SlamrefError]
@@ -53,7 +53,8 @@ class TomlTable:
         for key in table:
             if key not in keys:
                 homes = [f"[{w}]" if w else "the top, before the first [table]" for w, ks in known.items() if key in ks]
-                home = f"; it belongs to {' or '.join(homes)}" if homes else f"; known: {', '.join(keys)}"
+                known_there = f"{did_you_mean(key, keys)}; known: {', '.join(keys)}"
+                home = f"; it belongs to {' or '.join(homes)}" if homes else known_there
                 raise fault(f"unknown key {key!r} {f'in [{where}]' if where else 'at the top'}{home}")
 
     def __contains__(self, key: str) -> bool:
@@ -99,7 +100,7 @@ class TomlTable:
         value = self.table.get(key, default)
         if isinstance(value, str) and value in known:
             return value
-        raise self.error(key, f"{'missing' if value is None else 'unknown'}; known: {', '.join(known)}")
+        raise self.error(key, f"missing; known: {', '.join(known)}" if value is None else unknown(str(value), known))
 
     def names(self, key: str, known: Collection[str], default: tuple[str, ...]) -> tuple[str, ...]:
         """A list of distinct known names, at least one."""
@@ -110,7 +111,7 @@ class TomlTable:
             raise self.error(key, "a list is needed")
         for name in value:
             if not isinstance(name, str) or name not in known:
-                raise self.error(key, f"{name!r} is unknown; known: {', '.join(known)}")
+                raise self.error(key, f"{name!r} is {unknown(str(name), known)}")
         if not value or len(set(value)) != len(value):
             raise self.error(key, "at least one name, none of them twice, is needed")
         return tuple(value)

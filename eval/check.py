@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from data.command import Command
-from data.errors import UsageError
+from data.errors import UsageError, unknown
 from data.terminal import ended
 from eval.replay.external.spec import FORM, OURS, entry_points, is_foreign, one_settled, settled
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
@@ -47,8 +47,7 @@ def _settled(text: str, kind: str | None) -> tuple[str, str]:
     if kind is None and not is_foreign(text):
         kind = next((k for k in KINDS if text in OURS[k] or text in entry_points(k)), None)
         if kind is None:
-            known = ", ".join((*ESTIMATORS, *ASSOCIATIONS))
-            raise UsageError(f"{text}: unknown; known: {known}; or your own as {FORM}")
+            raise UsageError(f"{text}: {unknown(text, (*ESTIMATORS, *ASSOCIATIONS))}; or your own as {FORM}")
     if kind is None:
         thing = load(settled("check", text, "estimator")).thing
         kind = "estimator" if callable(getattr(thing, "update", None)) else "association"

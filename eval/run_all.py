@@ -165,6 +165,7 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     from eval.plan.provenance import words_of
     from eval.plan.warming import compile_if_needed
     from eval.referee.diagnostics import disputed, questions_of_run
+    from eval.referee.headline import Verdict
     from eval.referee.score import score
     from eval.report.contents import write_results
     from eval.report.headline import headlines, lines, trust_line
@@ -227,6 +228,8 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     for trial in outcome.trials:
         if trial.variant_of is None and not in_lab:
             facts = facts_of(trial, scores, outcome.trust)
+            if facts.verdict is Verdict.NOTHING:  # results of other programs alone
+                continue
             mark = trust_mark(facts)
             console.say(trust_line(facts, mark), COLOURS.get(mark.tone, ""))
     with progress("writing", console.quiet, check, "part") as update, figure_style(style):

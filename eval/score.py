@@ -15,16 +15,19 @@ from eval.replay.flag import read_values, rows
 PROG = "python -m eval.score"
 HELP = """\
 Score a trajectory against a truth: errors, relative errors, and NEES where the file has covariances.
-Formats: CSV with columns t,x,y,theta, TUM (also with covariance), SQUARE, EuRoC, KITTI poses, or a topic of a ROS bag.
-The truth may also be a log. Each line has a name of metrics.csv and a value, in SI units unless the name has a unit.
-Paths are aligned with --align only. For estimates of several runs: the mean NEES, a verdict, and its power."""
+Formats: CSV (t,x,y,theta or a header that names others), TUM (also with covariance), SQUARE, EuRoC, OpenVINS, KITTI
+poses, or a topic of a ROS bag. The truth may also be a log. Where both files are in 3-D, numbers with 3d in their names
+are in space, and the others of the projection to x and y. Each line has a name of metrics.csv and a value, in SI units
+unless the name has a unit. Paths are aligned with --align only. For estimates of several runs: the mean NEES, a
+verdict, and its power."""
 EXAMPLES = """\
 examples:
   python -m eval.score estimate.tum truth.tum
   python -m eval.score estimate.tum truth.tum --align se2
   python -m eval.score estimate.tum truth.tum --cov estimate.cov      covariances in a separate file
   python -m eval.score wide.tum truth.csv --cov-frame world           29 columns, covariances in world axes
-  python -m eval.score poses.txt gt.txt --times times.txt --axes camera     KITTI
+  python -m eval.score poses.txt gt.tum --times estimate=times.txt   KITTI poses, which are in a camera's axes
+  python -m eval.score vio.txt gt.csv --align yaw --unit truth=ns     what visual-inertial odometry can align
   python -m eval.score bag:/odom truth.csv --truth-gap 0.2
   python -m eval.score results/report/runs/arena_0/slam-ekf-known/online.csv arena:0
   python -m eval.score runs/*/est.csv --truth runs/*/truth.csv        Monte Carlo: a run each, one verdict

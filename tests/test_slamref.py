@@ -15,9 +15,9 @@ import slamref
 
 ROOT = Path(__file__).parents[1]
 NAMES = [
-    *("DISCARD", "NEW", "Expectation", "Notice", "Samples", "Trial", "__version__", "association_findings", "audit"),
-    *("check_association", "check_estimator", "compare", "decide", "estimator_findings", "make_estimator"),
-    *("notices", "open_log", "score", "sentence"),
+    *("DISCARD", "NEW", "Diagnosis", "Expectation", "Log", "Notice", "Samples", "Setup", "Study", "Trial"),
+    *("__version__", "association_findings", "audit", "check_association", "check_estimator", "compare", "decide"),
+    *("estimator_findings", "make_estimator", "notices", "open_log", "score", "sentence", "study", "twins"),
 ]
 
 
@@ -30,6 +30,7 @@ def command(*arguments: str) -> subprocess.CompletedProcess[str]:
 def test_the_names_are_those_of_the_submodules():
     from association.decide import decide
     from association.expectation import Expectation
+    from data.log import Log
     from data.logs import open_log
     from data.notice import Notice
     from data.result import DISCARD, NEW
@@ -40,27 +41,34 @@ def test_the_names_are_those_of_the_submodules():
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
+    from eval.replay.settings import Setup
     from eval.report.audit import audit
+    from eval.report.calls import Diagnosis, Study, study, twins
 
     assert (dir(slamref), slamref.__all__) == (sorted(NAMES), NAMES)
     homes = (
-        *(
-            DISCARD,
-            NEW,
-            Expectation,
-            Notice,
-            Samples,
-            Trial,
-            version("slamref"),
-            association_findings,
-            audit,
-            check_association,
-        ),
-        *(check_estimator, compare, decide, estimator_findings, make_estimator, notices, open_log, score, sentence),
+        *(DISCARD, NEW, Diagnosis, Expectation, Log, Notice, Samples, Setup, Study, Trial, version("slamref")),
+        *(association_findings, audit, check_association, check_estimator, compare, decide, estimator_findings),
+        *(make_estimator, notices, open_log, score, sentence, study, twins),
     )
     assert tuple(getattr(slamref, name) for name in NAMES) == homes
     with pytest.raises(AttributeError, match="'slamref' has no attribute 'ekf'"):
         _ = slamref.ekf
+
+
+@pytest.mark.parametrize("hiding", ["data.py", "eval/__init__.py"])
+def test_a_file_that_hides_one_of_our_packages_is_named(hiding, tmp_path):
+    (tmp_path / hiding).parent.mkdir(exist_ok=True)
+    (tmp_path / hiding).write_text("")
+    script = tmp_path / "script.py"
+    script.write_text("import slamref\nslamref.open_log('arena:0')\n")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, env=environment)
+    package = hiding.partition("/")[0].removesuffix(".py")
+    said = done.stderr.strip().splitlines()[-1]
+    assert said.startswith(
+        f"ImportError: {tmp_path / hiding.partition('/')[0]} hides the package {package!r} of slamref"
+    )
 
 
 def test_importing_it_loads_no_library():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from pathlib import Path
 
@@ -24,6 +25,48 @@ def door(name: str) -> list[str] | None:
     from data.formats.mrclam.load import is_mrclam
 
     return _mrclam(path) if is_mrclam(path) else None
+
+
+KINDS = {
+    **dict.fromkeys((".bag", ".mcap", ".db3"), "a ROS bag; type slamref convert rosbag {file} LOG"),
+    **dict.fromkeys(
+        (".g2o", ".graph", ".toro"), "a pose graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
+    ),
+    **dict.fromkeys((".csv", ".tsv", ".txt"), "a table; type slamref convert table {file} LOG --columns ..."),
+    ".tum": "a path of another program; type slamref score {file} TRUTH, or slamref run LOG --result mine={file}",
+    ".toml": "a TOML file; type slamref convert table {file} LOG, slamref study {file} or slamref run --config {file}",
+    **dict.fromkeys((".png", ".jpg", ".jpeg"), "a picture; type slamref detect {file} REFERENCE"),
+    ".py": "a Python file; type slamref run LOG --estimator {file}:CLASS",
+}
+"""By suffix: what a file is that is no log, and the command that takes it."""
+
+
+def what_to_type(path: Path) -> str:
+    """Of a file or folder that is no log: what it is, and the command that takes it; empty if that is unknown."""
+    from data.formats.mrclam.load import is_mrclam, robots
+
+    file = shlex.quote(str(path))
+    if is_mrclam(path):
+        of = robots(path)
+        numbers = f"{of[0]} (of {', '.join(map(str, of))})" if len(of) > 1 else f"{of[0]}"
+        return f"a UTIAS MRCLAM dataset; type slamref convert mrclam {file} LOG --robot {numbers}"
+    if path.is_dir():
+        if (path / "provenance.json").is_file():
+            return f"a result folder; type slamref report {file}{_logs_of(path)}"
+        return f"a ROS bag; type slamref convert rosbag {file} LOG" * (path / "metadata.yaml").is_file()
+    if path.suffix.lower() == ".mat":
+        return f"a MATLAB file; type slamref inspect {file}"
+    return KINDS.get(path.suffix.lower(), "").format(file=file)
+
+
+def _logs_of(results: Path) -> str:
+    """The logs of a result folder, which other commands take."""
+    try:
+        names = list(json.loads((results / "provenance.json").read_bytes())["inputs"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return ""
+    shown = ", ".join(map(str, names[:MOST])) + (", ..." if len(names) > MOST else "")
+    return f", or name its log: {shown}" if len(names) == 1 else f", or name one of its logs: {shown}" * bool(names)
 
 
 def _mrclam(path: Path) -> list[str]:

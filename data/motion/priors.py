@@ -10,7 +10,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
-from data.errors import UsageError
+from data.errors import UsageError, unknown
 
 if TYPE_CHECKING:
     from data.inputs import Systematic
@@ -55,7 +55,7 @@ def read_errors(label: str, value: object) -> tuple[str, ...]:
     for part in given:
         name, equals, sigma = (each.strip() for each in part.partition("="))
         if name not in PRIORS:
-            raise UsageError(f"{label} {part}: unknown; known: {', '.join(PRIORS)}, each NAME or NAME=SIGMA; or auto")
+            raise UsageError(f"{label} {part}: {unknown(name, PRIORS)}, each NAME or NAME=SIGMA; or auto")
         if name in found:
             raise UsageError(f"{label} {','.join(given)}: {name} is named twice")
         if equals and not 0.0 < _number(sigma) < math.inf:

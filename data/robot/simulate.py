@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
+from data.command import Parser
 from data.errors import UsageError
 from data.terminal import ended
 from data.worlds.registry import seed
@@ -102,12 +103,10 @@ def run(wire: Wire, terminal: Terminal, clock: Clock, truth: TextIO | None = Non
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    top = argparse.ArgumentParser(
+    top = Parser(
         prog="python -m data.robot.simulate",
         description="Run a small robot on a pseudo-terminal until interrupted. It stops 1 s after the last command.",
         epilog=EXAMPLE,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-        allow_abbrev=False,
     )
     top.add_argument("--world", default="walls:0", metavar="walls:SEED", help="room (default: walls:0)")
     text = "symbolic link to the terminal; exists once the robot is ready"

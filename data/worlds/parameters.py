@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from data import se2
-from data.errors import UsageError
+from data.errors import UsageError, unknown
 from data.inputs import Increments, Prior
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.se2 import Array
@@ -38,7 +38,7 @@ def check_parameters(
         if isinstance(f.default, str):
             known = (choices or {})[f.name]
             if value not in known:
-                raise UsageError(f"{where}; known: {', '.join(known)}")
+                raise UsageError(f"{where}: {unknown(value, known)}")
             continue
         if isinstance(f.default, bool):
             if not isinstance(value, bool):

@@ -18,7 +18,7 @@ from dataclasses import Field, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from data.errors import UsageError
+from data.errors import UsageError, did_you_mean
 
 if TYPE_CHECKING:
     from data.log import Log
@@ -67,6 +67,10 @@ def _halves(name: str, part: str, known: Mapping[str, Field[Any]], counts: tuple
         switches = [_switch(f, on=not f.default) for f in known.values() if _is_switch(f)]
         others = [*counts, *(k for k, f in known.items() if not _is_switch(f))]
         what = f"{key} needs a value, as in {key}=1" if there else f"{part!r} is not known"
+        if not there and "," in part:
+            what += f" (keys are joined with +, as in {name.replace(',', '+')})"
+        elif not there:
+            what += did_you_mean(part.partition("=")[0], [*switches, *others])
         raise UsageError(f"{name}: {what}; known: {', '.join([*switches, *(f'{k}=' for k in others)])}")
     return key, text.strip()
 
@@ -87,14 +91,19 @@ def _value(place: str, f: Field[Any], text: str) -> object:
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
-        raise UsageError(f"{place}: a number is needed")
+        raise UsageError(f"{place}: a number is needed{_joined_by_commas(place, text)}")
     return math.radians(number) if f.metadata.get("unit") == "deg" else number
 
 
 def _whole(place: str, text: str) -> int:
     if not re.fullmatch(r"[0-9]{1,9}", text):
-        raise UsageError(f"{place}: a whole number is needed")
+        raise UsageError(f"{place}: a whole number is needed{_joined_by_commas(place, text)}")
     return int(text)
+
+
+def _joined_by_commas(place: str, text: str) -> str:
+    """A hint where a value is followed by another key."""
+    return f"; keys are joined with +, as in {place.partition(': ')[0].replace(',', '+')}" if "," in text else ""
 
 
 def _is_switch(f: Field[Any] | None) -> bool:

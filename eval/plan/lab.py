@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import UsageError
+from data.errors import UsageError, nearest
 from data.inputs import CLUTTER
 from data.log import Log
 from data.logs import Reading, find_logs, open_log
@@ -44,7 +44,10 @@ def lab_experiments(
         return _visual(estimators, setup, open_log(_with_colon(lab), reading, say))
     folder = Path(lab)
     if not folder.is_dir():
-        raise UsageError(f"--lab {lab}: no such folder; a folder, corridor:SEED+KEY=VALUE or visual:SEED is needed")
+        near = nearest(lab.partition(":")[0], ("corridor", "visual"))
+        hint = f" (did you mean {near}:{lab.partition(':')[2] or 0}?)" if near else ""
+        right = "a folder, corridor:SEED+KEY=VALUE or visual:SEED"
+        raise UsageError(f"--lab {lab}: no such folder{hint}; {right} is needed")
     from data.formats.lab.folder import is_lab
 
     if is_lab(folder) and not (folder / "log.toml").exists():

@@ -10,14 +10,18 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import DataError, UsageError
-from data.formats.results.path import FRAMES, GivenPath, Manner
-from data.formats.results.reading import is_bag, read_path
+from data.formats.results.bags import is_bag
+from data.formats.results.clock import DIGITS, STATED, Clock
+from data.formats.results.path import AXES, COV_ORDERS, FRAMES, GivenPath, Manner
+from data.formats.results.reading import read_path
 from data.formats.results.tables import Companions, companions
 from data.inputs import IntArray
 from data.log import Log
+from data.notice import Notice
 from data.se2 import Array
 from eval.plan.flags.table import Reading, Results
 from eval.referee.given_runs import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
+from eval.referee.pairing import Pair, about_file, about_pair, same_clock, same_frames
 from eval.referee.score import Trial
 from eval.replay.flag import rows
 from eval.replay.settings import ESTIMATORS
@@ -74,10 +78,34 @@ def manner_of(name: str, names: Sequence[str], reading: Reading) -> Manner:
     """How a result or the truth is read; a value with `NAME=` overrides one for all."""
     cov = _of("--cov", reading.cov, name, names, alone=True)
     times = _of("--times", reading.times, name, names, alone=False)
-    frame = _of("--cov-frame", reading.cov_frame, name, names, alone=False)
-    if frame is not None and frame not in FRAMES:
-        raise UsageError(f"--cov-frame {frame}: unknown; known: {', '.join(FRAMES)}")
-    return Manner(None if cov is None else Path(cov), None if times is None else Path(times), frame, reading.axes)
+    chosen = [
+        _one_of(flag, _of(flag, values, name, names, alone=False), known)
+        for flag, values, known in (
+            ("--cov-frame", reading.cov_frame, FRAMES),
+            ("--axes", reading.axes, AXES),
+            ("--cov-order", reading.cov_order, COV_ORDERS),
+        )
+    ]
+    units = [_unit(reading.unit, kind, name, names) for kind in UNITS]
+    return Manner(None if cov is None else Path(cov), None if times is None else Path(times), *chosen, *units)
+
+
+def _one_of(flag: str, value: str | None, known: Sequence[str]) -> str | None:
+    if value is not None and value not in known:
+        raise UsageError(f"{flag} {value}: unknown; known: {', '.join(known)}")
+    return value
+
+
+UNITS = (tuple(DIGITS), ("rad", "deg"), ("m", "cm", "mm"))
+"""Of stamps, angles and positions."""
+
+
+def _unit(values: Sequence[str], kind: Sequence[str], name: str, names: Sequence[str]) -> str | None:
+    """The unit of a kind for a name."""
+    known = [unit for units in UNITS for unit in units]
+    for text in values:
+        _one_of("--unit", text.rpartition("=")[2], known)
+    return _of("--unit", [v for v in values if v.rpartition("=")[2] in kind], name, names, alone=False)
 
 
 def _of(flag: str, values: Sequence[str], name: str, names: Sequence[str], *, alone: bool) -> str | None:
@@ -103,34 +131,70 @@ def _of(flag: str, values: Sequence[str], name: str, names: Sequence[str], *, al
 
 
 def true_path(file: str, names: Sequence[str], reading: Reading) -> GivenPath:
-    """The true path in a file, without its covariance."""
+    """The true path in a file; its covariance is not used."""
     manner = manner_of(TRUTH, names, reading)
-    return replace(read_path(file, replace(manner, frame=None)), covariance=None, frame="")
+    return read_path(file, replace(manner, frame=None, order=None))
 
 
 def truth_of(log: Log, path: GivenPath | None) -> TruePath | None:
     """The truth at its own stamps: that of a file, else of the log, else None."""
     if path is not None:
-        return TruePath(path.time, path.pose)
+        return TruePath.of(path)
     return None if log.truth.pose is None else TruePath(log.recorded.time, log.truth.pose)
 
 
 def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading: Reading) -> Iterator[GivenRun]:
-    """The runs of a result on a log: one, or one per phase if their stamps differ.
+    """The runs of a result on a log: one, or one per phase if their stamps differ; questions are among their notes.
 
-    Raises DataError if no pose matches the truth, or the decisions belong to other observations.
+    Raises DataError if no pose matches the truth, units of stamps disagree, or the decisions belong to other
+    observations.
     """
     kept = _kept(result, log)
-    paths = list(result.paths.items())
-    groups = [dict(paths)]
-    if len(paths) > 1 and not np.array_equal(paths[0][1].time, paths[1][1].time):
-        groups = [dict([p]) for p in paths]
+    paths, truth, asked = _comparable(result.paths, log, truth, reading)
+    groups = [paths]
+    listed = list(paths.items())
+    if len(listed) > 1 and not np.array_equal(listed[0][1].time, listed[1][1].time):
+        groups = [dict([p]) for p in listed]
     for group in groups:
-        run = given_run(result.name, task, group, log, truth, align=reading.align, gap=reading.truth_gap, kept=kept)
+        run = given_run(
+            result.name,
+            task,
+            group,
+            log,
+            truth,
+            align=reading.align,
+            gap=reading.truth_gap,
+            pairs=reading.pairs,
+            kept=kept,
+        )
+        phase, last = next((p, group[p]) for p in ("final", "online") if p in group)
         if truth is not None and run.match is not None and not run.match.matched:
             why = "; the log has no stamps, so t is the index of a frame" if log.recorded.time_is_index else ""
-            raise DataError(unmatched(next(iter(group.values())), truth) + why)
-        yield run
+            raise DataError(unmatched(last, truth) + why)
+        notes = [*asked, *about_file(last)]
+        if truth is not None and run.match is not None:
+            scored = replace(last, pose=run.trajectory(phase).pose)
+            notes += about_pair(Pair(scored, truth.path, run.match.truth, run.space.get(phase)))
+            notes += () if truth.path is None else about_file(truth.path)
+        yield replace(run, notes=(*run.notes, *notes))
+
+
+def _comparable(
+    paths: dict[str, GivenPath], log: Log, truth: TruePath | None, reading: Reading
+) -> tuple[dict[str, GivenPath], TruePath | None, list[Notice]]:
+    """Paths and truth in one unit of stamps, and in one pair of frames; questions where it is not known."""
+    if truth is None or log.recorded.time_is_index or not len(truth.time):
+        return paths, truth, []
+    other = truth.path or GivenPath(f"log {log.name!r}", "", truth.time, truth.pose, clock=Clock("s", STATED))
+    made: dict[str, GivenPath] = {}
+    for phase, path in paths.items():
+        made[phase], other = same_clock(path, other)
+    if truth.path is None:
+        return made, truth, []
+    asked: list[Notice] = []
+    for phase, path in made.items():
+        made[phase], asked = same_frames(path, other, reading.align)
+    return made, TruePath.of(other), asked
 
 
 def unmatched(path: GivenPath, truth: TruePath) -> str:
@@ -211,7 +275,7 @@ def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str])
     results = read_results(reading.result, reading)
     names = [r.name for r in results]
     file = None if reading.truth is None else true_path(reading.truth, names, reading)
-    truth = None if file is None else TruePath(file.time, file.pose)
+    truth = None if file is None else TruePath.of(file)
     return Asked(results, file, truth, reading)
 
 

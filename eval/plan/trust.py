@@ -87,7 +87,8 @@ def _groups(e: Experiment, trial: Trial, study: Study) -> list[Group]:
         filters = tuple(texts.get(r.estimator, r.estimator) for r in runs if r.estimator in (*FILTERS, *texts))
         twins = filters or tuple(r.estimator for r in runs if steps(r.estimator))
         if study.full and study.twins is None:
-            twins = ("ekf",) if association == "known" and "ekf" in filters else ()
+            own = tuple(f for f in filters if f == "ekf" or is_foreign(f))
+            twins = own if association == "known" and "ekf" in filters else ()
         if not _count(study) or e.variant_of is not None:
             twins = ()
         groups.append(Group(e.log, e.task, association, e.setup, runs, twins))

@@ -115,9 +115,9 @@ def nees(pose: Array, covariance: Array, truth: Array, quantity: str) -> Array:
 
 
 def nearly_singular(covariance: Array, floor: float) -> BoolArray:
-    """Frames (N,) whose pose covariance (N, 3, 3) has an eigenvalue below `THIN` times the increments' floor."""
+    """Frames (N,) whose covariance (N, k, k) has an eigenvalue below `THIN` times the increments' floor."""
     known = np.asarray(np.isfinite(covariance).all(axis=(1, 2)))
-    smallest = np.linalg.eigvalsh(np.where(known[:, None, None], covariance, np.eye(3)))[:, 0]
+    smallest = np.linalg.eigvalsh(np.where(known[:, None, None], covariance, np.eye(covariance.shape[-1])))[:, 0]
     thin: BoolArray = known & (smallest < THIN * floor)
     return thin
 

@@ -125,9 +125,14 @@ def along(run: Run, phase: str, log: Log) -> Along | None:
         return None
     trajectory = run.trajectory(phase)
     pose, covariance = trajectory.pose, trajectory.covariance
-    thin = consistency.nearly_singular(covariance, log.recorded.covariance_floor)
-    sound = np.where(thin[:, None], np.nan, pose)
-    nees = {q: consistency.nees(sound, covariance, truth, q) for q in consistency.QUANTITIES}
+    floor = log.recorded.covariance_floor
+    thin = consistency.nearly_singular(covariance, floor)
+    nees = {}
+    for quantity, columns in consistency.QUANTITIES.items():
+        # another program's covariance may lack a part: the others are scored
+        part = covariance[:, columns][:, :, columns] if run.handed_in else covariance
+        out = consistency.nearly_singular(part, floor) if run.handed_in else thin
+        nees[quantity] = consistency.nees(np.where(out[:, None], np.nan, pose), covariance, truth, quantity)
     return Along(position_distance(pose, truth), thin, nees)
 
 
@@ -143,19 +148,22 @@ class Relative:
     turn: Array
 
 
-def pairs_by_way(xy: Array, distance: float) -> tuple[IntArray, IntArray]:
-    """Rows i < j (p,) of positions (n, 2) `distance` apart along the path, within a tenth; of equal ones the first."""
-    n = len(xy)
+def pairs_by_way(position: Array, distance: float, tolerance: float | None = None) -> tuple[IntArray, IntArray]:
+    """Rows i < j (p,) of positions (n, k) `distance` apart along the path; of equally near ones the first.
+
+    `tolerance` [m]: largest deviation; None: a tenth of the distance.
+    """
+    n = len(position)
     if n < 2:
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    driven = np.concatenate([[0.0], np.cumsum(np.hypot.reduce(np.diff(position, axis=0), axis=1))])
     i = np.arange(n - 1)
     high = np.clip(np.searchsorted(driven, driven[i] + distance), i + 1, n - 1)
     # of poses at the same place the first
     low = np.maximum(np.searchsorted(driven, driven[np.maximum(high - 1, 0)]), i + 1)
     off_low, off_high = (np.abs(driven[j] - driven[i] - distance) for j in (low, high))
     j = np.where(off_low <= off_high, low, high)
-    kept = np.minimum(off_low, off_high) <= TOLERANCE * distance
+    kept = np.minimum(off_low, off_high) <= (TOLERANCE * distance if tolerance is None else tolerance)
     return i[kept], j[kept]
 
 

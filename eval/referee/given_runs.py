@@ -13,28 +13,26 @@ from typing import ClassVar
 
 import numpy as np
 
-from data import se2
-from data.formats.results.path import GivenPath
-from data.formats.results.space import projection
+from data import se2, se3
+from data.errors import UsageError
+from data.formats.results.path import GivenPath, Spatial
+from data.formats.results.space import flattened, projection
 from data.inputs import Increments, Inputs, IntArray, Observations, Prior, read_only
 from data.log import Log
 from data.notice import Code, Notice, Severity, notice
 from data.result import DISCARD, NEW, MapEstimate, Run, Trajectory, surviving
-from data.se2 import Array, wrap_angle
+from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import RangeBearing
 from data.truth import Truth
 from data.words import sentence
 from eval.referee.errors import align
-
-NONE, FIRST, SE2 = "none", "first", "se2"
-ALIGNMENTS = (NONE, FIRST, SE2)
-"""`first`: the first matched pose is the true one; `se2`: best rigid fit (Umeyama 1991, without scale)."""
+from eval.referee.in_space import EVO, FIRST, NONE, SIM3, InSpace, Poses, aligning, poses
 
 
 def alignment(pose: Array, truth: Array, how: str) -> Array | None:
     """The motion (3,) T that aligns poses (n, 3) with the truth from the left; None for `none` or without a match.
 
-    NaN rows are left out. With one matched pose `se2` is `first`.
+    NaN rows are left out. In the plane `se3` and `yaw` are `se2`; with one matched pose it is `first`.
     """
     known = np.flatnonzero(np.isfinite(pose).all(axis=1) & np.isfinite(truth).all(axis=1))
     if how == NONE or not len(known):
@@ -108,17 +106,48 @@ def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Mat
     found = np.full((n, 3), np.nan)
     if not len(truth_time):
         return Match(found, 0, n, 0, math.nan)
+    near = neighbours(time, truth_time, gap)
+    found[near.same] = truth[near.nearest[near.same]]
+    within = near.within
+    found[within] = _between(truth_time, truth, near.before[within], near.after[within], time[within])
+    known = np.asarray(np.isfinite(found).all(axis=1))
+    matched, between = int(known.sum()), int((within & known).sum())
+    return Match(found, matched, n - matched, between, _sagitta(truth_time, truth, gap) if between else math.nan)
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbours:
+    """Truths at and around stamps (n,): rows of the nearest, the one before and the one after; which of them count."""
+
+    nearest: IntArray
+    before: IntArray
+    after: IntArray
+    same: BoolArray
+    within: BoolArray
+
+
+def neighbours(time: Array, truth_time: Array, gap: float) -> Neighbours:
+    """The truths of stamps; at least one truth is needed."""
     after = np.clip(np.searchsorted(truth_time, time), 0, len(truth_time) - 1)
     before = np.maximum(after - 1, 0)
     nearest = np.where(np.abs(truth_time[before] - time) < np.abs(truth_time[after] - time), before, after)
     same = np.abs(truth_time[nearest] - time) <= SAME
-    found[same] = truth[nearest[same]]
     within = ~same & (truth_time[before] < time) & (time < truth_time[after])
     within &= truth_time[after] - truth_time[before] <= gap + SAME
-    found[within] = _between(truth_time, truth, before[within], after[within], time[within])
-    known = np.asarray(np.isfinite(found).all(axis=1))
-    matched, between = int(known.sum()), int((within & known).sum())
-    return Match(found, matched, n - matched, between, _sagitta(truth_time, truth, gap) if between else math.nan)
+    return Neighbours(nearest, before, after, same, within)
+
+
+def match_in_space(time: Array, truth: Spatial, gap: float = GAP) -> Poses:
+    """True poses at stamps (n,), as `match`: positions linearly, rotations at constant rate in between."""
+    p, R = np.full((len(time), 3), np.nan), np.full((len(time), 3, 3), np.nan)
+    near = neighbours(time, truth.time, gap)
+    p[near.same], R[near.same] = truth.position[near.nearest[near.same]], truth.rotation[near.nearest[near.same]]
+    w = near.within
+    a, b = near.before[w], near.after[w]
+    share = (time[w] - truth.time[a]) / (truth.time[b] - truth.time[a])
+    p[w] = truth.position[a] + share[:, None] * (truth.position[b] - truth.position[a])
+    R[w] = se3.between_rotations(truth.rotation[a], truth.rotation[b], share)
+    return Poses(p, R)
 
 
 def _between(time: Array, pose: Array, a: IntArray, b: IntArray, at: Array) -> Array:
@@ -162,7 +191,8 @@ class GivenRun(Run):
 
     log: Log | None = None  # the log at the run's stamps; the scored log itself where the stamps are its frames
     match: Match | None = None  # None: there is no truth
-    aligned: str = NONE  # one of `ALIGNMENTS`
+    aligned: str = NONE  # one of `in_space.ALIGNMENTS`
+    space: Mapping[str, InSpace] = field(default_factory=dict)  # by phase, where estimate and truth are in space
     source: Mapping[str, str] = field(default_factory=dict)  # SHA-256 of each file read
     handed_in: ClassVar[bool] = True
 
@@ -199,10 +229,16 @@ def with_truth(log: Log, path: GivenPath, gap: float = GAP) -> tuple[Log, Match]
 
 @dataclass(frozen=True, eq=False)
 class TruePath:
-    """True poses (K, 3) at stamps (K,) [s]."""
+    """True poses (K, 3) at stamps (K,) [s], and the path of the file that they are from."""
 
     time: Array
     pose: Array
+    path: GivenPath | None = None
+
+    @classmethod
+    def of(cls, path: GivenPath) -> TruePath:
+        """The truth of a file."""
+        return cls(path.time, path.pose, path)
 
 
 def given_run(
@@ -212,8 +248,9 @@ def given_run(
     log: Log,
     truth: TruePath | None,
     *,
-    align: str = "none",
+    align: str = NONE,
     gap: float = GAP,
+    pairs: str = EVO,
     kept: Kept = Kept(),
 ) -> GivenRun:
     """A run of the phases in `paths`, which have the same stamps, scored against `truth`."""
@@ -223,11 +260,25 @@ def given_run(
     if truth is not None:
         found = match(time, truth.time, truth.pose, 0.0 if log.recorded.time_is_index else gap)
     same = len(time) == len(own) and bool((np.abs(time - own) <= SAME).all())
-    T = None if found is None else alignment(last.pose, found.truth, align)
     unknown, landmarks = np.full((len(time), 3, 3), np.nan), kept.landmarks
+    true_space = None if truth is None or truth.path is None else truth.path.space
+    space: dict[str, InSpace] = {}
+    if true_space is not None and last.space is not None:
+        at = match_in_space(time, true_space, gap)
+        fit = aligning(poses(last.space), at, align)
+        for phase, path in paths.items():
+            assert path.space is not None  # all phases are of one format
+            aligned = path.space if fit is None else fit.of(path.space)
+            space[phase] = InSpace(aligned, at, path.space, pairs)
+        paths = paths if fit is None else {k: flattened(space[k].estimate) for k in paths}
+        T = None if fit is None else fit.planar
+    else:
+        if align == SIM3:
+            raise UsageError("--align sim3: both files must be in 3-D; in the plane use se2")
+        T = None if found is None else alignment(last.pose, found.truth, align)
     made = {k: Trajectory(p.pose, unknown if p.covariance is None else p.covariance) for k, p in paths.items()}
     if T is not None:
-        made = {phase: moved(T, path) for phase, path in made.items()}
+        made = made if space else {phase: moved(T, path) for phase, path in made.items()}
         move = moved_map if log.recorded.sensor.sees_points else moved_walls
         landmarks = None if landmarks is None else move(T, landmarks)
     m = len(log.recorded.observations.frame)
@@ -246,15 +297,19 @@ def given_run(
         np.where(begun >= 0, NEW, final),
         created,
         begun=begun,
-        notes=(*_notes(last, found, "" if T is None else align), *_removed(kept, task, created)),
+        notes=(
+            *_notes(last, found, "" if T is None else align, in_space=bool(space)),
+            *_removed(kept, task, created),
+        ),
         log=log if same else _at(log, time, None if found is None else found.truth),
         match=found,
         aligned=NONE if T is None else align,
+        space=space,
         source={p.file: p.digest for p in paths.values()},
     )
 
 
-def _notes(path: GivenPath, found: Match | None, aligned: str) -> Iterator[Notice]:
+def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool) -> Iterator[Notice]:
     """Notices of a path that was read; `aligned`: its alignment, empty for none."""
     yield notice(Code.READ_FROM, Severity.INFO, file=str(path.file), kind=path.kind)
     yield notice(Code.NO_TRUTH) if found is None else found.notice
@@ -262,7 +317,7 @@ def _notes(path: GivenPath, found: Match | None, aligned: str) -> Iterator[Notic
         yield notice(Code.NO_COVARIANCE, name="")
     yield from (notice(Code.NOTE, Severity.INFO, text=s) for s in (projection(path), *path.notes) if s)
     if aligned:
-        yield notice(Code.ALIGNED, Severity.INFO, how=aligned)
+        yield notice(Code.ALIGNED, Severity.INFO, how=aligned, in_space=in_space)
 
 
 def _removed(kept: Kept, task: str, created: IntArray) -> list[Notice]:

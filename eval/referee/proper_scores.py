@@ -76,6 +76,46 @@ def _projected(y: Array, P: Array, nodes: int, shift: float) -> Array:
     return mean
 
 
+LEVELS = (8, 12, 18, 27, 40, 60, 90)
+"""Gauss-Legendre nodes of the directions' height; as many steps of half a turn."""
+CHUNK_OF_ROWS = 50
+TOLERANCE_IN_SPACE = 1e-7
+
+
+def energy_score_in_space(error: Array, covariance: Array) -> Array:
+    """Energy score [m] (N,) of errors y (N, 3) under N(0, P), P (N, 3, 3): E|X - y| - E|X - X'| / 2.
+
+    The length of v is twice the mean of |u'v| over all directions u, so the score is twice the mean CRPS of u'y under
+    N(0, u'P u). Directions are a product rule on half the sphere, refined until the score changes by less than
+    `TOLERANCE_IN_SPACE`.
+    """
+    result = np.full(len(error), np.nan)
+    rows = np.flatnonzero(_known(error, covariance))
+    for first in range(0, len(rows), CHUNK_OF_ROWS):
+        part = rows[first : first + CHUNK_OF_ROWS]
+        score = _over_sphere(error[part], covariance[part], LEVELS[0])
+        for nodes in LEVELS[1:]:
+            finer = _over_sphere(error[part], covariance[part], nodes)
+            open_rows = np.abs(finer - score) > TOLERANCE_IN_SPACE * finer
+            result[part] = finer
+            part, score = part[open_rows], finer[open_rows]
+            if not len(part):
+                break
+    return result
+
+
+def _over_sphere(y: Array, P: Array, nodes: int) -> Array:
+    """Twice the mean CRPS (n,) over nodes * nodes directions of half the sphere."""
+    height, weight = np.polynomial.legendre.leggauss(nodes)
+    angle = (np.arange(nodes) + 0.5) * (math.pi / nodes)
+    flat = np.sqrt(1.0 - height**2)[:, None]
+    u = np.stack([flat * np.cos(angle), flat * np.sin(angle), np.broadcast_to(height[:, None], (nodes, nodes))])
+    u, weights = u.reshape(3, -1), np.repeat(0.5 * weight / nodes, nodes)
+    sigma = np.sqrt(np.einsum("ia,nij,ja->na", u, P, u, optimize=True))
+    score: Array = 2.0 * crps(y @ u, sigma) @ weights
+    return score
+
+
 def _known(error: Array, covariance: Array) -> BoolArray:
     return np.asarray(np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2)))
 

@@ -317,6 +317,12 @@ RELATIONS = File(
     ),
     when="logs with reference relations",
 )
+SPACE = File(
+    "space.csv",
+    "[Scores in 3-D](notes/results-files.md), a row per quantity.",
+    (*WHO, PHASE, text("quantity", "name"), Column("value", "value")),
+    when="results in 3-D",
+)
 PUBLISHED = File(
     "published.csv",
     "Comparison with published numbers.",
@@ -387,4 +393,4 @@ NOTICES = File(
         text("text", "sentence of the report"),
     ),
 )
-TOP = (METRICS, DECISION_COUNTS, CONSISTENCY, TRUST, RELATIONS, PUBLISHED, NOTICES, TIMING)
+TOP = (METRICS, DECISION_COUNTS, CONSISTENCY, TRUST, RELATIONS, SPACE, PUBLISHED, NOTICES, TIMING)

@@ -24,6 +24,7 @@ from eval.referee.consistency import gated, nis_bounds
 from eval.referee.errors import Along, along, rpe_columns
 from eval.referee.given_runs import GivenRun, Match, log_of, match
 from eval.referee.headline import NEES_LIMIT
+from eval.referee.in_space import plane_rmse
 from eval.referee.intervals import SEED, difference_rows, run_intervals
 from eval.referee.laser import closure_counts, kept, relation_rows
 from eval.referee.lost import lost
@@ -133,6 +134,8 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
     if log.truth.pose is not None and path is not None:
         row |= _path_columns(run.trajectory(phase), log.truth.pose, log.recorded.time, path)
         row |= _intervals(path) if run.task != "slam" else {}
+        if isinstance(run, GivenRun) and phase in run.space:
+            row["rmse_aligned_m"] = plane_rmse(run.space[phase].original, run.space[phase].truth)
     row |= _map_columns(run, phase, log)
     if phase == "final":
         row |= {"iterations": run.iterations, "last_step_sigma": run.last_step_sigma}

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from association.expectation import Expectation
-from data.errors import UsageError
+from data.errors import UsageError, did_you_mean
 from data.inputs import FrameObservations, Increment, IntArray
 from data.result import Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array
@@ -233,7 +233,8 @@ def make_estimator(
         return Isam2Smoother(given.prior, given.sensor, given.map, systematic=given.systematic)
     if name == "fixed-lag":
         return FixedLagSmoother(given.prior, given.sensor, given.map, lag=lag, systematic=given.systematic)
-    raise UsageError(f"{name!r} does not work step by step; {', '.join(STEPPING[:-1])} and {STEPPING[-1]} do")
+    names = f"{', '.join(STEPPING[:-1])} and {STEPPING[-1]} do"
+    raise UsageError(f"{name!r} does not work step by step{did_you_mean(name, STEPPING)}; {names}")
 
 
 FOR_WALLS = "jcbb"  # default association method for walls without labels

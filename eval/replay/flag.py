@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from data.command import stretch
-from data.errors import UsageError
+from data.errors import UsageError, unknown
 
 Read = Callable[[str, object], Any]
 """A kind of value: (label, text of the command line or value of a TOML file) to a checked value, or UsageError."""
@@ -108,7 +108,7 @@ def number(label: str, value: object) -> float:
             raise ValueError
         return float(str(value))
     except ValueError:
-        raise UsageError(f"{label} {value}: a number is needed") from None
+        raise UsageError(f"{label} {value}: a number is needed, as in {label} 0.5") from None
 
 
 def probability(label: str, value: object, what: str = "probability") -> float | None:
@@ -117,8 +117,21 @@ def probability(label: str, value: object, what: str = "probability") -> float |
         return None
     p = number(label, value)
     if not 0.0 < p < 1.0:
-        raise UsageError(f"{label} {p:g}: a {what} between 0 and 1 (both excluded), or none")
+        raise UsageError(f"{label} {p:g}: a {what} between 0 and 1 (both excluded), or none{_as_probability(label, p)}")
     return p
+
+
+PERCENT = 50.0
+"""From here on a number is a probability in percent; below, and above 1, a chi-square value."""
+
+
+def _as_probability(label: str, value: float) -> str:
+    """What a number above 1 stands for as a probability."""
+    if not 1.0 < value < 100.0:
+        return ""
+    if value >= PERCENT:
+        return f"; {value:g} % is {label} {value / 100.0:.12g}"
+    return f"; {value:g} as a chi-square value of 2 degrees of freedom is {label} {-math.expm1(-0.5 * value):.4g}"
 
 
 def share_or_none(label: str, value: object) -> float | None:
@@ -164,7 +177,7 @@ def whole(least: int, otherwise: str) -> Read:
                 raise ValueError
             n = int(str(value))
         except ValueError:
-            raise UsageError(f"{label} {value}: a whole number is needed") from None
+            raise UsageError(f"{label} {value}: a whole number is needed, as in {label} {max(least, 1)}") from None
         if n < least:
             raise UsageError(f"{label} {n}: {otherwise}")
         return n
@@ -214,7 +227,7 @@ def one_of(known: Sequence[str]) -> Read:
 
     def read(label: str, value: object) -> str:
         if value not in known:
-            raise UsageError(f"{label} {value!r}: unknown; known: {', '.join(known)}")
+            raise UsageError(f"{label} {value!r}: {unknown(str(value), known)}")
         return str(value)
 
     return read
@@ -227,7 +240,7 @@ def names(known: Sequence[str] | None = None) -> Read:
         given = tuple(name.strip() for part in texts(label, value) for name in part.split(",") if name.strip())
         for name in given:
             if known is not None and name not in known:
-                raise UsageError(f"{label} {name}: unknown; known: {', '.join(known)}")
+                raise UsageError(f"{label} {name}: {unknown(name, known)}")
         if len(set(given)) != len(given):
             raise UsageError(f"{label} {','.join(given)}: named twice")
         return given

@@ -23,6 +23,7 @@ from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, Estimator, capabilities, make_estimator, needed
 from eval.replay.external.adapter import Adapter
+from eval.replay.external.innovations import OwnInnovations
 from eval.replay.external.load import load
 from eval.replay.external.make import Method, locked
 from eval.replay.external.spec import is_foreign, name_of
@@ -121,6 +122,10 @@ class FrontEnd:
         """Give the decisions to this estimator, before its first frame."""
         self.estimator, self.can = estimator, capabilities(estimator)  # gets the decisions; its capabilities
         self.foreign = estimator if isinstance(estimator, Adapter) else None  # if it is foreign
+        self.own: OwnInnovations | None = None  # its innovations
+        if self.foreign is not None:
+            expect = self.foreign.expect if self.foreign.has("expect") else None
+            self.own = OwnInnovations(expect, self.given.sensor)
 
     def move(self, frame: Frame) -> None:
         """Predict the next frame; the first one has no motion."""
@@ -170,9 +175,12 @@ class FrontEnd:
         """Use the decisions: one update with all pairings, then new landmarks from the updated pose."""
         if self.parking is not None:
             self.parking.restore(pairing.decisions)
-        # a smoother forms no innovations unless asked to; the expectation has them, until the update
+        # a smoother forms no innovations unless asked to, and a foreign estimator's are not believed; the expectation
+        # has them, until the update
         formed = None
-        if pairing.expectation is not None and (self.estimator.smooths or self.foreign is not None):
+        if self.own is not None:
+            self.own.before(frame.observations, pairing.decisions, pairing.expectation, pairing.at)
+        elif pairing.expectation is not None and self.estimator.smooths:
             formed = pairing.expectation.innovation_statistics(*pairing.expectation.paired(pairing.decisions))
         done = self.estimator.update(
             frame.observations,
@@ -185,7 +193,9 @@ class FrontEnd:
             self.known.initialized(frame, done.created)
         if self.faces is not None or self.map_management is not None or self.parking is not None:
             self._see(frame, np.where(done.used, pairing.decisions, done.created))
-        if formed is not None and (self.estimator.smooths or math.isnan(done.nis)):
+        if self.own is not None:
+            done = self.own.after(done)
+        elif formed is not None:
             done = done._replace(nis=formed[0], dof=formed[1], log_likelihood=formed[2])
         return done._replace(moments=self._moments(pairing.S, done.dof))
 
@@ -248,7 +258,9 @@ class FrontEnd:
 
     def notes(self) -> list[Notice]:
         """Messages about the run."""
-        notes, s = [] if self.foreign is None else self.foreign.notes(), self.setup
+        notes, s = [], self.setup
+        notes += [] if self.foreign is None else self.foreign.notes()
+        notes += [] if self.own is None else self.own.notes()
         if self.incomplete:
             notes.append(notice(Code.OUT_OF_NODES, method=self.association, nodes=BUDGET, frames=self.incomplete))
         if self.slam and self.estimator.smooths and (s.forget_after is not None or s.deactivate_after is not None):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -135,6 +136,39 @@ class Observer:
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
         """A frame is over; decisions and initialized landmarks (M,) are those of the whole log so far."""
+
+
+class ObserverError(BaseException):
+    """What an observer raised: no failure of the estimator, so no guard of it may catch this."""
+
+    def __init__(self, of: Exception) -> None:
+        super().__init__(str(of))
+        self.of = of
+
+
+class Apart(Observer):
+    """An observer whose exceptions are told apart from those of the estimator."""
+
+    def __init__(self, observer: Observer) -> None:
+        self._observer = observer
+
+    def moved(self, front: FrontEnd) -> None:
+        """Hand on."""
+        self._call(self._observer.moved, front)
+
+    def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
+        """Hand on."""
+        self._call(self._observer.decided, front, frame, pairing)
+
+    def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
+        """Hand on."""
+        self._call(self._observer.updated, front, decisions, created)
+
+    def _call(self, stage: Callable[..., None], *given: Any) -> None:
+        try:
+            stage(*given)
+        except Exception as fault:
+            raise ObserverError(fault) from fault
 
 
 class Writing(Observer):

@@ -17,7 +17,7 @@ from association.decide import known_decisions
 from association.expectation import SingularInnovationError, gate_threshold
 from association.scans.constraints import SCAN
 from association.truncated import truncated_square
-from data.errors import SlamrefError
+from data.errors import SlamrefError, UsageError, unknown
 from data.inputs import Frame, Inputs, IntArray, LabelledObservations
 from data.notice import stopped
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, Updated, map_estimate
@@ -37,8 +37,8 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
-from eval.replay.recorder import Observer, Recorder, Writing, missing_run
-from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, Given, Setup
+from eval.replay.recorder import Apart, Observer, ObserverError, Recorder, Writing, missing_run
+from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, TASKS, Given, Setup
 from graph.factors import UnderConstrained
 
 PLAIN = Setup()
@@ -168,6 +168,7 @@ def driven(
     begin = time.perf_counter()
     record = Recorder(len(inputs), len(inputs.observations.frame), inputs.systematic)
     failure, finished = None, Finished(None, None)
+    observer = observer if observer is NULL_OBSERVER else Apart(observer)
     try:
         for k in range(len(inputs)):
             through(front, inputs.frame(k), record.update, each=each, observer=observer)
@@ -176,6 +177,8 @@ def driven(
         if finish:
             front.close()
             finished = front.estimator.finish()
+    except ObserverError as fault:
+        raise fault.of from fault.of.__cause__
     except Exception as stop:  # noqa: BLE001 - `crashed` raises again what concerns the log
         failure = crashed(stop, max(front.k, 0))
     return record.run(name_of(name), task, front, finished, failure, time.perf_counter() - begin)
@@ -244,6 +247,10 @@ def compare(
     `watch` makes an observer of each replay of point landmarks; its result is the run's `watched`. `judge` gets the
     runs with their inputs, before either is converted (`eval.compare`: the referee).
     """
+    if not isinstance(inputs, Inputs):
+        raise UsageError(f"{type(inputs).__name__}: the inputs of a log are needed, as in log.inputs(labels=True)")
+    if task not in TASKS:
+        raise UsageError(f"task {task!r}: {unknown(task, TASKS)}")
     names, association = [text_of(e, "estimator") for e in estimators], text_of(association, "association")
     with one_thread():
         if association == SCAN:

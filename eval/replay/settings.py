@@ -42,6 +42,10 @@ class Setup:
             the graph.
         calibrate: systematic errors to estimate, `NAME[=SIGMA]`, or `auto`: those that a log's residuals name, else
             all; empty: none.
+
+    Example:
+        >>> wide = slamref.Setup(gate=0.9999, new_gate=0.999999)
+        >>> slamref.compare(log.inputs(), "slam", ["ekf"], "jcbb", wide)
     """
 
     gate: float | None = row(

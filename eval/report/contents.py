@@ -34,6 +34,7 @@ from eval.report.overview_facts import LogFacts, conclusion, facts_of
 from eval.report.page.blocks import READING, Block, Folded, Report, Section, Table
 from eval.report.publish import publish, write_truths
 from eval.report.render import write_report
+from eval.report.results import space_rows
 from eval.report.studies import study_sections
 from eval.report.tutorials import tutorial_sections
 from eval.report.visual import visual_sections
@@ -74,6 +75,8 @@ def write_results(
     result_files.TRUST.write(trust_table(outcome.trust), folder)
     if len(scores.relations):
         result_files.RELATIONS.write(scores.relations, folder)
+    if in_space := space_rows(trials):
+        result_files.SPACE.write(result_files.SPACE.table(in_space), folder)
     if outcome.published:
         result_files.PUBLISHED.write(published_frame(outcome.published), folder)
     (folder / "runs").mkdir()

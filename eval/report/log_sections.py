@@ -31,7 +31,7 @@ from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.publish import films_of
-from eval.report.results import aligned_statement, results_statement
+from eval.report.results import aligned_statement, results_statement, space_tables
 from eval.report.rows import SYSTEMATIC, rows_of, stem, variants
 from eval.report.systematic import systematic_section
 from eval.report.trust import first_page_words, trust_section
@@ -43,7 +43,7 @@ from eval.studies.trusted import Trust
 IN_FULL, WHY_MISSING = "The comparison in words", "Why intervals are missing"
 IN_SUMMARY = {"errors": "rmse_position_m", "nees": "nees_pose", "nis": "nis", "decided": "fp"}
 VARIANTS, NOTES = "Additional variants", "Notes on the log and its runs"  # what folded texts are called
-IN_FRONT = ("map", "error", "nees", "difference", "claims")
+IN_FRONT = ("map", "space", "error", "nees", "difference", "claims")
 """Pictures of the report itself; the others are on the log's page."""
 ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC, GRID_PICTURE, LOOP_PICTURE)  # pictures of other sections
 
@@ -82,6 +82,7 @@ def trial_sections(
         wide = _comparison(folder, output, trial, group, scores)
         blocks = _front(trial, next(own), made, scores, first_page_words(trial, trust))
         blocks.append(_summary(trial, group, scores, wide))
+        blocks += space_tables(folder, output, trial)
         blocks += [p for p, kind in kinds.items() if kind in IN_FRONT]
         blocks += [film for t in group for film in films_of(folder, t)] if output.animate else []
         blocks.append(paragraph("comparison#details", page=stem(trial)))

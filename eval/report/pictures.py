@@ -18,7 +18,9 @@ from eval.figures.growth import closing_frame, growth_figure, state_figure, stat
 from eval.figures.log import loop_state_figure
 from eval.figures.map import map_figure
 from eval.figures.plane import SIGMAS, longest_axis
+from eval.figures.space import space_figure
 from eval.figures.style import save
+from eval.referee.given_runs import GivenRun
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report import shown_runs
@@ -95,6 +97,15 @@ def _map(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
 def _error(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = shown_runs.for_panels(shown_runs.finished(trial))
     return error_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
+
+
+def _spatial(trial: Trial) -> list[Run]:
+    """Results in space with their truth."""
+    return [r for r in shown_runs.finished(trial) if isinstance(r, GivenRun) and r.space]
+
+
+def _space(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    return space_figure(_spatial(trial)), {}
 
 
 def _nees(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
@@ -190,6 +201,7 @@ KINDS: Mapping[str, Kind] = {
     GRID_PICTURE: _laser(GRID_PICTURE),
     LOOP_PICTURE: _laser(LOOP_PICTURE),
     "error": Kind(lambda trial, _: _measured(trial), _error, in_quick=True),
+    "space": Kind(lambda trial, _: bool(_spatial(trial)), _space, in_quick=True),
     "nees": Kind(lambda trial, _: _measured(trial) and bool(_claiming(trial)), _nees),
     "difference": Kind(_has_difference, _difference, in_quick=True),
     "claims": Kind(lambda trial, _: _blind(trial) and bool(_claiming(trial)), _claims),

@@ -3,29 +3,38 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from data.formats.results.reading import is_bag, read_path
-from data.formats.results.space import projection
+from data.errors import DataError
+from data.formats.results.bags import is_bag
+from data.formats.results.reading import read_path
+from data.formats.results.space import ignored
 from data.formats.results.tables import Companions
 from data.log import Log
-from data.notice import Code, notice
+from data.logs import is_world, open_log, unknown_world
+from data.notice import QUESTIONS, Code, notice
 from data.se2 import Array
 from data.words import sentence
-from eval.plan.flags.table import Reading
-from eval.plan.results import Result, manner_of, phase_of, runs_of, true_path, truth_of
-from eval.referee import consistency, errors
+from eval.plan.flags.table import Output, Reading
+from eval.plan.results import TRUTH, Result, manner_of, phase_of, runs_of, true_path, truth_of
+from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
-from eval.referee.given_runs import NONE, GivenRun, TruePath, truth_log
+from eval.referee.given_runs import GivenRun, TruePath, truth_log
+from eval.referee.in_space import NONE
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
-from eval.report.page.tables import is_blank
-from eval.report.rows import Row, value_of
-from eval.report.words import one_line, say
+from eval.referee.space_scores import CONVENTIONS, columns_in_space
+from eval.referee.space_scores import ERRORS as NAMED
+from eval.report.page.blocks import Table
+from eval.report.page.files import written_table
+from eval.report.page.tables import drop_blank_columns, is_blank
+from eval.report.rows import Row, stem, value_of
+from eval.report.words import one_line, paragraph, say
 from eval.studies.montecarlo import Sample, verdicts
 
 ESTIMATE = "estimate"
@@ -33,6 +42,7 @@ FIRST = tuple(f"{name}_position_m" for name in ("rmse", "mean", "median", "std",
 """Absolute errors of the position stand in front."""
 SHOWN = ("rmse_position_m", "rpe_10m_m", "nees_pose", "rms_from_batch_m")
 """Columns of metrics.csv that the report has of a result."""
+POOLED = ("rmse_position_3d_m", "rmse_rotation_3d_deg", *(f"nees_3d_{n}" for n in (*NAMED, "position", "rotation")))
 LEFT_OUT = ("observations", "accepted", "rejected", "landmarks", "frames", "lost_frame", "iterations", "block_frames")
 
 
@@ -44,13 +54,17 @@ class Scored:
     log: Log
     phase: str
     notes: tuple[str, ...]
+    projected: Mapping[str, str]
+    """What the projection to the plane ignores, by role of the file."""
 
 
 def printed(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tuple[str, str]:
     """Lines of the scores, a name and a value each, of several with their verdicts; and lines of notes."""
     found = [_scored(file, truth, reading) for file, truth in zip(files, truths, strict=True)]
     if len(found) == 1:
-        return say("results#one", scores=scores(found[0])), "\n".join(found[0].notes)
+        one = found[0]
+        lines = say("results#one", scores=scores(one), projected=one.projected, space=bool(one.run.space))
+        return lines, "\n".join(one.notes)
     p = _pooled(files, found)
     return say("results#many", p=p), say("results#notes", p=p)
 
@@ -69,6 +83,8 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
         "matched": sum(m.matched for m in matches),
         "unmatched": sum(m.unmatched for m in matches),
         # files without a usable covariance
+        "projected": found[0].projected,
+        "space": _pooled_in_space(found),
         "bare": tuple(f for f, s in zip(files, samples, strict=True) if not math.isfinite(s.means["pose"])),
         "first": files[0],  # which the notes are about
         "notes": next((s.notes for s in found if s.notes), ()),
@@ -77,26 +93,37 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
 
 def _scored(file: str, truth: str, reading: Reading) -> Scored:
     """An estimate, read and matched; of a truth that is a log, the run has its frames if they are the same."""
-    notes = []
     path = Path(truth)
-    if (path.is_dir() and not is_bag(path)) or not (path.exists() or is_bag(Path(truth.partition(":/")[0]))):
-        from data.logs import open_log
-
+    given = None
+    asked: TruePath | None
+    if is_bag(Path(truth.partition(":/")[0])) or path.is_file():
+        given = true_path(truth, [ESTIMATE], reading)
+        log, asked = truth_log(path.stem, given), TruePath.of(given)
+    elif path.exists() or is_world(truth):
         log = open_log(truth)
         asked = truth_of(log, None)
-        given = None
     else:
-        given = true_path(truth, [ESTIMATE], reading)
-        log, asked = truth_log(path.stem, given), TruePath(given.time, given.pose)
-        notes += [f"truth {truth}: {n}" for n in (projection(given), *given.notes) if n]
+        right = "a truth is a trajectory file, a log folder, or a world such as arena:0"
+        raise DataError.at(truth, f"no such file{unknown_world(truth)}; {right}")
     if asked is None:
-        from data.errors import DataError
-
         raise DataError.at(truth, "has no true poses (truth.csv)")
     phase = phase_of(Path(file))
-    result = Result(ESTIMATE, {phase: read_path(file, manner_of(ESTIMATE, [ESTIMATE], reading))}, Companions())
-    (run,) = runs_of(result, log, "slam", asked, reading)
-    return Scored(run, log, phase, (*notes, *map(sentence, run.notes)))
+    estimate = read_path(file, manner_of(ESTIMATE, [ESTIMATE], reading))
+    (run,) = runs_of(Result(ESTIMATE, {phase: estimate}, Companions()), log, "slam", asked, reading)
+    said = [] if given is None else [f"truth {truth}: {n}" for n in (f"read as {given.kind}", *given.notes) if n]
+    both = {ESTIMATE: estimate} | ({} if given is None else {TRUTH: given})
+    projected = {name: what for name, p in both.items() if (what := ignored(p))}
+    questions = (f"question: {sentence(n)}" if n.code in QUESTIONS else sentence(n) for n in run.notes)
+    return Scored(run, log, phase, (*said, *questions), projected)
+
+
+def _pooled_in_space(found: Sequence[Scored]) -> dict[str, float]:
+    """Means over runs of the numbers in space that all have."""
+    if not all(s.run.space for s in found):
+        return {}
+    each = [columns_in_space(s.run.space[s.phase]) for s in found]
+    shared = [name for name in each[0] if name in POOLED and all(name in e for e in each)]
+    return {name: float(np.mean([e[name] for e in each])) for name in shared}
 
 
 def scores(s: Scored) -> dict[str, float]:
@@ -117,7 +144,8 @@ def scores(s: Scored) -> dict[str, float]:
     rest.insert(rest.index("rmse_heading_deg") + 1, "rmse_heading_rad")
     names = [*FIRST, *rest]
     values = {name: row.get(name) for name in names}
-    return {name: float(v) for name, v in values.items() if isinstance(v, (int, float)) and math.isfinite(v)}
+    found = {name: float(v) for name, v in values.items() if isinstance(v, (int, float)) and math.isfinite(v)}
+    return found | (columns_in_space(s.run.space[s.phase]) if s.phase in s.run.space else {})
 
 
 def _sample(s: Scored) -> Sample:
@@ -134,6 +162,54 @@ def _sample(s: Scored) -> Sample:
             "heading": math.radians(errors.heading_rmse_deg(t.pose, truth)) ** 2,
         },
     )
+
+
+def space_rows(trials: Sequence[Trial]) -> list[dict[str, object]]:
+    """The rows of space.csv."""
+    found: list[dict[str, object]] = []
+    for trial, run, phase in _in_space(trials):
+        key = (trial.log.name, run.task, run.estimator, run.association, phase)
+        values = columns_in_space(run.space[phase])
+        found += [dict(zip(result_files.SPACE.names, (*key, name, v), strict=True)) for name, v in values.items()]
+    return found
+
+
+def _in_space(trials: Sequence[Trial]) -> Iterator[tuple[Trial, GivenRun, str]]:
+    for trial in trials:
+        for run in trial.runs:
+            if isinstance(run, GivenRun):
+                yield from ((trial, run, phase) for phase in run.phases if phase in run.space)
+
+
+SPACE_HEADS = {
+    "rmse_position_3d_m": "position RMSE [m]",
+    "rmse_rotation_3d_deg": "rotation RMSE [deg]",
+    "rmse_position_3d_se3_m": "after SE(3) [m]",
+    "rmse_position_3d_yaw_m": "after yaw [m]",
+    "rmse_position_3d_sim3_m": "after Sim(3) [m]",
+    "scale_sim3": "scale",
+    "rpe_10m_3d_m": "over 10 m [m]",
+    "nees_3d_left_invariant": "NEES, left-invariant (expected 6)",
+    "nees_3d_right_invariant": "right-invariant",
+    "nees_3d_decoupled": "decoupled",
+    "nees_3d_position": "position (expected 3)",
+    "nees_3d_rotation": "rotation (expected 3)",
+}
+
+
+def space_tables(folder: Path, output: Output, trial: Trial) -> list[Table]:
+    """Scores in 3-D of the results of a trial: none, or a table."""
+    rows = []
+    for _, run, phase in _in_space([trial]):
+        values, stated = columns_in_space(run.space[phase]), run.space[phase].estimate
+        convention = CONVENTIONS.get(stated.frame, "") if stated.covariance is not None else ""
+        row: dict[str, object] = {"estimator": run.estimator, "phase": phase, "stated error": convention or None}
+        rows.append(row | {head: values.get(name) for name, head in SPACE_HEADS.items()})
+    if not rows:
+        return []
+    frame = drop_blank_columns(pd.DataFrame(rows, dtype=object))
+    caption = paragraph("results#space", where=f"{trial.log.name}, {trial.task}")
+    return [written_table(frame, folder, stem(trial, "space"), caption, output)]
 
 
 @dataclass(frozen=True)
@@ -174,5 +250,5 @@ def aligned_statement(trial: Trial) -> str:
     if not moved:
         return ""
     names, how = dict.fromkeys(r.estimator for r in moved), moved[0].aligned
-    about = sentence(notice(Code.ALIGNED, how=how))
+    about = sentence(notice(Code.ALIGNED, how=how, in_space=bool(moved[0].space)))
     return " " + say("results#aligned", names=list(names), about=about, how=how)

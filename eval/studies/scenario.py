@@ -13,19 +13,29 @@ from typing import Any
 
 import numpy as np
 
-from data.errors import UsageError
+from data.errors import UsageError, did_you_mean
 from data.log import Log
 from data.motion.priors import AUTO, PRIORS, systematic
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 from data.worlds import registry
 from data.worlds.registry import SIMULATORS, parameters_of
-from eval.replay.external.spec import entry_points, is_foreign, name_of, one_settled, own_or_foreign
+from eval.replay.external.load import load
+from eval.replay.external.spec import (
+    entry_points,
+    is_foreign,
+    name_of,
+    one_settled,
+    own_or_foreign,
+    settled,
+    shown,
+)
 from eval.replay.flag import read_values, rows
 from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
-from eval.studies.shipped import offered, path_of
+from eval.studies.shipped import offered, path_of, scenarios
 
 RECORDED = "esde"  # a stored run of others, found through `--data`
+OWN = "own"  # a function of the user's makes the logs
 
 
 @dataclass(frozen=True)
@@ -55,6 +65,7 @@ class Scenario:
     members: tuple[Member, ...]  # the estimators
     kind: str  # the simulator
     values: tuple[tuple[str, object], ...]
+    maker: str = ""  # of a world of the user's: the settled text of a function that makes the log of a seed
     setup: Setup = field(default_factory=Setup)  # gates and the like
     from_frame: int = 0  # first frame whose NEES counts (an exact start has singular covariances)
     wrong: float = 0.0  # share of observations whose label names another landmark
@@ -82,12 +93,23 @@ class Scenario:
 
     def simulate(self, seed: int, changed: tuple[tuple[str, object], ...] = ()) -> Log:
         """The log of a seed, under the scenario's name; wrong labels are the same for every estimator."""
-        world = self.world(changed)
-        log = registry.simulate(self.kind, world, seed, f"{self.name}:{seed}")
-        log = replace(log, source={**log.source, "kind": f"scenario {self.name}", self.kind: asdict(world)})
+        log = self._made(seed) if self.maker else self._simulated(seed, self.world(changed))
         if self.setup.calibrate:
             log = replace(log, recorded=replace(log.recorded, systematic=systematic(self.setup.calibrate)))
         return with_wrong_labels(log, self.wrong, seed) if self.wrong else log
+
+    def _simulated(self, seed: int, world: Any) -> Log:
+        log = registry.simulate(self.kind, world, seed, f"{self.name}:{seed}")
+        return replace(log, source={**log.source, "kind": f"scenario {self.name}", self.kind: asdict(world)})
+
+    def _made(self, seed: int) -> Log:
+        """The log of a seed that a function of the user's makes. Raises UsageError if it is none."""
+        log = load(self.maker).thing(seed)
+        if not isinstance(log, Log):
+            raise UsageError(f"{shown(self.maker)}: it returned {type(log).__name__}; a slamref.Log is needed")
+        if log.truth.pose is None:
+            raise UsageError(f"{shown(self.maker)}: log {log.name} has no truth; a study needs it in every frame")
+        return replace(log, name=f"{self.name}:{seed}", source={**log.source, "kind": f"scenario {self.name}"})
 
     def parts(self) -> tuple[Scenario, ...]:
         """An outlier study as one scenario for each rate; a calibrating one also without calibration and
@@ -150,7 +172,7 @@ def load_scenario(name: str) -> Scenario:
     """A shipped scenario by name or any by file. Raises UsageError for an error in it."""
     path = path_of(name)
     if not path.is_file():
-        raise UsageError(f"--scenario {name}: no such file; shipped: {offered()}")
+        raise UsageError(f"--scenario {name}: no such file{did_you_mean(name, scenarios())}; shipped: {offered()}")
 
     def fault(what: str) -> UsageError:
         return UsageError(f"--scenario {name}: {what}")
@@ -160,7 +182,9 @@ def load_scenario(name: str) -> Scenario:
     with _named(fault):
         setup = Setup() if stated is None else _setup(stated)
     made = _scenario(top, setup, name, path.stem)
-    if not made.recorded:
+    if made.maker:
+        load(made.maker)
+    elif not made.recorded:
         with _named(fault):  # the simulator's own checks, before anything runs
             for m in made.members:
                 made.world(m.world)
@@ -178,8 +202,11 @@ def _named(fault: Fault) -> Iterator[None]:
 
 def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
     task = top.names("task", TASKS, ("slam",))
-    world = top.table_of("world", _world_keys(top))
-    kind = world.one_of("kind", (*SIMULATORS, RECORDED))
+    maker, kind, values = _maker(top), OWN, tuple[tuple[str, object], ...]()
+    if not maker:
+        world = top.table_of("world", _world_keys(top))
+        kind = world.one_of("kind", (*SIMULATORS, RECORDED))
+        values = parameters(world, kind)
     estimators = top.table_of("estimators", _estimator_keys(top))
     members = tuple(_member(estimators, name, task, kind) for name in estimators.table)
     if not members:
@@ -194,12 +221,24 @@ def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
         association=_associations(top),
         members=members,
         kind=kind,
-        values=parameters(world, kind),
+        values=values,
+        maker=maker,
         setup=setup,
         from_frame=top.whole("from_frame", 0, least=0),
         rates=_rates(top),
         published=_published(top.table_of("published"), members) if "published" in top else None,
     )
+
+
+def _maker(top: TomlTable) -> str:
+    """The settled text of a function that makes logs, as in `world = "./mine.py:make"`; empty for a world of ours."""
+    stated = top.table.get("world")
+    if not isinstance(stated, str):
+        return ""
+    try:
+        return settled("world =", stated, "world")
+    except UsageError as wrong:
+        raise top.error("world", str(wrong).removeprefix("world = ")) from None
 
 
 def _estimator_keys(top: TomlTable) -> tuple[str, ...]:
@@ -247,13 +286,15 @@ def _world_keys(top: TomlTable) -> tuple[str, ...]:
 
 def parameters_of_kind(kind: str) -> tuple[str, ...]:
     """Parameters of a world of a kind."""
+    if kind == OWN:
+        return ()
     return RECORDING if kind == RECORDED else tuple(f.name for f in fields(parameters_of(kind)))
 
 
 def parameters(table: TomlTable, kind: str) -> tuple[tuple[str, object], ...]:
     """Checked parameters of a world; angles in degrees are converted."""
     keys = [key for key in table.table if key != "kind"]
-    if kind == RECORDED:
+    if kind in (RECORDED, OWN):
         return tuple((key, table.table[key]) for key in keys)
     known = {f.name: f for f in fields(parameters_of(kind))}
     result: list[tuple[str, object]] = []

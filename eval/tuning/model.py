@@ -22,7 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
-from data.errors import DataError, UsageError
+from data.errors import DataError, UsageError, unknown
 from data.formats.csv_table import read_table
 from data.formats.open_log.header import read_header
 from data.formats.open_log.reader import HEADER, ODOMETRY
@@ -144,7 +144,7 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
     """
     for group in groups:
         if group not in GROUPS:
-            raise UsageError(f"--fit {group}: not known; known: {', '.join(GROUPS)}")
+            raise UsageError(f"--fit {group}: {unknown(group, GROUPS)}")
     sigma = np.sqrt(np.median(np.einsum("nii->ni", inputs.observations.R), axis=0))
     polar = isinstance(inputs.sensor, RangeBearing)
     first, second = ("range", "bearing") if polar else ("x", "y")

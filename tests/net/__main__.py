@@ -14,6 +14,7 @@ from pathlib import Path
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+from data.command import Parser
 from tests.net.cases import CASES
 from tests.net.digest import appeared, columns_of, compare, left_out, watched
 from tests.net.record import RECORDED, Done, Record, done
@@ -88,7 +89,7 @@ def _say(line: str) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="python -m tests.net", description=__doc__)
+    parser = Parser(prog="python -m tests.net", description=__doc__)
     parser.add_argument("--record", action="store_true", help="what comes out now is what is kept from now on")
     parser.add_argument(
         "--exact", action="store_true", help="compare every byte of the columns, on the machine of the record"

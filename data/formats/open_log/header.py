@@ -37,6 +37,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -47,7 +48,7 @@ from data.motion.motion_prior import PRIORS, MotionPrior
 from data.motion.velocity import MODELS, NOISES, WITH_ALPHAS, VelocityModel, VelocityNoise
 from data.se2 import Array
 from data.sensors import Line, RangeBearing, RelativePoint, Sensor
-from data.toml_table import TomlTable, finite, load_toml, not_negative, positive
+from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative, positive
 
 FORMAT = 1
 KNOWN = {
@@ -191,7 +192,11 @@ def read_header(path: Path) -> Header:
     def fault(what: str) -> DataError:
         return DataError.at(path, what)
 
-    table = load_toml(path, fault, "no such file; a log folder needs it")
+    return header_of(load_toml(path, fault, "no such file; a log folder needs it"), fault)
+
+
+def header_of(table: dict[str, Any], fault: Fault) -> Header:
+    """The header that the tables of a `log.toml` state."""
     number = table.get("format")
     if isinstance(number, bool) or number != FORMAT:
         what = "no format number" if number is None else f"format = {number!r}: unknown format number"

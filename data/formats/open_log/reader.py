@@ -19,6 +19,7 @@ that of frame row1 [m, m, rad], rows from 0; exact: 1 where both rows are certai
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import NamedTuple
@@ -44,7 +45,11 @@ def read_landmarks(path: Path) -> tuple[LandmarkMap | None, bool]:
     """landmarks.csv, ascending by id (None without the file), and whether a survey's sigmas were ignored."""
     if not path.exists():
         return None, False
-    table = read_table(path, ("id", "x", "y"), ("sx", "sy"))
+    return landmarks_of(read_table(path, ("id", "x", "y"), ("sx", "sy")))
+
+
+def landmarks_of(table: Table) -> tuple[LandmarkMap, bool]:
+    """The map of a table with its columns, and whether a survey's sigmas were ignored."""
     sigmas = [n for n in ("sx", "sy") if n in table]
     table.require_finite(("x", "y", *sigmas))
     for name in sigmas:
@@ -111,6 +116,7 @@ MEAN = ("dx", "dy", "dtheta")
 COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
 STAMP = "stamp"
 NOISE = ("r11", "r12", "r22")
+IDS = ("true_id", "label")
 POSE = ("x", "y", "theta")
 
 LONGEST = 1e6
@@ -140,37 +146,22 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         if header.motion is None:
             raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
         observations = _observations(folder / OBSERVATIONS, header, "t")
-        motion, frame, gaps = _odometry(folder / ODOMETRY, header.motion, observations.table)
-        pose = _stamped_truth(folder / TRUTH, motion.time)
+        samples = read_table(folder / ODOMETRY, ("t", "v", "omega"))
+        motion, frame, gaps = odometry_of(samples, header.motion, observations.table)
+        pose = stamped_truth(_truth_table(folder / TRUTH, ("t", *POSE)), motion.time)
     else:
         observations = _observations(folder / OBSERVATIONS, header, "frame")
         motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
-        frame = observations.table.integers("frame", 0)
-        there = f"{{}} is out of range; there are frames 0 to {len(motion.time) - 1}"
-        observations.table.require(frame < len(motion.time), "frame", there)
-        observations.table.require_ascending("frame", strictly=False)
-        pose = _truth_per_frame(folder / TRUTH, len(motion.time))
+        frame = frame_of(observations.table, len(motion.time))
+        pose = truth_per_frame(_truth_table(folder / TRUTH, POSE), len(motion.time))
     landmarks, survey = read_landmarks(folder / LANDMARKS)
     scans = _scans(folder, header, len(motion.time), by_stamp=by_stamp)
     reference = folder / RELATIONS if relations is None else relations
     related = None
     if relations is not None or reference.exists():
         related = read_relations(reference, len(motion.time), motion.stamp)
-    covariance, floored = floor_covariances(motion.increments.covariance, header.covariance_floor)
-
+    recorded = inputs_of(header, motion, frame, observations, landmarks)
     table = observations.table
-    recorded = Inputs(
-        prior=header.prior,
-        time=motion.time,
-        increments=Increments(motion.increments.mean, covariance),
-        observations=Observations(frame, table.stack(("z1", "z2")), observations.R),
-        sensor=header.sensor,
-        map=landmarks,
-        time_is_index=header.time_is_index,
-        covariance_floor=header.covariance_floor,
-        floored=header.floored + floored,
-        scans=scans,
-    )
     notes = list(header.notes) + ([note_of(header.motion_prior)] if header.motion_prior is not None else [])
     notes += [f"{OBSERVATIONS}: unknown column {name!r} ignored" for name in table.unknown]
     if gaps:
@@ -180,7 +171,7 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         notes.append(f"{LANDMARKS}: the survey's sigmas are ignored; estimators take the map as exact")
     return Log(
         name=header.name,
-        recorded=recorded,
+        recorded=replace(recorded, scans=scans),
         truth=Truth(pose, landmarks, observations.true_id, related),
         label=observations.label,
         labels_are_sensed=header.labels_are_sensed,
@@ -189,13 +180,33 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     )
 
 
-class _Motion(NamedTuple):
+def inputs_of(
+    header: Header, motion: Motion, frame: IntArray, observations: FrameTable, landmarks: LandmarkMap | None
+) -> Inputs:
+    """What estimators get; the covariance floor is applied."""
+    covariance, floored = floor_covariances(motion.increments.covariance, header.covariance_floor)
+    return Inputs(
+        prior=header.prior,
+        time=motion.time,
+        increments=Increments(motion.increments.mean, covariance),
+        observations=Observations(frame, observations.table.stack(("z1", "z2")), observations.R),
+        sensor=header.sensor,
+        map=landmarks,
+        time_is_index=header.time_is_index,
+        covariance_floor=header.covariance_floor,
+        floored=header.floored + floored,
+    )
+
+
+class Motion(NamedTuple):
+    """Time (N,), increments, and recorded stamps (N,) of the frames."""
+
     time: Array
     increments: Increments
     stamp: Array | None = None
 
 
-class _FrameObservations(NamedTuple):
+class FrameTable(NamedTuple):
     """Observations without frames: R (M, 2, 2), true_id and label (M,) or None."""
 
     table: Table
@@ -215,11 +226,17 @@ def _require_semidefinite(table: Table, matrices: Array) -> None:
         raise table.error(row, f"{COVARIANCE[0]} to {COVARIANCE[-1]}", what)
 
 
-def _frames(path: Path, prior: MotionPrior | None) -> _Motion:
+def _frames(path: Path, prior: MotionPrior | None) -> Motion:
     """frames.csv: time (N,) and increments, or those of a motion prior."""
     motion = (*MEAN, *COVARIANCE)
     columns = ("t", *motion) if prior is None else ("t",)
-    table = read_table(path, columns, (*motion, STAMP))
+    return frames_of(read_table(path, columns, (*motion, STAMP)), prior)
+
+
+def frames_of(table: Table, prior: MotionPrior | None = None) -> Motion:
+    """Time (N,) and increments of a table with the columns of frames.csv, or those of a motion prior."""
+    path, motion = table.path, (*MEAN, *COVARIANCE)
+    columns = ("t", *motion) if prior is None else ("t",)
     if len(table) == 0:
         raise DataError.at(path, "no rows; at least one frame is needed", line=1)
     table.require_finite([name for name in (*columns, STAMP) if name in table])
@@ -230,29 +247,33 @@ def _frames(path: Path, prior: MotionPrior | None) -> _Motion:
             if name in table:
                 what = f"[motion] prior in {HEADER} states the increments; remove one of them"
                 raise DataError.at(path, what, line=1, column=name)
-        return _Motion(table.columns["t"], prior.increments(table.columns["t"]), stamp)
+        return Motion(table.columns["t"], prior.increments(table.columns["t"]), stamp)
     later = np.arange(len(table)) > 0
     for name in motion:
         what = "{} in row 0; the first frame has no motion, so 0 is needed"
         table.require((table.columns[name] == 0.0) | later, name, what)
     covariance = table.symmetric(COVARIANCE)
     _require_semidefinite(table, covariance)
-    return _Motion(table.columns["t"], Increments(table.stack(MEAN), covariance), stamp)
+    return Motion(table.columns["t"], Increments(table.stack(MEAN), covariance), stamp)
 
 
-def _observations(path: Path, header: Header, key: str) -> _FrameObservations:
+def _observations(path: Path, header: Header, key: str) -> FrameTable:
     """observations.csv, checked except for range and order of `key` (frame or t)."""
     if header.scanner is not None and not path.exists():
         nothing = Table(path, dict.fromkeys((key, "z1", "z2"), np.zeros(0)))
-        return _FrameObservations(nothing, np.zeros((0, 2, 2)), None, None)
-    ids = ("true_id", "label")
+        return FrameTable(nothing, np.zeros((0, 2, 2)), None, None)
     other = "t" if key == "frame" else "frame"
-    table = read_table(path, (key, "z1", "z2"), (*NOISE, *ids, other), may_be_blank=(*ids, other))
+    table = read_table(path, (key, "z1", "z2"), (*NOISE, *IDS, other), may_be_blank=(*IDS, other))
+    return observations_of(table, header, key)
+
+
+def observations_of(table: Table, header: Header, key: str) -> FrameTable:
+    """Observations of a table with the columns of observations.csv, checked except for range and order of `key`."""
     table.require_finite((key, "z1", "z2"))
-    table.require_finite([n for n in ids if n in table], blank=True)
+    table.require_finite([n for n in IDS if n in table], blank=True)
     if not isinstance(header.sensor, RelativePoint):
         table.require(table.columns["z1"] >= 0.0, "z1", "{} is a negative range")
-    return _FrameObservations(
+    return FrameTable(
         table,
         _noise(table, header),
         table.integers("true_id", CLUTTER, blank=UNKNOWN_ID) if "true_id" in table else None,
@@ -293,9 +314,17 @@ def _scans(folder: Path, header: Header, frames: int, *, by_stamp: bool) -> Scan
     return read_scans(path, header.scanner, frames)
 
 
-def _odometry(path: Path, model: VelocityModel, observations: Table) -> tuple[_Motion, IntArray, int]:
-    """odometry.csv preintegrated between the frames; frame of each observation (M,); number of gaps."""
-    table = read_table(path, ("t", "v", "omega"))
+def frame_of(observations: Table, frames: int) -> IntArray:
+    """The frame (M,) of each observation of a log with so many."""
+    frame = observations.integers("frame", 0)
+    there = f"{{}} is out of range; there are frames 0 to {frames - 1}"
+    observations.require(frame < frames, "frame", there)
+    observations.require_ascending("frame", strictly=False)
+    return frame
+
+
+def odometry_of(table: Table, model: VelocityModel, observations: Table) -> tuple[Motion, IntArray, int]:
+    """Odometry t, v, omega preintegrated between the frames; frame of each observation (M,); number of gaps."""
     if len(table) == 0:
         raise DataError.at(table.path, "no rows; at least one sample is needed", line=1)
     table.require_finite(("t", "v", "omega"))
@@ -308,7 +337,7 @@ def _odometry(path: Path, model: VelocityModel, observations: Table) -> tuple[_M
     both = np.concatenate([stamps, seen])
     time = frame_times(seen, both.min(), both.max())
     increments, gaps = preintegrate(model, stamps, table.columns["v"], table.columns["omega"], time)
-    return _Motion(time, increments), np.searchsorted(time, seen).astype(np.int64), gaps
+    return Motion(time, increments), np.searchsorted(time, seen).astype(np.int64), gaps
 
 
 def _truth_table(path: Path, columns: tuple[str, ...]) -> Table | None:
@@ -319,20 +348,18 @@ def _truth_table(path: Path, columns: tuple[str, ...]) -> Table | None:
     return table
 
 
-def _truth_per_frame(path: Path, frames: int) -> Array | None:
-    """truth.csv beside frames.csv: pose (N, 3), NaN where unknown."""
-    table = _truth_table(path, POSE)
+def truth_per_frame(table: Table | None, frames: int) -> Array | None:
+    """True poses (N, 3) of each frame, NaN where unknown."""
     if table is None:
         return None
     if len(table) != frames:
         what = f"{len(table)} rows for {frames} frames; one row per frame is needed"
-        raise DataError.at(path, what, line=min(len(table), frames + 1) + 1)
+        raise table.error(min(len(table), frames + 1) - 1, None, what)
     return table.stack(POSE)
 
 
-def _stamped_truth(path: Path, at: Array) -> Array | None:
-    """truth.csv beside odometry.csv, interpolated at the frames; NaN where unknown."""
-    table = _truth_table(path, ("t", *POSE))
+def stamped_truth(table: Table | None, at: Array) -> Array | None:
+    """Stamped true poses interpolated at the frames; NaN where unknown."""
     if table is None:
         return None
     table.require_finite(("t",))

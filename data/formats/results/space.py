@@ -1,35 +1,34 @@
-"""Projection of spatial poses and 6x6 covariances to the plane; headers and samples of SQUARE files.
+"""Poses in space, and their projection to the plane with 6x6 covariances.
 
 x, y and the yaw of Z-Y-X angles, atan2(R10, R00), are kept. Their covariance follows to first order from that of the
 pose: with p the position, c the first column of R, and a small rotation w in the world's axes, dyaw = w_z - c_z (c_x
 w_x + c_y w_y) / (c_x^2 + c_y^2).
-
-SQUARE: `#%KEY value` lines declare columns and tangent; samples (`ensemble_se3`), a particle a line, are reduced to
-mean and covariance in the plane.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
+from data import se3
 from data.errors import DataError
 from data.formats.recordings.ros import rotation_of
+from data.formats.results.matrices import translation_first
 from data.formats.results.path import (
     CAMERA,
     LEFT,
     LOCAL,
+    MIXED,
+    ROTATION,
     WORLD,
     GivenPath,
     Manner,
     Outside,
-    Text,
+    Spatial,
     in_order,
-    numbers,
-    require_order,
 )
 from data.se2 import Array, wrap_angle
 
@@ -41,37 +40,10 @@ FROM_CAMERA = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """Robot axes from a camera's: forward is its z, left its -x, up its -y."""
 
 
-@dataclass(frozen=True, eq=False)
-class Spatial:
-    """A trajectory in space as in a file.
-
-    Attributes:
-        file, kind: as of `GivenPath`.
-        time: (n,) s, ascending.
-        position: (n, 3) m.
-        rotation: (n, 3, 3), world from body.
-        covariance: (n, 6, 6), translation first, then rotation; rows NaN where unknown; None: none.
-        frame: of the covariance, which the file itself may state (`declared`).
-        place: place of row k, for messages.
-        notes: sentences.
-    """
-
-    file: str
-    kind: str
-    time: Array
-    position: Array
-    rotation: Array
-    covariance: Array | None
-    frame: str
-    place: Callable[[int], str]
-    declared: bool = False
-    notes: tuple[str, ...] = ()
-
-
 def rotations(quaternion: Array, place: Callable[[int], str]) -> Array:
-    """Rotation matrices (n, 3, 3) of quaternions x, y, z, w (n, 4); DataError for one without length 1."""
+    """Rotation matrices (n, 3, 3) of quaternions x, y, z, w (n, 4), NaN for NaN; DataError for one without length 1."""
     length = np.sqrt(np.sum(quaternion**2, axis=1))
-    bad = np.flatnonzero(~(np.abs(length - 1.0) < UNIT))
+    bad = np.flatnonzero(~(np.abs(length - 1.0) < UNIT) & np.isfinite(length))
     if len(bad):
         k = int(bad[0])
         what = f"quaternion {quaternion[k].tolist()} has length {length[k]:.4g}; 1 is needed (order x, y, z, w)"
@@ -79,56 +51,126 @@ def rotations(quaternion: Array, place: Callable[[int], str]) -> Array:
     return rotation_of(quaternion)
 
 
+def from_angles(roll: Array, pitch: Array, yaw: Array) -> Array:
+    """Rotation matrices (n, 3, 3) of Z-Y-X angles (n,) [rad]."""
+    zero = np.zeros_like(yaw)
+    turns = [
+        se3.exp_rotation(np.stack(v, axis=-1)) for v in ((zero, zero, yaw), (zero, pitch, zero), (roll, zero, zero))
+    ]
+    return np.asarray(turns[0] @ turns[1] @ turns[2])
+
+
 def on_plane(spatial: Spatial, manner: Manner) -> GivenPath:
-    """The trajectory in the plane; DataError for a contradicted covariance frame or an invalid covariance."""
-    s, frame = spatial, spatial.frame
-    if s.covariance is not None and manner.frame is not None:
-        if s.declared and manner.frame != s.frame:
+    """The trajectory in the plane, and in space as its `space`.
+
+    Rows with NaN are left out. DataError for a contradicted covariance frame or order, a bad covariance, or no row.
+    """
+    s, frame, C = spatial, spatial.frame, spatial.covariance
+    if C is not None and manner.frame is not None:
+        if s.stated.convention and manner.frame != s.frame:
             raise DataError.at(s.file, f"its header states {s.frame} covariances; remove --cov-frame {manner.frame}")
         frame = manner.frame
-    p, R, C = s.position, s.rotation, s.covariance
-    if manner.axes == CAMERA:
+    if C is not None and manner.order is not None:
+        if s.stated.order:
+            raise DataError.at(s.file, f"its format states the order of covariances; remove --cov-order {manner.order}")
+        C = translation_first(C) if manner.order == ROTATION else C
+    sound = np.isfinite(s.time) & np.isfinite(s.position).all(axis=1) & np.isfinite(s.rotation).all(axis=(1, 2))
+    rows, notes = np.flatnonzero(sound), s.notes
+    if not len(rows):
+        raise DataError.at(s.file, f"each of {len(s)} poses has a NaN; at least one without is needed")
+    if len(rows) < len(s):
+        first = int(np.flatnonzero(~sound)[0])
+        notes += (f"{len(s) - len(rows)} of {len(s)} poses have a NaN and are left out, the first at {s.place(first)}",)
+    keep = rows[in_order(s.time[rows])]
+    if len(keep) < len(rows):
+        shared = len(rows) - len(keep)
+        notes += (f"{shared} of {len(rows)} poses share their stamp with a later one, which is used",)
+    p, R = s.position[keep], s.rotation[keep]
+    C = None if C is None else C[keep]
+    if (manner.axes or (CAMERA if s.stated.axes else "")) == CAMERA:
         turn = np.kron(np.eye(2), FROM_CAMERA)
         p, R = p @ FROM_CAMERA.T, FROM_CAMERA @ R @ FROM_CAMERA.T
         C = None if C is None else turn @ C @ turn.T
-    yaw = wrap_angle(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
-    pose = np.column_stack([p[:, :2], yaw])
-    planar = None if C is None else _planar_covariance(p, R, C, frame)
+
+    def place(k: int) -> str:
+        return s.place(int(keep[k]))
+
+    unit = 1e-2 if manner.lengths == "cm" else 1e-3 if manner.lengths == "mm" else 1.0
+    if unit != 1.0:
+        scale = np.diag([unit] * 3 + [1.0] * 3)
+        p, C = p * unit, None if C is None else scale @ C @ scale
+    stated = replace(s.stated, order=s.stated.order or manner.order is not None)
+    stated = replace(stated, convention=stated.convention or manner.frame is not None)
+    whole = replace(
+        s, time=s.time[keep], position=p, rotation=R, covariance=C, frame=frame, place=place, notes=notes, stated=stated
+    )
+    return flattened(whole)
+
+
+def flattened(s: Spatial) -> GivenPath:
+    """A trajectory in a robot's axes, in the plane; DataError for an invalid covariance."""
+    p, R, C = s.position, s.rotation, s.covariance
+    pose = np.column_stack([p[:, :2], wrap_angle(np.arctan2(R[:, 1, 0], R[:, 0, 0]))])
+    planar = None if C is None else _planar_covariance(p, R, C, s.frame)
     if planar is not None:
         require_covariances(planar, s.place)
-    keep = in_order(s.time)
-    notes = s.notes
-    if len(keep) < len(s.time):
-        notes += (
-            f"{len(s.time) - len(keep)} of {len(s.time)} poses share their stamp with a later one, which is used",
-        )
-    kept, frame = (None, "") if planar is None else (planar[keep], frame)
-    return GivenPath(s.file, s.kind, s.time[keep], pose[keep], kept, frame, _outside(p, R), notes)
+    frame = "" if planar is None else s.frame
+    return GivenPath(s.file, s.kind, s.time, pose, planar, frame, _outside(p, R), s.notes, s.clock, s)
+
+
+def to_world(p: Array, R: Array, frame: str) -> Array:
+    """Jacobians (n, 6, 6) from a tangent of a frame to position error and small rotation, both in the world's axes."""
+    n = len(p)
+    J = np.zeros((n, 6, 6))
+    J[:] = np.eye(6)
+    if frame == LOCAL:
+        J[:, :3, :3] = R
+    if frame in (LOCAL, MIXED):
+        J[:, 3:, 3:] = R
+    if frame == LEFT:  # w x p
+        J[:, :3, 3:] = -se3.skew(p)
+    return J
+
+
+def in_world(s: Spatial) -> Array:
+    """Covariances (n, 6, 6) of position and small rotation in the world's axes; a trajectory with covariance only."""
+    assert s.covariance is not None  # the caller asked
+    J = to_world(s.position, s.rotation, s.frame)
+    return np.asarray(J @ s.covariance @ J.transpose(0, 2, 1))
+
+
+def moved(s: Spatial, R: Array, t: Array, scale: float = 1.0) -> Spatial:
+    """The trajectory moved from the left: positions scale R p + t, rotations R R_k, with R (3, 3) or (n, 3, 3).
+
+    Covariances keep their frame: of the body they stay (the translation scaled), of the world they turn.
+    """
+    p = scale * np.einsum("...ij,...j->...i", R, s.position) + t
+    C, size = s.covariance, np.diag([scale] * 3 + [1.0] * 3)
+    if C is not None:
+        rotation = np.broadcast_to(R, s.rotation.shape)
+        J = np.zeros((len(s), 6, 6))
+        J[:] = np.eye(6)
+        if s.frame != LOCAL:
+            J[:, :3, :3] = rotation
+        if s.frame in (WORLD, LEFT):
+            J[:, 3:, 3:] = rotation
+        J = J @ size
+        if s.frame == LEFT:  # about the new origin
+            J[:, :3, 3:] = se3.skew(np.broadcast_to(t, p.shape)) @ rotation
+        C = J @ C @ J.transpose(0, 2, 1)
+    return replace(s, position=p, rotation=R @ s.rotation, covariance=C)
 
 
 def _planar_covariance(p: Array, R: Array, C: Array, frame: str) -> Array:
     """World-additive covariance (n, 3, 3) of x, y, yaw."""
-    n = len(p)
-    # from the file's tangent to position error and small rotation in the world's axes
-    world = np.zeros((n, 6, 6))
-    if frame == LOCAL:
-        world[:, :3, :3] = R
-        world[:, 3:, 3:] = R
-    else:
-        world[:] = np.eye(6)
-        if frame == LEFT:  # w x p
-            x, y, z = p.T
-            world[:, 0, 4], world[:, 0, 5] = z, -y
-            world[:, 1, 3], world[:, 1, 5] = -z, x
-            world[:, 2, 3], world[:, 2, 4] = y, -x
-    plane = np.zeros((n, 3, 6))
+    plane = np.zeros((len(p), 3, 6))
     plane[:, 0, 0] = plane[:, 1, 1] = plane[:, 2, 5] = 1.0
     c = R[:, :, 0]
     flat = c[:, 0] ** 2 + c[:, 1] ** 2
     tilted = flat > 0.0
     plane[tilted, 2, 3] = -c[tilted, 2] * c[tilted, 0] / flat[tilted]
     plane[tilted, 2, 4] = -c[tilted, 2] * c[tilted, 1] / flat[tilted]
-    J = plane @ world
+    J = plane @ to_world(p, R, frame)
     P = J @ C @ J.transpose(0, 2, 1)
     return np.asarray(0.5 * (P + P.transpose(0, 2, 1)))
 
@@ -156,6 +198,11 @@ def _outside(p: Array, R: Array) -> Outside:
 
 def projection(path: GivenPath) -> str:
     """The projection, in a sentence; empty without one."""
+    return f"projected to the plane: {said} ignored" if (said := ignored(path)) else ""
+
+
+def ignored(path: GivenPath) -> str:
+    """Ranges that the projection ignores; empty without one."""
     o = path.outside
     if o is None:
         return ""
@@ -166,94 +213,4 @@ def projection(path: GivenPath) -> str:
         for name, ends, scale, unit in parts
         if max(map(abs, ends)) >= LEVEL
     ]
-    if not there:
-        return ""
-    text = f"projected to the plane: {', '.join(there)} ignored"
-    flat = float(np.max(np.ptp(path.pose[:, :2], axis=0))) if len(path) else 0.0
-    if o.z[1] - o.z[0] > flat:
-        text += "; more than in the plane: if axes are a camera's (z forward), add --axes camera"
-    return text
-
-
-POSE = ("t", "x", "y", "z", "qx", "qy", "qz", "qw")
-CONVENTIONS = {"right_perturbation": LOCAL, "left_perturbation": LEFT}
-ORDERS = ("translation_rotation", "rotation_translation")
-
-
-@dataclass(frozen=True)
-class Header:
-    """Values of `#%KEY value` lines by key, each with its line."""
-
-    values: dict[str, tuple[int, str]]
-
-    def one_of(self, text: Text, key: str, allowed: tuple[str, ...]) -> str | None:
-        """A value that must be one of a few; None if absent."""
-        line, value = self.values.get(key, (0, ""))
-        if key not in self.values:
-            return None
-        if value not in allowed:
-            raise DataError.at(text.path, f"{key} {value!r}; one of {', '.join(allowed)} is needed", line=line)
-        return value
-
-
-def header_of(text: Text) -> Header:
-    """The header of a SQUARE file or of a file of covariances; empty where there is none."""
-    found: dict[str, tuple[int, str]] = {}
-    for line, comment in text.comments:
-        if comment.startswith("#%"):
-            key, _, value = comment[2:].strip().partition(" ")
-            if key.upper() in found:
-                raise DataError.at(text.path, f"{key} is stated twice; once is needed", line=line)
-            found[key.upper()] = line, value.strip()
-    return Header(found)
-
-
-def tangent(text: Text, header: Header) -> tuple[str | None, str | None]:
-    """Frame and order that a header declares."""
-    convention = header.one_of(text, "TANGENT_CONVENTION", tuple(CONVENTIONS))
-    return None if convention is None else CONVENTIONS[convention], header.one_of(text, "TANGENT_ORDER", ORDERS)
-
-
-FEWEST = 4
-"""Fewest samples at an instant for a covariance of full rank."""
-
-
-def read_samples(text: Text, header: Header, unit: float, manner: Manner) -> GivenPath:
-    """Means and covariances of the particles at each stamp; heading by circular mean, weights normalized."""
-    weighted = header.one_of(text, "WEIGHTED", ("true", "false")) == "true"
-    logarithmic = header.one_of(text, "WEIGHT_FORMAT", ("linear", "log")) == "log"
-    columns = ("t", "particle", *(("weight",) if weighted else ()), *POSE[1:])
-    rows = numbers(text, columns)
-    time = rows[:, 0] * unit
-    require_order(text, time)
-    file, first = str(text.path), 3 if weighted else 2
-    R = rotations(rows[:, first + 3 :], text.place)
-    stamps, start, count = np.unique(time, return_index=True, return_counts=True)
-    # each particle is projected (with distinct stamps), then their moments are formed
-    apart = Spatial(file, "", np.arange(len(rows), dtype=float), rows[:, first : first + 3], R, None, "", text.place)
-    flat = on_plane(apart, Manner(axes=manner.axes))
-    pose, covariance = np.empty((len(stamps), 3)), np.full((len(stamps), 3, 3), np.nan)
-    for k, (i, n) in enumerate(zip(start.tolist(), count.tolist(), strict=True)):
-        weight = np.full(n, 1.0 / n) if not weighted else rows[i : i + n, 2]
-        if weighted and logarithmic:
-            weight = np.exp(weight - weight.max())
-        if weight.min() < 0.0 or not weight.sum() > 0.0:
-            raise DataError.at(text.path, "weights of an instant must not be negative, nor all zero", line=text.line[i])
-        pose[k], covariance[k] = _moments(flat.pose[i : i + n], weight / weight.sum())
-    few = int((count < FEWEST).sum())
-    covariance[count < FEWEST] = np.nan
-    notes: tuple[str, ...] = (f"mean and covariance of {int(count.min())} to {int(count.max())} samples an instant",)
-    if few:
-        notes += (f"{few} instants have fewer than {FEWEST} samples, too few for a covariance",)
-    outside: Outside | None = flat.outside
-    return GivenPath(file, "SQUARE, ensemble_se3", stamps, pose, covariance, WORLD, outside, notes)
-
-
-def _moments(pose: Array, weight: Array) -> tuple[Array, Array]:
-    """Mean (3,) and unbiased covariance (3, 3) for normalized weights."""
-    heading = np.arctan2(weight @ np.sin(pose[:, 2]), weight @ np.cos(pose[:, 2]))
-    mean = np.array([*(weight @ pose[:, :2]), heading])
-    off = pose - mean
-    off[:, 2] = wrap_angle(off[:, 2])
-    spare = 1.0 - float(weight @ weight)
-    return mean, (off * weight[:, None]).T @ off / spare if spare > 0.0 else np.full((3, 3), np.nan)
+    return ", ".join(there)

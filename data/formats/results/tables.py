@@ -6,15 +6,18 @@ without a column `landmark` is the map of an open log and is ignored.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from data.errors import LARGEST, DataError
 from data.formats.csv_table import FIRST_ROW, is_number, read_table, symmetric
-from data.formats.results.path import WORLD, GivenPath, Manner, Text, in_order, numbers, require_order
-from data.formats.results.space import Spatial, on_plane, require_covariances, rotations
+from data.formats.results.matrices import known_only
+from data.formats.results.path import WORLD, GivenPath, Manner, in_order
+from data.formats.results.pose_lines import path_of, times_of
+from data.formats.results.space import require_covariances
+from data.formats.results.text import Text, numbers
 from data.inputs import IntArray
 from data.result import DISCARD, MapEstimate
 from data.se2 import Array, wrap_angle
@@ -22,6 +25,7 @@ from data.se2 import Array, wrap_angle
 PLANE = ("t", "x", "y", "theta")
 COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
 EUROC = ("timestamp [ns]", "p_x", "p_y", "p_z", "q_w", "q_x", "q_y", "q_z")
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 NANOSECONDS = 1e14
 """Smallest stamp that is taken for ns: a day of them, or three million years of seconds."""
 
@@ -49,57 +53,57 @@ def read_plane(text: Text, manner: Manner) -> GivenPath:
         what = f"no such column, but {there[0]}; all six or none are needed"
         raise DataError.at(text.path, what, line=1, column=lacking)
     columns = [names.index(c) for c in (*PLANE, *there)]
-    rows = np.full((len(text.fields) - 1, len(columns)), np.nan)
-    for k, (line, fields) in enumerate(zip(text.line[1:], text.fields[1:], strict=True)):
+    body = text.without_header()
+    for line, fields in zip(body.line, body.fields, strict=True):
         if len(fields) != len(names):
             raise DataError.at(text.path, f"{len(fields)} fields where the header names {len(names)}", line=line)
-        for j, column in enumerate(columns):
-            field = fields[column]
-            if field and not is_number(field):
-                raise DataError.at(text.path, f"{field[:40]!r} is not a number", line=line, column=names[column])
-            value = float(field) if field else np.nan
-            if np.isinf(value) or abs(value) > LARGEST:
-                what = f"{field[:40]}; a number in SI units is needed, or blank where unknown"
-                raise DataError.at(text.path, what, line=line, column=names[column])
-            rows[k, j] = value
-        if not np.isfinite(rows[k, 0]):
-            raise DataError.at(text.path, "no stamp; a number is needed", line=line, column="t")
-    if not len(rows):
+    if not body.fields:
         raise DataError.at(text.path, "a header and no pose; at least one is needed")
-    time = rows[:, 0]
-    require_order(Text(text.path, text.fields[1:], text.line[1:], (), True), time)
+    chosen = replace(body, fields=tuple(tuple(fields[c] for c in columns) for fields in body.fields))
+    rows = numbers(chosen, [names[c] for c in columns], blank=True, huge=PLANE[:1])
+    bare = np.flatnonzero(~np.isfinite(rows[:, 0]))
+    if len(bare):
+        raise DataError.at(text.path, "no stamp; a number is needed", line=body.line[bare[0]], column="t")
+    time, clock = times_of(chosen, rows[:, 0], manner)
     keep = in_order(time)
     shared = len(rows) - len(keep)
-    notes = (f"{shared} poses share their stamp with a later one, which is used",) if shared else ()
-    pose = np.column_stack([rows[:, 1:3], wrap_angle(rows[:, 3])])[keep]
+    notes: tuple[str, ...] = ()
+    if shared:
+        notes = (f"{shared} poses share their stamp with a later one, which is used",)
+    turn, scale = (np.pi / 180.0 if manner.angles == "deg" else 1.0), LENGTHS[manner.lengths or "m"]
+    pose = np.column_stack([scale * rows[:, 1:3], wrap_angle(turn * rows[:, 3])])[keep]
+    unknown = int((~np.isfinite(pose).all(axis=1)).sum())
+    if unknown:
+        notes += (f"{unknown} of {len(pose)} poses are blank or NaN and not scored",)
     path, kind = str(text.path), "CSV of t, x, y, theta"
+    raw = rows[keep, 3] if manner.angles is None else None
     if not there:
-        return GivenPath(path, kind, time[keep], pose, notes=notes)
-    P = symmetric(rows[:, 4:])
-    require_covariances(P, lambda k: text.place(k + 1))
-    return GivenPath(path, f"{kind} and covariance", time[keep], pose, P[keep], WORLD, notes=notes)
+        kind = f"{kind}, {clock.words}"
+        return GivenPath(path, kind, time[keep], pose, notes=notes, clock=clock, headings=raw)
+    exact = ~rows[:, 4:].any(axis=1)  # zeros of our own files: an exact prior
+    P = np.zeros((len(rows), 3, 3))
+    if not exact.all():
+        known, more = known_only(symmetric(rows[~exact, 4:]))
+        P[~exact] = np.nan if known is None else known
+        notes += more
+    P *= np.outer([scale, scale, turn], [scale, scale, turn])
+    require_covariances(P, body.place)
+    kind = f"{kind} and covariance, {clock.words}"
+    return GivenPath(path, kind, time[keep], pose, P[keep], WORLD, notes=notes, clock=clock, headings=raw)
 
 
 def is_euroc(text: Text) -> bool:
-    """Whether lines are comma-separated numbers that begin with a stamp in ns, or a comment's header names it."""
+    """Whether lines are comma-separated numbers without a header that begin with a stamp in ns."""
     first = text.fields[0]
     if not text.commas or len(first) < len(EUROC) or not all(is_number(f) for f in first[: len(EUROC)]):
         return False
-    return abs(float(first[0])) > NANOSECONDS or any("timestamp" in c.lower() for _, c in text.comments)
+    return abs(float(first[0])) > NANOSECONDS
 
 
 def read_euroc(text: Text, manner: Manner) -> GivenPath:
     """Stamp [ns], position, quaternion w, x, y, z; velocities and biases after them are ignored."""
-    rows = numbers(text, EUROC, more=True)
-    # whole nanoseconds have more digits than a float
-    time = np.array([_seconds(fields[0]) for fields in text.fields])
-    require_order(text, time)
-    R = rotations(rows[:, [5, 6, 7, 4]], text.place)
-    return on_plane(Spatial(str(text.path), "EuRoC CSV", time, rows[:, 1:4], R, None, "", text.place), manner)
-
-
-def _seconds(stamp: str) -> float:
-    return int(stamp) / 1_000_000_000 if stamp.lstrip("-").isdecimal() else float(stamp) * 1e-9
+    rows = numbers(text, EUROC, more=True, huge=EUROC[:1])[:, [0, 1, 2, 3, 5, 6, 7, 4]]
+    return path_of(text, "EuRoC CSV without header, quaternion w x y z", rows, None, manner, usual="ns")
 
 
 MAP_COVARIANCE = ("c_xx", "c_xy", "c_yy")

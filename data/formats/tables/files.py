@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import DataError, UsageError
+from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.csv_table import Table, cut_off
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
@@ -212,8 +212,8 @@ class Units:
         for key, unit in self.given.items():
             quantity = key.rpartition(".")[2]
             if key not in DIMENSIONS and not QUANTITIES.get(quantity):
-                known = ", ".join([*DIMENSIONS, *(q for q, d in QUANTITIES.items() if d)])
-                raise UsageError(f"--unit {key}={unit}: unknown quantity {key!r}; known: {known}")
+                known = [*DIMENSIONS, *(q for q, d in QUANTITIES.items() if d)]
+                raise UsageError(f"--unit {key}={unit}: quantity {key!r}: {unknown(quantity, known)}")
             factor(key if key in DIMENSIONS else QUANTITIES[quantity], unit, f"--unit {key}={unit}")
 
     def unit(self, role: str, quantity: str) -> str | None:
@@ -247,7 +247,7 @@ def factor(dimension: str, text: str, where: str) -> float:
     if over not in units or bool(slash) != bool(per) or (per and under not in TIME):
         example = f"{next(iter(units))}/s" if per else ", ".join([*units, ISO] if kind == "time" else units)
         what = f"of {', '.join(units)} per {', '.join(TIME)}, as in {example}," if per else f"one of {example}"
-        raise UsageError(f"{where}: unknown unit {text!r}; {what} is needed")
+        raise UsageError(f"{where}: unknown unit {text!r}{did_you_mean(over, units)}; {what} is needed")
     return sign * units[over] / (TIME[under] if per else 1.0)
 
 
@@ -286,8 +286,9 @@ class Columns:
         for key, name in self.given.items():
             role, dot, quantity = key.rpartition(".")
             if quantity not in QUANTITIES or (dot and role not in ROLES):
+                near = did_you_mean(quantity, QUANTITIES) if quantity not in QUANTITIES else did_you_mean(role, ROLES)
                 known = f"{', '.join(QUANTITIES)}, each also as in odometry.t (files: {', '.join(ROLES)})"
-                raise UsageError(f"--columns {key}={name}: unknown quantity {key!r}; known: {known}")
+                raise UsageError(f"--columns {key}={name}: unknown quantity {key!r}{near}; known: {known}")
 
     def stated(self, role: str, quantities: Collection[str]) -> bool:
         """Whether a column of this role is stated for one of the quantities."""
@@ -299,7 +300,8 @@ class Columns:
         if own in self.given:
             column = file.find(self.given[own])
             if column is None:
-                raise DataError.at(file.path, f"no column {self.given[own]!r} ({own}); it has {file.described()}")
+                near = did_you_mean(self.given[own], file.names)
+                raise DataError.at(file.path, f"no column {self.given[own]!r}{near} ({own}); it has {file.described()}")
             self.used.add(own)
             return column
         if quantity in self.given:
@@ -315,10 +317,11 @@ class Columns:
         for q in quantities:
             column = self.find(file, role, q)
             if column is None:
+                name = self.given.get(q, q)
+                missing = f"no column {name!r}{did_you_mean(name, file.names)} for {q}"
                 raise DataError.at(
                     file.path,
-                    f"no column {self.given.get(q, q)!r} for {q}; it has {file.described()}; name it as in "
-                    f"--columns {role}.{q}=NAME",
+                    f"{missing}; it has {file.described()}; name it as in --columns {role}.{q}=NAME",
                 )
             columns.append(column)
         return columns
@@ -376,7 +379,7 @@ def _why(key: str, name: str, files: Sequence[TextTable]) -> str:
     role, _, quantity = key.rpartition(".")
     if any(f.find(name) is not None for f in files):
         return f"{quantity} is not needed" + (f" in the {role}" if role else "")
-    return f"no file has a column {name!r}"
+    return f"no file has a column {name!r}{did_you_mean(name, [n for f in files for n in f.names])}"
 
 
 def headings(values: Mapping[str, Array]) -> Array:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import DataError, UsageError
+from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.recordings.laser import TravelNoise
 from data.formats.tables.files import ROLES, Columns, Units, quantity_with_unit, read_text
 from data.formats.tables.motion import KINDS, Wheels, kind_of
@@ -72,7 +72,7 @@ def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, obj
     for key, value in load_toml(path, lambda what: DataError.at(path, what)).items():
         flag = key.replace("_", "-")
         if flag not in keys:
-            raise DataError.at(path, f"unknown key {key!r}; known: {', '.join(keys)}")
+            raise DataError.at(path, f"key {key!r}: {unknown(flag, keys)}")
         if flag in ("columns", "unit"):
             if not isinstance(value, dict):
                 raise DataError.at(path, f'{key}: a table is needed, as [{key}] with lines such as t = "stamp"')
@@ -139,7 +139,7 @@ def settle(given: Given) -> Wanted:
     columns = Columns(pairs(given.get("columns", {}), "columns"), Units(pairs(given.get("unit", {}), "unit")))
     kind = given.get("odometry-kind")
     if kind is not None and kind not in KINDS:
-        raise UsageError(f"--odometry-kind {kind}: known: {', '.join(KINDS)}")
+        raise UsageError(f"--odometry-kind {kind}: {unknown(str(kind), KINDS)}")
     kind = kind_of(read_text(files["odometry"]), columns, None if kind is None else str(kind))
     polar = columns.find(read_text(files["observations"]), "observations", "range") is not None
     spread = given.get("prior-sigma")
@@ -165,7 +165,7 @@ def settle(given: Given) -> Wanted:
 def _one_of(given: Given, flag: str, known: Sequence[str]) -> str:
     value = str(given.get(flag, known[0]))
     if value not in known:
-        raise UsageError(f"--{flag} {value}: known: {', '.join(known)}")
+        raise UsageError(f"--{flag} {value}: {unknown(value, known)}")
     return value
 
 
@@ -192,7 +192,7 @@ def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
     known = ("density", "velocity", "displacement", "textbook") if velocities else ("travel",)
     model = str(given.get("odometry-noise", default))
     if model not in known:
-        raise UsageError(f"--odometry-noise {model}: for {kind}: {', '.join(known)}")
+        raise UsageError(f"--odometry-noise {model}: for {kind}{did_you_mean(model, known)}: {', '.join(known)}")
     what = {
         "density": "of v [m] and omega [rad], per square root of a second, as in 0.05,2deg",
         "velocity": "of v [m/s] and omega [rad/s], of each sample, as in 0.1,5deg",

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import MISSING
 from pathlib import Path
 
-from data.errors import UsageError
+from data.errors import UsageError, did_you_mean
 from eval.plan.flags.help import PROG
 from eval.plan.flags.table import CONFIGS, Options, parser, shipped
 from eval.plan.flags.variant import Variant
@@ -76,12 +76,14 @@ def _read_config(name: str) -> dict[str, object]:
     def fault(what: str) -> UsageError:
         return UsageError(f"--config {name}: {what}")
 
-    content = load_toml(path, fault, f"no such file; shipped: {', '.join(shipped())}")
+    there = shipped()
+    content = load_toml(path, fault, f"no such file{did_you_mean(name, there)}; shipped: {', '.join(there)}")
     keys = {k.replace("-", "_"): v for k, v in content.items()}
     known = TABLE.keys() - {"config"} | {"variant", "corridor"}
-    unknown = sorted(set(keys) - known)
-    if unknown:
-        raise UsageError(f"--config {name}: unknown key {unknown[0]!r}; known: {', '.join(sorted(known))}")
+    strange = sorted(set(keys) - known)
+    if strange:
+        hint = did_you_mean(strange[0], known)
+        raise UsageError(f"--config {name}: unknown key {strange[0]!r}{hint}; known: {', '.join(sorted(known))}")
     return keys
 
 
@@ -101,8 +103,12 @@ def _corridor(name: str, table: object) -> str:
 
 def _variant(name: str, table: object) -> Variant:
     known = rows(Variant)
-    if not isinstance(table, dict) or set(table) - set(known):
-        raise UsageError(f"--config {name}: [variant] takes the keys {', '.join(sorted(known))}")
+    if not isinstance(table, dict):
+        raise UsageError(f"--config {name}: [variant] is a table with the keys {', '.join(sorted(known))}")
+    for key in table:
+        if key not in known:
+            keys = ", ".join(sorted(known))
+            raise UsageError(f"--config {name}: [variant] {key}{did_you_mean(key, known)}: it takes the keys {keys}")
     for row in known.values():
         if row.default is MISSING and row.name not in table:
             raise UsageError(f"--config {name}: [variant] {row.name} is missing")

@@ -43,7 +43,7 @@ KNOWN_FORMATS = (*FORMATS, "pdf")
 FACTORS = ("1", "2", "5", "10", "20", "50", "auto")
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
-TWINS = 99  # bootstrap replicates of a log: a share of 5 % of the level still leaves ranks for the statistics that need them
+TWINS = 99  # replicates of a log: a share of the level of 5 % still leaves ranks to those statistics that need them
 NOT_NEGATIVE = whole(0, "must not be negative")
 FIRST_FRAMES = whole(1, "a whole number from 1 up is needed")  # `--frames` of step and play
 CONFIGS = Path(__file__).parents[2] / "configs"
@@ -101,9 +101,9 @@ class Selection:
 
     log: tuple[str, ...] = several(
         "PATH|NAME",
-        "open log folder, CARMEN log (.log, .clf, also .gz), or victoria-park, arena:SEED, circle:SEED, linear:SEED, "
-        "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, five corridors and "
-        "60 frames of visual:0)",
+        "open log folder, CARMEN log (.log, .clf, also .gz, .bz2), or victoria-park, arena:SEED, circle:SEED, "
+        "linear:SEED, corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, five "
+        "corridors and 60 frames of visual:0)",
     )
     data: tuple[str, ...] = several(
         "DIR",
@@ -152,17 +152,35 @@ class Reading:
     )
     cov_frame: tuple[str, ...] = several(
         "[NAME=]FRAME",
-        "frame of the covariances: world, local (right perturbation, body axes) or left (repeatable; default: that of "
-        "the format)",
+        "frame of the covariances: world, local (right perturbation, body axes), left, or mixed (position in world "
+        "axes, rotation in body axes; repeatable; default: that of the format)",
     )
-    axes: str = choice(
-        "robot", ("camera",), "AXES", "axes of poses in 3-D: robot (z up) or camera (z forward, y down; default: robot)"
+    cov_order: tuple[str, ...] = several(
+        "[NAME=]ORDER",
+        "order of 6x6 covariances: translation-first or rotation-first (repeatable; default: the former)",
+    )
+    axes: tuple[str, ...] = several(
+        "[NAME=]AXES",
+        "axes of poses in 3-D: robot (z up) or camera (z forward, y down; repeatable; default: robot, of KITTI camera)",
+    )
+    unit: tuple[str, ...] = several(
+        "[NAME=]UNIT",
+        "unit of a file: of stamps s, ms, us, ns (default: as stated, else inferred), of headings rad, deg, of "
+        "positions m, cm, mm (repeatable)",
     )
     align: str = choice(
         "none",
-        ("first", "se2"),
+        ("first", "se2", "se3", "sim3", "yaw"),
         "HOW",
-        "align each result with the truth: none, first (first matched pose) or se2 (best rigid fit; default: none)",
+        "align each result with the truth: none, first (first matched pose), se2 or se3 (best rigid fit), sim3 (with "
+        "scale), yaw (position and heading, 4 dof); in space where both files are 3-D (default: none)",
+    )
+    pairs: str = choice(
+        "evo",
+        ("rpg", "openvins"),
+        "WHOSE",
+        "pairs of relative errors in 3-D: evo (1 m, 10 m), rpg (a tenth to half of the path) or openvins (8 to 40 m; "
+        "default: evo)",
     )
     truth_gap: float = row(
         1.0, positive, "S", "largest gap [s] between two true poses that is interpolated (default: 1)"
@@ -212,6 +230,7 @@ class Opening:
     relations: str | None = file_row(
         "reference relations of the only laser log (default: NAME.relations.csv, or relations.csv in its folder)"
     )
+    no_odometry: bool = switch_row("laser logs: the odometry is unknown, and scans alone tell the motion")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ import re
 import sys
 import sysconfig
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from itertools import accumulate
 from pathlib import Path
@@ -60,6 +60,16 @@ def text_of(what: str | Thing, kind: str) -> str:
     text = f"{name}=<{id(what):x}>:{name}"
     _LIVE[text] = Loaded(text, name, what)
     return text
+
+
+def objects(texts: Iterable[str]) -> dict[str, Loaded]:
+    """Those of this process among them, for `adopt` in another one."""
+    return {text: _LIVE[text] for text in texts if text in _LIVE}
+
+
+def adopt(found: Mapping[str, Loaded]) -> None:
+    """Take over objects of another process."""
+    _LIVE.update(found)
 
 
 def load(text: str) -> Loaded:

@@ -18,13 +18,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from data.errors import UsageError
+from data.errors import UsageError, unknown
 from eval.replay.flag import Read, texts
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS
 
 GROUPS = {"estimator": "slamref.estimators", "association": "slamref.associations"}
 """Entry points by which an installed package adds names."""
-OURS = {"estimator": ESTIMATORS, "association": (*ASSOCIATIONS, "none")}
+OURS = {"estimator": ESTIMATORS, "association": (*ASSOCIATIONS, "none"), "world": ()}
 NAME = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]{0,38}[A-Za-z0-9_])?")
 """Names are parts of file names: letters, digits, `.`, `_` and `-`, at most 40."""
 FORM = "[NAME=]package.module:Attribute or [NAME=]./file.py:Attribute"
@@ -179,8 +179,8 @@ def one_settled(label: str, text: str, kind: str) -> str:
     if is_foreign(text):
         return settled(label, text, kind)
     if text not in added:
-        known = ", ".join((*(n for n in OURS[kind] if n != "none"), *added))
-        raise UsageError(f"{label} {text}: unknown; known: {known}; or your own as {FORM}")
+        known = (*(n for n in OURS[kind] if n != "none"), *added)
+        raise UsageError(f"{label} {text}: {unknown(text, known)}; or your own as {FORM}")
     return settled(label, f"{text}={added[text]}", kind)
 
 

@@ -19,6 +19,9 @@ PAGE = Path(__file__).parents[3] / "docs" / "extending.md"
 PYTHON = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
 EXAMPLES = {found[1]: code for code in PYTHON if (found := re.match(r"# (\w+\.py)\n", code))}
 (COMMANDS,) = re.findall(r"```sh\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.DOTALL)
+(STUDY,) = re.findall(
+    r"```python\n(.*?)```", (PAGE.parent / "scenarios.md").read_text(encoding="utf-8"), flags=re.DOTALL
+)
 NAMES = {"ukf.py": "Ukf", "particles.py": "Particles", "my_singles.py": "my_singles"}
 
 
@@ -91,3 +94,13 @@ def test_every_verb_it_names_is_one_and_none_is_left_out():
     assert verbs - named == {"inflate", "stamp", "errors"}  # of no consequence to most
     assert {protocol.__name__ for protocol in CAPABILITIES} - named == {"Calibrating"}
     assert not verbs & (set(vars(Bare)) - {"predict", "update", "estimate"})
+
+
+def test_a_study_of_an_own_world_and_an_own_filter_takes_fifteen_lines(monkeypatch, here):
+    assert len([line for line in STUDY.splitlines() if line.strip() and "import" not in line]) <= 15
+    monkeypatch.syspath_prepend(here)
+    names: dict[str, object] = {}
+    exec(compile(STUDY.replace("runs=50", "runs=20"), "scenarios.md", "exec"), names)
+    found = names["study"].verdicts.set_index(["estimator", "quantity"])
+    assert found.verdict["Ukf", "pose"] == "consistent"
+    assert (here / "anees.pdf").stat().st_size > 1000

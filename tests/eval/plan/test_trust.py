@@ -97,6 +97,18 @@ def test_isam2_gets_twins_where_no_filter_runs(unmeasured, tmp_path):
     assert [(n.code, n.named) for n in trust.notices] == [(Code.TOO_FEW_TWINS, {"twins": 2, "least": FEWEST})]
 
 
+def test_own_estimators_stand_beside_ours_with_an_nis_that_they_cannot_choose(tmp_path):
+    write_folder(shortened(open_log("arena:3"), 30), tmp_path / "log")
+    names = ",".join(f"{n}=tests.eval.replay.external.things:{n}Local" for n in ("Mine", "Flattering"))
+    arguments = ("--task", "localization", "--estimator", f"ekf,batch,{names}", "--twins", "2")
+    done = run(tmp_path / "log", tmp_path, *arguments)
+    table = trust_table(done.trust).set_index(["estimator", "statistic"])
+    for name in ("Mine", "Flattering"):
+        assert set(table.loc[name].index) == set(table.loc["ekf"].index) >= {"nis", "innovation_lag1"}
+        assert table.value[name, "nis"] == pytest.approx(table.value["ekf", "nis"])
+        assert (table.twins[name] == 2).all()
+
+
 def test_a_log_too_short_for_twins_is_a_sentence_and_no_p(tmp_path):
     write_folder(shortened(open_log("arena:3"), 6), tmp_path / "short")
     (trust,) = run(tmp_path / "short", tmp_path, "--task", "localization", "--twins", "19").trust

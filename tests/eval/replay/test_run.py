@@ -21,6 +21,7 @@ from ekf.filter import FilterOptions
 from eval.referee.score import association_row, confusion_of
 from eval.replay import run as replay
 from eval.replay.frontend import FrontEnd
+from eval.replay.recorder import Observer
 from eval.replay.run import compare, filter_known, step_by_step
 from eval.replay.settings import Setup
 from tests.eval.replay.worlds import linear_world, slam
@@ -208,3 +209,14 @@ def test_one_thread_also_in_libraries_that_were_loaded_since(monkeypatch):
     monkeypatch.setitem(sys.modules, "just_imported", object())
     with replay.one_thread():
         assert len(searched) == 2
+
+
+def test_what_an_observer_raises_is_no_failure_of_the_estimator(lab):
+    """Somebody who stops a replay, or an assertion in an observer, must not be taken for a run that diverged."""
+
+    class Stopping(Observer):
+        def moved(self, front):
+            raise LookupError("stopped")
+
+    with pytest.raises(LookupError, match="stopped"):
+        step_by_step("ekf", slam(lab), "slam", "nn", observer=Stopping())

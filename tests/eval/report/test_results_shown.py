@@ -69,3 +69,38 @@ def test_without_truth_it_stands_beside_batch_at_its_own_stamps(trial):
 def test_a_result_is_in_no_comparison_of_filter_and_smoother_frame_by_frame(trial):
     table = score([trial]).differences
     assert not (set(table["a"]) | set(table["b"])) & {"a", "b"}
+
+
+def test_results_without_covariance_alone_end_in_no_empty_words(tmp_path, capsys):
+    from eval.run_all import main
+
+    rows = "\n".join(f"{k} {0.5 * k} {0.1 * k} 0.2 0 0 0 1" for k in range(30))
+    for name in ("a", "gt"):
+        (tmp_path / f"{name}.tum").write_text(rows + "\n")
+    command = ["--truth", f"{tmp_path}/gt.tum", "--result", f"a={tmp_path}/a.tum", "--out", f"{tmp_path}/out"]
+    assert main([*command, "--no-plots"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert not [line for line in said if line.strip() == "()" or "nothing ran" in line]
+
+
+def test_results_in_space_have_a_table_a_file_and_two_projections(tmp_path):
+    from data.formats.results.reading import read_path
+    from eval.figures.space import space_figure
+    from eval.referee.given_runs import TruePath, truth_log
+    from eval.report.pictures import kinds
+    from eval.report.results import space_rows
+    from tests.oracle.evo_space import files
+
+    files(tmp_path)
+    truth, estimate = (read_path(str(tmp_path / f"{name}.tum")) for name in ("truth", "estimate"))
+    log = truth_log("truth", truth)
+    run = given_run("a", "slam", {"final": estimate}, log, TruePath.of(truth), align="yaw")
+    trial = Trial(log, "slam", (run,))
+    rows = {row["quantity"]: row["value"] for row in space_rows([trial])}
+    assert rows["rmse_position_3d_m"] == pytest.approx(rows["rmse_position_3d_yaw_m"])
+    assert "space" in kinds(trial)
+    above, side = space_figure(trial.runs).axes
+    drawn = above.lines[1].get_xydata(), side.lines[1].get_xydata()
+    assert drawn[0] == pytest.approx(run.space["final"].estimate.position[:, :2])
+    assert drawn[1] == pytest.approx(run.space["final"].estimate.position[:, ::2])
+    assert "space" not in kinds(replace(trial, runs=(replace(run, space={}),)))

@@ -60,7 +60,7 @@ def test_zeros_are_no_covariance(tmp_path):
     path = read_path(f"{where}:/amcl")
     assert np.isnan(path.covariance[2]).all()
     assert np.isfinite(path.covariance[[0, 1, 3, 4]]).all()
-    assert path.notes == ("1 of 5 messages state no covariance",)
+    assert path.notes == ("1 of 5 poses state no covariance (NaN, zeros or -1)",)
     assert read_path(f"{where}:/odom").covariance is None
 
 
@@ -79,7 +79,7 @@ def test_a_message_whose_header_was_never_stamped_is_of_when_it_was_recorded(tmp
 
 def test_which_topic_must_be_said_where_there_are_several(tmp_path):
     where = bag("mcap", tmp_path)
-    with pytest.raises(UsageError, match=r"which topic\? .*:/TOPIC is needed; with poses and covariance: /amcl, /odom"):
+    with pytest.raises(UsageError, match=r"which topic\? .*:/TOPIC is needed; with poses: /amcl, /odom"):
         read_path(str(where))
-    with pytest.raises(UsageError, match="no poses with covariance on /scan; such topics: /amcl, /odom"):
+    with pytest.raises(UsageError, match="no poses on /scan; such topics: /amcl, /odom"):
         read_path(f"{where}:/scan")

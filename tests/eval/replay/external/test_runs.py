@@ -82,12 +82,60 @@ def test_without_a_covariance_nees_is_blank_and_everything_else_is_there():
         assert ours[column] == theirs[column]
 
 
-def test_who_says_nothing_of_innovations_gets_them_from_the_expectation_and_none_under_known():
-    ours, theirs = compare(LABELLED, "slam", ["ekf", things.Silent], "singles")
+@pytest.mark.parametrize("association", ["known", "singles"])
+def test_who_says_nothing_of_innovations_gets_them_from_the_expectation(association):
+    ours, theirs = compare(LABELLED, "slam", ["ekf", things.Silent], association)
     np.testing.assert_allclose(theirs.innovations.nis, ours.innovations.nis, rtol=1e-9)
-    (known,) = compare(LABELLED, "slam", [things.Silent])
-    assert known.innovations is None
-    np.testing.assert_array_equal(known.created, compare(LABELLED, "slam", ["ekf"])[0].created)
+    np.testing.assert_allclose(theirs.innovations.white, ours.innovations.white, rtol=1e-6, atol=1e-9)
+    assert theirs.total_nis == pytest.approx(ours.total_nis)
+    np.testing.assert_array_equal(theirs.created, ours.created)
+    assert not any(n.code in (Code.NIS_STATED, Code.NIS_UNCHECKED) for n in theirs.notes)
+
+
+@pytest.mark.parametrize("task", ["slam", "localization"])
+@pytest.mark.parametrize("association", ["known", "nn"])
+def test_a_nis_that_is_stated_too_well_is_not_believed(task, association):
+    kind = things.Flattering if task == "slam" else things.FlatteringLocal
+    ours, theirs = compare(LABELLED, task, ["ekf", kind], association)
+    np.testing.assert_allclose(theirs.innovations.nis, ours.innovations.nis, rtol=1e-9)
+    np.testing.assert_allclose(theirs.innovations.log_likelihood, ours.innovations.log_likelihood, rtol=1e-9)
+    (said,) = [n for n in theirs.notes if n.code == Code.NIS_STATED]
+    total, dof = ours.total_nis
+    assert said.named["stated"] == 1.0
+    assert said.named["formed"] == pytest.approx(total / dof)
+    assert 0 < said.named["frames"] <= said.named["of"] <= len(LABELLED)
+    assert "the NIS that it states is not that of its own expectation" in slamref.sentence(said)
+
+
+def test_nor_is_that_of_a_smoother_in_hindsight():
+    honest, flattering = compare(
+        LABELLED, "localization", [things.MineLocalSmoothing, things.FlatteringSmoothing], "jcbb-hindsight"
+    )
+    np.testing.assert_allclose(flattering.innovations.nis, honest.innovations.nis, rtol=1e-9)
+    assert Code.NIS_STATED in {n.code for n in flattering.notes}
+
+
+def test_the_noise_of_its_nis_is_that_of_the_log():
+    ours, theirs = compare(LABELLED, "localization", ["ekf", things.Noisy])
+    np.testing.assert_allclose(theirs.innovations.nis, ours.innovations.nis, rtol=1e-9)
+
+
+def test_a_dropped_observation_is_in_no_nis():
+    ours, theirs = compare(LABELLED, "localization", ["ekf", things.Dropping])
+    o = LABELLED.observations
+    assert theirs.innovations.dof.sum() == 2 * (len(o.frame) - len(np.unique(o.frame)))
+    assert np.isnan(theirs.innovations.white[LABELLED.start[:-1]]).all()
+    assert theirs.innovations.nis.sum() < ours.innovations.nis.sum()
+
+
+@pytest.mark.parametrize(("kind", "why"), [(things.Unexpecting, "it has no `expect`"), (things.Unready, "not yet")])
+def test_a_nis_that_cannot_be_formed_is_blank_and_a_notice(kind, why):
+    (run,) = compare(LABELLED, "localization", [kind])
+    assert (run.status, run.innovations) == ("ok", None)
+    (said,) = [n for n in run.notes if n.code == Code.NIS_UNCHECKED]
+    assert why in said.named["why"]
+    assert said.named["stated"]
+    assert "cannot be checked" in slamref.sentence(said)
 
 
 def test_who_smooths_has_a_final_path():

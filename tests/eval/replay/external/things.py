@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from association.methods import singles
@@ -48,6 +50,67 @@ class Silent(EkfSlam):
 
     def update(self, observations, decisions, **more):
         super().update(observations, decisions, **more)
+
+
+def _flattered(done):
+    return done._replace(nis=float(done.dof))
+
+
+class Flattering(EkfSlam):
+    """Its NIS is what it should be, whatever happens."""
+
+    def update(self, observations, decisions, **more):
+        return _flattered(super().update(observations, decisions, **more))
+
+
+class FlatteringLocal(EkfLocalizer):
+    def update(self, observations, decisions, **more):
+        return _flattered(super().update(observations, decisions, **more))
+
+
+class MineLocalSmoothing(MineLocal):
+    """It says that it smooths."""
+
+    smooths = True
+
+
+class FlatteringSmoothing(FlatteringLocal):
+    smooths = True
+
+
+class Noisy(EkfLocalizer):
+    """The noise of its expectation is twice that of the log."""
+
+    def expect(self, observations):
+        e = super().expect(observations)
+        return replace(e, R=4.0 * e.R)
+
+
+class Dropping(EkfLocalizer):
+    """It uses all observations but the first, and says so."""
+
+    def update(self, observations, decisions, **more):
+        kept = np.array(decisions)
+        kept[:1] = -2
+        return super().update(observations, kept, **more)
+
+
+class Unexpecting:
+    """A filter without `expect` that states an NIS."""
+
+    def __init__(self, prior, sensor, known, options):
+        self.inner = EkfLocalizer(prior, sensor, known)
+        self.predict, self.update, self.estimate = self.inner.predict, self.inner.update, self.inner.estimate
+
+    def predict(self, increment):
+        """Replaced by that of the filter inside, as the others."""
+
+    update = estimate = predict
+
+
+class Unready(EkfLocalizer):
+    def expect(self, observations):
+        raise NotImplementedError("not yet")
 
 
 class Smoothing(Mine):

@@ -1,0 +1,127 @@
+"""Poses of a ROS bag, with frames and transforms.
+
+`PoseWithCovarianceStamped` and `Odometry` have a 6x6 covariance, row by row, about fixed axes of the header's frame:
+`world` here. All zeros, NaN, or -1 first, mean unknown. `PoseStamped`, `TransformStamped` and the last `Path` have
+none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data.errors import DataError, UsageError
+from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, TRANSFORMS, opened, stamp_of
+from data.formats.results.clock import STATED, Clock
+from data.formats.results.frames import Tree
+from data.formats.results.matrices import full, known_only
+from data.formats.results.path import WORLD, GivenPath, Manner, Spatial, Stated
+from data.formats.results.space import on_plane, rotations
+
+POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+BARE = "geometry_msgs/msg/PoseStamped"
+MOVED = "geometry_msgs/msg/TransformStamped"
+PATH = "nav_msgs/msg/Path"
+WITH_COVARIANCE = (POSE, ODOMETRY)
+KINDS = (*WITH_COVARIANCE, BARE, MOVED, PATH)
+SUFFIXES = (".bag", ".mcap", ".db3")
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a bag: by its suffix, or as a folder with metadata.yaml."""
+    return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
+
+
+def read_bag(path: Path, topic: str | None, manner: Manner) -> GivenPath:
+    """The poses of a topic, which may be left out if it is the only one; sorted by stamp.
+
+    Raises:
+        UsageError: a missing or ambiguous topic, or `rosbags` is not installed.
+        DataError: no bag, no message, several frames, or an invalid number.
+    """
+    tree, rows, frames, unstamped = Tree(), list[list[float]](), set[tuple[str, str]](), 0
+    with opened(path, frozenset(KINDS)) as reader:
+        kinds = {c.topic: c.msgtype for c in reader.connections if c.msgtype in KINDS}
+        topic = _topic(path, kinds, topic)
+        tf = (TRANSFORMS, OLD_TRANSFORMS)
+        wanted = [c for c in reader.connections if c.topic == topic or c.msgtype in tf]
+        for c, recorded, raw in reader.messages(wanted):
+            message = reader.deserialize(raw, c.msgtype)
+            if c.msgtype in tf:
+                for t in message.transforms:
+                    p, q = t.transform.translation, t.transform.rotation
+                    at, static = stamp_of(t, 1e-9 * recorded), c.topic.endswith("static")
+                    tree.add(
+                        t.header.frame_id, t.child_frame_id, at, (p.x, p.y, p.z, q.x, q.y, q.z, q.w), static=static
+                    )
+            elif c.msgtype == PATH:
+                rows = [_row(each, 1e-9 * recorded) for each in message.poses]
+                frames = {(message.header.frame_id, "")}
+            else:
+                stamp = message.header.stamp
+                unstamped += not (stamp.sec or stamp.nanosec)
+                rows.append(_row(message, 1e-9 * recorded))
+                frames.add((message.header.frame_id, getattr(message, "child_frame_id", "")))
+    file = f"{path}:{topic}"
+    if not rows:
+        raise DataError.at(file, "no message; at least one is needed")
+    if len(frames) > 1:
+        named = ", ".join(sorted("/".join(filter(None, pair)) for pair in frames))
+        raise DataError.at(file, f"messages state the frames {named}; one is needed")
+    notes: tuple[str, ...] = ()
+    if unstamped:
+        notes += (f"{unstamped} of {len(rows)} messages have no stamp: the time of recording is taken",)
+    ((world, body),) = frames
+    found = _spatial(file, kinds[topic], np.array(rows), Stated(world, body, order=True), notes)
+    return replace(on_plane(found, manner), transforms=tree if tree.moving else None)
+
+
+def _topic(path: Path, kinds: dict[str, str], topic: str | None) -> str:
+    """The requested topic, or the only one; of several the only one with covariance."""
+    there = ", ".join(sorted(kinds)) or "none"
+    if topic is None:
+        certain = [t for t, kind in kinds.items() if kind in WITH_COVARIANCE]
+        only = list(kinds) if len(kinds) == 1 else certain if len(certain) == 1 else []
+        if not only:
+            raise UsageError(f"{path}: which topic? {path}:/TOPIC is needed; with poses: {there}")
+        return only[0]
+    if topic not in kinds:
+        raise UsageError(f"{path}: no poses on {topic}; such topics: {there}")
+    return topic
+
+
+def _spatial(file: str, kind: str, table: Any, stated: Stated, notes: tuple[str, ...]) -> Spatial:
+    """Rows of 44 numbers, sorted by stamp."""
+    order = np.argsort(table[:, 0], kind="stable")
+
+    def place(k: int) -> str:
+        return f"{file}: message {int(order[k])}"
+
+    table = table[order]
+    table[~np.isfinite(table)] = np.nan
+    C, more = full(table[:, 8:], place)
+    covariance, unknown = known_only(C) if kind in WITH_COVARIANCE else (None, ())
+    kind, clock = f"{kind}, frame {stated.world or 'not stated'}", Clock("s", STATED)
+    R = rotations(table[:, 4:8], place)
+    p = table[:, 1:4]
+    return Spatial(file, kind, table[:, 0], p, R, covariance, WORLD, place, stated, (*notes, *more, *unknown), clock)
+
+
+def _row(message: Any, recorded: float) -> list[float]:
+    """Stamp, position, quaternion, covariance: 44 numbers."""
+    return [stamp_of(message, recorded), *_numbers(message)]
+
+
+def _numbers(message: Any) -> Iterator[float]:
+    if hasattr(message, "transform"):
+        p, q = message.transform.translation, message.transform.rotation
+    else:
+        pose = message.pose.pose if hasattr(message.pose, "pose") else message.pose
+        p, q = pose.position, pose.orientation
+    yield from (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+    has = hasattr(message, "pose") and hasattr(message.pose, "covariance")
+    yield from np.asarray(message.pose.covariance, float).tolist() if has else [0.0] * 36

@@ -1,0 +1,117 @@
+"""Poses in space as plain arrays: exponential and logarithm of SO(3) and SE(3), adjoint, interpolation, best fits.
+
+Tangents have the translation first: xi = (rho, phi). Formulas: Barfoot, State Estimation for Robotics, 2017, part II.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data.se2 import Array
+
+SMALL = 1e-6
+"""rad, angle below which series replace the closed forms."""
+
+
+def skew(v: Array) -> Array:
+    """Cross product matrices (..., 3, 3) of vectors (..., 3)."""
+    x, y, z = np.moveaxis(np.asarray(v, float), -1, 0)
+    o = np.zeros_like(x)
+    rows = [[o, -z, y], [z, o, -x], [-y, x, o]]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _outer(a: Array, b: Array) -> Array:
+    return np.asarray(a[..., :, None] * b[..., None, :])
+
+
+def exp_rotation(phi: Array) -> Array:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3) [rad] (Rodrigues)."""
+    phi = np.asarray(phi, float)
+    angle = np.linalg.norm(phi, axis=-1)[..., None, None]
+    safe = np.maximum(angle, SMALL)
+    one = np.where(angle < SMALL, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
+    two = np.where(angle < SMALL, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    K = skew(phi)
+    return np.asarray(np.eye(3) + one * K + two * (K @ K))
+
+
+def log_rotation(R: Array) -> Array:
+    """Rotation vectors (..., 3) [rad] of rotation matrices (..., 3, 3), length at most pi."""
+    R = np.asarray(R, float)
+    axis = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], -1)
+    sine = np.linalg.norm(axis, axis=-1)
+    cosine = 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0)
+    angle = np.arctan2(sine, cosine)
+    scale = np.where(sine < SMALL, 1.0 + angle**2 / 6.0, angle / np.maximum(sine, SMALL))
+    phi = axis * scale[..., None]
+    turned = cosine < -0.99
+    if turned.any():  # near half a turn the axis is in the symmetric part
+        S = 0.5 * (R + np.swapaxes(R, -1, -2))[turned]
+        square = S - np.cos(angle[turned])[:, None, None] * np.eye(3)
+        k = np.argmax(np.einsum("...ii->...i", square), axis=-1)
+        column = np.take_along_axis(square, k[:, None, None], axis=-1)[..., 0]
+        column /= np.linalg.norm(column, axis=-1)[:, None]
+        side = np.sign(np.sum(column * axis[turned], axis=-1))
+        phi[turned] = column * (np.where(side == 0.0, 1.0, side) * angle[turned])[:, None]
+    return np.asarray(phi)
+
+
+def angle_between(R: Array, S: Array) -> Array:
+    """Angles (...) [rad] of the rotations from R to S (..., 3, 3)."""
+    return np.asarray(np.linalg.norm(log_rotation(np.swapaxes(R, -1, -2) @ S), axis=-1))
+
+
+def inverse_left_jacobian(phi: Array) -> Array:
+    """J^-1 (..., 3, 3) with rho = J^-1 t for the logarithm of a motion."""
+    phi = np.asarray(phi, float)
+    angle = np.linalg.norm(phi, axis=-1)[..., None, None]
+    safe = np.maximum(angle, 1e-3)
+    closed = 1.0 / safe**2 - 0.5 / (safe * np.tan(0.5 * safe))
+    two = np.where(angle < 1e-3, 1.0 / 12.0 + angle**2 / 720.0, closed)
+    K = skew(phi)
+    return np.asarray(np.eye(3) - 0.5 * K + two * (K @ K))
+
+
+def log_motion(R: Array, t: Array) -> Array:
+    """Tangents (..., 6) of motions: rotations R (..., 3, 3), translations t (..., 3)."""
+    phi = log_rotation(R)
+    return np.concatenate([np.einsum("...ij,...j->...i", inverse_left_jacobian(phi), t), phi], axis=-1)
+
+
+def adjoint(R: Array, t: Array) -> Array:
+    """Adjoints (..., 6, 6) of poses: T Exp(xi) = Exp(Ad xi) T."""
+    Ad = np.zeros((*R.shape[:-2], 6, 6))
+    Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
+    Ad[..., :3, 3:] = skew(t) @ R
+    return Ad
+
+
+def between_rotations(R: Array, S: Array, share: Array) -> Array:
+    """Rotations (n, 3, 3) a share (n,) of the way from R to S, at constant rate."""
+    step = log_rotation(np.swapaxes(R, -1, -2) @ S)
+    return np.asarray(R @ exp_rotation(share[..., None] * step))
+
+
+def rigid_fit(points: Array, onto: Array, *, scaled: bool) -> tuple[float, Array, Array, int]:
+    """Scale s, rotation R and translation t of the best fit s R p + t of (K, 3) onto (K, 3), and the rank of the fit.
+
+    Umeyama 1991. Rank 2 and 3 determine the rotation; with rank 1 (points on a line) it may turn about the line.
+    """
+    a, b = points.mean(axis=0), onto.mean(axis=0)
+    U, d, Vt = np.linalg.svd((onto - b).T @ (points - a) / len(points))
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(U) * np.linalg.det(Vt))])
+    R = U @ np.diag(sign) @ Vt
+    spread = float(np.mean(np.sum((points - a) ** 2, axis=1)))
+    s = float(d @ sign) / spread if scaled and spread > 0.0 else 1.0
+    rank = int((d > 1e-9 * max(float(d[0]), 1e-300)).sum()) if d[0] > 0.0 else 0
+    return s, R, b - s * R @ a, rank
+
+
+def about_axis(axis: Array, of: Array, onto: Array) -> Array:
+    """The rotation (3, 3) about a unit axis (3,) that turns rotations `of` (K, 3, 3) best onto `onto` (chordal)."""
+    M = np.einsum("kij,klj->il", onto, of)
+    K = skew(axis)
+    # tr(Exp(a u)' M) = const + sin a tr(K' M) + (1 - cos a) tr(K K M)
+    sine, cosine = float(np.sum(K * M)), -float(np.sum((K @ K) * M))
+    return np.asarray(exp_rotation(axis * np.arctan2(sine, cosine)))

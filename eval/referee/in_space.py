@@ -1,0 +1,221 @@
+"""Poses of a result and its truth in space: matched at stamps, aligned, and their errors.
+
+Alignments move the estimate from the left: T_k -> (s, R, t) T_k. Positions are fitted as in Umeyama 1991, `yaw` about
+the vertical only, as in rpg_trajectory_evaluation and OpenVINS (`posyaw`). Positions on a line leave a turn about it
+open, which the orientations decide.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from data import se3
+from data.formats.results.path import Spatial
+from data.formats.results.space import moved
+from data.inputs import IntArray, Locked
+from data.se2 import Array, BoolArray
+from eval.referee.errors import DISTANCES, pairs_by_way, rms
+
+NONE, FIRST, SE2, SE3, SIM3, YAW = "none", "first", "se2", "se3", "sim3", "yaw"
+ALIGNMENTS = (NONE, FIRST, SE2, SE3, SIM3, YAW)
+FITTED = (SE3, SIM3, YAW)
+
+
+EVO, RPG, OPENVINS = "evo", "rpg", "openvins"
+PAIRS = (EVO, RPG, OPENVINS)
+"""Whose pairs relative errors are of: evo's and ours; those of rpg_trajectory_evaluation, or of OpenVINS."""
+RPG_SHARES, RPG_TOLERANCE = (0.1, 0.2, 0.3, 0.4, 0.5), 0.2
+"""Lengths as shares of the true path's, and tolerance as a share of the length."""
+OPENVINS_LENGTHS, OPENVINS_TOLERANCE = (8.0, 16.0, 24.0, 32.0, 40.0), 0.5  # m
+
+
+@dataclass(frozen=True, eq=False)
+class Poses(Locked):
+    """Positions (n, 3) m and rotations (n, 3, 3); NaN where unknown."""
+
+    position: Array
+    rotation: Array
+
+    @property
+    def known(self) -> BoolArray:
+        """Rows (n,) without NaN."""
+        return np.asarray(np.isfinite(self.position).all(axis=1) & np.isfinite(self.rotation).all(axis=(1, 2)))
+
+    def of(self, rows: BoolArray | IntArray) -> Poses:
+        """Some of them."""
+        return Poses(self.position[rows], self.rotation[rows])
+
+
+@dataclass(frozen=True, eq=False)
+class InSpace:
+    """An estimate as aligned, the truth at its stamps, and the estimate as it was."""
+
+    estimate: Spatial
+    truth: Poses
+    original: Spatial
+    pairs: str = EVO
+
+
+@dataclass(frozen=True, eq=False)
+class Similarity:
+    """p -> scale R p + t."""
+
+    scale: float
+    R: Array
+    t: Array
+
+    def of(self, path: Spatial) -> Spatial:
+        """The path moved."""
+        return moved(path, self.R, self.t, self.scale)
+
+    @property
+    def planar(self) -> Array:
+        """Its x [m], y [m] and yaw [rad] (3,)."""
+        return np.array([self.t[0], self.t[1], math.atan2(self.R[1, 0], self.R[0, 0])])
+
+
+def poses(path: Spatial) -> Poses:
+    """Positions and rotations of a path."""
+    return Poses(path.position, path.rotation)
+
+
+def aligning(estimate: Poses, truth: Poses, how: str) -> Similarity | None:
+    """The motion that aligns estimate and truth (n each); None for `none`, or without a match. `se2` is `se3` here."""
+    rows = np.flatnonzero(estimate.known & truth.known)
+    if how == NONE or not len(rows):
+        return None
+    a, b = estimate.of(rows), truth.of(rows)
+    if how == FIRST or len(rows) < 2:
+        R = b.rotation[0] @ a.rotation[0].T
+        if how == YAW:
+            R = _about_z(math.atan2(R[1, 0] - R[0, 1], R[0, 0] + R[1, 1]))
+        return Similarity(1.0, R, b.position[0] - R @ a.position[0])
+    if how == YAW:
+        off, onto = a.position - a.position.mean(axis=0), b.position - b.position.mean(axis=0)
+        C = onto.T @ off
+        R = _about_z(math.atan2(C[1, 0] - C[0, 1], C[0, 0] + C[1, 1]))
+        return Similarity(1.0, R, b.position.mean(axis=0) - R @ a.position.mean(axis=0))
+    s, R, t, rank = se3.rigid_fit(a.position, b.position, scaled=how == SIM3)
+    if rank < 2:
+        R = _with_orientations(a, b, R, rank)
+        t = b.position.mean(axis=0) - s * R @ a.position.mean(axis=0)
+    return Similarity(s, R, t)
+
+
+def _about_z(angle: float) -> Array:
+    return np.asarray(se3.exp_rotation(np.array([0.0, 0.0, angle])))
+
+
+def _with_orientations(a: Poses, b: Poses, R: Array, rank: int) -> Array:
+    """The rotation of a fit of rank 0 or 1, its freedom decided by the orientations."""
+    if rank == 0:
+        U, _, Vt = np.linalg.svd(np.einsum("kij,klj->il", b.rotation, a.rotation))
+        return np.asarray(U @ np.diag([1.0, 1.0, np.linalg.det(U @ Vt)]) @ Vt)
+    axis = np.linalg.svd(b.position - b.position.mean(axis=0), full_matrices=False)[2][0]
+    return np.asarray(se3.about_axis(axis, R @ a.rotation, b.rotation) @ R)
+
+
+def tilts(estimate: Poses, truth: Poses) -> Array:
+    """Angles (n,) [rad] between the verticals of the two worlds, as each pair of poses has them."""
+    difference = truth.rotation @ np.swapaxes(estimate.rotation, -1, -2)
+    return np.asarray(np.arccos(np.clip(difference[:, 2, 2], -1.0, 1.0)))
+
+
+def distances(estimate: Poses, truth: Poses) -> Array:
+    """Distances (n,) [m] of positions."""
+    return np.asarray(np.linalg.norm(estimate.position - truth.position, axis=1))
+
+
+def turns(estimate: Poses, truth: Poses) -> Array:
+    """Angles (n,) [rad] between rotations."""
+    found = np.full(len(estimate.position), np.nan)
+    known = estimate.known & truth.known
+    found[known] = se3.angle_between(truth.rotation[known], estimate.rotation[known])
+    return found
+
+
+def absolute_columns(estimate: Poses, truth: Poses) -> dict[str, float]:
+    """Errors of positions [m] and rotations [deg]; the rotation part is the norm of R - I, as in evo."""
+    d, angle = distances(estimate, truth), turns(estimate, truth)
+    known = np.isfinite(d)
+    d, degrees = d[known], np.degrees(angle[np.isfinite(angle)])
+    # the Frobenius norm of R - I is 2 sqrt(2) sin(angle / 2)
+    part = 2.0 * math.sqrt(2.0) * np.sin(0.5 * angle[np.isfinite(angle)])
+    return {
+        "rmse_position_3d_m": rms(d),
+        "mean_position_3d_m": float(d.mean()),
+        "median_position_3d_m": float(np.median(d)),
+        "std_position_3d_m": float(d.std()),
+        "min_position_3d_m": float(d.min()),
+        "max_position_3d_m": float(d.max()),
+        "rmse_rotation_3d_deg": rms(degrees),
+        "max_rotation_3d_deg": float(degrees.max()),
+        "rmse_rotation_part_3d": rms(part),
+    }
+
+
+def aligned_columns(path: Spatial, truth: Poses) -> dict[str, float]:
+    """RMS errors of positions [m] and rotations [deg] after each fit, and the scale of Sim(3)."""
+    found: dict[str, float] = {}
+    if (poses(path).known & truth.known).sum() < 2:
+        return found
+    for how in FITTED:
+        fit = aligning(poses(path), truth, how)
+        assert fit is not None  # there are matches
+        fitted = poses(fit.of(path))
+        found[f"rmse_position_3d_{how}_m"] = rms(distances(fitted, truth))
+        found[f"rmse_rotation_3d_{how}_deg"] = math.degrees(rms(turns(fitted, truth)))
+        if how == SIM3:
+            found["scale_sim3"] = fit.scale
+    return found
+
+
+def relative_columns(estimate: Poses, truth: Poses, pairs: str = EVO) -> dict[str, float | None]:
+    """RMS relative errors over a frame and over lengths of the true path in space; None: no pair.
+
+    Of other pairs than evo's the median, too, which their programs show.
+    """
+    known = estimate.known & truth.known
+    a, b = estimate.of(known), truth.of(known)
+    n = int(known.sum())
+    every = {"frame": (np.arange(max(n - 1, 0)), np.arange(1, max(n, 1)))}
+    found: dict[str, float | None] = {}
+    for name, (i, j) in (every | _by_length(b.position, pairs)).items():
+        (Ra, ta), (Rb, tb) = _between(a, i, j), _between(b, i, j)
+        some = len(i) > 0
+        off, turn = np.linalg.norm(ta - tb, axis=1), np.degrees(se3.angle_between(Rb, Ra))
+        found[f"rpe_{name}_3d_m"] = rms(off) if some else None
+        found[f"rpe_{name}_3d_deg"] = rms(turn) if some else None
+        if pairs != EVO and name != "frame" and some:
+            found[f"rpe_{name}_3d_median_m"] = float(np.median(off))
+            found[f"rpe_{name}_3d_median_deg"] = float(np.median(turn))
+    return found
+
+
+def _by_length(position: Array, pairs: str) -> dict[str, tuple[IntArray, IntArray]]:
+    """Pairs by length along the true positions (n, 3)."""
+    if pairs == EVO:
+        return {f"{d:g}m": pairs_by_way(position, d) for d in DISTANCES}
+    if pairs == OPENVINS:
+        return {f"{d:g}m": pairs_by_way(position, d, OPENVINS_TOLERANCE) for d in OPENVINS_LENGTHS}
+    length = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
+    lengths = {f"{100.0 * share:.0f}percent": share * length for share in RPG_SHARES}
+    return {name: pairs_by_way(position, d, RPG_TOLERANCE * d) for name, d in lengths.items()}
+
+
+def _between(path: Poses, i: IntArray, j: IntArray) -> tuple[Array, Array]:
+    """Rotations and translations of the motions from rows i to rows j."""
+    back = np.swapaxes(path.rotation[i], -1, -2)
+    return back @ path.rotation[j], np.einsum("nij,nj->ni", back, path.position[j] - path.position[i])
+
+
+def plane_rmse(path: Spatial, truth: Poses) -> float:
+    """RMS error [m] of x and y after the best rigid fit in space; NaN with fewer than two matches."""
+    fit = aligning(poses(path), truth, SE3)
+    if fit is None or (poses(path).known & truth.known).sum() < 2:
+        return math.nan
+    off = fit.of(path).position - truth.position
+    return rms(np.hypot(off[:, 0], off[:, 1]))

@@ -1,0 +1,346 @@
+"""A result and its truth made comparable: one unit of stamps, one pair of frames, and questions about what differs.
+
+A question is a notice with the numbers that raise it; the numbers of the result are given all the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from data import se2, se3
+from data.errors import DataError
+from data.formats.results.clock import ASSUMED, DIGITS, RATE, Clock
+from data.formats.results.frames import Tree, bare, in_frame
+from data.formats.results.matrices import translation_first
+from data.formats.results.path import GivenPath
+from data.formats.results.space import flattened
+from data.notice import Code, Notice, Severity, Value, notice
+from data.questions import FASTEST, SHARE
+from data.se2 import Array, BoolArray, wrap_angle
+from eval.referee.consistency import nees
+from eval.referee.errors import rms
+from eval.referee.in_space import NONE, InSpace, poses, tilts
+
+FEW = 5
+"""Least number of matched poses for a question about both files."""
+
+
+# ---- stamps
+
+
+def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
+    """Both with stamps in s; a unit inferred by rate gives way where the plain numbers fit the other file better.
+
+    DataError where the spans of both and their steps differ by the same power of a thousand.
+    """
+    a, b = _plain_if_better(a, b), _plain_if_better(b, a)
+    (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
+    sure = {a.clock.by, b.clock.by} & {ASSUMED, RATE}
+    if sure and min(span_a, span_b, step_a, step_b) > 0.0:
+        for name, digits in DIGITS.items():
+            factor = 10.0**digits
+            for slow, fast, spans, steps in (
+                (a, b, span_a / span_b, step_a / step_b),
+                (b, a, span_b / span_a, step_b / step_a),
+            ):
+                if digits and abs(spans / factor - 1.0) < 0.1 and 1.0 / 3.0 < steps / factor < 3.0:
+                    what = f"stamps span {_span(slow)[0]:.6g} s, those of {fast.file} {_span(fast)[0]:.6g} s"
+                    ask = f"are they {name} in one of the two? State the units: --unit NAME={name}, --unit NAME=s"
+                    raise DataError.at(slow.file, f"{what}: {ask}")
+    return a, b
+
+
+def _span(path: GivenPath) -> tuple[float, float]:
+    """Span and median step of the stamps [s]."""
+    if len(path) < 2:
+        return 0.0, 0.0
+    return float(path.time[-1] - path.time[0]), float(np.median(np.diff(path.time)))
+
+
+def _plain_if_better(path: GivenPath, other: GivenPath) -> GivenPath:
+    """A path whose unit was inferred by its rate, with stamps in s where the other's span fits those better."""
+    if path.clock.by != RATE or other.clock.unit != "s":
+        return path
+    plain = path.time * 10.0 ** DIGITS[path.clock.unit]
+    if _overlap(plain, other.time) <= 2.0 * _overlap(path.time, other.time):
+        return path
+    clock = Clock("s", ASSUMED)
+    kind = path.kind.replace(path.clock.words, clock.words)
+    space = None if path.space is None else replace(path.space, time=plain, clock=clock, kind=kind)
+    return replace(path, time=plain, clock=clock, kind=kind, space=space)
+
+
+def _overlap(time: Array, other: Array) -> float:
+    """Common span over the union of both."""
+    common = min(time[-1], other[-1]) - max(time[0], other[0])
+    whole = max(time[-1], other[-1]) - min(time[0], other[0])
+    return max(float(common / whole), 0.0) if whole > 0.0 else 0.0
+
+
+# ---- frames
+
+
+def same_frames(path: GivenPath, truth: GivenPath, align: str) -> tuple[GivenPath, list[Notice]]:
+    """The estimate in the stated frames of the truth, by transforms of either file; a question where none is known."""
+    if path.space is None or truth.space is None:
+        return path, []
+    ours, theirs = path.space.stated, truth.space.stated
+    trees = tuple(t for t in (path.transforms, truth.transforms) if isinstance(t, Tree))
+    asked = []
+    for of, own, other in (("world", ours.world, theirs.world), ("body", ours.body, theirs.body)):
+        there = (other, "") if of == "world" else ("", other)
+        moved = in_frame(path, *there, trees)
+        if moved is not None:
+            path = moved
+        elif align == NONE or of == "body":
+            asked.append(_ask(Code.FRAMES_DIFFER, of=of, estimate=bare(own), truth=bare(other)))
+    return path, asked
+
+
+def _ask(code: Code, **values: Value) -> Notice:
+    return notice(code, Severity.WARNING, None, **values)
+
+
+# ---- what the numbers look like
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """An estimate and its truth: the whole files, and true poses at the estimate's stamps (n, 3), NaN where unknown."""
+
+    estimate: GivenPath
+    truth: GivenPath | None
+    at: Array
+    space: InSpace | None = None  # of both in space, as scored
+
+
+def about_file(path: GivenPath) -> Iterator[Notice]:
+    """Questions about one file."""
+    yield from _axes(path)
+    yield from _turn_rate(path)
+
+
+FLAT, STEEP = 0.1, 0.2
+
+
+def _axes(path: GivenPath) -> Iterator[Notice]:
+    """Positions that vary in a plane that is not the ground of the axes they were read in."""
+    s = path.space
+    if s is None or len(s) < 2:
+        return
+    x, y, z = np.ptp(s.position, axis=0)
+    if y <= x and y < FLAT * z and z > STEEP * x and not s.stated.axes:
+        yield _ask(Code.PATH_AXES, file=path.file, wanted="camera", flattest="y", extent=(float(x), float(y), float(z)))
+    if s.stated.axes and x <= y and x < FLAT * z and z > STEEP * y:
+        # in the file's own axes x is -y, y is -z, and z is x of the robot's
+        yield _ask(Code.PATH_AXES, file=path.file, wanted="robot", flattest="z", extent=(float(y), float(z), float(x)))
+
+
+def _turn_rate(path: GivenPath) -> Iterator[Notice]:
+    """Headings of a planar file that turn implausibly fast, or follow the course in degrees only."""
+    raw = path.headings
+    if raw is None or len(raw) < FEW:
+        return
+    turn = np.abs(np.diff(raw))
+    turn[np.abs(turn - 2.0 * np.pi) < 1.0] = 0.0
+    rate = turn / np.diff(path.time)
+    rate = rate[np.isfinite(rate)]
+    fast = int((rate > FASTEST).sum())
+    rad, deg = _against_course(path.pose[:, :2], raw, 1.0), _against_course(path.pose[:, :2], raw, np.pi / 180.0)
+    if fast > max(2.0, SHARE * np.count_nonzero(rate)) or (deg > 0.95 and rad < 0.6):
+        largest = float(np.nanmax(np.abs(raw)))
+        yield _ask(Code.PATH_TURNS, file=path.file, fast=fast, steps=len(rate), largest=largest)
+
+
+def _against_course(xy: Array, heading: Array, unit: float) -> float:
+    """How constant the angle between heading and course is: length of the mean unit vector, 1 for constant."""
+    step = np.diff(xy, axis=0)
+    way = np.hypot(step[:, 0], step[:, 1])
+    if not np.isfinite(way).any() or np.nanmax(way, initial=0.0) <= 0.0:
+        return math.nan
+    far = way > 0.2 * np.nanmedian(way[way > 0.0])
+    off = np.arctan2(step[far, 1], step[far, 0]) - unit * 0.5 * (heading[1:] + heading[:-1])[far]
+    off = off[np.isfinite(off)]
+    return float(np.abs(np.mean(np.exp(1j * off)))) if len(off) >= FEW and np.ptp(off) > 0.0 else math.nan
+
+
+def about_pair(pair: Pair) -> Iterator[Notice]:
+    """Questions that estimate and truth raise together."""
+    known: BoolArray = np.isfinite(np.concatenate([pair.at, pair.estimate.pose], axis=1)).all(axis=1)
+    yield from _swapped(pair)
+    yield from _degrees(pair, known)
+    yield from _order(pair, known)
+    if known.sum() >= FEW:
+        yield from _scale(pair, known)
+    if pair.space is not None and pair.truth is not None:
+        yield from _tilt(pair.estimate, pair.truth, pair.space)
+    yield from _partly_known(pair.estimate)
+
+
+TRUTHS = ("gt", "groundtruth", "ground_truth", "truth", "reference", "ref")
+
+
+def _swapped(pair: Pair) -> Iterator[Notice]:
+    """A truth with covariances beside an estimate without, or an estimate that is named as a truth."""
+    estimate, truth = pair.estimate, pair.truth
+    if truth is None:
+        return
+    if truth.covariance is not None and estimate.covariance is None:
+        yield _ask(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file, why="covariance")
+    elif _named_truth(estimate.file) and not _named_truth(truth.file):
+        yield _ask(Code.PATH_SWAPPED, estimate=estimate.file, truth=truth.file, why="name")
+
+
+def _named_truth(file: str) -> bool:
+    stem = file.replace("\\", "/").rpartition("/")[2].lower().partition(".")[0]
+    return stem in TRUTHS or any(stem.startswith(f"{t}_") or stem.endswith(f"_{t}") for t in TRUTHS)
+
+
+CLOSER, TURNED = 3.0, 0.3
+"""Least ratio of RMS differences of headings in rad and in deg, and least one in rad, for a question."""
+
+
+def _degrees(pair: Pair, known: BoolArray) -> Iterator[Notice]:
+    """Headings of one file that fit those of the other as degrees, apart from a constant offset."""
+    if known.sum() < 3:
+        return
+    ours, theirs = pair.estimate.pose[known, 2], pair.at[known, 2]
+    plain = _apart(ours - theirs)
+    for path, other, own in ((pair.estimate, theirs, True), (pair.truth, ours, False)):
+        if path is None or path.headings is None:
+            continue
+        raw = path.headings if own else _raw_at(path, pair.estimate.time)
+        as_degrees = _apart(np.pi / 180.0 * raw[known] - other)
+        if plain > TURNED and plain > CLOSER * as_degrees:
+            yield _ask(Code.PATH_DEGREES, file=path.file, rad=math.degrees(plain), deg=math.degrees(as_degrees))
+            return
+
+
+def _raw_at(path: GivenPath, time: Array) -> Array:
+    """Headings as in the file at the nearest stamps."""
+    assert path.headings is not None  # the caller asked
+    after = np.clip(np.searchsorted(path.time, time), 1, max(len(path.time) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(path.time) - 1)
+    nearer = np.abs(path.time[before] - time) < np.abs(path.time[after] - time)
+    return np.asarray(path.headings[np.where(nearer, before, after)])
+
+
+def _apart(difference: Array) -> float:
+    """RMS of angles (n,) [rad] about their circular mean."""
+    difference = difference[np.isfinite(difference)]
+    if not len(difference):
+        return math.nan
+    middle = np.angle(np.mean(np.exp(1j * difference)))
+    return rms(np.asarray(wrap_angle(difference - middle)))
+
+
+WORSE, POOR, FAIR = 4.0, 12.0, 30.0
+"""Ratio of mean pose NEES in both orders, least NEES as read, and largest in the other order, for a question."""
+
+
+def _order(pair: Pair, known: BoolArray) -> Iterator[Notice]:
+    """6x6 covariances whose order is not stated, and that fit the errors in the other order."""
+    s = pair.estimate.space if pair.space is None else pair.space.estimate
+    if s is None or s.covariance is None or s.stated.order or known.sum() < 3:
+        return
+    swapped = replace(s, covariance=translation_first(s.covariance))
+    try:
+        mean = [_mean_nees(flattened(path), pair.at) for path in (s, swapped)]
+    except DataError:  # the other order is no covariance in the plane
+        return
+    if mean[0] > POOR and mean[0] > WORSE * mean[1] and mean[1] < FAIR:
+        yield _ask(Code.PATH_ORDER, file=s.file, nees=mean[0], swapped=mean[1])
+
+
+def _mean_nees(path: GivenPath, truth: Array) -> float:
+    if path.covariance is None:
+        return math.nan
+    values = nees(path.pose, path.covariance, truth, "pose")
+    values = values[np.isfinite(values)]
+    return float(values.mean()) if len(values) else math.nan
+
+
+RATIOS = (1000.0, 100.0, 0.001, 0.01, 0.3048, 1.0 / 0.3048)
+NEAR, FITS = 0.02, 0.05
+"""Largest deviation from a ratio of units, and largest RMS error of the scaled fit as a share of the path's size."""
+
+
+def _scale(pair: Pair, known: BoolArray) -> Iterator[Notice]:
+    """Positions in other units than the truth's."""
+    a, b = pair.estimate.pose[known, :2], pair.at[known, :2]
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    size_a, size_b = (math.sqrt(float(np.mean(np.sum(v**2, axis=1)))) for v in (a, b))
+    if min(size_a, size_b) <= 0.0:
+        return
+    ratio = size_a / size_b
+    unit = next((r for r in RATIOS if abs(ratio / r - 1.0) < NEAR), None)
+    if unit is None:
+        return
+    turn = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
+    off = a @ se2.rotation(turn).T / ratio - b
+    if math.sqrt(float(np.mean(np.sum(off**2, axis=1)))) < FITS * size_b:
+        yield _ask(Code.PATH_SCALE, estimate=pair.estimate.file, ratio=ratio)
+
+
+TILTED = math.radians(20.0)
+"""Smallest median tilt between two worlds that raises a question."""
+
+
+def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
+    """The tilt between estimate and truth at matched stamps, as a question where it is large, else as a fact."""
+    ours, at = poses(both.estimate), both.truth
+    known = ours.known & at.known
+    if not known.any():
+        return
+    ours, theirs = ours.of(known), at.of(known)
+    tilt = float(np.median(tilts(ours, theirs)))
+    if tilt <= TILTED:
+        level = max(float(np.max(np.abs(v))) for v in (ours.rotation[:, 2, :2], theirs.rotation[:, 2, :2]))
+        if level > 1e-6:
+            yield notice(Code.TILT, Severity.INFO, tilt=math.degrees(tilt), poses=int(known.sum()))
+        return
+    worlds = theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)
+    bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation
+    same_world = _spread(worlds) <= _spread(bodies)
+    first = _w_first(ours.rotation, theirs.rotation)
+    which = "quaternion" if first else "world" if same_world else "body"
+    yield _ask(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which)
+
+
+def _partly_known(path: GivenPath) -> Iterator[Notice]:
+    """Covariances whose heading or position has no variance."""
+    if path.covariance is None:
+        return
+    variance = np.einsum("nii->ni", path.covariance)
+    position, heading = (variance[:, :2] > 0.0).all(axis=1), variance[:, 2] > 0.0
+    for of, lacking in (("heading", position & (variance[:, 2] == 0.0)), ("position", heading & ~position)):
+        if lacking.any():
+            yield _ask(Code.PARTLY_KNOWN, of=of, poses=int(lacking.sum()), all=len(path))
+
+
+def _spread(R: Array) -> float:
+    """Median angle [rad] of rotations (n, 3, 3) from the first."""
+    return float(np.median(se3.angle_between(np.broadcast_to(R[0], R.shape), R)))
+
+
+def _w_first(ours: Array, theirs: Array) -> bool:
+    """Whether quaternions fit the truth's tilt when their first number is w."""
+    phi = se3.log_rotation(ours)
+    half = 0.5 * np.linalg.norm(phi, axis=1, keepdims=True)
+    q = np.column_stack([0.5 * phi * np.sinc(half / np.pi), np.cos(half)])
+    other = np.column_stack([q[:, 1:], q[:, :1]])
+    R = se3.exp_rotation(_rotation_vectors(other))
+    tilt = np.arccos(np.clip((theirs @ np.swapaxes(R, -1, -2))[:, 2, 2], -1.0, 1.0))
+    return bool(np.median(tilt) < 0.5 * TILTED)
+
+
+def _rotation_vectors(q: Array) -> Array:
+    """Rotation vectors (n, 3) of quaternions x, y, z, w (n, 4)."""
+    sine = np.linalg.norm(q[:, :3], axis=1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, q[:, 3:])
+    return np.asarray(q[:, :3] / np.maximum(sine, 1e-12) * angle)

@@ -1,0 +1,131 @@
+"""Consistency and proper scores of a result in space: NEES of named errors, bounds per axis, intervals.
+
+With T the true pose and M the stated mean, the errors are Log(M^-1 T) (left-invariant), Log(T M^-1) (right-invariant),
+and position in the world beside Log(R_T R_M') (decoupled). The covariance is taken from the file's convention to each
+to first order at M; the three agree where errors are small. NEES of a consistent estimator is 6, of position or
+rotation 3.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from data import se3
+from data.formats.results.path import LEFT, LOCAL, MIXED, WORLD
+from data.formats.results.space import in_world
+from data.se2 import Array
+from eval.referee.consistency import mean_or_nan, squared_distance
+from eval.referee.in_space import (
+    InSpace,
+    absolute_columns,
+    aligned_columns,
+    distances,
+    poses,
+    relative_columns,
+)
+from eval.referee.intervals import SEED, run_intervals
+from eval.referee.proper_scores import crps, energy_score_in_space, log_score
+
+CONVENTIONS = {LOCAL: "left-invariant", LEFT: "right-invariant", WORLD: "decoupled", MIXED: "decoupled"}
+"""Error whose covariance a file states, by the frame of the covariance."""
+ERRORS = ("left_invariant", "right_invariant", "decoupled")
+AXES = ("x", "y", "z", "rx", "ry", "rz")
+"""Position and rotation about the world's axes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """Errors (n, 6), translation first, and their covariances (n, 6, 6); NaN where unknown."""
+
+    value: Array
+    covariance: Array
+
+
+def errors_of(both: InSpace) -> Mapping[str, Errors]:
+    """The named errors of an estimate with covariance, and the covariance of each; empty without one."""
+    e = both.estimate
+    if e.covariance is None:
+        return {}
+    known = both.truth.known
+    R, p = e.rotation, e.position
+    T_R, T_p = both.truth.rotation[known], both.truth.position[known]
+    M_R, M_p = R[known], p[known]
+    back = np.swapaxes(M_R, -1, -2)
+    value = {name: np.full((len(e), 6), np.nan) for name in ERRORS}
+    value["left_invariant"][known] = se3.log_motion(back @ T_R, np.einsum("nij,nj->ni", back, T_p - M_p))
+    turn = T_R @ back
+    value["right_invariant"][known] = se3.log_motion(turn, T_p - np.einsum("nij,nj->ni", turn, M_p))
+    value["decoupled"][known] = np.concatenate([T_p - M_p, se3.log_rotation(turn)], axis=1)
+    world = in_world(e)
+    J = np.zeros((len(e), 6, 6))
+    J[:] = np.eye(6)
+    J[:, :3, 3:] = se3.skew(p)  # rho = dp + p x w
+    right = e.covariance if e.frame == LEFT else J @ world @ np.swapaxes(J, -1, -2)
+    B = np.zeros((len(e), 6, 6))
+    B[:, :3, :3] = B[:, 3:, 3:] = np.swapaxes(R, -1, -2)
+    left = e.covariance if e.frame == LOCAL else B @ world @ np.swapaxes(B, -1, -2)
+    return {n: Errors(value[n], C) for n, C in zip(ERRORS, (left, right, world), strict=True)}
+
+
+def columns_in_space(both: InSpace) -> dict[str, float]:
+    """Every number in space by its name; NaN ones are left out."""
+    estimate, truth = poses(both.estimate), both.truth
+    found: dict[str, float | None] = dict(absolute_columns(estimate, truth))
+    found |= aligned_columns(both.original, truth)
+    found |= relative_columns(estimate, truth, both.pairs)
+    errors = errors_of(both)
+    squared = distances(estimate, truth) ** 2
+    pose_nees = np.full(len(squared), np.nan)
+    if errors:
+        each = {name: squared_distance(e.value, e.covariance) for name, e in errors.items()}
+        found |= {f"nees_3d_{name}": mean_or_nan(values) for name, values in each.items()}
+        world = errors["decoupled"]
+        for name, part in (("position", slice(0, 3)), ("rotation", slice(3, 6))):
+            found[f"nees_3d_{name}"] = mean_or_nan(
+                squared_distance(world.value[:, part], world.covariance[:, part, part])
+            )
+        pose_nees = each["decoupled"]
+        found |= _axes(world) | _proper(world)
+    rmse, nees = run_intervals(squared, pose_nees, np.random.default_rng(SEED))
+    for name, interval in (("rmse_position_3d", rmse), ("nees_3d_decoupled", nees)):
+        found |= {f"{name}_lower": interval.lower, f"{name}_upper": interval.upper}
+    return {name: value for name, value in found.items() if value is not None and math.isfinite(value)}
+
+
+def _axes(world: Errors) -> dict[str, float]:
+    """Of each axis: RMS error, RMS standard deviation, and the share of errors inside 3 sigma (expected 0.9973)."""
+    found = {}
+    variance = np.einsum("nii->ni", world.covariance)
+    for k, axis in enumerate(AXES):
+        error, var = world.value[:, k], variance[:, k]
+        known = np.isfinite(error) & (var > 0.0)
+        if known.any():
+            unit = "m" if k < 3 else "rad"
+            found[f"rms_{axis}_3d_{unit}"] = math.sqrt(float(np.mean(error[known] ** 2)))
+            found[f"sigma_{axis}_3d_{unit}"] = math.sqrt(float(np.mean(var[known])))
+            found[f"inside_3sigma_{axis}_3d"] = float(np.mean(error[known] ** 2 <= 9.0 * var[known]))
+    return found
+
+
+def _proper(world: Errors) -> dict[str, float]:
+    """Proper scores: log score of the pose [nats], CRPS of each axis, energy score of the position [m]."""
+    found = {}
+    whole = np.isfinite(squared_distance(world.value, world.covariance))
+    if whole.any():
+        found["log_score_3d"] = float(log_score(world.value[whole], world.covariance[whole]).mean())
+    variance = np.einsum("nii->ni", world.covariance)
+    for k, axis in enumerate(AXES):
+        known = np.isfinite(world.value[:, k]) & (variance[:, k] > 0.0)
+        if known.any():
+            unit = "m" if k < 3 else "rad"
+            found[f"crps_{axis}_3d_{unit}"] = float(crps(world.value[known, k], np.sqrt(variance[known, k])).mean())
+    part = np.isfinite(squared_distance(world.value[:, :3], world.covariance[:, :3, :3]))
+    if part.any():
+        found["energy_score_3d_m"] = float(
+            energy_score_in_space(world.value[part, :3], world.covariance[part, :3, :3]).mean()
+        )
+    return found

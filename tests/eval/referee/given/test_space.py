@@ -1,0 +1,205 @@
+"""Consistency in space: NEES of named errors in every convention, alignments by independent formulas, proper scores."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+from smfeval.format import TangentOrder
+from smfeval.se3.lie import se3_exp, se3_log
+
+from data.formats.results.path import LEFT, LOCAL, MIXED, WORLD, Spatial, Stated
+from data.formats.results.space import moved
+from eval.referee.in_space import InSpace, Poses, aligning, poses, relative_columns
+from eval.referee.proper_scores import energy_score_in_space
+from eval.referee.space_scores import columns_in_space, errors_of
+from tests.oracle.evo_space import poses as recorded
+
+ORDER = TangentOrder.TRANS_ROT
+ROOT = np.diag([0.3, 0.1, 0.2, 0.02, 0.03, 0.05]) @ (np.eye(6) + 0.3 * np.tril(np.ones((6, 6)), -1))
+C = ROOT @ ROOT.T
+
+
+def drawn(frame, n=1500, seed=0, size=1.0):
+    """Means, and true poses drawn from the stated covariance by each convention's own definition."""
+    rng = np.random.default_rng(seed)
+    M_R, M_p = Rotation.random(n, random_state=seed).as_matrix(), rng.normal(0.0, 3.0, (n, 3))
+    P = size**2 * C
+    T_R, T_p = np.empty_like(M_R), np.empty_like(M_p)
+    for k, xi in enumerate(size * rng.normal(size=(n, 6)) @ ROOT.T):
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = M_R[k], M_p[k]
+        if frame == LOCAL:
+            T = T @ se3_exp(xi, ORDER)
+        elif frame == LEFT:
+            T = se3_exp(xi, ORDER) @ T
+        else:
+            turn = Rotation.from_rotvec(xi[3:]).as_matrix()
+            T[:3, :3] = turn @ M_R[k] if frame == WORLD else M_R[k] @ turn
+            T[:3, 3] = M_p[k] + xi[:3]
+        T_R[k], T_p[k] = T[:3, :3], T[:3, 3]
+    estimate = Spatial(
+        "a", "", np.arange(n, dtype=float), M_p, M_R, np.tile(P, (n, 1, 1)), frame, str, Stated(convention=True)
+    )
+    return InSpace(estimate, Poses(T_p, T_R), estimate)
+
+
+OWN = {LOCAL: "left_invariant", LEFT: "right_invariant", WORLD: "decoupled", MIXED: "decoupled"}
+
+
+@pytest.mark.parametrize("frame", OWN)
+def test_nees_of_poses_drawn_by_a_convention_is_that_of_a_chi_square(frame):
+    found = columns_in_space(drawn(frame))
+    se = math.sqrt(12.0 / 1500)
+    assert found[f"nees_3d_{OWN[frame]}"] == pytest.approx(6.0, abs=4.0 * se)
+    if frame in (WORLD, MIXED):
+        for part in ("position", "rotation"):
+            assert found[f"nees_3d_{part}"] == pytest.approx(3.0, abs=4.0 * math.sqrt(6.0 / 1500))
+        assert found["inside_3sigma_x_3d"] == pytest.approx(0.9973, abs=0.006)
+
+
+@pytest.mark.parametrize("frame", OWN)
+def test_the_named_errors_agree_where_errors_are_small(frame):
+    found = columns_in_space(drawn(frame, n=500, size=1e-4))
+    own = found[f"nees_3d_{OWN[frame]}"]
+    for name in set(OWN.values()):
+        assert found[f"nees_3d_{name}"] == pytest.approx(own, rel=2e-3)
+
+
+def test_errors_are_logarithms_as_smfeval_has_them():
+    both = drawn(LOCAL, n=20)
+    errors = errors_of(both)
+    for k in range(20):
+        M, T = np.eye(4), np.eye(4)
+        M[:3, :3], M[:3, 3] = both.estimate.rotation[k], both.estimate.position[k]
+        T[:3, :3], T[:3, 3] = both.truth.rotation[k], both.truth.position[k]
+        assert errors["left_invariant"].value[k] == pytest.approx(se3_log(np.linalg.inv(M) @ T, ORDER), abs=1e-9)
+        assert errors["right_invariant"].value[k] == pytest.approx(se3_log(T @ np.linalg.inv(M), ORDER), abs=1e-9)
+
+
+@pytest.mark.parametrize("frame", OWN)
+def test_moving_estimate_and_truth_alike_changes_no_nees(frame):
+    both = drawn(frame, n=30)
+    R, t = Rotation.from_rotvec([0.3, -0.2, 1.0]).as_matrix(), np.array([3.0, -1.0, 2.0])
+    estimate = moved(both.estimate, R, t)
+    truth = Poses(both.truth.position @ R.T + t, R @ both.truth.rotation)
+    before, after = columns_in_space(both), columns_in_space(InSpace(estimate, truth, estimate))
+    for name in ("left_invariant", "right_invariant", "decoupled", "position", "rotation"):
+        assert after[f"nees_3d_{name}"] == pytest.approx(before[f"nees_3d_{name}"], rel=1e-9)
+
+
+def test_nees_of_openvins_by_its_own_formulas():
+    """Rotation error -Log(R R_mean') of rotations to the body, position error in the world."""
+    both = drawn(MIXED, n=50)
+    e, truth = both.estimate, both.truth
+    rotation, position = [], []
+    for k in range(50):
+        to_body, mean = truth.rotation[k].T, e.rotation[k].T
+        error = -Rotation.from_matrix(to_body @ mean.T).as_rotvec()
+        rotation.append(error @ np.linalg.solve(e.covariance[k, 3:, 3:], error))
+        error = truth.position[k] - e.position[k]
+        position.append(error @ np.linalg.solve(e.covariance[k, :3, :3], error))
+    found = columns_in_space(both)
+    assert found["nees_3d_rotation"] == pytest.approx(np.mean(rotation), rel=1e-9)
+    assert found["nees_3d_position"] == pytest.approx(np.mean(position), rel=1e-9)
+
+
+def test_yaw_alignment_is_the_best_over_a_search():
+    (p, R), (q, S) = recorded()
+    estimate, truth = Poses(q, S.as_matrix()), Poses(p, R.as_matrix())
+    fit = aligning(estimate, truth, "yaw")
+    assert fit.scale == 1.0
+    assert fit.R[2] == pytest.approx([0.0, 0.0, 1.0])
+
+    def rms(angle):
+        turned = Rotation.from_euler("z", angle).apply(q)
+        off = turned - turned.mean(axis=0) - (p - p.mean(axis=0))
+        return math.sqrt(np.mean(np.sum(off**2, axis=1)))
+
+    angle = math.atan2(fit.R[1, 0], fit.R[0, 0])
+    found = q @ fit.R.T + fit.t - p
+    assert math.sqrt(np.mean(np.sum(found**2, axis=1))) == pytest.approx(rms(angle))
+    assert all(rms(angle) <= rms(other) for other in np.linspace(-math.pi, math.pi, 721))
+
+
+def test_poses_on_a_line_are_turned_about_it_as_their_rotations_say():
+    n = 10
+    p = np.column_stack([np.arange(n, dtype=float), np.zeros(n), np.zeros(n)])
+    R = Rotation.from_euler("x", np.linspace(0.0, 0.3, n)[:, None]).as_matrix()
+    W = Rotation.from_rotvec([0.5, -1.0, 2.0]).as_matrix()
+    fit = aligning(Poses(p @ W.T + 1.0, W @ R), Poses(p, R), "se3")
+    assert pytest.approx(W.T) == fit.R
+    still = aligning(Poses(np.ones((n, 3)), W @ R), Poses(np.zeros((n, 3)), R), "se3")
+    assert pytest.approx(W.T) == still.R
+
+
+def test_energy_score_in_space_is_that_of_many_draws_and_of_a_sphere():
+    rng = np.random.default_rng(3)
+    root = rng.normal(size=(3, 3))
+    P, y = root @ root.T, np.array([0.5, -1.0, 0.7])
+    X = rng.multivariate_normal(np.zeros(3), P, (2, 200_000))
+    sampled = np.linalg.norm(X[0] - y, axis=1).mean() - 0.5 * np.linalg.norm(X[0] - X[1], axis=1).mean()
+    (found,) = energy_score_in_space(y[None], P[None])
+    assert found == pytest.approx(sampled, rel=5e-3)
+    # of the centre of a unit Gaussian: E|X| = sqrt(8 / pi), E|X - X'| = sqrt(2) E|X|
+    (centre,) = energy_score_in_space(np.zeros((1, 3)), np.eye(3)[None])
+    assert centre == pytest.approx((1.0 - math.sqrt(0.5)) * math.sqrt(8.0 / math.pi), rel=1e-9)
+
+
+def test_an_estimate_without_some_variances_is_scored_in_the_others():
+    both = drawn(WORLD, n=100)
+    P = both.estimate.covariance.copy()
+    P[:, 3:] = P[:, :, 3:] = 0.0
+    found = columns_in_space(InSpace(moved(both.estimate, np.eye(3), np.zeros(3)), both.truth, both.estimate))
+    bare = Spatial("a", "", both.estimate.time, both.estimate.position, both.estimate.rotation, P, WORLD, str)
+    part = columns_in_space(InSpace(bare, both.truth, bare))
+    assert part["nees_3d_position"] == pytest.approx(found["nees_3d_position"])
+    assert "nees_3d_rotation" not in part
+    assert "crps_rx_3d_rad" not in part
+
+
+def test_poses_of_the_same_path_are_exact():
+    both = drawn(WORLD, n=60)
+    same = InSpace(both.estimate, poses(both.estimate), both.estimate)
+    found = columns_in_space(same)
+    assert found["rmse_position_3d_m"] == 0.0
+    assert found["rmse_rotation_3d_deg"] == pytest.approx(0.0, abs=1e-6)
+    assert found["scale_sim3"] == pytest.approx(1.0)
+
+
+def by_loops(distances, length, most):
+    """For each pose the later one whose distance along the path is nearest to `length`, as both programs search it."""
+    found = []
+    for i, start in enumerate(distances):
+        best, error = -1, most
+        for j in range(i, len(distances)):
+            if abs(distances[j] - (start + length)) < error:
+                best, error = j, abs(distances[j] - (start + length))
+        if best != -1:
+            found.append((i, best))
+    return found
+
+
+@pytest.mark.parametrize(("pairs", "name", "share"), [("rpg", "30percent", 0.3), ("openvins", "16m", None)])
+def test_relative_errors_of_others_pairs(pairs, name, share):
+    (p, R), (q, S) = recorded()
+    found = relative_columns(Poses(q, S.as_matrix()), Poses(p, R.as_matrix()), pairs)
+    distances = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+    length = 16.0 if share is None else share * distances[-1]
+    off, turn = [], []
+    for i, j in by_loops(distances, length, 0.5 if share is None else 0.2 * length):
+        true, mine = (np.linalg.inv(T[i]) @ T[j] for T in (frames(p, R), frames(q, S)))
+        error = np.linalg.inv(true) @ mine
+        off.append(np.linalg.norm(error[:3, 3]))
+        turn.append(math.degrees(Rotation.from_matrix(error[:3, :3]).magnitude()))
+    assert found[f"rpe_{name}_3d_m"] == pytest.approx(math.sqrt(np.mean(np.square(off))), rel=1e-9)
+    assert found[f"rpe_{name}_3d_median_m"] == pytest.approx(np.median(off), rel=1e-9)
+    assert found[f"rpe_{name}_3d_median_deg"] == pytest.approx(np.median(turn), rel=1e-9)
+
+
+def frames(p, R):
+    T = np.tile(np.eye(4), (len(p), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = R.as_matrix(), p
+    return T

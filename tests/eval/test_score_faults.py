@@ -1,0 +1,472 @@
+"""`slamref score` on small files of kinds that once gave a plausible wrong number: the right number, or a question."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+from eval.score import main as score
+
+PLACES = [(0.0, 0.0), (2.0, 0.0), (4.0, 0.0), (4.0, 2.0), (4.0, 3.0)]
+CURVE = [(0.5 * k, 2.0 * math.sin(0.3 * k)) for k in range(40)]
+DEG = math.pi / 180.0
+
+
+@pytest.fixture
+def scored(tmp_path, capsys):
+    """`scored(estimate, truth, *flags)`: names and values, what is asked, and what is noted, of two texts or files."""
+
+    def run(estimate, truth, *flags, status=0):
+        files = []
+        for name, text in (("mine.txt", estimate), ("true.txt", truth)):
+            if isinstance(text, str):
+                (tmp_path / name).write_text(text)
+                files.append(str(tmp_path / name))
+            else:
+                files.append(str(text[0]))
+        given = [str(f).replace("DIR", str(tmp_path)) for f in flags]
+        assert score([*files, *given]) == status
+        out, err = capsys.readouterr()
+        if status:
+            return err
+        values = {k: float(v) for k, v in re.findall(r"^(\w+) (-?[\d.e+-]+|nan)$", out, re.M)}
+        asked = [line for line in err.splitlines() if line.startswith("note: question: ")]
+        return values, asked, out + err
+
+    return run
+
+
+def lines(rows, header=""):
+    body = "\n".join(" ".join(repr(float(v)) for v in row) for row in rows)
+    return f"{header}\n{body}\n" if header else f"{body}\n"
+
+
+def commas(rows, header):
+    return header + "\n" + "\n".join(",".join(str(v) for v in row) for row in rows) + "\n"
+
+
+def tum(places, yaw=0.0, z=0.0, step=1.0, start=0.0):
+    return lines(
+        (start + step * k, x, y, z, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2)) for k, (x, y) in enumerate(places)
+    )
+
+
+# ---- columns by name
+
+
+def test_a_header_with_the_quaternion_x_first_is_obeyed(scored):
+    stamps = [1403636579000000000 + 50_000_000 * k for k in range(len(CURVE))]
+    header, q = "#timestamp,x,y,z,qx,qy,qz,qw", (0, 0, math.sin(5 * DEG), math.cos(5 * DEG))
+    truth = commas([(t, x, y, 0, 0, 0, 0, 1) for t, (x, y) in zip(stamps, CURVE)], header)
+    estimate = commas([(t, x, y, 0, *q) for t, (x, y) in zip(stamps, CURVE)], header)
+    values, asked, said = scored(estimate, truth)
+    assert values["rmse_heading_deg"] == pytest.approx(10.0)
+    assert values["rmse_rotation_3d_deg"] == pytest.approx(10.0)
+    assert not asked
+    assert "stamps in ns by their size" in said
+
+
+NAMES = {
+    "TUM, w first": ("# timestamp tx ty tz qw qx qy qz", " ", "txyzWXYZ"),
+    "no comment": ("time,pos_x,pos_y,pos_z,quat_w,quat_x,quat_y,quat_z", ",", "txyzWXYZ"),
+    "units": ("t [s], x [mm], y [mm], yaw [deg]", ",", "tmnd"),
+    "suffixes": ("time_s,x_mm,y_mm,heading_deg", ",", "tmnd"),
+    "rostopic": (
+        "%time,field.header.stamp,field.header.frame_id,field.pose.pose.position.x,field.pose.pose.position.y,"
+        "field.pose.pose.position.z,field.pose.pose.orientation.x,field.pose.pose.orientation.y,"
+        "field.pose.pose.orientation.z,field.pose.pose.orientation.w",
+        ",",
+        "wNfxyzXYZW",
+    ),
+    "OpenVINS state": ("# timestamp(s) q p v bg ba", " ", "tXYZWxyz000000000"),
+    "roll pitch yaw": ("t,x,y,z,roll,pitch,yaw", ",", "txyz00r"),
+    "semicolons": ("t;yaw;y;x", ";", "tryx"),
+    "swapped": ("# t y x z qx qy qz qw", " ", "tyxzXYZW"),
+}
+
+
+@pytest.mark.parametrize("kind", NAMES)
+def test_names_of_columns_decide_their_order_and_units(kind, scored):
+    header, separator, order = NAMES[kind]
+    a = 10.0 * DEG
+    rows = []
+    for k, (x, y) in enumerate(CURVE):
+        of = {"t": k, "x": x, "y": y, "z": 0, "X": 0, "Y": 0, "Z": math.sin(a / 2), "W": math.cos(a / 2), "0": 0}
+        of |= {"m": 1e3 * x, "n": 1e3 * y, "d": 10.0, "r": a, "f": "map"}
+        of |= {"N": (1_700_000_000 + k) * 10**9, "w": (1_700_000_500 + k) * 10**9}
+        rows.append(separator.join(str(of[c]) for c in order))
+    start = 1_700_000_000.0 if kind == "rostopic" else 0.0
+    values, asked, _ = scored(header + "\n" + "\n".join(rows) + "\n", tum(CURVE, start=start))
+    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-6)
+    assert values["rmse_heading_deg"] == pytest.approx(10.0, abs=1e-5)
+    assert values["matched"] == len(CURVE)
+    assert not asked
+
+
+@pytest.mark.parametrize(("header", "wanted"), [
+    ("#timestamp,x,y,q0,q1,q2,q3", "no orientation"),
+    ("#timestamp,x,y,qx,qy,qz,w_rate", "no column qw"),
+    ("timestamp,x,z,qx,qy,qz,qw", "no column y"),
+    ("timestamp,x,y,x,yaw,a,b", "both name x"),
+    ("t [s],x [ft],y [ft],yaw [rad],a,b,c", "unit 'ft' of x"),
+    ("t [s],x,y,yaw [gon],a,b,c", "unit 'gon' of yaw"),
+    ("t [min],x,y,yaw,a,b,c", "unit 'min' of t"),
+])  # fmt: skip
+def test_a_header_that_is_not_understood_is_refused(header, wanted, scored):
+    row = [0, 1, 2, 0, 0, 0, 1]
+    said = scored(commas([row, [1, *row[1:]]], header), tum(PLACES), status=2)
+    assert wanted in said
+    assert said.count("\n") == 1
+
+
+def test_stamps_in_seconds_under_a_header_of_euroc_stay_seconds(scored):
+    """A tolerance of a microsecond is one: stamps 40 ms apart do not match."""
+    header = "#timestamp,x,y,z,qx,qy,qz,qw"
+    estimate = commas([(1403636579.04 + k, x, y, 0, 0, 0, 0, 1) for k, (x, y) in enumerate(CURVE)], header)
+    truth = commas([(1403636579.0 + k, x, y, 0, 0, 0, 0, 1) for k, (x, y) in enumerate(CURVE)], header)
+    said = scored(estimate, truth, "--truth-gap", "0.5", status=2)
+    assert "none of its 40 stamps" in said
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+@pytest.mark.parametrize("start", [0.0, 1_700_000_000.0])
+def test_units_of_stamps_are_inferred_and_said(unit, scale, start, scored):
+    rows = [(round((start + 0.1 * k) * scale), x, y, 0, 0, 0, 0, 1) for k, (x, y) in enumerate(CURVE)]
+    text = "\n".join(" ".join(map(str, row)) for row in rows) + "\n"
+    values, asked, said = scored(text, tum(CURVE, step=0.1, start=start))
+    assert values["matched"] == len(CURVE)
+    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-6)
+    assert f"stamps in {unit} by their {'size' if start else 'rate'}" in said
+    assert not asked
+
+
+def test_units_that_disagree_are_an_error_that_a_flag_mends(scored):
+    fast = [(0.5 * k / 10, 0.1 * k) for k in range(2000)]
+    estimate = tum(fast)  # 1 kHz in ms, which may be 1 Hz in s
+    truth = tum(fast[::2], step=0.002)
+    said = scored(estimate, truth, status=2)
+    assert "ms in one of the two" in said
+    values, asked, _ = scored(estimate, truth, "--unit", "estimate=ms", "--unit", "truth=s")
+    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
+    assert not asked
+
+
+def test_a_stated_unit_that_the_stamps_contradict_is_refused(scored):
+    header = "#timestamp [ns],x,y,z,qx,qy,qz,qw"
+    text = commas([(1403636579.0 + k, x, y, 0, 0, 0, 0, 1) for k, (x, y) in enumerate(CURVE)], header)
+    assert "--unit s" in scored(text, tum(CURVE, start=1403636579.0), status=2)
+    values, _, _ = scored(text, tum(CURVE, start=1403636579.0), "--unit", "estimate=s")
+    assert values["matched"] == len(CURVE)
+
+
+def test_poses_a_minute_apart_are_no_milliseconds(scored):
+    values, asked, said = scored(tum(CURVE, step=60.0), tum(CURVE, step=60.0))
+    assert values["matched"] == len(CURVE)
+    assert not asked
+    sparse, dense = tum(CURVE[::10], step=10.0), tum(CURVE)
+    values, asked, said = scored(sparse, dense)
+    assert values["matched"] == 4
+    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
+    assert "stamps in s" in said
+
+
+# ---- axes
+
+
+def kitti(places, height=0.0):
+    return lines((1, 0, 0, x, 0, 1, 0, height, 0, 0, 1, z) for x, z in places)
+
+
+def test_kitti_is_in_a_cameras_axes(scored, tmp_path):
+    (tmp_path / "times.txt").write_text("".join(f"{k}\n" for k in range(5)))
+    estimate = kitti([(x, z + 5.0) for x, z in PLACES])
+    values, asked, said = scored(estimate, kitti(PLACES), "--times", "DIR/times.txt")
+    assert values["rmse_position_m"] == pytest.approx(5.0)
+    assert "a camera's axes" in said
+    assert not asked
+
+
+def test_kitti_whose_z_is_flat_is_asked_about(scored, tmp_path):
+    (tmp_path / "times.txt").write_text("".join(f"{k}\n" for k in range(5)))
+    robot = lines((1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, 0) for x, y in PLACES)
+    _, asked, _ = scored(robot, robot, "--times", "DIR/times.txt")
+    assert any("--axes NAME=robot" in a for a in asked)
+    _, asked, _ = scored(robot, robot, "--times", "DIR/times.txt", "--axes", "robot")
+    assert not asked
+
+
+def upright(places):
+    """The same path in the plane of x and z, turned by a quarter about x."""
+    h = math.sqrt(0.5)
+    return lines((k, x, 0.0, y, h, 0.0, 0.0, h) for k, (x, y) in enumerate(places))
+
+
+@pytest.mark.parametrize("places", [PLACES, [(2.0 * k, 0.0) for k in range(5)]], ids=["curve", "line"])
+def test_two_files_in_two_planes_are_aligned_in_space(places, scored):
+    estimate = upright(places)
+    values, asked, _ = scored(estimate, tum(places))
+    assert values["rmse_aligned_m"] == pytest.approx(0.0, abs=1e-6)
+    assert values["rmse_position_3d_se3_m"] == pytest.approx(0.0, abs=1e-6)
+    assert any("90 deg" in a for a in asked)
+    for how in ("se2", "se3", "sim3", "first"):
+        values, asked, _ = scored(estimate, tum(places), "--align", how)
+        assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-6)
+        assert values["rmse_heading_deg"] == pytest.approx(0.0, abs=1e-4)
+        assert not [a for a in asked if "verticals" in a]
+
+
+def test_axes_are_given_for_each_file(scored):
+    body = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+    rows = []
+    for k, (x, y) in enumerate(CURVE):
+        p = body.T @ [x, y, 0.0]
+        rows.append((k, *p, 0.0, 0.0, 0.0, 1.0))
+    values, asked, _ = scored(lines(rows), tum(CURVE), "--axes", "estimate=camera")
+    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
+    assert not asked
+    _, asked, _ = scored(lines(rows), tum(CURVE))
+    assert any("--axes NAME=camera" in a for a in asked)
+
+
+def test_quaternions_that_begin_with_w_are_asked_about(scored):
+    rows = [(k, x, y, 0, math.cos(0.1 * k), 0, 0, math.sin(0.1 * k)) for k, (x, y) in enumerate(CURVE)]
+    truth = [(k, x, y, 0, 0, 0, math.sin(0.1 * k), math.cos(0.1 * k)) for k, (x, y) in enumerate(CURVE)]
+    _, asked, _ = scored(lines(rows), lines(truth))
+    assert any("begin with w" in a for a in asked)
+
+
+# ---- angles and roles
+
+
+def headed(headings, places=CURVE, more=""):
+    return commas([(k, x, y, h) for k, ((x, y), h) in enumerate(zip(places, headings))], "t,x,y,theta" + more)
+
+
+@pytest.mark.parametrize("which", ["estimate", "truth"])
+def test_degrees_in_one_of_two_files_are_asked_about(which, scored):
+    """A slow turn, so that no step is a fast one."""
+    h = np.linspace(0.0, 3.0, len(CURVE))
+    off = 2.3 * DEG
+    files = [headed(h + off), headed(h)]
+    index = 0 if which == "estimate" else 1
+    files[index] = headed(np.degrees([h + off, h][index]))
+    values, asked, _ = scored(*files)
+    assert values["rmse_heading_deg"] > 60.0
+    assert len(asked) == 1
+    assert "--unit NAME=deg" in asked[0]
+    values, asked, _ = scored(*files, "--unit", f"{which}=deg")
+    assert values["rmse_heading_deg"] == pytest.approx(2.3)
+    assert not asked
+
+
+def test_degrees_in_both_files_are_asked_about(scored):
+    way = [(math.cos(0.05 * k), math.sin(0.05 * k)) for k in range(100)]
+    h = [math.degrees(0.05 * k) + 90.0 for k in range(100)]
+    _, asked, _ = scored(headed(h, way), headed(h, way))
+    assert len(asked) == 2
+    _, asked, _ = scored(headed(h, way), headed(h, way), "--unit", "deg")
+    assert not asked
+    # many turns in rad, which are not wrapped
+    h = [0.05 * k * 10 for k in range(100)]
+    way = [(math.cos(v), math.sin(v)) for v in h]
+    _, asked, _ = scored(headed(h, way), headed(h, way))
+    assert not asked
+
+
+def test_covariances_of_the_truth_alone_are_a_question(scored):
+    with_covariance = lines(
+        (*map(float, row.split()), *np.eye(6)[np.tril_indices(6)]) for row in tum(CURVE).splitlines()
+    )
+    _, asked, _ = scored(tum(CURVE), with_covariance)
+    assert len(asked) == 1
+    assert "swapped" in asked[0]
+    values, asked, _ = scored(with_covariance, tum(CURVE))
+    assert values["nees_pose"] == 0.0
+    assert not asked
+
+
+def test_positions_in_millimetres_are_asked_about(scored):
+    estimate = tum([(1e3 * x, 1e3 * y) for x, y in CURVE])
+    _, asked, _ = scored(estimate, tum(CURVE))
+    assert any("another unit" in a for a in asked)
+    values, asked, _ = scored(estimate, tum(CURVE), "--unit", "estimate=mm")
+    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
+    assert not asked
+
+
+# ---- covariances
+
+SIGMA = np.diag([0.1, 0.2, 0.3, 0.001, 0.002, 0.003])
+SWAP = [3, 4, 5, 0, 1, 2]
+
+
+def drawn(seed=1):
+    """Poses with errors of these deviations in the world's axes, and the truth."""
+    rng = np.random.default_rng(seed)
+    rows, truth = [], []
+    for k, (x, y) in enumerate(CURVE):
+        e = SIGMA @ rng.normal(size=6)
+        rows.append((k, x + e[0], y + e[1], e[2], 0.0, 0.0, math.sin(e[5] / 2), math.cos(e[5] / 2)))
+        truth.append((k, x, y, 0.0, 0.0, 0.0, 0.0, 1.0))
+    return rows, truth
+
+
+def wide(rows, C):
+    return [(*row, *C[np.tril_indices(6)]) for row in rows]
+
+
+def test_the_order_of_a_tangent_is_obeyed_wherever_it_stands_or_asked_for(scored):
+    rows, truth = drawn()
+    C = SIGMA**2
+    right, _, _ = scored(lines(wide(rows, C)), lines(truth))
+    other = lines(wide(rows, C[np.ix_(SWAP, SWAP)]))
+    for text, flags in (
+        ("#%TANGENT_ORDER rotation_translation\n" + other, ()),
+        (other + "#%TANGENT_ORDER rotation_translation\n", ()),
+        (other, ("--cov-order", "rotation-first")),
+    ):
+        values, asked, _ = scored(text, lines(truth), *flags)
+        assert values["nees_pose"] == pytest.approx(right["nees_pose"])
+        assert not asked
+    assert 2.0 < right["nees_pose"] < 4.0
+    values, asked, _ = scored(other, lines(truth))
+    assert values["nees_pose"] > 100.0
+    assert len(asked) == 1
+    assert "--cov-order" in asked[0]
+
+
+def test_rows_with_nan_are_left_out_counted_and_said(scored):
+    rows = [list(map(float, row.split())) for row in tum(CURVE).splitlines()]
+    rows[3][1] = rows[7][5] = math.nan
+    values, _, said = scored(lines(rows), tum(CURVE))
+    assert values["matched"] == len(CURVE) - 2
+    assert "2 of 40 poses have a NaN and are left out" in said
+    values, _, said = scored(tum(CURVE), lines(rows))
+    assert values["matched"] == len(CURVE) - 2 or values["rmse_position_m"] < 0.05
+    assert "2 of 40 poses have a NaN" in said
+
+
+@pytest.mark.parametrize("unknown", [math.nan, 0.0, -1.0])
+def test_a_covariance_of_nan_zeros_or_minus_one_is_unknown(unknown, scored):
+    rows, truth = drawn()
+    full = wide(rows, SIGMA**2)
+    full[4] = (*full[4][:8], unknown, *([0.0 if unknown == -1.0 else unknown] * 20))
+    values, _, said = scored(lines(full), lines(truth))
+    assert values["matched"] == len(CURVE)
+    assert 2.0 < values["nees_pose"] < 4.0
+    assert "1 of 40 poses state no covariance" in said
+
+
+@pytest.mark.parametrize("unknown", [math.nan, -1.0, 1e6, 99999.0])
+def test_an_axis_of_unknown_variance_leaves_the_others_scored(unknown, scored):
+    rows, truth = drawn()
+    C = SIGMA**2
+    right, _, _ = scored(lines(wide(rows, C)), lines(truth), "--cov-frame", "world")
+    C = C.copy()
+    C[5, 5] = unknown
+    values, asked, said = scored(lines(wide(rows, C)), lines(truth), "--cov-frame", "world")
+    assert values["nees_position"] == pytest.approx(right["nees_position"])
+    assert "nees_pose" not in values
+    assert "nees_3d_rotation" not in values
+    assert "an axis of unknown variance" in said
+    assert not asked
+    planar = f"t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n0,1,1,0,1,0,0,1,0,{unknown}\n1,1,1,0,1,0,0,1,0,{unknown}\n"
+    values, _, _ = scored(planar, "t,x,y,theta\n0,0,0,0\n1,0,0,0\n")
+    assert values["nees_position"] == pytest.approx(2.0)
+    assert "nees_heading" not in values
+
+
+def test_whole_seconds_and_nanoseconds_are_one_stamp(scored):
+    rows = [(k // 4, 250_000_000 * (k % 4), x, y, 0.0) for k, (x, y) in enumerate(CURVE)]
+    values, _, _ = scored(commas(rows, "sec,nanosec,x,y,yaw"), tum(CURVE, step=0.25))
+    assert values["matched"] == len(CURVE)
+    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_yaw_of_three_angles_in_degrees_is_asked_about(scored):
+    h = np.linspace(0.0, 3.0, len(CURVE))
+    rows = [(k, x, y, 0.0, 0.0, 0.0, math.degrees(a)) for k, ((x, y), a) in enumerate(zip(CURVE, h))]
+    truth = [(k, x, y, 0, 0, 0, math.sin(a / 2), math.cos(a / 2)) for k, ((x, y), a) in enumerate(zip(CURVE, h))]
+    header = "t,x,y,z,roll,pitch,yaw"
+    _, asked, _ = scored(commas(rows, header), lines(truth))
+    assert any("--unit NAME=deg" in a for a in asked)
+    for text, flags in ((commas(rows, header), ("--unit", "estimate=deg")), (commas(rows, header + "_deg"), ())):
+        values, asked, _ = scored(text, lines(truth), *flags)
+        assert values["rmse_rotation_3d_deg"] == pytest.approx(0.0, abs=1e-5)
+        assert not asked
+
+
+def square(rows, C):
+    return lines((*row, *np.asarray(C).ravel()) for row in rows)
+
+
+def test_one_triangle_of_a_covariance_is_mirrored_and_said(scored):
+    rng = np.random.default_rng(0)
+    root = rng.normal(size=(6, 6)) * 0.1
+    C = root @ root.T
+    rows, truth = drawn()
+    right, _, _ = scored(square(rows, C), lines(truth))
+    for half in (np.triu(C), np.tril(C)):
+        values, _, said = scored(square(rows, half), lines(truth))
+        assert values["nees_pose"] == pytest.approx(right["nees_pose"])
+        assert values["nees_3d_decoupled"] == pytest.approx(right["nees_3d_decoupled"])
+        assert "which is mirrored" in said
+    bent = C.copy()
+    bent[0, 1] += 0.3 * C[0, 0]
+    assert "covariance is not symmetric: entries (1, 2)" in scored(square(rows, bent), lines(truth), status=2)
+
+
+def test_no_variance_of_the_heading_leaves_the_position_scored(scored):
+    rows, truth = drawn()
+    C = SIGMA**2
+    right, _, _ = scored(lines(wide(rows, C)), lines(truth), "--cov-frame", "world")
+    C = C.copy()
+    C[3:, 3:] = 0.0
+    values, _, said = scored(lines(wide(rows, C)), lines(truth), "--cov-frame", "world")
+    assert values["nees_position"] == pytest.approx(right["nees_position"])
+    assert values["nees_3d_position"] == pytest.approx(right["nees_3d_position"])
+    assert "nees_pose" not in values
+    assert "no variance of the heading" in said
+    values, _, _ = scored(
+        "t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n0,1,1,0,1,0,0,1,0,0\n1,1,1,0,1,0,0,1,0,0\n",
+        "t,x,y,theta\n0,0,0,0\n1,0,0,0\n",
+    )
+    assert values["nees_position"] == pytest.approx(2.0)
+
+
+def test_openvins_states_blocks_of_rotation_and_position(scored):
+    rows, truth = drawn()
+    P = SIGMA**2
+    upper = np.triu_indices(3)
+    text = lines((*row, *P[3:, 3:][upper], *P[:3, :3][upper]) for row in rows)
+    plain, asked, said = scored(text, lines(truth))
+    assert not asked
+    assert "OpenVINS" in said
+    right, _, _ = scored(lines(wide(rows, P)), lines(truth), "--cov-frame", "world")
+    names = "Pr11 Pr12 Pr13 Pr22 Pr23 Pr33 Pt11 Pt12 Pt13 Pt22 Pt23 Pt33"
+    named, _, _ = scored(f"# timestamp(s) tx ty tz qx qy qz qw {names}\n{text}", lines(truth))
+    for values in (plain, named):
+        for name in ("nees_pose", "nees_3d_position", "nees_3d_rotation", "nees_3d_decoupled"):
+            assert values[name] == pytest.approx(right[name], rel=1e-4)
+
+
+# ---- words
+
+
+def test_a_truth_that_is_no_file_is_named_as_such(scored, tmp_path):
+    said = scored(tum(CURVE), [tmp_path / "nofile.tum"], status=2)
+    assert "nofile.tum: no such file" in said
+    assert "--log" not in said
+
+
+def test_the_projection_is_said_on_stdout(tmp_path, capsys):
+    (tmp_path / "a.tum").write_text(tum(CURVE, z=1.0))
+    (tmp_path / "b.tum").write_text(tum(CURVE))
+    assert score([str(tmp_path / "a.tum"), str(tmp_path / "b.tum")]) == 0
+    out = capsys.readouterr().out
+    assert "projection estimate z 1 to 1 m ignored in 2-D; names with 3d are in space" in out
+    assert "rmse_position_m 0\n" in out
+    assert "rmse_position_3d_m 1\n" in out
