@@ -22,8 +22,8 @@ from data.notice import Code, Notice, Severity, Value, notice
 from data.questions import FASTEST, SHARE
 from data.se2 import Array, BoolArray, wrap_angle
 from eval.referee.consistency import nees
-from eval.referee.errors import rms
-from eval.referee.in_space import NONE, InSpace, poses, tilts
+from eval.referee.errors import align, rms
+from eval.referee.in_space import NONE, SAME_VERTICAL, InSpace, poses, tilts
 
 FEW = 5
 """Least number of matched poses for a question about both files."""
@@ -176,6 +176,7 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     yield from _order(pair, known)
     if known.sum() >= FEW:
         yield from _scale(pair, known)
+        yield from _mirrored(pair, known)
     if pair.space is not None and pair.truth is not None:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
     yield from _partly_known(pair.estimate)
@@ -287,7 +288,7 @@ def _scale(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         yield _ask(Code.PATH_SCALE, estimate=pair.estimate.file, ratio=ratio)
 
 
-TILTED = math.radians(20.0)
+TILTED = SAME_VERTICAL
 """Smallest median tilt between two worlds that raises a question."""
 
 
@@ -310,6 +311,23 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     first = _w_first(ours.rotation, theirs.rotation)
     which = "quaternion" if first else "world" if same_world else "body"
     yield _ask(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which)
+
+
+REFLECTED = 0.2
+"""Largest RMS error of a mirrored fit, as a share of that of the fit itself, for a question."""
+
+
+def _mirrored(pair: Pair, known: BoolArray) -> Iterator[Notice]:
+    """A path that fits the truth's mirror image: a left-handed world, or z down."""
+    a, b = pair.estimate.pose[known, :2], pair.at[known, :2]
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    spread = math.sqrt(float(np.mean(np.sum(b**2, axis=1))))
+    off = []
+    for sign in (1.0, -1.0):
+        R, t = align(a * [1.0, sign], b)
+        off.append(math.sqrt(float(np.mean(np.sum(((a * [1.0, sign]) @ R.T + t - b) ** 2, axis=1)))))
+    if off[0] > FITS * spread and off[1] < REFLECTED * off[0]:
+        yield _ask(Code.PATH_MIRRORED, estimate=pair.estimate.file, direct=off[0], mirrored=off[1])
 
 
 def _partly_known(path: GivenPath) -> Iterator[Notice]:
