@@ -19,7 +19,7 @@ from data.formats.results.matrices import translation_first
 from data.formats.results.path import GivenPath
 from data.formats.results.space import flattened
 from data.notice import Code, Notice, Severity, Value, notice
-from data.questions import FASTEST, SHARE
+from data.questions import FASTEST, SHARE, changes, per_second
 from data.se2 import Array, BoolArray, wrap_angle
 from eval.referee.consistency import nees
 from eval.referee.errors import align, rms
@@ -145,15 +145,13 @@ def _turn_rate(path: GivenPath) -> Iterator[Notice]:
     raw = path.headings
     if raw is None or len(raw) < FEW:
         return
-    turn = np.abs(np.diff(raw))
-    turn[np.abs(turn - 2.0 * np.pi) < 1.0] = 0.0
-    rate = turn / np.diff(path.time)
-    rate = rate[np.isfinite(rate)]
+    rate = np.abs(per_second(path.time, changes(raw)))
     fast = int((rate > FASTEST).sum())
     rad, deg = _against_course(path.pose[:, :2], raw, 1.0), _against_course(path.pose[:, :2], raw, np.pi / 180.0)
-    if fast > max(2.0, SHARE * np.count_nonzero(rate)) or (deg > 0.95 and rad < 0.6):
-        largest = float(np.nanmax(np.abs(raw)))
-        yield _ask(Code.PATH_TURNS, file=path.file, fast=fast, steps=len(rate), largest=largest)
+    largest = float(np.nanmax(np.abs(raw), initial=0.0))
+    follows = largest > 2.0 * np.pi and deg > 0.95 and rad < 0.6
+    if fast > max(2.0, SHARE * np.count_nonzero(rate)) or follows:
+        yield _ask(Code.PATH_TURNS, file=path.file, fast=fast, seconds=len(rate), largest=largest)
 
 
 def _against_course(xy: Array, heading: Array, unit: float) -> float:
