@@ -37,6 +37,15 @@ class Code(StrEnum):
     FIELD_OF_VIEW = "field-of-view"
     PRIOR = "prior"
     TRUTH_FRAME = "truth-frame"
+    # about a laser log, for its author
+    NO_ODOMETRY = "no-odometry"
+    ODOMETRY_UNIT = "odometry-unit"
+    RANGE_UNIT = "range-unit"
+    FEW_RETURNS = "few-returns"
+    MOUNTING = "mounting"
+    BEAM_ANGLES = "beam-angles"
+    STAMPS_BACK = "stamps-back"
+    STAMPS_BROKEN = "stamps-broken"
     # about a run: how it was made
     NOTE = "note"
     DECIDED_BY = "decided-by"

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from data import laser_questions
 from data.inputs import Inputs
 from data.log import ODOMETRY_KIND, Log
 from data.motion.velocity import carried
@@ -135,6 +136,8 @@ def stamps(log: Log) -> list[Notice]:
     unit, blind = "", None
     if gap > SLOW_FRAMES:
         unit = next(name for name, limit in (("ms", 1e4), ("us", 1e7), ("ns", np.inf)) if gap < limit)
+    elif gap >= FAST_FRAMES and inputs.scans is not None:
+        return []
     elif gap >= FAST_FRAMES:
         # increments across gaps of the odometry: no motion, and an isotropic covariance
         mean, P = inputs.increments.mean[1:], inputs.increments.covariance[1:]
@@ -336,4 +339,5 @@ CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
 
 def ask(log: Log) -> tuple[Notice, ...]:
     """Questions about a log; none where it looks as it should."""
-    return tuple(question.about(log=log.name) for check in CHECKS for question in check(log))
+    found = [*log.asked, *(question for check in (*CHECKS, *laser_questions.CHECKS) for question in check(log))]
+    return tuple(question.about(log=log.name) for question in found)

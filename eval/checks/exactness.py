@@ -25,7 +25,7 @@ from data.words import environment
 from eval.checks import worlds
 from eval.checks.finding import APPROXIMATE, Finding, check
 from eval.checks.kalman import NONE, Bug, Expected, Rules, State, rules_of, states_of
-from eval.replay.estimators import Estimator, capabilities, make_estimator
+from eval.replay.estimators import Estimator, Timed, capabilities, make_estimator
 from eval.replay.external.adapter import Adapter
 from eval.replay.external.guard import ForeignError, call
 from eval.replay.external.load import load
@@ -166,12 +166,13 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
         measured = tuple(q for q in Quantity if any(q in found for found in each))
         most = max(size for q, size in largest.items() if q not in COUNTED)
         return [Agreement(world, len(each), measured, most, allowed)]
-    bug = likely(world, task, given) if given else None
+    mine = numbers(given, right[: len(given)])
+    bug = likely(world, task, mine)
     order = sorted(begin, key=lambda q: (begin[q], list(Quantity).index(q)))
     facts: list[Fact] = []
     for q in order:
         observed, limit = len(frames[begin[q]][1]) > 0, 0.0 if q in COUNTED else allowed
-        own = bug or likely(world, task, given, only=q)
+        own = bug or likely(world, task, mine, q)
         facts.append(Deviation(world, q, begin[q], observed, q is order[0], largest[q], limit, own, exact))
     return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bug)]
 
@@ -204,13 +205,13 @@ def _with_decisions(state: State, frame: Frame, inputs: Inputs) -> State:
 
 
 @lru_cache(maxsize=4)
-def mistaken(world: str, task: str) -> tuple[tuple[Bug, ...], Array]:
-    """The filter with each mistake (b,) that makes a difference, in numbers (b, n)."""
+def mistaken(world: str, task: str) -> tuple[tuple[Bug, ...], Array, Array]:
+    """The filter with each mistake (b,) that makes a difference, in numbers (b, n); and the exact one (n,)."""
     frames, right = exact_states(world, task)
     inputs, exact, (weights, _) = inputs_of(world, task), numbers(right, right), _layout(world, task)
     found = [(b, numbers(states_of(frames, inputs, r), right)) for b in Bug for r in rules_of(b)]
     found = [(b, n) for b, n in found if _distance(n - exact, weights) > 0.0]
-    return tuple(b for b, _ in found), np.array([n for _, n in found])
+    return tuple(b for b, _ in found), np.array([n for _, n in found]), exact
 
 
 @lru_cache(maxsize=4)
@@ -221,18 +222,17 @@ def _layout(world: str, task: str) -> tuple[Array, Array]:
     return np.concatenate([np.full(n, 1.0 / n) for _, n in each]), np.repeat([q for q, _ in each], [n for _, n in each])
 
 
-def likely(world: str, task: str, given: Sequence[State], only: Quantity | None = None) -> Bug | None:
-    """The mistake by which the Kalman filter gives the same numbers, all or those of a quantity; None: no known one."""
-    _, right = exact_states(world, task)
-    bugs, each = mistaken(world, task)
-    mine = numbers(given, right[: len(given)])
+def likely(world: str, task: str, mine: Array, only: Quantity | None = None) -> Bug | None:
+    """The mistake by which the filter gives the `numbers` of an estimator (n,), all or those of a quantity; or None."""
+    bugs, each, exact = mistaken(world, task)
     n = len(mine)
     weights, quantities = (a[:n] for a in _layout(world, task))
     if only is not None:
         weights = np.where(quantities == only, weights, 0.0)
-    apart = _distance(mine - each[:, :n], weights)
+    used = weights > 0.0
+    apart = _distance((mine - each[:, :n])[:, used], weights[used])
     i = int(np.argmin(apart))
-    return bugs[i] if apart[i] < ALIKE * _distance(mine - numbers(right, right)[:n], weights) else None
+    return bugs[i] if apart[i] < ALIKE * _distance((mine - exact[:n])[used], weights[used]) else None
 
 
 def _distance(off: Array, weights: Array) -> Array:
@@ -244,7 +244,8 @@ def _distance(off: Array, weights: Array) -> Array:
 
 def numbers(given: Sequence[State], right: Sequence[State]) -> Array:
     """All that is said about frames as one vector (n,), in standard deviations; NaN: it is not said."""
-    return np.concatenate([part.ravel() for g, r in zip(given, right, strict=True) for part in parts(g, r).values()])
+    each = [part.ravel() for g, r in zip(given, right, strict=True) for part in parts(g, r).values()]
+    return np.concatenate(each) if each else np.empty(0)
 
 
 def parts(given: State, right: State) -> dict[Quantity, Array]:
@@ -369,11 +370,12 @@ def recorded(
     """
     estimator, slam = make_estimator(text, inputs), inputs.map is None
     foreign = estimator if isinstance(estimator, Adapter) else None
+    timed = capabilities(estimator).timed
     found: list[State] = []
     stop = None
     try:
         for frame, decisions in frames:
-            state, absent = _said(estimator, frame, decisions, slam=slam)
+            state, absent = _said(estimator, timed, frame, decisions, slam=slam)
             if absent:
                 stop = ForeignError(f"{absent} NEW observations initialize no landmark") if exact else None
                 break
@@ -383,11 +385,13 @@ def recorded(
     return found, math.inf if foreign is None else foreign.samples, stop
 
 
-def _said(estimator: Estimator, frame: Frame, decisions: IntArray, *, slam: bool) -> tuple[State, int]:
+def _said(
+    estimator: Estimator, timed: Timed | None, frame: Frame, decisions: IntArray, *, slam: bool
+) -> tuple[State, int]:
     """One frame of `recorded`, and how many landmarks are not initialized."""
     if frame.increment is not None:
         estimator.predict(frame.increment)
-    if (timed := capabilities(estimator).timed) is not None:
+    if timed is not None:
         timed.stamp(frame.time)
     expected, used, nis, absent = None, NONE, math.nan, 0
     if len(decisions):

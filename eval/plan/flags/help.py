@@ -132,6 +132,7 @@ examples:
   {PROG} --log victoria-park --task slam    one log, one task
   {PROG} intel.log.gz --keyframe-distance 0.8    a laser log (CARMEN): scans matched, loops closed
   {PROG} intel.log.gz --least-information 0.2    without the key poses of least information
+  {PROG} intel.log.gz --no-odometry             scans alone tell the motion
   {PROG} intel.log.gz --relations intel.relations.csv    a laser log, scored by reference relations
   {PROG} my_log --exclude-truth 12:15.5 --keep-truth    ground truth left out there, and nowhere else
   {PROG} visual:0                           a rendered camera log

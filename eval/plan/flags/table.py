@@ -101,9 +101,9 @@ class Selection:
 
     log: tuple[str, ...] = several(
         "PATH|NAME",
-        "open log folder, CARMEN log (.log, .clf, also .gz), or victoria-park, arena:SEED, circle:SEED, linear:SEED, "
-        "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, five corridors and "
-        "60 frames of visual:0)",
+        "open log folder, CARMEN log (.log, .clf, also .gz, .bz2), or victoria-park, arena:SEED, circle:SEED, "
+        "linear:SEED, corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, five "
+        "corridors and 60 frames of visual:0)",
     )
     data: tuple[str, ...] = several(
         "DIR",
@@ -230,6 +230,7 @@ class Opening:
     relations: str | None = file_row(
         "reference relations of the only laser log (default: NAME.relations.csv, or relations.csv in its folder)"
     )
+    no_odometry: bool = switch_row("laser logs: the odometry is unknown, and scans alone tell the motion")
 
 
 @dataclass(frozen=True)
