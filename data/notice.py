@@ -78,6 +78,7 @@ class Code(StrEnum):
     PATH_ORDER = "path-order"
     PATH_SCALE = "path-scale"
     PATH_TILT = "path-tilt"
+    PATH_MIRRORED = "path-mirrored"
     # about a run of hindsight
     LARGER_SIGMAS = "larger-sigmas"
     REVISED = "revised"
@@ -137,6 +138,7 @@ QUESTIONS = frozenset(
         Code.PATH_ORDER,
         Code.PATH_SCALE,
         Code.PATH_TILT,
+        Code.PATH_MIRRORED,
     }
 )
 """Findings about the files of a result that the user has to answer."""

@@ -84,8 +84,8 @@ def turn_rates(log: Log) -> list[Notice]:
     inputs, pose = log.recorded, log.truth.pose
     if len(inputs) < 2:
         return []
-    odometry = _per_second(inputs.time, inputs.increments.mean[1:, 2])
-    truth = None if pose is None else _per_second(inputs.time, _changes(pose[:, 2]))
+    odometry = per_second(inputs.time, inputs.increments.mean[1:, 2])
+    truth = None if pose is None else per_second(inputs.time, changes(pose[:, 2]))
     found = []
     for of, rate in (("odometry", odometry), ("truth", truth)):
         if rate is not None and (np.abs(rate) > FASTEST).sum() > max(2.0, SHARE * np.count_nonzero(rate)):
@@ -111,14 +111,14 @@ def _in_degrees(log: Log, of: str) -> tuple[str, ...]:
     return (f"--unit {unit}",)
 
 
-def _changes(heading: Array) -> Array:
+def changes(heading: Array) -> Array:
     """Changes of heading between frames, without jumps by 2 pi; 0 where unknown."""
     change = np.nan_to_num(np.diff(heading))
     change[np.abs(np.abs(change) - TURN) < 1.0] = 0.0
     return change
 
 
-def _per_second(time: Array, turn: Array) -> Array:
+def per_second(time: Array, turn: Array) -> Array:
     """Rates [rad/s] over stretches of at least 1 s (or 1 step)."""
     second = np.floor(time - time[0])
     edges = np.unique(np.concatenate([[0], 1 + np.flatnonzero(second[1:] > second[:-1]), [len(time) - 1]]))
