@@ -48,6 +48,16 @@ def holding(sensor: Sensor, polar: Array) -> Sensor:
     )
 
 
+def narrower(sensor: Sensor, other: Sensor) -> Sensor:
+    """The sensor with the part of its field of view that is in the other's, too."""
+    return replace(
+        sensor,
+        max_range=min(sensor.max_range, other.max_range),
+        min_angle=max(sensor.min_angle, other.min_angle),
+        max_angle=min(sensor.max_angle, other.max_angle),
+    )
+
+
 def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading: Array) -> BoolArray:
     """A superset of `in_view` for landmarks at xy (n, 2), without a joint covariance; all walls are in it. `sigma` (n,)
     m, `heading` (n,) rad: bounds of the landmarks' uncertainty relative to the robot, and of its heading's.

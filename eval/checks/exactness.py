@@ -19,17 +19,18 @@ from association.decide import decide, known_decisions
 from association.expectation import Expectation, SingularInnovationError
 from data.blocks import block_diagonal
 from data.inputs import Frame, Inputs, IntArray
-from data.result import DISCARD
+from data.result import DISCARD, NEW
 from data.se2 import Array, wrap_angle
 from data.words import environment
 from eval.checks import worlds
 from eval.checks.finding import APPROXIMATE, Finding, check
 from eval.checks.kalman import NONE, Bug, Expected, Rules, State, rules_of, states_of
-from eval.replay.estimators import Estimator, capabilities, make_estimator
+from eval.replay.estimators import Estimator, Timed, capabilities, make_estimator
 from eval.replay.external.adapter import Adapter
-from eval.replay.external.guard import ForeignError
+from eval.replay.external.guard import ForeignError, call
 from eval.replay.external.load import load
 from eval.replay.external.spec import is_foreign
+from eval.replay.run import DIVERGED
 from eval.replay.settings import INCREMENTAL
 
 EXACTLY, NEARLY = 1e-6, 0.05  # largest differences, in standard deviations of the exact filter
@@ -149,7 +150,7 @@ def exactness(text: str, task: str) -> Iterator[Finding]:
 def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
     """The facts about an estimator in a world: it agrees, or deviations in the order of their appearance."""
     frames, right = exact_states(world, task)
-    given, samples, stop = recorded(text, inputs_of(world, task), frames)
+    given, samples, stop = recorded(text, inputs_of(world, task), frames, exact=exact)
     allowed = EXACTLY if exact and world == worlds.LINEAR else NEARLY
     if samples < math.inf:
         allowed = min(NEARLY + SAMPLING / math.sqrt(samples), APPROXIMATE)
@@ -165,12 +166,14 @@ def compared(text: str, task: str, world: str, *, exact: bool) -> list[Fact]:
         measured = tuple(q for q in Quantity if any(q in found for found in each))
         most = max(size for q, size in largest.items() if q not in COUNTED)
         return [Agreement(world, len(each), measured, most, allowed)]
-    bug = likely(world, task, given)
+    mine = numbers(given, right[: len(given)])
+    bug = likely(world, task, mine)
     order = sorted(begin, key=lambda q: (begin[q], list(Quantity).index(q)))
     facts: list[Fact] = []
     for q in order:
         observed, limit = len(frames[begin[q]][1]) > 0, 0.0 if q in COUNTED else allowed
-        facts.append(Deviation(world, q, begin[q], observed, q is order[0], largest[q], limit, bug, exact))
+        own = bug or likely(world, task, mine, q)
+        facts.append(Deviation(world, q, begin[q], observed, q is order[0], largest[q], limit, own, exact))
     return facts if stop is None else [*facts, Stopped(world, len(given), str(stop), bug)]
 
 
@@ -202,32 +205,34 @@ def _with_decisions(state: State, frame: Frame, inputs: Inputs) -> State:
 
 
 @lru_cache(maxsize=4)
-def mistaken(world: str, task: str) -> tuple[tuple[Bug, ...], Array]:
-    """The filter with each mistake (b,) that makes a difference, in numbers (b, n)."""
+def mistaken(world: str, task: str) -> tuple[tuple[Bug, ...], Array, Array]:
+    """The filter with each mistake (b,) that makes a difference, in numbers (b, n); and the exact one (n,)."""
     frames, right = exact_states(world, task)
-    inputs, exact = inputs_of(world, task), numbers(right, right)
+    inputs, exact, (weights, _) = inputs_of(world, task), numbers(right, right), _layout(world, task)
     found = [(b, numbers(states_of(frames, inputs, r), right)) for b in Bug for r in rules_of(b)]
-    found = [(b, n) for b, n in found if _distance(n - exact, _weights(world, task)) > 0.0]
-    return tuple(b for b, _ in found), np.array([n for _, n in found])
+    found = [(b, n) for b, n in found if _distance(n - exact, weights) > 0.0]
+    return tuple(b for b, _ in found), np.array([n for _, n in found]), exact
 
 
 @lru_cache(maxsize=4)
-def _weights(world: str, task: str) -> Array:
-    """Weights (n,) of `numbers`: every quantity of every frame has the same."""
+def _layout(world: str, task: str) -> tuple[Array, Array]:
+    """Weights (n,) of `numbers`, the same for every quantity of every frame; and the quantities (n,), as strings."""
     _, right = exact_states(world, task)
-    return np.concatenate([np.full(part.size, 1.0 / part.size) for s in right for part in parts(s, s) if part.size])
+    each = [(q, part.size) for s in right for q, part in parts(s, s).items()]
+    return np.concatenate([np.full(n, 1.0 / n) for _, n in each]), np.repeat([q for q, _ in each], [n for _, n in each])
 
 
-def likely(world: str, task: str, given: Sequence[State]) -> Bug | None:
-    """The mistake by which the Kalman filter gives the same numbers, if there is one."""
-    _, right = exact_states(world, task)
-    bugs, each = mistaken(world, task)
-    mine = numbers(given, right[: len(given)])
+def likely(world: str, task: str, mine: Array, only: Quantity | None = None) -> Bug | None:
+    """The mistake by which the filter gives the `numbers` of an estimator (n,), all or those of a quantity; or None."""
+    bugs, each, exact = mistaken(world, task)
     n = len(mine)
-    weights = _weights(world, task)[:n]
-    apart = _distance(mine - each[:, :n], weights)
+    weights, quantities = (a[:n] for a in _layout(world, task))
+    if only is not None:
+        weights = np.where(quantities == only, weights, 0.0)
+    used = weights > 0.0
+    apart = _distance((mine - each[:, :n])[:, used], weights[used])
     i = int(np.argmin(apart))
-    return bugs[i] if apart[i] < ALIKE * _distance(mine - numbers(right, right)[:n], weights) else None
+    return bugs[i] if apart[i] < ALIKE * _distance((mine - exact[:n])[used], weights[used]) else None
 
 
 def _distance(off: Array, weights: Array) -> Array:
@@ -239,12 +244,13 @@ def _distance(off: Array, weights: Array) -> Array:
 
 def numbers(given: Sequence[State], right: Sequence[State]) -> Array:
     """All that is said about frames as one vector (n,), in standard deviations; NaN: it is not said."""
-    return np.concatenate([part.ravel() for g, r in zip(given, right, strict=True) for part in parts(g, r)])
+    each = [part.ravel() for g, r in zip(given, right, strict=True) for part in parts(g, r).values()]
+    return np.concatenate(each) if each else np.empty(0)
 
 
-def parts(given: State, right: State) -> list[Array]:
-    """The same about a frame, by quantity; their shapes are those of the exact filter `right`."""
-    found = []
+def parts(given: State, right: State) -> dict[Quantity, Array]:
+    """What is said about a frame, by quantity; shapes are those of the exact filter `right`."""
+    found = {}
     g, r = given.expected, right.expected
     if r is not None and len(r.number):
         z_hat, joint, blocks = (np.full(a.shape, np.nan) for a in (r.z_hat, r.joint, r.blocks))
@@ -252,24 +258,30 @@ def parts(given: State, right: State) -> list[Array]:
             mine = np.argsort(g.number)
             inner = _coordinates(mine)
             z_hat, joint, blocks = g.z_hat[mine], g.joint[np.ix_(inner, inner)], g.blocks[mine]
-        S = r.blocks + r.R.min(axis=0)
-        sigma = np.sqrt(np.einsum("nii->ni", S))
-        flat = sigma.ravel()
-        found += [z_hat / sigma, joint / np.outer(flat, flat), blocks / (sigma[:, :, None] * sigma[:, None, :])]
+        sigma = np.sqrt(np.einsum("nii->ni", r.blocks + r.R.min(axis=0)))
+        found[Quantity.EXPECTED] = z_hat / sigma
+        found[Quantity.MARGINALS] = blocks / _outer(sigma)
+        found[Quantity.JOINT] = joint / _outer(sigma.ravel())
     if len(right.used):
-        found.append(np.array([given.nis / max(right.nis, 2.0 * len(right.used))]))
+        found[Quantity.NIS] = np.array([given.nis / max(right.nis, 2.0 * len(right.used))])
     sigma = np.sqrt(np.diag(right.covariance))
-    apart = given.pose - right.pose
-    apart[2] = wrap_angle(float(apart[2]))
-    found += [apart / sigma, given.covariance / np.outer(sigma, sigma)]
+    off = given.pose - right.pose
+    off[2] = wrap_angle(float(off[2]))
+    found[Quantity.POSE] = off / sigma
+    found[Quantity.COVARIANCE] = given.covariance / _outer(sigma)
     if len(right.number):
-        same = np.array_equal(given.number, right.number)
+        xy, own = np.full_like(right.xy, np.nan), np.full_like(right.blocks, np.nan)
+        if np.array_equal(given.number, right.number):
+            xy, own = given.xy, given.blocks
         sigma = np.sqrt(np.einsum("nii->ni", right.blocks))
-        xy, own = (
-            (given.xy, given.blocks) if same else (np.full_like(right.xy, np.nan), np.full_like(right.blocks, np.nan))
-        )
-        found += [xy / sigma, own / (sigma[:, :, None] * sigma[:, None, :])]
+        found[Quantity.LANDMARKS] = xy / sigma
+        found[Quantity.LANDMARK_COVARIANCE] = own / _outer(sigma)
     return found
+
+
+def _outer(sigma: Array) -> Array:
+    """Products (..., d, d) of standard deviations (..., d)."""
+    return np.asarray(sigma[..., :, None] * sigma[..., None, :])
 
 
 def differences(given: State, right: State) -> dict[Quantity, float]:
@@ -348,46 +360,58 @@ def _furthest(given: Array, right: Array, whole: Array | None = None) -> float:
     return max(map(_apart, given, right, right if whole is None else whole), default=0.0)
 
 
-def recorded(text: str, inputs: Inputs, frames: Frames) -> tuple[list[State], float, ForeignError | None]:
+def recorded(
+    text: str, inputs: Inputs, frames: Frames, *, exact: bool = True
+) -> tuple[list[State], float, ForeignError | None]:
     """What an estimator says about frames, until it stops for a reason (None: it does not).
 
-    Also its least effective number of samples (infinite: it has none).
+    Also its least effective number of samples (infinite: it has none). A landmark that is not initialized at once ends
+    the comparison, as numbers differ from then on; for an estimator that claims to be `exact` it is a reason.
     """
-    estimator = make_estimator(text, inputs)
+    estimator, slam = make_estimator(text, inputs), inputs.map is None
     foreign = estimator if isinstance(estimator, Adapter) else None
+    timed = capabilities(estimator).timed
     found: list[State] = []
     stop = None
     try:
         for frame, decisions in frames:
-            found.append(_said(estimator, frame, decisions, slam=inputs.map is None))
-    except ForeignError as fault:
-        stop = fault
+            state, absent = _said(estimator, timed, frame, decisions, slam=slam)
+            if absent:
+                stop = ForeignError(f"{absent} NEW observations initialize no landmark") if exact else None
+                break
+            found.append(state)
+    except (ForeignError, *DIVERGED) as fault:
+        stop = ForeignError(str(fault))
     return found, math.inf if foreign is None else foreign.samples, stop
 
 
-def _said(estimator: Estimator, frame: Frame, decisions: IntArray, *, slam: bool) -> State:
-    """One frame of `recorded`."""
+def _said(
+    estimator: Estimator, timed: Timed | None, frame: Frame, decisions: IntArray, *, slam: bool
+) -> tuple[State, int]:
+    """One frame of `recorded`, and how many landmarks are not initialized."""
     if frame.increment is not None:
         estimator.predict(frame.increment)
-    if (timed := capabilities(estimator).timed) is not None:
+    if timed is not None:
         timed.stamp(frame.time)
-    expected, used, nis = None, NONE, math.nan
+    expected, used, nis, absent = None, NONE, math.nan, 0
     if len(decisions):
         if not isinstance(estimator, Adapter) or estimator.has("expect"):
             expected = _formed(estimator.expect(frame.observations), known_map=not slam)
         done = estimator.update(frame.observations, decisions.copy())
         used, nis = np.flatnonzero(done.used), done.nis
+        absent = int(((decisions == NEW) & (done.created < 0)).sum()) if slam else 0
     pose, P = estimator.estimate()
     number, xy, blocks = estimator.landmarks() if slam else (NONE, np.empty((0, 2)), np.empty((0, 2, 2)))
-    return State(expected, decisions, used, nis, pose, P, number, xy, blocks)
+    return State(expected, decisions, used, nis, pose, P, number, xy, blocks), absent
 
 
 def _formed(e: Expectation, *, known_map: bool) -> Expected:
     """An expectation in numbers, before the update makes it invalid."""
     n = len(e.number)
     joint = np.asarray(e.joint(np.arange(n))) if n else np.empty((0, 0))
+    nu = np.asarray(call("the residual of the expectation", e.innovations))
     try:
         decided = decide("jcbb", e, GATE, NEW_GATE, known_map=known_map).decisions
     except SingularInnovationError:
         decided = np.full(len(e.z), DISCARD)
-    return Expected(e.number, e.z_hat, joint, e.HPHt, np.asarray(e.innovations()), e.R, decided)
+    return Expected(e.number, e.z_hat, joint, e.HPHt, nu, e.R, decided)

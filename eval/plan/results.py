@@ -156,7 +156,17 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
     if len(listed) > 1 and not np.array_equal(listed[0][1].time, listed[1][1].time):
         groups = [dict([p]) for p in listed]
     for group in groups:
-        run = given_run(result.name, task, group, log, truth, align=reading.align, gap=reading.truth_gap, kept=kept)
+        run = given_run(
+            result.name,
+            task,
+            group,
+            log,
+            truth,
+            align=reading.align,
+            gap=reading.truth_gap,
+            pairs=reading.pairs,
+            kept=kept,
+        )
         phase, last = next((p, group[p]) for p in ("final", "online") if p in group)
         if truth is not None and run.match is not None and not run.match.matched:
             why = "; the log has no stamps, so t is the index of a frame" if log.recorded.time_is_index else ""

@@ -148,8 +148,11 @@ class Relative:
     turn: Array
 
 
-def pairs_by_way(position: Array, distance: float) -> tuple[IntArray, IntArray]:
-    """Rows i < j (p,) of positions (n, k) `distance` apart along the path, within a tenth; of equal ones the first."""
+def pairs_by_way(position: Array, distance: float, tolerance: float | None = None) -> tuple[IntArray, IntArray]:
+    """Rows i < j (p,) of positions (n, k) `distance` apart along the path; of equally near ones the first.
+
+    `tolerance` [m]: largest deviation; None: a tenth of the distance.
+    """
     n = len(position)
     if n < 2:
         return np.empty(0, np.int64), np.empty(0, np.int64)
@@ -160,7 +163,7 @@ def pairs_by_way(position: Array, distance: float) -> tuple[IntArray, IntArray]:
     low = np.maximum(np.searchsorted(driven, driven[np.maximum(high - 1, 0)]), i + 1)
     off_low, off_high = (np.abs(driven[j] - driven[i] - distance) for j in (low, high))
     j = np.where(off_low <= off_high, low, high)
-    kept = np.minimum(off_low, off_high) <= TOLERANCE * distance
+    kept = np.minimum(off_low, off_high) <= (TOLERANCE * distance if tolerance is None else tolerance)
     return i[kept], j[kept]
 
 

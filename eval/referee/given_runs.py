@@ -26,7 +26,7 @@ from data.sensors import RangeBearing
 from data.truth import Truth
 from data.words import sentence
 from eval.referee.errors import align
-from eval.referee.in_space import FIRST, NONE, SIM3, InSpace, Poses, aligning, poses
+from eval.referee.in_space import EVO, FIRST, NONE, SIM3, InSpace, Poses, aligning, poses
 
 
 def alignment(pose: Array, truth: Array, how: str) -> Array | None:
@@ -250,6 +250,7 @@ def given_run(
     *,
     align: str = NONE,
     gap: float = GAP,
+    pairs: str = EVO,
     kept: Kept = Kept(),
 ) -> GivenRun:
     """A run of the phases in `paths`, which have the same stamps, scored against `truth`."""
@@ -268,7 +269,7 @@ def given_run(
         for phase, path in paths.items():
             assert path.space is not None  # all phases are of one format
             aligned = path.space if fit is None else fit.of(path.space)
-            space[phase] = InSpace(aligned, at, path.space)
+            space[phase] = InSpace(aligned, at, path.space, pairs)
         paths = paths if fit is None else {k: flattened(space[k].estimate) for k in paths}
         T = None if fit is None else fit.planar
     else:

@@ -24,6 +24,14 @@ ALIGNMENTS = (NONE, FIRST, SE2, SE3, SIM3, YAW)
 FITTED = (SE3, SIM3, YAW)
 
 
+EVO, RPG, OPENVINS = "evo", "rpg", "openvins"
+PAIRS = (EVO, RPG, OPENVINS)
+"""Whose pairs relative errors are of: evo's and ours; those of rpg_trajectory_evaluation, or of OpenVINS."""
+RPG_SHARES, RPG_TOLERANCE = (0.1, 0.2, 0.3, 0.4, 0.5), 0.2
+"""Lengths as shares of the true path's, and tolerance as a share of the length."""
+OPENVINS_LENGTHS, OPENVINS_TOLERANCE = (8.0, 16.0, 24.0, 32.0, 40.0), 0.5  # m
+
+
 @dataclass(frozen=True, eq=False)
 class Poses(Locked):
     """Positions (n, 3) m and rotations (n, 3, 3); NaN where unknown."""
@@ -48,6 +56,7 @@ class InSpace:
     estimate: Spatial
     truth: Poses
     original: Spatial
+    pairs: str = EVO
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,19 +173,37 @@ def aligned_columns(path: Spatial, truth: Poses) -> dict[str, float]:
     return found
 
 
-def relative_columns(estimate: Poses, truth: Poses) -> dict[str, float | None]:
-    """RMS relative errors over a frame and over `DISTANCES` of the true path in space; None: no pair."""
+def relative_columns(estimate: Poses, truth: Poses, pairs: str = EVO) -> dict[str, float | None]:
+    """RMS relative errors over a frame and over lengths of the true path in space; None: no pair.
+
+    Of other pairs than evo's the median, too, which their programs show.
+    """
     known = estimate.known & truth.known
     a, b = estimate.of(known), truth.of(known)
     n = int(known.sum())
     every = {"frame": (np.arange(max(n - 1, 0)), np.arange(1, max(n, 1)))}
     found: dict[str, float | None] = {}
-    for name, (i, j) in (every | {f"{d:g}m": pairs_by_way(b.position, d) for d in DISTANCES}).items():
+    for name, (i, j) in (every | _by_length(b.position, pairs)).items():
         (Ra, ta), (Rb, tb) = _between(a, i, j), _between(b, i, j)
         some = len(i) > 0
-        found[f"rpe_{name}_3d_m"] = rms(np.linalg.norm(ta - tb, axis=1)) if some else None
-        found[f"rpe_{name}_3d_deg"] = math.degrees(rms(se3.angle_between(Rb, Ra))) if some else None
+        off, turn = np.linalg.norm(ta - tb, axis=1), np.degrees(se3.angle_between(Rb, Ra))
+        found[f"rpe_{name}_3d_m"] = rms(off) if some else None
+        found[f"rpe_{name}_3d_deg"] = rms(turn) if some else None
+        if pairs != EVO and name != "frame" and some:
+            found[f"rpe_{name}_3d_median_m"] = float(np.median(off))
+            found[f"rpe_{name}_3d_median_deg"] = float(np.median(turn))
     return found
+
+
+def _by_length(position: Array, pairs: str) -> dict[str, tuple[IntArray, IntArray]]:
+    """Pairs by length along the true positions (n, 3)."""
+    if pairs == EVO:
+        return {f"{d:g}m": pairs_by_way(position, d) for d in DISTANCES}
+    if pairs == OPENVINS:
+        return {f"{d:g}m": pairs_by_way(position, d, OPENVINS_TOLERANCE) for d in OPENVINS_LENGTHS}
+    length = float(np.linalg.norm(np.diff(position, axis=0), axis=1).sum())
+    lengths = {f"{100.0 * share:.0f}percent": share * length for share in RPG_SHARES}
+    return {name: pairs_by_way(position, d, RPG_TOLERANCE * d) for name, d in lengths.items()}
 
 
 def _between(path: Poses, i: IntArray, j: IntArray) -> tuple[Array, Array]:
@@ -185,10 +212,28 @@ def _between(path: Poses, i: IntArray, j: IntArray) -> tuple[Array, Array]:
     return back @ path.rotation[j], np.einsum("nij,nj->ni", back, path.position[j] - path.position[i])
 
 
+SAME_VERTICAL = math.radians(20.0)
+"""Largest median tilt of two worlds with the same vertical."""
+
+
+def is_upside_down(fit: Similarity, estimate: Poses, truth: Poses) -> bool:
+    """Whether a fit turns the world over though rotations have the same vertical: a flat path that is mirrored."""
+    known = estimate.known & truth.known
+    if fit.R[2, 2] >= 0.0 or not known.any():
+        return False
+    return float(np.median(tilts(estimate.of(known), truth.of(known)))) < SAME_VERTICAL
+
+
 def plane_rmse(path: Spatial, truth: Poses) -> float:
-    """RMS error [m] of x and y after the best rigid fit in space; NaN with fewer than two matches."""
+    """RMS error [m] of x and y after the best rigid fit in space; NaN with fewer than two matches.
+
+    A fit that turns the world over is replaced by that of position and heading.
+    """
     fit = aligning(poses(path), truth, SE3)
     if fit is None or (poses(path).known & truth.known).sum() < 2:
         return math.nan
+    if is_upside_down(fit, poses(path), truth):
+        fit = aligning(poses(path), truth, YAW)
+        assert fit is not None  # there are matches
     off = fit.of(path).position - truth.position
     return rms(np.hypot(off[:, 0], off[:, 1]))

@@ -122,7 +122,10 @@ class FrontEnd:
         """Give the decisions to this estimator, before its first frame."""
         self.estimator, self.can = estimator, capabilities(estimator)  # gets the decisions; its capabilities
         self.foreign = estimator if isinstance(estimator, Adapter) else None  # if it is foreign
-        self.own = None if self.foreign is None else OwnInnovations(self.foreign, self.given.sensor)
+        self.own: OwnInnovations | None = None  # its innovations
+        if self.foreign is not None:
+            expect = self.foreign.expect if self.foreign.has("expect") else None
+            self.own = OwnInnovations(expect, self.given.sensor)
 
     def move(self, frame: Frame) -> None:
         """Predict the next frame; the first one has no motion."""
@@ -256,8 +259,8 @@ class FrontEnd:
     def notes(self) -> list[Notice]:
         """Messages about the run."""
         notes, s = [], self.setup
-        if self.foreign is not None and self.own is not None:
-            notes += self.foreign.notes() + self.own.notes()
+        notes += [] if self.foreign is None else self.foreign.notes()
+        notes += [] if self.own is None else self.own.notes()
         if self.incomplete:
             notes.append(notice(Code.OUT_OF_NODES, method=self.association, nodes=BUDGET, frames=self.incomplete))
         if self.slam and self.estimator.smooths and (s.forget_after is not None or s.deactivate_after is not None):

@@ -15,6 +15,7 @@ from association.jcbb import jcbb
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing, RelativePoint
 from eval.replay.hindsight import constants
+from eval.replay.hindsight.opportunities import missing
 from eval.replay.hindsight.record import (
     INITIALIZED,
     Judgement,
@@ -23,7 +24,6 @@ from eval.replay.hindsight.record import (
     add_observation,
     confirmed,
     detection_rate,
-    missing,
     verdict,
 )
 from tests.association.problems import problem

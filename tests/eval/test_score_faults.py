@@ -297,6 +297,17 @@ def test_positions_in_millimetres_are_asked_about(scored):
     assert not asked
 
 
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_mirrored_path_is_asked_about_and_not_turned_over(planar, scored):
+    """In space a flat path fits its mirror image when it is turned upside down."""
+    turned = [(x, -y) for x, y in CURVE]
+    files = [headed(np.zeros(40), turned), headed(np.zeros(40))] if planar else [tum(turned), tum(CURVE)]
+    values, asked, _ = scored(*files)
+    assert values["rmse_aligned_m"] > 1.0
+    assert len(asked) == 1
+    assert "mirror image" in asked[0]
+
+
 # ---- covariances
 
 SIGMA = np.diag([0.1, 0.2, 0.3, 0.001, 0.002, 0.003])
@@ -358,6 +369,53 @@ def test_a_covariance_of_nan_zeros_or_minus_one_is_unknown(unknown, scored):
     assert values["matched"] == len(CURVE)
     assert 2.0 < values["nees_pose"] < 4.0
     assert "1 of 40 poses state no covariance" in said
+
+
+@pytest.mark.parametrize("unknown", [math.nan, -1.0, 1e6, 99999.0])
+def test_an_axis_of_unknown_variance_leaves_the_others_scored(unknown, scored):
+    rows, truth = drawn()
+    C = SIGMA**2
+    right, _, _ = scored(lines(wide(rows, C)), lines(truth), "--cov-frame", "world")
+    C = C.copy()
+    C[5, 5] = unknown
+    values, asked, said = scored(lines(wide(rows, C)), lines(truth), "--cov-frame", "world")
+    assert values["nees_position"] == pytest.approx(right["nees_position"])
+    assert "nees_pose" not in values
+    assert "nees_3d_rotation" not in values
+    assert "an axis of unknown variance" in said
+    assert not asked
+    planar = f"t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n0,1,1,0,1,0,0,1,0,{unknown}\n1,1,1,0,1,0,0,1,0,{unknown}\n"
+    values, _, _ = scored(planar, "t,x,y,theta\n0,0,0,0\n1,0,0,0\n")
+    assert values["nees_position"] == pytest.approx(2.0)
+    assert "nees_heading" not in values
+
+
+def test_names_of_planar_covariances_may_spell_the_heading_out(scored):
+    names = "t,x,y,yaw,cov_xx,cov_xy,cov_xyaw,cov_yy,cov_yaw_y,cov_yaw_yaw"
+    rows = [(k, x + 0.1, y, 0.2, 0.01, 0, 0, 0.04, 0, 0.04) for k, (x, y) in enumerate(CURVE)]
+    values, _, _ = scored(commas(rows, names), tum(CURVE))
+    assert values["nees_position"] == pytest.approx(1.0)
+    assert values["nees_heading"] == pytest.approx(1.0)
+
+
+def test_whole_seconds_and_nanoseconds_are_one_stamp(scored):
+    rows = [(k // 4, 250_000_000 * (k % 4), x, y, 0.0) for k, (x, y) in enumerate(CURVE)]
+    values, _, _ = scored(commas(rows, "sec,nanosec,x,y,yaw"), tum(CURVE, step=0.25))
+    assert values["matched"] == len(CURVE)
+    assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_yaw_of_three_angles_in_degrees_is_asked_about(scored):
+    h = np.linspace(0.0, 3.0, len(CURVE))
+    rows = [(k, x, y, 0.0, 0.0, 0.0, math.degrees(a)) for k, ((x, y), a) in enumerate(zip(CURVE, h))]
+    truth = [(k, x, y, 0, 0, 0, math.sin(a / 2), math.cos(a / 2)) for k, ((x, y), a) in enumerate(zip(CURVE, h))]
+    header = "t,x,y,z,roll,pitch,yaw"
+    _, asked, _ = scored(commas(rows, header), lines(truth))
+    assert any("--unit NAME=deg" in a for a in asked)
+    for text, flags in ((commas(rows, header), ("--unit", "estimate=deg")), (commas(rows, header + "_deg"), ())):
+        values, asked, _ = scored(text, lines(truth), *flags)
+        assert values["rmse_rotation_3d_deg"] == pytest.approx(0.0, abs=1e-5)
+        assert not asked
 
 
 def square(rows, C):

@@ -1,7 +1,7 @@
-"""`python -m tests.research variety|sensitivity|foreign|audit OUT`: studies too long for the suite.
+"""`python -m tests.research variety|hiding|sensitivity|foreign|audit OUT`: studies too long for the suite.
 
-`variety` and `sensitivity` are those that `jcbb-hindsight` was made with; `foreign` judges headlines and causes on
-worlds of another kind. All write a row a run to a CSV file in OUT; an interrupted study goes on with it.
+`variety`, `hiding` and `sensitivity` are those that `jcbb-hindsight` was made with; `foreign` judges headlines and
+causes on worlds of another kind. All write a row a run to a CSV file in OUT; an interrupted study goes on with it.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from data.command import Parser
@@ -40,6 +41,10 @@ def parser() -> argparse.ArgumentParser:
         help="the same worlds where noise and view are as they are stated, and odometry does not err in system, to"
         " OUT/variety-exact.csv and .png",
     )
+    hiding = studies.add_parser("hiding", help="the same where landmarks hide: occlusion, sides, removal, people")
+    hiding.add_argument("out", metavar="OUT", type=Path)
+    hiding.add_argument("--half", choices=("judge", "choose", "later", "grove"), default="choose")
+    hiding.add_argument("--worlds", type=int, metavar="N", default=80, help="the first N of them (default: all)")
     sensitivity = studies.add_parser(
         "sensitivity",
         help="jcbb-hindsight with each of its constants halved and doubled, on worlds of the variety and named logs"
@@ -98,6 +103,8 @@ def _study(argv: Sequence[str] | None) -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     if args.study == "variety":
         _variety(args.out, args.half, args.worlds, exact=args.exact)
+    elif args.study == "hiding":
+        _hiding(args.out, args.half, args.worlds)
     elif args.study == "foreign":
         _foreign(args)
     elif args.study == "audit":
@@ -114,17 +121,31 @@ def _variety(out: Path, half: str | None, count: int, *, exact: bool) -> None:
     from eval.figures.style import save
     from tests.research.variety.figure import variety_figure
     from tests.research.variety.goals import table, worlds_of
-    from tests.research.variety.measure import append, line_of, measure_all, read
+    from tests.research.variety.measure import append, line_of, measure_all, read, world_of
     from tests.research.variety.worlds import indices
 
     chosen, name = indices(half, count), "variety-exact" if exact else "variety"
     file = out / f"{name}.csv"
-    for row in measure_all(chosen, read(file), exact=exact):
+    for row in measure_all(chosen, read(file), world=partial(world_of, exact=exact)):
         append(row, file)
         print(line_of(row), flush=True)
     rows = [r for r in read(file) if r.number in set(chosen)]
     print("\n".join(table(rows)), flush=True)
     save(variety_figure(worlds_of(rows)), out, name)
+
+
+def _hiding(out: Path, half: str, count: int) -> None:
+    """Run what is not in the file yet, a line each as they come; then the table."""
+    from tests.research.variety.goals import hiding_table
+    from tests.research.variety.hiding import GROVE, indices, world_of
+    from tests.research.variety.measure import append, line_of, measure_all, read
+
+    chosen = [GROVE] if half == "grove" else indices(half, count)
+    file, limit = out / "hiding.csv", 1200.0 if half == "grove" else 60.0
+    for row in measure_all(chosen, read(file), limit, world=world_of, smoothing=half != "grove"):
+        append(row, file)
+        print(line_of(row), flush=True)
+    print("\n".join(hiding_table([r for r in read(file) if r.number in set(chosen)])), flush=True)
 
 
 def _foreign(args: argparse.Namespace) -> None:

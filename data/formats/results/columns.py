@@ -7,7 +7,7 @@ names and is not read is stated; a header without stamp, position or orientation
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,10 +26,11 @@ from data.terminal import counted
 STAMP = frozenset(("t", "time", "times", "timestamp", "timestamps", "stamp", "sec", "secs", "second", "seconds"))
 PLACE = frozenset(("p", "pos", "position", "t", "trans", "translation", "transl", "loc", "location"))
 TURN = frozenset(("q", "quat", "quaternion", "rot", "rotation", "orientation", "ori", "att", "attitude"))
-AROUND = frozenset(
-    ("pose", "field", "gt", "true", "truth", "groundtruth", "est", "estimate", "estimated", "ref", "reference")
-) | frozenset(("world", "map", "odom", "rs", "r", "header"))
+AROUND = frozenset(("pose", "field", "gt", "true", "truth", "groundtruth", "est", "estimate", "estimated", "ref"))
+AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "elapsed", "sim", "ros", "unix", "utc"))
 """Words that may stand around the name of a column."""
+NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))
+"""Beside whole seconds; alone they are the stamp."""
 YAW = frozenset(("theta", "yaw", "heading", "psi", "th"))
 ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3}
@@ -42,6 +43,8 @@ ALIAS = (
 KNOWN_UNITS = {*DIGITS, *LENGTHS, *TURNS}
 GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy", "vz")}
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
+SHOWN = 6
+"""Most names in a note."""
 WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", ("t", "x", "y", "z", "qw", "qx", "qy", "qz"): "EuRoC CSV"}
 PLANAR = ("xx", "xy", "xt", "yy", "yt", "tt")
 
@@ -129,6 +132,8 @@ def _columns(text: Text, names: tuple[str, ...], line: int, *, in_data: bool) ->
                 unit[role] = its
         elif name:
             unread.append(name)
+    if "nanoseconds" in place and "t" not in place:
+        place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
     return Columns(place, unit, tuple(unread), len(names), line, in_data)
 
 
@@ -145,7 +150,7 @@ def role_of(name: str) -> tuple[str, str]:
     words = [w for w in re.split(r"[^a-z0-9µ°]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare).lower()) if w]
     if len(words) > 1 and words[-1] not in STAMP | set("xyzwt") and _unit(words[-1]):
         unit = unit or _unit(words.pop())
-    if len(words) > 1 and words[-1] in ("nsecs", "nsec", "nanosec", "nanosecs") and "stamp" in words:
+    if words and words[-1] in NANOSECONDS and set(words[:-1]) - AROUND <= STAMP:
         return "nanoseconds", ""
     if len(words) > 1 and words[-1] in ("s", "ms", "us", "ns") and words[-2] in STAMP:
         unit = unit or words.pop()
@@ -157,8 +162,9 @@ def role_of(name: str) -> tuple[str, str]:
         return "t", unit
     if last in ANGLES and around <= TURN | {"euler", "angle"}:
         return ANGLES[last], unit
-    if found := re.fullmatch(r"c(?:ov)?([xyt]{2})", "".join(words)):
-        return f"c_{found[1]}", ""
+    if found := re.fullmatch(r"(?:c|cov)(x|y|t|theta|yaw|heading)(x|y|t|theta|yaw|heading)", "".join(words)):
+        pair = [c if c in "xy" else "t" for c in found.groups()]
+        return f"c_{''.join(sorted(pair, key='xyt'.index))}", ""
     if found := re.fullmatch(r"(?:c|p|cov)([1-6])([1-6])", "".join(words)):
         return f"c{found[1]}{found[2]}", ""
     if last in tuple("wxyz") and around & TURN and around <= TURN | PLACE:
@@ -212,7 +218,8 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
             value[role] = value[role] * lengths[unit]
     if "nanoseconds" in value:
         value["t"] = value["t"] + 1e-9 * value["nanoseconds"]
-    notes = (f"columns not read: {', '.join(columns.unread)}",) if columns.unread else ()
+    unread = [*columns.unread[:SHOWN], *(["..."] if len(columns.unread) > SHOWN else [])]
+    notes = (f"columns not read: {', '.join(unread)}",) if unread else ()
     unit_of_time = "s" if "nanoseconds" in value else columns.unit.get("t")
     if unit_of_time is not None and unit_of_time not in DIGITS:
         raise DataError.at(
@@ -278,19 +285,14 @@ def _spatial(
     elif rows.shape[1] == columns.named + len(TRIANGLE) and not columns.in_data:
         C = symmetric(rows[:, columns.named :], lower=True)
     kind = WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}")
-    return path_of(
-        body,
-        kind,
-        pose,
-        C,
-        manner,
-        frame=frame,
-        stated=stated,
-        unit=unit,
-        usual="s",
-        column=columns.place["t"],
-        notes=notes,
-    )
+    t = columns.place["t"]
+    path = path_of(body, kind, pose, C, manner, frame=frame, stated=stated, unit=unit, column=t, notes=notes)
+    if "qw" in value or "yaw" in columns.unit or manner.angles is not None:
+        return path
+    time, _ = times_of(body, value["t"], manner, unit=unit, column=t)
+    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    rows_kept = known[np.searchsorted(time[known], path.time, side="right") - 1]
+    return replace(path, headings=value["yaw"][rows_kept])
 
 
 def _quaternions(R: Array) -> Array:

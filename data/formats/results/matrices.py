@@ -44,13 +44,28 @@ def full(entries: Array, place: Callable[[int], str]) -> tuple[Array, tuple[str,
     return 0.5 * (M + M.transpose(0, 2, 1)), tuple(notes)
 
 
+VAGUE = {3: (1e8, 1e8, 1e2), 6: (1e8, 1e8, 1e8, 1e2, 1e2, 1e2)}
+"""m² and rad², variances from which on an axis is unknown: drivers write 1e6 or 99999 for that."""
+
+
 def known_only(C: Array) -> tuple[Array | None, tuple[str, ...]]:
-    """Covariances (n, d, d), NaN where unknown: with NaN, all zero, or -1 first (ROS); None if none is known; notes."""
-    lost = ~np.isfinite(C).all(axis=(1, 2)) | (C[:, 0, 0] == -1.0) | ~C.any(axis=(1, 2))
-    found = np.where(lost[:, None, None], np.nan, C)
-    count = int(lost.sum())
-    notes = (f"{count} of {len(C)} poses state no covariance (NaN, zeros or -1)",) if count else ()
-    return (None if lost.all() else found), notes
+    """Covariances (n, d, d), NaN where unknown: all NaN or zero, or -1 first (ROS); None if none is known; and notes.
+
+    A single variance of NaN, -1, or as large as `VAGUE` is that of an unknown axis: its row and column become zero.
+    """
+    variance = np.einsum("nii->ni", C)
+    lost = (variance[:, 0] == -1.0) | ~np.isfinite(variance).any(axis=1) | ~np.nan_to_num(C).any(axis=(1, 2))
+    open_axes = ~np.isfinite(variance) | (variance == -1.0) | (variance >= VAGUE[C.shape[1]])
+    found = np.where(open_axes[:, :, None] | open_axes[:, None, :], 0.0, C)
+    lost |= ~np.isfinite(found).all(axis=(1, 2)) | ~found.any(axis=(1, 2))
+    found[lost] = np.nan
+    notes = []
+    if lost.any():
+        notes.append(f"{int(lost.sum())} of {len(C)} poses state no covariance (NaN, zeros or -1)")
+    partly = int((open_axes.any(axis=1) & ~lost).sum())
+    if partly:
+        notes.append(f"{partly} of {len(C)} covariances have an axis of unknown variance (NaN, -1 or huge)")
+    return (None if lost.all() else found), tuple(notes)
 
 
 def translation_first(C: Array) -> Array:

@@ -143,8 +143,10 @@ def path_of(
     """
     time, clock = times_of(text, rows[:, 0], manner, unit=unit, usual=usual, column=column)
     if C is not None:
-        where, header = declared or (text, header_of(text))
-        convention, order = tangent(where, header)
+        convention, order = tangent(text, header_of(text))
+        if declared is not None:
+            own = tangent(*declared)
+            convention, order = own[0] or convention, own[1] or order
         frame = convention or frame
         C = translation_first(C) if order == ROTATION else C
         stated = Stated(

@@ -13,6 +13,7 @@ import numpy as np
 
 from data.errors import LARGEST, DataError
 from data.formats.csv_table import FIRST_ROW, is_number, read_table, symmetric
+from data.formats.results.matrices import known_only
 from data.formats.results.path import WORLD, GivenPath, Manner, in_order
 from data.formats.results.pose_lines import path_of, times_of
 from data.formats.results.space import require_covariances
@@ -79,8 +80,12 @@ def read_plane(text: Text, manner: Manner) -> GivenPath:
     if not there:
         kind = f"{kind}, {clock.words}"
         return GivenPath(path, kind, time[keep], pose, notes=notes, clock=clock, headings=raw)
-    P = symmetric(rows[:, 4:])
-    P[(P[:, 0, 0] == -1.0) | ~np.isfinite(P).all(axis=(1, 2))] = np.nan
+    exact = ~rows[:, 4:].any(axis=1)  # zeros of our own files: an exact prior
+    P = np.zeros((len(rows), 3, 3))
+    if not exact.all():
+        known, more = known_only(symmetric(rows[~exact, 4:]))
+        P[~exact] = np.nan if known is None else known
+        notes += more
     P *= np.outer([scale, scale, turn], [scale, scale, turn])
     require_covariances(P, body.place)
     kind = f"{kind} and covariance, {clock.words}"

@@ -7,6 +7,7 @@ update, where it is valid; the update tells which pairings were used.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +20,6 @@ from data.notice import Code, Notice, notice
 from data.result import Updated
 from data.se2 import Array
 from data.sensors import Sensor
-from eval.replay.external.adapter import Adapter
 from eval.replay.external.guard import ForeignError
 
 DIFFERENT = 0.01  # of the NIS that its expectation gives; a sound filter linearizes its update as its expectation
@@ -29,10 +29,11 @@ ROUNDING = 1e-9  # relative; what it states so closely is kept, to the bit
 class OwnInnovations:
     """NIS, likelihood and whitened innovations of a foreign estimator, frame by frame."""
 
-    def __init__(self, estimator: Adapter, sensor: Sensor) -> None:
-        self._estimator, self._sensor = estimator, sensor
+    def __init__(self, expect: Callable[[FrameObservations], Expectation] | None, sensor: Sensor) -> None:
+        """`expect` of the estimator; None: it has none."""
+        self._expect, self._sensor = expect, sensor
         self._rows, self._nu, self._S = np.empty(0, np.int64), np.empty(0), np.empty((0, 0))
-        self._why = "" if estimator.has("expect") else "it has no `expect`"  # why nothing can be formed
+        self._why = "it has no `expect`" if expect is None else ""  # why nothing can be formed
         self._frames = self._differing = self._dof = 0
         self._stated = self._formed = 0.0
         self._unchecked = False  # whether it stated what could not be formed
@@ -49,10 +50,10 @@ class OwnInnovations:
         Observations, noise and residual are those of the log, whatever the expectation has.
         """
         self._rows = np.flatnonzero(decisions >= 0)
-        if self._why or not len(self._rows):
+        if self._why or self._expect is None or not len(self._rows):
             return
         try:
-            e = self._estimator.expect(observations) if expected is None else expected
+            e = self._expect(observations) if expected is None else expected
             if expected is None and at is not None and e.elsewhere is not None:
                 e = e.elsewhere(at)
             if expected is None and not self._sensor.sees_points:
@@ -98,18 +99,17 @@ class OwnInnovations:
 
     def notes(self) -> list[Notice]:
         """Messages about what it states otherwise, or what cannot be compared."""
-        name = self._estimator.name
         found = []
         if self._differing:
             per_dof = max(self._dof, 1)
             found.append(
                 notice(
-                    Code.NIS_STATED, name=name, frames=self._differing, of=self._frames,
+                    Code.NIS_STATED, frames=self._differing, of=self._frames,
                     stated=self._stated / per_dof, formed=self._formed / per_dof,
                 )
             )  # fmt: skip
-        if self._unchecked or (self._why and self._estimator.has("expect")):
-            found.append(notice(Code.NIS_UNCHECKED, name=name, why=self._why, stated=self._unchecked))
+        if self._unchecked or (self._why and self._expect is not None):
+            found.append(notice(Code.NIS_UNCHECKED, why=self._why, stated=self._unchecked))
         return found
 
 

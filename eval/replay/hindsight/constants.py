@@ -54,15 +54,21 @@ INDEPENDENT_MISSES = 2.0  # prior weight of independent misses in the Markov cha
 IN_VIEW_SIGMAS = 3.0  # standard deviations by which an expected landmark must be inside the field of view
 SHADOW = math.radians(0.5)  # rad; something nearer within this angle may occlude a landmark
 
-# --- Persistent or transient landmarks (record.py) ------------------------------------------------------------------
+# --- Detection opportunities (opportunities.py) ---------------------------------------------------------------------
 
-PERSISTENCE_MEANS = (0.5, 0.5, 0.2, 0.8, 0.5)  # prior means of the fields of `Persistence`, ...
-PERSISTENCE_WORTH = (2.0, 2.0, 5.0, 5.0, 4.0)  # ... and their weights, in landmarks or detection opportunities
+VIEW_RING, VIEW_SIDES = 1.35, 8  # cells of viewpoints: rings whose radii grow by this factor, and sides
+SHADOW_WIDTH = 0.15  # m; half the width of a landmark that may occlude another
+
+# --- Persistent or transient landmarks (persistence.py) -------------------------------------------------------------
+
+PERSISTENCE_MEANS = (0.5, 0.5, 0.4, 0.5, 0.8)  # prior means of the fields of `Persistence`, ...
+PERSISTENCE_WORTH = (2.0, 2.0, 5.0, 4.0, 5.0)  # ... and their weights, in landmarks or detection opportunities
 PERSISTENCE_OWN = 10.0  # weight of the common rates against a landmark's own, in opportunities
-PERSISTENCE_CHANCE = 0.05  # detection probability of a landmark that has vanished
-PERSISTENCE_LATER_LEAST = 0.15  # smallest probability that a transient landmark vanishes before an opportunity
+PERSISTENCE_CHANCE = 0.01  # detection probability of a landmark that has vanished
+PERSISTENCE_LEAVING = 0.001  # probability that a real landmark leaves before an opportunity
+PERSISTENCE_LATER_LEAST = 0.35  # smallest probability that a transient landmark vanishes before an opportunity
+FOLDED_SHARE = 0.5  # share of a map's landmarks that left, above which the map is folded
 PERSISTENCE_ROUNDS = 20  # rounds of expectation maximization
-PERSISTENT_PROBABILITY = 2.0 / 3.0  # probability above which a landmark is persistent
 PERSISTENT_FEWEST = 0.05  # share of persistent landmarks (fewest observations) ignored in the required number
 REASSOCIATION_GATE = 0.999  # gate of the final re-association
 REASSOCIATION_QUANTILE = 0.9  # quantile of squared distances that gives the variance scale; a median ignores tails

@@ -12,7 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from association.candidates import holding
+from association.candidates import holding, narrower
 from association.conditional import ConditionalInnovations, conditional_innovations
 from association.expectation import Expectation
 from data.inputs import Frame, IntArray
@@ -22,6 +22,8 @@ from data.se2 import Array
 from data.sensors import Sensor
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.final_association import Reassociation, beginnings
+from eval.replay.hindsight.opportunities import DETECTED, FAMILIAR, MISSED, behind_others, beside, cell, missing
+from eval.replay.hindsight.persistence import kept_at_end
 from eval.replay.hindsight.record import (
     Epoch,
     Judged,
@@ -32,8 +34,6 @@ from eval.replay.hindsight.record import (
     add_observation,
     confirmed,
     detection_rate,
-    kept_at_end,
-    missing,
     verdict,
 )
 
@@ -53,14 +53,15 @@ class Ledger:
         self.created, self.frame, self.frames, self.travelled = 0, -1, 0, 0.0
         self.epoch = Epoch()
         self.events: list[Event] = []  # the revisions, in order
+        # at the end: landmarks of the map that left before, and whether the map is folded
+        self.left, self.folded = np.empty(0, np.int64), False
         self.merged: list[tuple[int, int, int]] = []  # (frame, away, kept) of every merged landmark
         self._read = replace(sensor, max_range=0.0, min_angle=0.0, max_angle=0.0)  # the view that held observations
         self._touched: set[int] = set()
         nothing = np.empty(0, np.int64)
         none = ConditionalInnovations(np.empty((0, 2)), np.empty((0, 2, 2)))
-        self._judged = Judged(nothing, nothing, none, nothing, nothing)
+        self._judged = Judged(nothing, nothing, none, [], [])
         self._visibility = Visibility()
-        self._former: list[bytes] = []  # opportunities of the retracted landmarks
 
     def move(self, frame: Frame) -> None:
         """The next frame comes."""
@@ -69,27 +70,36 @@ class Ledger:
             self.travelled += math.hypot(*frame.increment.mean[:2])
 
     @property
+    def view(self) -> Sensor:
+        """The stated field of view, where observations were made."""
+        return narrower(self.sensor, self._read)
+
+    @property
     def range(self) -> float:
         """The sensor's range [m], or the largest observed one."""
         return min(self.sensor.max_range, self._read.max_range)
 
-    def judge(self, e: Expectation, decisions: IntArray, believed: Expectation | None = None) -> None:
-        """Judge the decisions (m,) of a frame by its expectation, for `see`.
+    def judge(self, e: Expectation, decisions: IntArray, pose: Array, believed: Expectation | None = None) -> None:
+        """Judge the decisions (m,) of a frame by its expectation from a pose (3,), for `see`.
 
         `believed`: expectation given these pairings, where the prediction alone is too uncertain.
         """
         rows, chosen = e.paired(decisions)
         expected = believed or e
-        absent, in_read = (expected.number[missing(expected, decisions, s)] for s in (self.sensor, self._read))
-        self._judged = Judged(rows, e.number[chosen], conditional_innovations(e, rows, chosen), absent, in_read)
+        absent = missing(expected, decisions, self.sensor)
+        polar, behind = self.sensor.polar(expected.z_hat[absent]), behind_others(self.sensor, expected.z_hat)[absent]
+        at = [None if hid else cell(r, pose[2] + b) for (r, b), hid in zip(polar.tolist(), behind, strict=True)]
+        alone = conditional_innovations(e, rows, chosen)
+        self._judged = Judged(rows, e.number[chosen], alone, expected.number[absent].tolist(), at)
 
     def see(self, frame: Frame, decisions: IntArray, done: Updated, pose: Array) -> None:
         """Take in the judgement of a frame and its decisions (m,); `pose` (3,) is where it was taken."""
         judged, z = self._judged, frame.observations.z
         self.frames += 1
         self._read = holding(self._read, self.sensor.polar(z))
-        for n in judged.missing.tolist():
-            if self._opportunity(n, pose, detected=False):
+        polar = self.sensor.polar(z)
+        for n, at in zip(judged.missing, judged.viewpoint, strict=True):
+            if at is not None and self._opportunity(n, pose, at, detected=False):
                 self.records[n].evidence = add_miss(self.records[n].evidence)
                 self._touched.add(n)
         _, _, Gz = self.sensor.inverse(pose, z)
@@ -98,33 +108,39 @@ class Ledger:
             # an observation at zero range has no direction
             if len(judged.rows) > constants.JUDGED_BY and np.linalg.det(Gz[i]) != 0.0:
                 judgement = Judgement(judged.alone.innovation[q], judged.alone.information[q], Gz[i])
-            record, elsewhere = self.records[n], self._opportunity(n, pose, detected=True)
+            at = cell(polar[i, 0], pose[2] + polar[i, 1])
+            record, elsewhere = self.records[n], self._opportunity(n, pose, at, detected=True)
             record.evidence = add_observation(record.evidence, judgement, elsewhere)
             record.observations.append((frame.first + i, n))
             self._touched.add(n)
         for i in np.flatnonzero(done.created >= 0).tolist():
             self.created = int(done.created[i]) + 1
             place = float(pose[0]), float(pose[1])
-            self.records[self.created - 1] = Record([(frame.first + i, NEW)], place, self.travelled, self.travelled)
+            record = Record([(frame.first + i, NEW)], place, self.travelled, self.travelled)
+            record.familiar.update(beside(cell(polar[i, 0], pose[2] + polar[i, 1])))
+            self.records[self.created - 1] = record
         together = [n for n in np.where(done.created >= 0, done.created, decisions).tolist() if n >= 0]
         for n in together:
             record = self.records[n]
             record.last, record.times = self.travelled, record.times + 1
             record.covisible.update(set(together) - {n})
 
-    def _opportunity(self, number: int, pose: Array, *, detected: bool) -> bool:
-        """Whether this detection opportunity is from another place than the last; those of confirmed landmarks are
-        counted.
+    def _opportunity(self, number: int, pose: Array, at: int, *, detected: bool) -> bool:
+        """Whether this opportunity, from the cell `at` of viewpoints, is from another place than the last and tells
+        something; such ones of confirmed landmarks are counted.
         """
         record = self.records[number]
-        x, y = record.place
-        if math.hypot(pose[0] - x, pose[1] - y) < constants.SAME_PLACE * self.range:
-            if detected and not record.opportunities:
-                record.opportunities.append(True)
+        familiar, (x, y) = at in record.familiar, record.place
+        elsewhere = math.hypot(pose[0] - x, pose[1] - y) >= constants.SAME_PLACE * self.range
+        if elsewhere or (detected and not record.opportunities):
+            record.opportunities.append((DETECTED if detected else MISSED) + (FAMILIAR if familiar else 0))
+        if detected:
+            record.familiar.update(beside(at))
+        if not elsewhere:
             return False
         record.place = float(pose[0]), float(pose[1])
-        if detected or number in self._judged.in_read:
-            record.opportunities.append(detected)
+        if not (familiar or detected):
+            return False
         if confirmed(record.evidence, self._visibility):
             self._visibility = self._visibility.counting(record.evidence.row > 0, detected)
         return True
@@ -172,17 +188,18 @@ class Ledger:
             self.events += [Event(self.frame, row, old, then, REASSOCIATED) for old, then in pairwise(steps)]
         return leaving
 
-    def transient(self) -> IntArray:
-        """Retract landmarks (r,) that may be transient, at the end of a run."""
-        every = self.records.values()
-        observations = np.array([r.evidence.seen for r in every], np.int64)
-        keep = kept_at_end([r.opportunities for r in every], self._former, observations)
-        return self._retract(dict.fromkeys(np.array(list(self.records))[~keep].tolist(), "uncertain"))
+    def transient(self, recounted: dict[int, bytes]) -> IntArray:
+        """Retract landmarks (r,) that are transient, at the end of a run, by what is `recounted` or recorded."""
+        every = list(self.records.items())
+        observations = np.array([len(r.observations) for _, r in every], np.int64)
+        found = kept_at_end([recounted.get(n, r.opportunities) for n, r in every], observations)
+        numbers = np.array([n for n, _ in every], np.int64)
+        self.left, self.folded = numbers[found.left], found.folded
+        return self._retract(dict.fromkeys(numbers[~found.stays].tolist(), "uncertain"))
 
     def _retract(self, leaving: dict[int, str]) -> IntArray:
         for n, why in leaving.items():
             self.events += [Event(self.frame, row, old, DISCARD, why) for row, old in self.records[n].observations]
-        self._former += [bytes(self.records[n].opportunities) for n in leaving]
         self.drop(numbers := np.array(list(leaving), np.int64))
         return numbers
 
@@ -205,7 +222,9 @@ class Ledger:
             counts = {name: getattr(into.evidence, name) + getattr(old.evidence, name) for name in COUNTS}
             into.evidence = into.evidence._replace(**counts, row=0)
             # misses of one at places where the other one was detected were detections
-            into.opportunities = bytearray(bytes(into.opportunities).rstrip(b"\0") + b"\1" + old.opportunities)
+            seen = bytearray(bytes(into.opportunities).rstrip(bytes([MISSED, MISSED + FAMILIAR])))
+            into.opportunities = seen + bytes([DETECTED + FAMILIAR]) + old.opportunities
+            into.familiar |= old.familiar
             for n in old.covisible:
                 self.records[n].covisible.discard(away)
                 if n != kept:
@@ -217,9 +236,9 @@ class Ledger:
         v, total = self._visibility, 0.0
         if sum(v) < constants.ENOUGH_OPPORTUNITIES:
             return 0.0
-        for n in self._judged.missing.tolist():
+        for n, at in zip(self._judged.missing, self._judged.viewpoint, strict=True):
             e = self.records[n].evidence
-            if confirmed(e, v):
+            if at in self.records[n].familiar and confirmed(e, v):
                 rate = min(v.rate, detection_rate(e.opportunities, e.missed - e.row))
                 here = v.row(e.row + 1, rate) / v.row(e.row, rate)
                 total += max(0.0, math.log((1.0 - constants.ELSEWHERE_SHARE * rate) / here))
@@ -234,7 +253,7 @@ class Ledger:
         v, numbers = self._visibility, set(decisions.tolist())
         paired = [self.records[n] for n in numbers if n in self.records]
         newest = self.travelled if NEW in numbers else max((r.first for r in paired), default=-math.inf)
-        missed = [self.records[n] for n in self._judged.missing.tolist() if n not in numbers]
+        missed = [self.records[n] for n in self._judged.missing if n not in numbers]
         return (
             sum(confirmed(r.evidence, v) for r in paired),
             sum(r.last < newest and confirmed(r.evidence, v) for r in missed),

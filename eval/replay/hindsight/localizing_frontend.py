@@ -22,6 +22,8 @@ from data.result import DISCARD, Event, Finished, MapState, PoseEstimate, System
 from data.se2 import Array, BoolArray
 from ekf.filter import FilterOptions
 from eval.replay.estimators import Estimator, capabilities, make_estimator, needed
+from eval.replay.external.innovations import OwnInnovations
+from eval.replay.external.spec import is_foreign
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight import constants, hypotheses
 from eval.replay.hindsight.localizer import HindsightLocalizer
@@ -156,6 +158,8 @@ class LocalizingFrontEnd(FrontEnd):
                 return make_estimator(estimator, self.given._replace(prior=prior), options, lag=setup.lag)
 
             self.use(Stretches(begin, given.prior))
+            if is_foreign(estimator):
+                self.own = OwnInnovations(self.estimator.expect, self.given.sensor)
         self._pose = needed(self.can.resettable, "`reset`", f"--association {HINDSIGHT}")
 
     def move(self, frame: Frame) -> None:

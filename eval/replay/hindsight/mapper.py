@@ -112,11 +112,11 @@ class HindsightMapper:
         placed = self.motion.place(e, self.filter.estimate().mean)  # 2
         if placed is None:
             decisions, complete = self._pair(e)  # 3, 4
-            self.ledger.judge(e, decisions)  # 5
+            self.ledger.judge(e, decisions, self.filter.estimate().mean)  # 5
             decisions, at, kidnapped = self.kidnapping.decide(self.filters, frame, decisions)  # 6
             decided = Mapped(decisions, complete, at, kidnapped)
         else:
-            self.ledger.judge(placed.expectation, placed.decisions, placed.believed)  # 5
+            self.ledger.judge(placed.expectation, placed.decisions, placed.pose, placed.believed)  # 5
             decided = Mapped(placed.decisions, True, placed.pose, None)
             e = placed.expectation
         # not after an unknown motion or a search: these pairings passed no gate; nor under larger noise, whose gate
@@ -175,7 +175,7 @@ class HindsightMapper:
         errors = self._systematic if self.filters.has_errors else None
         found = self.whole.reassociate(self.ledger.records, self.filter.landmarks(), self.restated, errors)
         unobserved = self._remove(self.ledger.reassociate(found)) if found is not None else np.empty(0, np.int64)
-        transient = self.ledger.transient()
+        transient = self.ledger.transient(self.whole.opportunities(self.ledger.view))
         if found is not None:
             self.whole.settle(self.ledger.records)
         self.lost.end(often, transient)

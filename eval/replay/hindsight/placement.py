@@ -29,7 +29,7 @@ from data.result import NEW
 from data.se2 import Array
 from data.sensors import Sensor
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.record import missing
+from eval.replay.hindsight.opportunities import missing
 from eval.replay.hindsight.relocalize import distance_sigmas
 
 

@@ -9,6 +9,7 @@ import math
 
 import numpy as np
 
+from association.candidates import narrower
 from association.expectation import gate_threshold
 from data.errors import DataError
 from data.inputs import Frame, FrameObservations, Increments, Inputs, IntArray, LandmarkMap, Observations, Systematic
@@ -16,9 +17,11 @@ from data.motion.systematic import sensor_frame
 from data.notice import Code, Notice, notice
 from data.result import DISCARD, MapState
 from data.se2 import Array
+from data.sensors import Sensor
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.final_association import Reassociation, noise_share, reassociate
 from eval.replay.hindsight.noise import Restated, with_shares
+from eval.replay.hindsight.opportunities import recounted
 from eval.replay.hindsight.record import Record
 from eval.replay.settings import Given
 from graph.batch import Start, smooth
@@ -34,6 +37,7 @@ class WholeLog:
         # frames (m,), observations, landmarks (m,)
         self.settled: tuple[IntArray, FrameObservations, IntArray] | None = None
         self.gate = math.inf  # squared distance under the noise as `restated` beyond which nothing was re-associated
+        self._smoothed: tuple[Sensor, Array, LandmarkMap, Observations, IntArray] | None = None
         self._given = given
         self._frames: list[Frame] = []
         self._loosened: dict[int, Array] = {}
@@ -78,7 +82,20 @@ class WholeLog:
         known, seen = LandmarkMap(found.map.number, xy), log.observations
         share = noise_share(sensor, pose, known, seen, number)
         self.gate = share * gate_threshold(constants.REASSOCIATION_GATE)
-        return reassociate(sensor, pose, known, Observations(seen.frame, seen.z, share * seen.R))
+        seen = Observations(seen.frame, seen.z, share * seen.R)
+        result = reassociate(sensor, pose, known, seen)
+        self._smoothed = sensor, pose, known, seen, result.number
+        return result
+
+    def opportunities(self, view: Sensor) -> dict[int, bytes]:
+        """Detection opportunities of the landmarks after re-association, by number; empty if nothing was.
+
+        `view`: the sensor with the field of view in which observations were made.
+        """
+        if self._smoothed is None:
+            return {}
+        sensor, path, known, seen, number = self._smoothed
+        return recounted(narrower(sensor, view), path, known, seen, number)
 
     def settle(self, records: dict[int, Record]) -> None:
         """The recorded landmarks are the final ones."""

@@ -17,7 +17,7 @@ from association.scans.points import beams_of, scan_points
 from association.scans.redundant import redundant, without
 from association.scans.uncertainty import learned_scale, residuals, spanned
 from data.errors import UsageError
-from data.inputs import Inputs
+from data.inputs import Increments, Inputs
 from data.result import Run
 from data.se2 import Array, between, compose, dead_reckoned, transform_points
 from eval.replay.laser.backends import NAMES, Solved, backend
@@ -48,13 +48,16 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
         raise ValueError("a laser front end needs scans")
     p, count = parameters, len(inputs)
     beams = beams_of(scans.scanner, scans.ranges.shape[1])
-    tracker = Tracker(p, scans.scanner.sigma)
+    unknown = count > 1 and is_unknown(inputs.increments)
+    tracker = Tracker(p, scans.scanner.sigma, steady=unknown)
     closer = LoopCloser(p, scans.scanner)
     graph = PoseGraph(inputs.prior)
     row = np.full(count, -1)
     row[scans.frame] = np.arange(len(scans.frame))
     nothing = np.zeros(scans.ranges.shape[1])
     step = np.zeros(count) if inputs.time_is_index else np.diff(inputs.time, prepend=inputs.time[0])
+    if unknown and float(np.mean(step[1:] < BURST * step[1:].mean())) > BURST:
+        step[1:] = step[1:].mean() or 1.0
 
     frames: list[int] = []
     motions: list[Array] = []
@@ -98,6 +101,15 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
         seconds[frame] = time.perf_counter() - began
     chain = Chain(np.array(frames), np.array(motions), np.array(covariances), key, since, since_covariance)
     return FrontEndResult(chain, closer.loops(), online, seconds)
+
+
+def is_unknown(increments: Increments) -> bool:
+    """Whether the odometry says nothing: no motion, with a standard deviation of centimetres and more."""
+    return not increments.mean.any() and bool(np.median(increments.covariance[1:, 0, 0]) > UNKNOWN**2)
+
+
+BURST = 0.1  # of the mean time between frames, and share of shorter ones, from which on stamps come in bursts
+UNKNOWN = 0.01  # m, above the error of a step of any odometry that is at rest
 
 
 def between_scans(inputs: Inputs, pose: Array) -> Array:

@@ -5,9 +5,12 @@ Right ones and sound approximations are accepted.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from ekf.filter import FilterDivergedError
 from eval.checks import exactness, kalman, worlds
 from eval.checks.exactness import Agreement, Deviation, Quantity, Stopped, sentence
 from eval.replay.external.load import text_of
@@ -75,6 +78,19 @@ def test_an_approximation_that_claims_to_be_exact_is_told_how_to_declare_it():
     assert any("declares `exact = False`" in sentence(f) for f in linear)
 
 
+def test_of_two_mistakes_one_that_only_one_number_has_is_named():
+    class Both(Plain):
+        def nis(self, nu, S, R, rows):
+            return float(len(nu))
+
+        def estimate(self):
+            mean, P = super().estimate()
+            return mean, 0.5 * P
+
+    bugs = {f.quantity: f.bug for f in facts(Both)}
+    assert bugs == {Quantity.NIS: kalman.Bug.NIS_IS_DOF, Quantity.COVARIANCE: None}
+
+
 def test_what_stops_is_named_where_it_stops():
     class Short(Plain):
         def update(self, o, decisions):
@@ -86,6 +102,41 @@ def test_what_stops_is_named_where_it_stops():
     assert isinstance(stopped, Stopped)
     assert stopped.bug is None
     assert "RuntimeError: full" in sentence(stopped)
+
+
+def test_what_cannot_begin_or_diverges_is_a_line_and_no_traceback():
+    class Never(Plain):
+        def landmarks(self):
+            raise OSError("no map")
+
+    class Diverging(Plain):
+        def update(self, o, decisions):
+            raise FilterDivergedError("infinite")
+
+    class NoResidual(Plain):
+        def said(self, o, numbers, z_hat, joint):
+            return replace(super().said(o, numbers, z_hat, joint), residual=None)
+
+    for kind, why in ((Never, "OSError: no map"), (Diverging, "infinite"), (NoResidual, "TypeError")):
+        (stopped,) = facts(kind)
+        assert (stopped.frame, stopped.bug) == (0, None)
+        assert why in stopped.why
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_landmark_that_waits_is_an_error_only_of_what_claims_to_be_exact(exact):
+    class Waiting(Plain):
+        def update(self, o, decisions):
+            kept = np.where(decisions == -1, -2, decisions) if len(self.x) > 12 else decisions
+            return super().update(o, kept) | {"created": np.where(kept == -1, self.numbers(kept), -1)}
+
+        def numbers(self, decisions):
+            return (len(self.x) - 3) // 2 - (decisions == -1).sum() + np.cumsum(decisions == -1) - 1
+
+    Waiting.exact = exact
+    (only,) = facts(Waiting)
+    assert isinstance(only, Stopped if exact else Agreement)
+    assert not exact or "NEW observations initialize no landmark" in only.why
 
 
 @pytest.mark.parametrize("world", [worlds.LINEAR, worlds.MILD])

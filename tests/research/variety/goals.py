@@ -47,6 +47,27 @@ class World(NamedTuple):
         """Landmarks mapped by visible ones; NaN where hindsight did not come to an end."""
         return math.nan if math.isnan(self.hindsight.rmse_m) else self.hindsight.landmarks / self.hindsight.visible
 
+    @property
+    def right_count(self) -> bool:
+        """Whether the map of hindsight has, within 10 %, no fewer landmarks than `often` and no more than `visible`.
+
+        A landmark read once or twice may be in the map or not.
+        """
+        h, low, high = self.hindsight, 1.0 - NEAR, 1.0 + NEAR
+        return math.isfinite(h.rmse_m) and low * h.often <= h.landmarks <= high * h.visible
+
+    @property
+    def right_ratio(self) -> float:
+        """TP and TN of hindsight by those of `jcbb`, finally."""
+        ours, theirs = (r.readings - r.fp - r.fn for r in (self.hindsight, self.jcbb))
+        return ours / max(theirs, 1)
+
+    @property
+    def smoothed_ratio(self) -> float:
+        """RMSE of the smoothed path by that of `jcbb`; 1 where neither could be smoothed."""
+        ours, theirs = self.hindsight.smoothed_m, self.jcbb.smoothed_m
+        return 1.0 if ours == theirs else ours / theirs
+
 
 class Goal(NamedTuple):
     """One goal: what it says, the value reached, and whether that is enough."""
@@ -134,3 +155,29 @@ def _as_with_labels(worlds: Sequence[World], method: str) -> float:
 def _fp(rows: Sequence[Row]) -> float:
     """Median of FP, in % of the readings."""
     return float(np.median([100.0 * r.fp / max(r.readings, 1) for r in rows]))
+
+
+def hiding_table(rows: Sequence[Row]) -> list[str]:
+    """What is demanded where landmarks hide, by kind of world, as lines of a Markdown table."""
+    lines = [
+        "| worlds | how many | landmarks right, hindsight | `jcbb` | ± 10 % of visible | RMSE ≤ 1.2 × `jcbb` |"
+        " TP + TN ≥ 0.98 × `jcbb` | smoothed RMSE ≤ 1.05 × `jcbb` | FP / FP of `jcbb`, median | seconds / `jcbb` |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    worlds = worlds_of(rows)
+    for kind in [*dict.fromkeys(w.jcbb.world for w in worlds), "all"]:
+        of = [w for w in worlds if kind in (w.jcbb.world, "all")]
+        plain = [World(w.jcbb, w.jcbb, w.known) for w in of]
+        reached = [w for w in of if w.known is None or w.known.rmse_m <= WORSE * w.jcbb.rmse_m]
+        wrong = fp_ratios(of)
+        shares = [
+            [w.right_count for w in of], [w.right_count for w in plain],
+            [abs(w.landmark_ratio - 1.0) <= NEAR for w in of], [w.rmse_ratio <= WORSE for w in reached],
+            [w.right_ratio >= 0.98 for w in of], [w.smoothed_ratio <= 1.05 for w in of],
+        ]  # fmt: skip
+        seconds = sum(w.hindsight.seconds for w in of) / sum(w.jcbb.seconds for w in of)
+        lines.append(
+            f"| {kind} | {len(of)} | " + " | ".join(f"{np.mean(s):.0%}" if s else "" for s in shares)
+            + f" | {np.median(wrong) if len(wrong) else math.nan:.2f} | {seconds:.1f} |"
+        )  # fmt: skip
+    return lines

@@ -9,13 +9,14 @@ from __future__ import annotations
 import csv
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple, get_type_hints
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from data.inputs import Inputs
 from data.log import Log
 from data.notice import Code
 from data.result import Run
@@ -23,10 +24,12 @@ from data.worlds.registry import named_log
 from eval.referee.errors import position_distance, rms
 from eval.referee.plausibility import judged
 from eval.referee.score import confusion_of
+from eval.replay.batch import batch
 from eval.replay.frontend import FrontEnd
 from eval.replay.recorder import Observer
 from eval.replay.run import step_by_step
 from eval.replay.settings import HINDSIGHT
+from graph.optimum import NotConvergedError
 from tests.research.variety.worlds import draw, log_of
 
 JCBB = "jcbb"
@@ -44,7 +47,8 @@ class Row(NamedTuple):
 
     number: the world's index; rmse_m: of the positions; fp, fn: decisions, of `readings`; landmarks: in the map in the
     end; visible: true ones read at least once, often: at least three times; seconds: wall time; status: that of the
-    run, or `SLOW`; said_lost: 1 where the run says that it was lost while mapping, else 0.
+    run, or `SLOW`; said_lost: 1 where the run says that it was lost while mapping, else 0; smoothed_m: RMSE of `batch`
+    with the final decisions, infinite: not run or not smoothed.
     """
 
     number: int
@@ -61,6 +65,7 @@ class Row(NamedTuple):
     seconds: float
     status: str
     said_lost: int = 0
+    smoothed_m: float = math.inf
 
 
 class OutOfTimeError(Exception):
@@ -79,8 +84,8 @@ class Deadline(Observer):
             raise OutOfTimeError
 
 
-def measure(log: Log, index: int, world: str, method: str, limit: float = LIMIT) -> Row:
-    """One method on the log of a world."""
+def measure(log: Log, index: int, world: str, method: str, limit: float = LIMIT, *, smoothing: bool = False) -> Row:
+    """One method on the log of a world; `smoothing`: `batch` smooths its final decisions, too."""
     who = log.truth.landmark_of
     assert who is not None
     times = np.bincount(who[who >= 0])
@@ -95,7 +100,19 @@ def measure(log: Log, index: int, world: str, method: str, limit: float = LIMIT)
     seconds = time.perf_counter() - begin
     (run,) = judged([run], inputs)
     said = any(note.code in (Code.MAP_RESTARTED, Code.RETRACTED) for note in run.notes)
-    return Row(index, method, world, *size, *_scores(run, log), seconds, run.status, int(said))
+    smoothed = _smoothed_rmse(run, inputs, log) if smoothing else math.inf
+    return Row(index, method, world, *size, *_scores(run, log), seconds, run.status, int(said), smoothed)
+
+
+def _smoothed_rmse(run: Run, inputs: Inputs, log: Log) -> float:
+    """RMSE [m] of the final path by its final decisions; infinite where that cannot be smoothed."""
+    assert log.truth.pose is not None
+    try:
+        with threadpool_limits(1):
+            found = batch("batch", inputs, run)
+    except NotConvergedError:
+        return math.inf
+    return math.inf if found.failure else rms(position_distance(found.trajectory("final").pose, log.truth.pose))
 
 
 def _scores(run: Run, log: Log) -> tuple[float, int, int, int]:
@@ -107,29 +124,35 @@ def _scores(run: Run, log: Log) -> tuple[float, int, int, int]:
     return rmse, outcomes.fp, outcomes.fn, 0 if run.map is None else len(run.map)
 
 
+def world_of(index: int, *, exact: bool = False) -> tuple[Log, str]:
+    """Log and kind of a world of the variety; `exact`: see `draw`."""
+    drawn = draw(index, exact=exact)
+    return log_of(drawn), drawn.name.partition(":")[0]
+
+
 def measure_all(
     indices: Sequence[int],
     done: Sequence[Row],
     limit: float = LIMIT,
     methods: Sequence[str] = METHODS,
     *,
-    exact: bool = False,
+    world: Callable[[int], tuple[Log, str]] = world_of,
+    smoothing: bool = False,
 ) -> Iterator[Row]:
-    """The methods on the worlds of these indices, without what is done; `exact`: see `draw`.
+    """The methods on the worlds of these indices, without what is done; `world`: log and kind of an index.
 
     Compiled code is loaded before.
     """
-    known = {(r.number, r.method) for r in done}
+    known, more = {(r.number, r.method) for r in done}, {"smoothing": True} if smoothing else {}
     warm = named_log("arena:0:frames=20")
     for method in methods:
         measure(warm, -1, "arena", method)
     for index in indices:
         left = [m for m in methods if (index, m) not in known]
         if left:
-            drawn = draw(index, exact=exact)
-            log = log_of(drawn)
+            log, kind = world(index)
             for method in left:
-                yield measure(log, index, drawn.name.partition(":")[0], method, limit)
+                yield measure(log, index, kind, method, limit, **more)
 
 
 def read(path: Path) -> list[Row]:

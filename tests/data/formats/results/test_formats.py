@@ -109,7 +109,7 @@ FAULTS = {
     "strange": ("1 2 3\n", ":1: 3 fields, '1,2,3': no known trajectory format; a CSV with"),
     "no stamps": ("x,y,theta\n1,2,3\n", ":1: no column t: these are poses of a log's frames"),
     "covariance": ("t,x,y,theta,c_xx\n0,1,2,3,4\n", ":1: column c_xy: no such column, but c_xx"),
-    "negative": ("t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n0,0,0,0,1,0,0,1,0,-1\n", ":2: covariance of x, y"),
+    "negative": ("t,x,y,theta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt\n0,0,0,0,1,0,0,1,0,-2\n", ":2: covariance of x, y"),
     "format": ("#%FORMAT ROUND/1\n", ": no line of data"),
     "square": (f"#%FORMAT SQUARE/0.3\n#%REPRESENTATION gaussian_se3\n{T}\n", "the header lacks TANGENT_CONVENTION"),
     "tangent": (

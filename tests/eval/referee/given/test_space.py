@@ -12,7 +12,7 @@ from smfeval.se3.lie import se3_exp, se3_log
 
 from data.formats.results.path import LEFT, LOCAL, MIXED, WORLD, Spatial, Stated
 from data.formats.results.space import moved
-from eval.referee.in_space import InSpace, Poses, aligning, poses
+from eval.referee.in_space import InSpace, Poses, aligning, poses, relative_columns
 from eval.referee.proper_scores import energy_score_in_space
 from eval.referee.space_scores import columns_in_space, errors_of
 from tests.oracle.evo_space import poses as recorded
@@ -167,3 +167,39 @@ def test_poses_of_the_same_path_are_exact():
     assert found["rmse_position_3d_m"] == 0.0
     assert found["rmse_rotation_3d_deg"] == pytest.approx(0.0, abs=1e-6)
     assert found["scale_sim3"] == pytest.approx(1.0)
+
+
+def by_loops(distances, length, most):
+    """For each pose the later one whose distance along the path is nearest to `length`, as both programs search it."""
+    found = []
+    for i, start in enumerate(distances):
+        best, error = -1, most
+        for j in range(i, len(distances)):
+            if abs(distances[j] - (start + length)) < error:
+                best, error = j, abs(distances[j] - (start + length))
+        if best != -1:
+            found.append((i, best))
+    return found
+
+
+@pytest.mark.parametrize(("pairs", "name", "share"), [("rpg", "30percent", 0.3), ("openvins", "16m", None)])
+def test_relative_errors_of_others_pairs(pairs, name, share):
+    (p, R), (q, S) = recorded()
+    found = relative_columns(Poses(q, S.as_matrix()), Poses(p, R.as_matrix()), pairs)
+    distances = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(p, axis=0), axis=1))])
+    length = 16.0 if share is None else share * distances[-1]
+    off, turn = [], []
+    for i, j in by_loops(distances, length, 0.5 if share is None else 0.2 * length):
+        true, mine = (np.linalg.inv(T[i]) @ T[j] for T in (frames(p, R), frames(q, S)))
+        error = np.linalg.inv(true) @ mine
+        off.append(np.linalg.norm(error[:3, 3]))
+        turn.append(math.degrees(Rotation.from_matrix(error[:3, :3]).magnitude()))
+    assert found[f"rpe_{name}_3d_m"] == pytest.approx(math.sqrt(np.mean(np.square(off))), rel=1e-9)
+    assert found[f"rpe_{name}_3d_median_m"] == pytest.approx(np.median(off), rel=1e-9)
+    assert found[f"rpe_{name}_3d_median_deg"] == pytest.approx(np.median(turn), rel=1e-9)
+
+
+def frames(p, R):
+    T = np.tile(np.eye(4), (len(p), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = R.as_matrix(), p
+    return T

@@ -104,7 +104,15 @@ def test_a_nis_that_is_stated_too_well_is_not_believed(task, association):
     assert said.named["stated"] == 1.0
     assert said.named["formed"] == pytest.approx(total / dof)
     assert 0 < said.named["frames"] <= said.named["of"] <= len(LABELLED)
-    assert f"{kind.__name__} states another NIS than its own expectation gives" in slamref.sentence(said)
+    assert "the NIS that it states is not that of its own expectation" in slamref.sentence(said)
+
+
+def test_nor_is_that_of_a_smoother_in_hindsight():
+    honest, flattering = compare(
+        LABELLED, "localization", [things.MineLocalSmoothing, things.FlatteringSmoothing], "jcbb-hindsight"
+    )
+    np.testing.assert_allclose(flattering.innovations.nis, honest.innovations.nis, rtol=1e-9)
+    assert Code.NIS_STATED in {n.code for n in flattering.notes}
 
 
 def test_the_noise_of_its_nis_is_that_of_the_log():

@@ -68,6 +68,16 @@ class FlatteringLocal(EkfLocalizer):
         return _flattered(super().update(observations, decisions, **more))
 
 
+class MineLocalSmoothing(MineLocal):
+    """It says that it smooths."""
+
+    smooths = True
+
+
+class FlatteringSmoothing(FlatteringLocal):
+    smooths = True
+
+
 class Noisy(EkfLocalizer):
     """The noise of its expectation is twice that of the log."""
 

@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from association.expectation import Expectation
 from data.sensors import RangeBearing
 from eval.replay.hindsight import constants
+from eval.replay.hindsight.opportunities import missing
 from eval.replay.hindsight.record import (
     INITIALIZED,
     Judgement,
@@ -19,7 +20,6 @@ from eval.replay.hindsight.record import (
     add_observation,
     confirmed,
     detection_rate,
-    missing,
     verdict,
 )
 

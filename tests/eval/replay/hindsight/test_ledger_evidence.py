@@ -28,7 +28,7 @@ class Robot:
         self.ledger, self.rows, self.x = Ledger(RelativePoint(max_range=20.0)), 0, np.zeros(3)
 
     def sees(self, *decisions, missing=(), step=(1.0, 0.0)):
-        """Reads `decisions` at the first places; `missing` stand behind, in view, and are not read."""
+        """Reads `decisions` at the first places; `missing` stand where others were read, and are not."""
         ledger, chosen, n = self.ledger, np.array(decisions, np.int64), len(decisions)
         move = np.array([*step, 0.0])[:3] if ledger.frame >= 0 else None
         self.x = self.x + (0.0 if move is None else move)
@@ -36,7 +36,7 @@ class Robot:
         increment = None if move is None else Increment(move, np.zeros((3, 3)))
         here = Frame(ledger.frame + 1, 0.0, increment, FrameObservations(z, R), None, self.rows)
         ledger.move(here)
-        ledger.judge(self.expects(chosen, missing), chosen)
+        ledger.judge(self.expects(chosen, missing), chosen, self.x)
         created = np.full(n, -1, np.int64)
         created[chosen == NEW] = ledger.created + np.arange((chosen == NEW).sum())
         done = Updated(chosen >= 0, created, 0.0, 0, 0.0, np.full((n, 2), math.nan))
@@ -46,9 +46,10 @@ class Robot:
 
     @staticmethod
     def expects(chosen, missing=()):
-        """What is paired where it is read, and what is missing, to the left of all that is."""
+        """What is paired where it is read, and what is missing, between all that is."""
         paired = np.flatnonzero(chosen >= 0)
-        away = np.array([[-2.0 - k, 0.5] for k in range(len(missing))]).reshape(-1, 2)
+        bearing = 0.06 + 0.03 * np.arange(len(missing))
+        away = 4.6 * np.stack([np.cos(bearing), np.sin(bearing)], axis=1)
         z_hat = np.concatenate([PLACES[paired], away])
         R = np.tile(0.01 * np.eye(2), (len(chosen), 1, 1))
         number = np.concatenate([chosen[paired], np.array(missing, np.int64)])
@@ -70,10 +71,11 @@ def known(visibility, **evidence):
 def misses(robot, *numbers):
     """A frame is judged that reads nothing, and should have read these."""
     nothing = np.empty(0, np.int64)
-    robot.ledger.judge(robot.expects(nothing, numbers), nothing)
+    robot.ledger.judge(robot.expects(nothing, numbers), nothing, robot.x)
     return robot.ledger
 
 
+SEEN, MISSED = b"\3", b"\2"  # from a familiar viewpoint
 OFTEN = Visibility(180, 10, 5, 5)
 """Seen in 185 of 200 looks."""
 
@@ -141,25 +143,25 @@ def test_a_landmark_is_looked_at_again_only_from_another_place(step, elsewhere):
 
 def test_the_second_sighting_is_a_look_wherever_it_is_from():
     robot = Robot().sees(NEW, NEW, NEW).sees(0, step=(0.0, 0.0)).sees(0, step=(0.0, 0.0))
-    assert bytes(robot.ledger.records[0].opportunities) == b"\1"
+    assert bytes(robot.ledger.records[0].opportunities) == SEEN
     assert robot.ledger.records[0].evidence.opportunities == 1
 
 
-@pytest.mark.parametrize(("bearing", "look"), [(0.5, False), (-0.9, False), (-0.3, True)])
-def test_the_view_read_is_that_of_readings_alone(bearing, look):
+@pytest.mark.parametrize(("bearing", "look"), [(2.0, False), (-1.7, False), (-0.3, True)])
+def test_a_miss_counts_from_the_side_from_which_a_landmark_was_seen(bearing, look):
     assert Ledger(RelativePoint()).range == 0.0
     ledger = Ledger(RelativePoint(max_range=20.0))
     z, R, nothing = PLACES[[0, 2]], np.tile(0.01 * np.eye(2), (2, 1, 1)), np.empty(0, np.int64)  # at 0 and -0.67 rad
     none = Updated(np.zeros(2, np.bool_), np.array([0, 1]), 0.0, 0, 0.0, np.empty((2, 2)))
     ledger.see(Frame(0, 0.0, None, FrameObservations(z, R), None, 0), np.array([NEW, NEW]), none, np.zeros(3))
-    there = 3.0 * np.array([[math.cos(bearing), math.sin(bearing)]])
+    there = 4.8 * np.array([[math.cos(bearing), math.sin(bearing)]])
     e = Expectation.from_arrays(np.empty((0, 2)), there, 1e-6 * np.eye(2), np.empty((0, 2, 2)))
-    ledger.judge(e, nothing)
+    ledger.judge(e, nothing, np.zeros(3))
     empty = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
     done = Updated(nothing >= 0, nothing, 0.0, 0, 0.0, np.empty((0, 2)))
     ledger.see(Frame(1, 1.0, None, empty, None, 2), nothing, done, np.array([9.0, 0.0, 0.0]))
-    assert ledger.records[0].evidence.missed == 1
-    assert bytes(ledger.records[0].opportunities) == b"\0" * look
+    assert ledger.records[0].evidence.missed == look
+    assert bytes(ledger.records[0].opportunities) == (MISSED if look else b"\0")
 
 
 def test_certain_landmarks_tell_how_often_landmarks_in_view_are_seen():
@@ -232,7 +234,7 @@ def test_the_ledgers_notes_count_what_was_undone_and_what_was_made_instead():
 def replacing(ledger, decisions, missing):
     chosen = np.array(decisions, np.int64)
     known = np.where(np.isin(chosen, list(ledger.records)), chosen, DISCARD)
-    ledger.judge(Robot.expects(known, missing), known)
+    ledger.judge(Robot.expects(known, missing), known, np.zeros(3))
     return ledger.replaced(chosen)
 
 

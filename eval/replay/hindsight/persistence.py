@@ -1,0 +1,199 @@
+"""Which landmarks of a log are real, and which of these left: a persistence filter over detection opportunities.
+
+Each landmark has a sequence of opportunities (`opportunities.py`). Three kinds of landmarks explain it:
+
+* persistent: in place until the end, with detection probabilities of its own around common ones (beta distributions),
+  from familiar viewpoints and from others;
+* left: the same until an unknown opportunity, and detected by chance only from then on;
+* transient: clutter that vanishes right after its first observation, or people who vanish before each later
+  opportunity with a much larger probability.
+
+The time of leaving is summed out, as in the persistence filter (Rosen, Mason and Leonard, ICRA 2016) with a geometric
+survival time. Shares and rates are fitted to all landmarks of the log by expectation maximization. Misses after the
+last detection do not count for the rates: the landmark may have left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import exp, log
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from data.inputs import IntArray
+from data.se2 import Array, BoolArray
+from eval.replay.hindsight import constants
+
+Opportunities = Sequence[bytes | bytearray]  # of each landmark, after its first observation; see `opportunities.py`
+
+
+class Persistence(NamedTuple):
+    """Common parameters of a log's landmarks.
+
+    real: share of landmarks that are no transient ones; at_once, later: probabilities that a transient one vanishes
+    before the first and before each further opportunity; elsewhere, familiar: detection probabilities by viewpoint.
+    """
+
+    real: float
+    at_once: float
+    later: float
+    elsewhere: float
+    familiar: float
+
+
+class Kinds(NamedTuple):
+    """Probabilities (n,) of each landmark's kind; they sum to one."""
+
+    persistent: Array
+    left: Array
+    transient: Array
+
+
+def persistence(opportunities: Opportunities) -> Persistence:
+    """Fit to the landmarks (n) of a log; the prior if there are none."""
+    fitted = _fitted(
+        *_packed(opportunities), np.array([constants.PERSISTENCE_MEANS, constants.PERSISTENCE_WORTH]), _fixed(),
+        constants.PERSISTENCE_LATER_LEAST, constants.PERSISTENCE_ROUNDS,
+    )  # fmt: skip
+    return Persistence(*fitted.tolist())
+
+
+def kinds(opportunities: Opportunities, p: Persistence) -> Kinds:
+    """The probability of each kind, of landmarks (n)."""
+    return Kinds(*_probabilities(*_packed(opportunities), np.array(p), _fixed()))
+
+
+class Kept(NamedTuple):
+    """Landmarks (n,) of a map that stay in it at the end of a log.
+
+    left: those of them that left the world before; folded: whether most would have left, which no world explains.
+    """
+
+    stays: BoolArray
+    left: BoolArray
+    folded: bool
+
+
+def kept_at_end(opportunities: Opportunities, observations: IntArray) -> Kept:
+    """Which landmarks (n,) of a map stay in it at the end of a log.
+
+    To drop a landmark unpairs all its observations; to keep a transient one keeps as many wrong pairings. So the
+    expected cost is least where landmarks stay that are real with a probability above one half. A landmark observed
+    twice among often observed ones is a person who came by at the end. Where more than `FOLDED_SHARE` would stay as
+    landmarks that left, the map is folded: these were initialized again elsewhere, and are dropped.
+
+    observations (n,): number of each landmark.
+    """
+    found = kinds(opportunities, persistence(opportunities))
+    keep: BoolArray = (found.transient < 0.5) & (observations >= constants.CONFIRMED_AT_LEAST)
+    if keep.any():
+        keep &= observations >= min(
+            constants.CONFIRMED, float(np.quantile(observations[keep], constants.PERSISTENT_FEWEST))
+        )
+    left = keep & (found.left > found.persistent)
+    folded = bool(left.sum() > constants.FOLDED_SHARE * keep.sum())
+    return Kept(keep & ~left, left & False, True) if folded else Kept(keep, left, False)
+
+
+def _fixed() -> Array:
+    """What is not fitted, for the kernels: weight of the common rates, chance detection, and leaving."""
+    return np.array([constants.PERSISTENCE_OWN, constants.PERSISTENCE_CHANCE, constants.PERSISTENCE_LEAVING])
+
+
+def _packed(opportunities: Opportunities) -> tuple[IntArray, IntArray]:
+    """All opportunities in a row (m,), and where those of each landmark begin (n + 1,)."""
+    begin = np.cumsum(np.array([0, *(len(s) for s in opportunities)], np.int64))
+    return np.frombuffer(b"".join(opportunities), np.uint8).astype(np.int64), begin
+
+
+@njit(cache=True)
+def _log_sum(terms: Array) -> float:
+    top = terms.max()
+    return float(top + log(np.exp(terms - top).sum()))
+
+
+@njit(cache=True)
+def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Array) -> Array:
+    """Log-likelihoods (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
+
+    expected (4,), written: a transient landmark vanished at once or not, if it has opportunities; it vanished later,
+    and opportunities that it lasted.
+    """
+    at_once, later, mean = p[1], p[2], p[3:5]
+    own, chance, leaving = fixed[0], fixed[1], fixed[2]
+    n = len(opportunities)
+    gone = np.zeros(n + 1)  # by chance alone from opportunity k on
+    for k in range(n - 1, -1, -1):
+        gone[k] = gone[k + 1] + (log(chance) if opportunities[k] % 2 else log(1.0 - chance))
+    a, b = own * mean, own * (1.0 - mean)
+    left, transient = np.full(n + 1, -np.inf), np.empty(n + 2)
+    there, passing = 0.0, log(1.0 - at_once)
+    for k in range(n):
+        left[k] = there + log(leaving) + gone[k]
+        transient[k] = passing + log(later) + gone[k]
+        detected, familiar = opportunities[k] % 2, opportunities[k] // 2
+        rate = a[familiar] / (a[familiar] + b[familiar])
+        there += log(1.0 - leaving) + (log(rate) if detected else log(1.0 - rate))
+        passing += log(1.0 - later) + (log(mean[familiar]) if detected else log(1.0 - mean[familiar]))
+        a[familiar] += detected
+        b[familiar] += 1 - detected
+    transient[n], transient[n + 1] = passing, gone[0] + log(at_once)
+    result = np.array([there, _log_sum(left) if n else -np.inf, _log_sum(transient)])
+    expected[:] = 0.0
+    if n:
+        expected[0] = exp(transient[n + 1] - result[2])
+        expected[1] = 1.0 - expected[0]
+    for k in range(n + 1):
+        share = exp(transient[k] - result[2])
+        expected[2] += share if k < n else 0.0
+        expected[3] += share * k
+    return result
+
+
+@njit(cache=True)
+def _posterior(opportunities: IntArray, p: Array, fixed: Array, expected: Array) -> Array:
+    """Probabilities (3,) of the kinds of a landmark; `expected` as of `_likelihoods`."""
+    terms = _likelihoods(opportunities, p, fixed, expected)
+    terms[:2] += log(p[0])
+    terms[2] += log(1.0 - p[0])
+    weight: Array = np.exp(terms - terms.max())
+    weight /= weight.sum()
+    return weight
+
+
+@njit(cache=True)
+def _probabilities(opportunities: IntArray, begin: IntArray, p: Array, fixed: Array) -> Array:
+    result, expected = np.empty((3, len(begin) - 1)), np.empty(4)
+    for i in range(len(begin) - 1):
+        result[:, i] = _posterior(opportunities[begin[i] : begin[i + 1]], p, fixed, expected)
+    return result
+
+
+@njit(cache=True)
+def _fitted(opportunities: IntArray, begin: IntArray, prior: Array, fixed: Array, least: float, rounds: int) -> Array:
+    """`Persistence` as an array (5,); prior (2, 5): mean and weight of each."""
+    p: Array = prior[0].copy()
+    expected = np.empty(4)
+    for _ in range(rounds):
+        yes, every = prior[0] * prior[1], prior[1].copy()
+        for i in range(len(begin) - 1):
+            of = opportunities[begin[i] : begin[i + 1]]
+            transient = _posterior(of, p, fixed, expected)[2]
+            real = 1.0 - transient
+            yes[0] += real
+            every[0] += 1.0
+            yes[1] += transient * expected[0]
+            every[1] += transient * (expected[0] + expected[1])
+            yes[2] += transient * expected[2]
+            every[2] += transient * (expected[2] + expected[3])
+            last = len(of)
+            while last and of[last - 1] % 2 == 0:
+                last -= 1
+            for k in range(last):
+                yes[3 + of[k] // 2] += real * (of[k] % 2)
+                every[3 + of[k] // 2] += real
+        p = yes / every
+        p[2] = max(p[2], least)
+    return p
