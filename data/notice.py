@@ -37,6 +37,8 @@ class Code(StrEnum):
     FIELD_OF_VIEW = "field-of-view"
     PRIOR = "prior"
     TRUTH_FRAME = "truth-frame"
+    INTEGRATION = "integration"
+    MIRRORED = "mirrored"
     # about a laser log, for its author
     NO_ODOMETRY = "no-odometry"
     ODOMETRY_UNIT = "odometry-unit"
@@ -79,6 +81,7 @@ class Code(StrEnum):
     PATH_ORDER = "path-order"
     PATH_SCALE = "path-scale"
     PATH_TILT = "path-tilt"
+    PATH_MIRRORED = "path-mirrored"
     # about a run of hindsight
     LARGER_SIGMAS = "larger-sigmas"
     REVISED = "revised"
@@ -138,6 +141,7 @@ QUESTIONS = frozenset(
         Code.PATH_ORDER,
         Code.PATH_SCALE,
         Code.PATH_TILT,
+        Code.PATH_MIRRORED,
     }
 )
 """Findings about the files of a result that the user has to answer."""
