@@ -173,9 +173,13 @@ class HindsightMapper:
         """
         often = [n for n, r in self.ledger.records.items() if r.evidence.seen >= constants.CONFIRMED]
         errors = self._systematic if self.filters.has_errors else None
-        found = self.whole.reassociate(self.ledger.records, self.filter.landmarks(), self.restated, errors)
+        found = self.whole.reassociate(
+            self.ledger.records, self.filter.landmarks(), self.ledger.view, self.restated, errors
+        )
+        if found is not None:
+            found = self.whole.plain(self.setup, self.restated, errors) or found
         unobserved = self._remove(self.ledger.reassociate(found)) if found is not None else np.empty(0, np.int64)
-        transient = self.ledger.transient(self.whole.opportunities(self.ledger.view))
+        transient = self.ledger.transient(self.whole.opportunities)
         if found is not None:
             self.whole.settle(self.ledger.records)
         self.lost.end(often, transient)
