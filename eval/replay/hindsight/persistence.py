@@ -74,7 +74,8 @@ def evidence(opportunities: Opportunities) -> Array:
 class Kept(NamedTuple):
     """Landmarks (n,) of a map that stay in it at the end of a log.
 
-    left: those of them that left the world before; folded: whether most would have left, which no world explains.
+    left: those that left the world before; folded: most would have left, which no world explains, so none of these
+    stays.
     """
 
     stays: BoolArray
@@ -100,7 +101,7 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray) -> Kept:
         )
     left = keep & (found.left > found.persistent)
     folded = bool(left.sum() > constants.FOLDED_SHARE * keep.sum())
-    return Kept(keep & ~left, left & False, True) if folded else Kept(keep, left, False)
+    return Kept(keep & ~left if folded else keep, left, folded)
 
 
 def _fixed() -> Array:

@@ -145,6 +145,10 @@ class WholeLog:
         """Of the landmarks after re-association, by number; empty if nothing was re-associated."""
         return {} if self.smoothed is None else self.smoothed.opportunities
 
+    def frame_of(self, row: int) -> int:
+        """The frame of an observation."""
+        return int(self._seen().frame[row])
+
     def settle(self, records: dict[int, Record]) -> None:
         """The recorded landmarks are the final ones."""
         seen = self._seen()
