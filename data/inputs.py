@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from data.se2 import Array
+from data.se2 import Array, inverse
 from data.sensors import Sensor
 
 IntArray = NDArray[np.int64]
@@ -196,6 +196,17 @@ class Scanner:
     sigma: float
     rotation: float = 0.0
     translation: tuple[float, float] = (0.0, 0.0)
+
+    def mounted(self, *, clockwise: bool, turned: float) -> Scanner:
+        """In the same place of the body, with its beams the other way round (`clockwise`), turned by an angle [rad]."""
+        way = -1.0 if clockwise else 1.0
+        on_body = inverse(np.array([*self.translation, self.rotation]))
+        on_body[2] += turned
+        tx, ty, rotation = inverse(on_body).tolist() if turned else (*self.translation, self.rotation)
+        return replace(
+            self, angle_min=way * self.angle_min, angle_step=way * self.angle_step, rotation=rotation,
+            translation=(tx, ty),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations
+from data.notice import Notice
 from data.pictures import Evidence
 from data.se2 import BoolArray, dead_reckoned
 from data.truth import UNKNOWN_ID, Relations, Truth
 
 ODOMETRY_KIND = "odometry_kind"
-"""Key of the source of a log from tables: velocities, poses, steps or ticks."""
+ODOMETRY_PERIOD, INTEGRATION = "odometry_period", "integration"
+"""Keys of the source of a log from tables: velocities, poses, steps or ticks; of velocities their interval [s] and the
+motion model by which they became increments."""
 T = TypeVar("T", bound=NDArray[Any])
 
 
@@ -34,6 +37,7 @@ class Log:
         source: provenance; free keys.
         notes: what a reader should know (spans skipped, observations dropped), one sentence each.
         evidence: of a log made from images, its detections.
+        asked: questions to its author that only the recording raises (`data.questions` has the others).
 
     Example:
         >>> print(log)
@@ -48,6 +52,7 @@ class Log:
     source: Mapping[str, object] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     evidence: Evidence | None = None
+    asked: tuple[Notice, ...] = ()
 
     @property
     def has_labels(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,7 @@ NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in regist
 @dataclass(frozen=True)
 class Reading:
     """How logs are read: options of images (`data.visual.opening.Camera`), the cache of rendered detections, and the
-    file of reference relations of a laser log (None: the one beside it).
+    file of reference relations of a laser log (None: the one beside it), and whether its odometry is left out.
     """
 
     camera_translation: str = "cm"
@@ -33,6 +33,7 @@ class Reading:
     trust_pickle: bool = False
     cache: Path | None = None
     relations: Path | None = None
+    no_odometry: bool = False
 
 
 def open_log(
@@ -56,7 +57,17 @@ def open_log(
         >>> log = slamref.open_log("arena:0")
         >>> log.recorded.increments.mean.shape  # (N, 3): frames of dx, dy [m], dtheta [rad]
     """
-    name = os.fspath(name)
+    log = _opened(os.fspath(name), reading, say)
+    if not reading.no_odometry:
+        return log
+    if log.recorded.scans is None:
+        raise UsageError(f"--no-odometry: {log.name} has no laser scans, which alone tell the motion then")
+    from data.formats.recordings.laser import without_odometry
+
+    return replace(log, recorded=without_odometry(log.recorded))
+
+
+def _opened(name: str, reading: Reading, say: Callable[[str], None]) -> Log:
     path = Path(name)
     if os.path.isfile(path):  # unlike Path.is_file, also false for a name the system refuses
         return _open_file(path, reading)
@@ -101,7 +112,7 @@ def _open_file(path: Path, reading: Reading) -> Log:
 
         if said := what_to_type(path):
             raise UsageError(f"{path}: {said}")
-        right = f"an open log folder, a CARMEN log (.log, .clf, also .gz) or one of {NAMES}"
+        right = f"an open log folder, a CARMEN log (.log, .clf, also .gz, .bz2) or one of {NAMES}"
         raise UsageError(f"{path}: a file of unknown type; expected {right}")
     return load_carmen(path, reading.relations)
 

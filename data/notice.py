@@ -37,6 +37,17 @@ class Code(StrEnum):
     FIELD_OF_VIEW = "field-of-view"
     PRIOR = "prior"
     TRUTH_FRAME = "truth-frame"
+    INTEGRATION = "integration"
+    MIRRORED = "mirrored"
+    # about a laser log, for its author
+    NO_ODOMETRY = "no-odometry"
+    ODOMETRY_UNIT = "odometry-unit"
+    RANGE_UNIT = "range-unit"
+    FEW_RETURNS = "few-returns"
+    MOUNTING = "mounting"
+    BEAM_ANGLES = "beam-angles"
+    STAMPS_BACK = "stamps-back"
+    STAMPS_BROKEN = "stamps-broken"
     # about a run: how it was made
     NOTE = "note"
     DECIDED_BY = "decided-by"
@@ -49,6 +60,7 @@ class Code(StrEnum):
     PARKED = "parked"
     REMOVED = "removed"
     OBSERVATIONS_REJECTED = "observations-rejected"
+    TOO_MANY_KEYS = "too-many-keys"
     CLOSURES_GATED = "closures-gated"
     CLOSURES_REJECTED = "closures-rejected"
     CLOSURES_LOST = "closures-lost"
@@ -69,6 +81,7 @@ class Code(StrEnum):
     PATH_ORDER = "path-order"
     PATH_SCALE = "path-scale"
     PATH_TILT = "path-tilt"
+    PATH_MIRRORED = "path-mirrored"
     # about a run of hindsight
     LARGER_SIGMAS = "larger-sigmas"
     REVISED = "revised"
@@ -130,6 +143,7 @@ QUESTIONS = frozenset(
         Code.PATH_ORDER,
         Code.PATH_SCALE,
         Code.PATH_TILT,
+        Code.PATH_MIRRORED,
     }
 )
 """Findings about the files of a result that the user has to answer."""

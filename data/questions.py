@@ -7,10 +7,12 @@ A question is a notice with the numbers that raise it. Its value `flags` are the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from data import laser_questions
+from data.conventions import ARC, AS_STATED, SWAPPED, order_by_observations, order_by_truth, side_of_bearings
 from data.inputs import Inputs
 from data.log import ODOMETRY_KIND, Log
 from data.motion.velocity import carried
@@ -83,8 +85,8 @@ def turn_rates(log: Log) -> list[Notice]:
     inputs, pose = log.recorded, log.truth.pose
     if len(inputs) < 2:
         return []
-    odometry = _per_second(inputs.time, inputs.increments.mean[1:, 2])
-    truth = None if pose is None else _per_second(inputs.time, _changes(pose[:, 2]))
+    odometry = per_second(inputs.time, inputs.increments.mean[1:, 2])
+    truth = None if pose is None else per_second(inputs.time, changes(pose[:, 2]))
     found = []
     for of, rate in (("odometry", odometry), ("truth", truth)):
         if rate is not None and (np.abs(rate) > FASTEST).sum() > max(2.0, SHARE * np.count_nonzero(rate)):
@@ -110,14 +112,14 @@ def _in_degrees(log: Log, of: str) -> tuple[str, ...]:
     return (f"--unit {unit}",)
 
 
-def _changes(heading: Array) -> Array:
+def changes(heading: Array) -> Array:
     """Changes of heading between frames, without jumps by 2 pi; 0 where unknown."""
     change = np.nan_to_num(np.diff(heading))
     change[np.abs(np.abs(change) - TURN) < 1.0] = 0.0
     return change
 
 
-def _per_second(time: Array, turn: Array) -> Array:
+def per_second(time: Array, turn: Array) -> Array:
     """Rates [rad/s] over stretches of at least 1 s (or 1 step)."""
     second = np.floor(time - time[0])
     edges = np.unique(np.concatenate([[0], 1 + np.flatnonzero(second[1:] > second[:-1]), [len(time) - 1]]))
@@ -135,6 +137,8 @@ def stamps(log: Log) -> list[Notice]:
     unit, blind = "", None
     if gap > SLOW_FRAMES:
         unit = next(name for name, limit in (("ms", 1e4), ("us", 1e7), ("ns", np.inf)) if gap < limit)
+    elif gap >= FAST_FRAMES and inputs.scans is not None:
+        return []
     elif gap >= FAST_FRAMES:
         # increments across gaps of the odometry: no motion, and an isotropic covariance
         mean, P = inputs.increments.mean[1:], inputs.increments.covariance[1:]
@@ -319,6 +323,39 @@ def truth_windows(log: Log) -> list[Notice]:
     ]
 
 
+def order(log: Log) -> list[Notice]:
+    """Velocities that another order of turning and driving fits."""
+    by_truth = order_by_truth(log)
+    found = by_truth if by_truth is not None else order_by_observations(log)
+    if found is None or found.name == ARC:
+        return []
+    flags = (f"--integrate {found.name}",)
+    return [notice(Code.INTEGRATION, order=found.name, gain=found.gain, by_truth=by_truth is not None, flags=flags)]
+
+
+def side(log: Log) -> list[Notice]:
+    """Bearings to the other side, or swapped coordinates."""
+    found = side_of_bearings(log.recorded)
+    if found is None or found.name == AS_STATED:
+        return []
+    units = log.source.get("unit")
+    given = units if isinstance(units, Mapping) else {}
+    if log.recorded.sensor.kind != RELATIVE_POINT:
+        unit = str(given.get("observations.bearing", given.get("bearing", given.get("angle", "rad"))))
+        other = unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
+        flags = (f"--unit bearing={other}", *(("--sensor-pose=0,0,90deg",) if found.name == SWAPPED else ()))
+    elif found.name == SWAPPED:
+        flags = ("--columns observations.x=y,observations.y=x",)
+    else:
+        flags = (f"--unit observations.y=-{given.get('length', 'm')}",)
+    return [notice(Code.MIRRORED, swapped=found.name == SWAPPED, gain=found.gain, flags=flags)]
+
+
+def conventions(log: Log) -> list[Notice]:
+    """Conventions of the log that are not those stated."""
+    return [*side(log), *order(log)]
+
+
 CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
     map_rows,
     truth_windows,
@@ -331,9 +368,11 @@ CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
     truth_start,
     truth_rate,
     labels,
+    conventions,
 )
 
 
 def ask(log: Log) -> tuple[Notice, ...]:
     """Questions about a log; none where it looks as it should."""
-    return tuple(question.about(log=log.name) for check in CHECKS for question in check(log))
+    found = [*log.asked, *(question for check in (*CHECKS, *laser_questions.CHECKS) for question in check(log))]
+    return tuple(question.about(log=log.name) for question in found)

@@ -36,6 +36,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for tables and report.html")
     cure = "write the graph with variance components applied and rejected factors left out; examine it, too"
     parser.add_argument("--rescale", metavar="FILE", type=Path, help=cure)
+    kept = "what becomes of them in FILE: leave-out (default), or robust: kept, with the weight of Cauchy's loss"
+    parser.add_argument("--rejected", choices=("leave-out", "robust"), default="leave-out", help=kept)
     parser.add_argument("--draws", metavar="N", type=_count, default=200, help="draws of the graph (default: 200)")
     parser.add_argument("--full", action="store_true", help="draw measurements and optimize each graph again (slow)")
     parser.add_argument("--seed", metavar="S", type=_count, default=0, help="random seed (default: 0)")
@@ -54,7 +56,7 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
     from eval.report.audited import cured, opened
 
     optimize = options.optimize if options.optimize or options.as_given else None
-    found = opened(options.graph, optimize, options.draws, options.seed, full=options.full)
+    found = opened(options.graph, optimize, options.draws, options.seed, full=options.full, resolve=20)
     report = found.report
     columns = ["keys", "kind", "chi2", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
     kinds = report.kinds.drop(columns=["p", "unchecked"]).reset_index()
@@ -68,7 +70,7 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
         write_audit(report, options.out, f"Audit of {name}", f"{prog} {name}")
         sys.stdout.write(f"\nwritten: {options.out.absolute()}\n")
     if options.rescale is not None:
-        table = cured(found, options.rescale, options.draws, options.seed)
+        table = cured(found, options.rescale, options.draws, options.seed, options.rejected)
         sys.stdout.write(f"\n{shown(table).to_string(index=False)}\nwritten: {options.rescale.absolute()}\n")
     return int(report.rejected)
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from data.convert.parsers import Add
+    from data.formats.recordings.mending import Mending
     from data.log import Log
 
 KINDS = ("victoria-park", "carmen", "rosbag", "lab")
@@ -40,7 +41,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     )
     carmen = add(
         "carmen",
-        help="a CARMEN log with laser scans (.log, .clf, also .gz)",
+        help="a CARMEN log with laser scans (.log, .clf, also .gz, .bz2)",
         description="Odometry and laser scans of a CARMEN log, with reference relations where there are some.",
         epilog=CARMEN,
     )
@@ -67,11 +68,36 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     carmen.add_argument("--relations", metavar="FILE", type=Path, help=text)
     rosbag.add_argument("--scan", metavar="TOPIC", help="of the scans (default: the only one)")
     rosbag.add_argument("--odom", metavar="TOPIC", help="of the odometry (default: the only one)")
+    _add_mending(carmen)
+    _add_mending(rosbag)
     lab.add_argument("--camera-translation", choices=("cm", "mm", "m"), default="cm", help="unit of T (default: cm)")
     text = "what R and T do (default: p_c = R p_b + T)"
     lab.add_argument("--camera-reading", choices=("to-camera", "to-body"), default="to-camera", help=text)
     lab.add_argument("--corner-noise", choices=("lab", "depth"), default="lab", help="of the corners (default: lab)")
     lab.add_argument("--trust-pickle", action="store_true", help="read object arrays: they can run code")
+
+
+def _add_mending(parser: argparse.ArgumentParser) -> None:
+    """The flags of `data.formats.recordings.mending.Mending`."""
+    units = ("m", "cm", "mm")
+    parser.add_argument("--range-unit", choices=units, default="m", help="unit of the ranges (default: m)")
+    parser.add_argument("--odometry-unit", choices=units, default="m", help="unit of the odometry (default: m)")
+    parser.add_argument("--clockwise", action="store_true", help="beams run clockwise, or the laser is upside down")
+    parser.add_argument("--laser-turned", metavar="DEG", type=float, default=0.0, help="laser's heading on the robot")
+    parser.add_argument("--beam-step", metavar="DEG", type=float, help="angle between beams (default: as stated)")
+    parser.add_argument("--max-range", metavar="M", type=float, help="longer readings are no return")
+    parser.add_argument("--sort-stamps", action="store_true", help="in the order of the stamps, not of the file")
+    parser.add_argument("--no-odometry", action="store_true", help="odometry is unknown: scans alone tell the motion")
+
+
+def _mending(args: argparse.Namespace) -> Mending:
+    """The mending that the flags ask for."""
+    from data.formats.recordings.mending import Mending
+
+    return Mending(
+        args.range_unit, args.odometry_unit, args.clockwise, args.laser_turned, args.beam_step, args.max_range,
+        args.sort_stamps, not args.no_odometry,
+    )  # fmt: skip
 
 
 def convert(args: argparse.Namespace) -> Log:
@@ -83,11 +109,11 @@ def convert(args: argparse.Namespace) -> Log:
     if args.kind == "carmen":
         from data.formats.recordings.carmen import load_carmen
 
-        return load_carmen(args.source, args.relations, undo_correction=args.undo_correction)
+        return load_carmen(args.source, args.relations, undo_correction=args.undo_correction, mending=_mending(args))
     if args.kind == "rosbag":
         from data.formats.recordings.ros import log_of, read_bag
 
-        return log_of(args.source, read_bag(args.source, args.scan, args.odom))
+        return log_of(args.source, read_bag(args.source, args.scan, args.odom), _mending(args))
     from data.visual.opening import Camera, open_lab_log
 
     camera = Camera(args.camera_translation, args.camera_reading, args.corner_noise, args.trust_pickle)

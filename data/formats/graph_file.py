@@ -80,7 +80,12 @@ def read_graph_file(path: Path) -> GraphFile:
     positive definite, a quaternion that is no rotation, an id that is repeated, or of two kinds, a pose without its
     vertex where the file has some; and for a file without an edge.
     """
-    lines = bytes_of(path).decode("utf-8", "replace").splitlines()
+    return graph_file_of(path, bytes_of(path).decode("utf-8", "replace"))
+
+
+def graph_file_of(path: Path, text: str) -> GraphFile:
+    """The graph of a text; errors, as of `read_graph_file`, name the path."""
+    lines = text.splitlines()
     graph = GraphFile(path, lines, {}, {}, [], [], {}, {})
     other: Counter[str] = Counter()
     for number, line in enumerate(lines, start=1):

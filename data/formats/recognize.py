@@ -29,7 +29,9 @@ def door(name: str) -> list[str] | None:
 
 KINDS = {
     **dict.fromkeys((".bag", ".mcap", ".db3"), "a ROS bag; type slamref convert rosbag {file} LOG"),
-    ".g2o": "a pose graph; type slamref convert g2o {file} LOG (or slamref audit {file})",
+    **dict.fromkeys(
+        (".g2o", ".graph", ".toro"), "a pose graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
+    ),
     **dict.fromkeys((".csv", ".tsv", ".txt"), "a table; type slamref convert table {file} LOG --columns ..."),
     ".tum": "a path of another program; type slamref score {file} TRUTH, or slamref run LOG --result mine={file}",
     ".toml": "a TOML file; type slamref convert table {file} LOG, slamref study {file} or slamref run --config {file}",

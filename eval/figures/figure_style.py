@@ -13,7 +13,10 @@ USUAL_TYPE = 8.0  # pt, of titles and labels
 
 @dataclass(frozen=True)
 class FigureStyle:
-    """What is wished for: width [in] (None: as usual), fonts by preference, type size [pt], LaTeX, pgf, PDF files."""
+    """What is wished for: width [in] (None: as usual), fonts by preference, type size [pt], LaTeX, pgf, PDF files.
+
+    titles: whether a figure has a title inside, beside those of its panels. data: write its data and a script, too.
+    """
 
     width: float | None = None
     fonts: tuple[str, ...] = ()
@@ -22,6 +25,8 @@ class FigureStyle:
     usetex: bool = False
     pgf: str | None = None
     pdf: bool = False
+    titles: bool = True
+    data: bool = False
 
     @property
     def formats(self) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from data.result import MapEstimate, Run
 from data.se2 import Array, dead_reckoned
 from eval.figures import plane
 from eval.figures.paper import page_width, points
-from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
+from eval.figures.style import DOTTED, SOLID, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
 from eval.referee.ambiguity import ambiguous
 from eval.referee.given_runs import is_truth_alone
 
@@ -103,15 +103,22 @@ def map_figure(
     return fig
 
 
+DASH = 5.0
+"""Length [line widths] of a dash of the second solid path; the gaps of each further one are longer by as much."""
+
+
 def _draw_paths(ax: Axes, m: _Map) -> list[Line2D | Patch]:
     handles: list[Line2D | Patch] = []
     truth = m.log.truth
     if truth.known_poses and truth.pose is not None:
         handles += ax.plot(*truth.pose[:, :2].T, color=TRUTH_COLOUR, linewidth=1.8, label="true path", zorder=2)
     own = {s.label: s for s in m.shown}
+    before = 0
     for label, path in m.paths.items():
         s = own.get(label)
         colour, line = (STYLES["dead-reckoning"].colour, DOTTED) if s is None else (s.colour, s.line)
+        if line == SOLID:  # paths that coincide show through the gaps of those above
+            line, before = (0, (DASH, DASH * before)) if before else SOLID, before + 1
         flaw = None if s is None else s.run.flaw
         name = label if flaw is None else f"{label}:\n{flaw.status} at frame {flaw.frame}"
         handles += ax.plot(*path.T, color=colour, linestyle=line, linewidth=1.0, label=name, zorder=3)

@@ -30,6 +30,14 @@ def points(usual: float) -> float:
     return usual * current().size / USUAL_TYPE
 
 
+def untitle(fig: Figure) -> None:
+    """Remove the title of a figure; those that tell its panels apart stay."""
+    fig.suptitle("")
+    if len(fig.axes) == 1:
+        for place in ("left", "center", "right"):
+            fig.axes[0].set_title("", loc=place)
+
+
 def refit(fig: Figure) -> None:
     """Make room in a narrow figure, unless `settle` did: titles wrapped, legends in fewer columns, a longer page."""
     if current().width is None or not isinstance(fig.get_layout_engine(), ConstrainedLayoutEngine):

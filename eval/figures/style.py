@@ -19,8 +19,9 @@ from matplotlib.typing import RcKeyType
 from PIL import Image
 
 from data.result import Run, Trajectory
+from eval.figures import redrawn
 from eval.figures.figure_style import current
-from eval.figures.paper import refit, translate
+from eval.figures.paper import refit, translate, untitle
 from eval.referee.given_runs import GivenRun
 from eval.replay.external.spec import place
 
@@ -222,6 +223,10 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
     folder.mkdir(parents=True, exist_ok=True)
     written = []
     with drawing():
+        if not current().titles:
+            untitle(fig)
+        if current().data:
+            written += redrawn.write(fig, folder, stem)
         if current().usetex:
             translate(fig, escape=True)
         refit(fig)

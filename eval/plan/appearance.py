@@ -29,13 +29,17 @@ def require_latex(drawing: Drawing) -> None:
 def figure_style_of(drawing: Drawing, output: Output) -> tuple[FigureStyle, str]:
     """The figure style, and a message about a missing font (empty: none is missing).
 
-    A flag of `Drawing`, `--write-up`, or `--formats pdf` adds PDF files.
+    A flag of `Drawing`, `--figures` or `--show` adds PDF files and each figure's data; `--write-up` and `--formats pdf`
+    add PDF files only.
     """
     fonts, mathematics, message = _fonts(drawing.font)
     width = None if drawing.figure_width is None else inches(drawing.figure_width)
     pgf = _system() if drawing.pgf else None
-    pdf = output.write_up or "pdf" in output.formats or drawing != Drawing()
-    return FigureStyle(width, fonts, mathematics, drawing.font_size, drawing.usetex, pgf, pdf), message
+    paper = drawing != Drawing() or bool(output.figures or output.show)
+    pdf = output.write_up or "pdf" in output.formats or paper
+    titles = not drawing.no_titles
+    style = FigureStyle(width, fonts, mathematics, drawing.font_size, drawing.usetex, pgf, pdf, titles, paper)
+    return style, message
 
 
 def _system() -> str | None:

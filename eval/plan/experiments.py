@@ -229,7 +229,9 @@ def reading_of(options: Options) -> Reading:
     o = options.opening
     relations = None if o.relations is None else Path(o.relations)
     cache = options.output.kept / ".detections"
-    return Reading(o.camera_translation, o.camera_reading, o.corner_noise, o.trust_pickle, cache, relations)
+    return Reading(
+        o.camera_translation, o.camera_reading, o.corner_noise, o.trust_pickle, cache, relations, o.no_odometry
+    )
 
 
 def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:

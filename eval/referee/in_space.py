@@ -212,10 +212,28 @@ def _between(path: Poses, i: IntArray, j: IntArray) -> tuple[Array, Array]:
     return back @ path.rotation[j], np.einsum("nij,nj->ni", back, path.position[j] - path.position[i])
 
 
+SAME_VERTICAL = math.radians(20.0)
+"""Largest median tilt of two worlds with the same vertical."""
+
+
+def is_upside_down(fit: Similarity, estimate: Poses, truth: Poses) -> bool:
+    """Whether a fit turns the world over though rotations have the same vertical: a flat path that is mirrored."""
+    known = estimate.known & truth.known
+    if fit.R[2, 2] >= 0.0 or not known.any():
+        return False
+    return float(np.median(tilts(estimate.of(known), truth.of(known)))) < SAME_VERTICAL
+
+
 def plane_rmse(path: Spatial, truth: Poses) -> float:
-    """RMS error [m] of x and y after the best rigid fit in space; NaN with fewer than two matches."""
+    """RMS error [m] of x and y after the best rigid fit in space; NaN with fewer than two matches.
+
+    A fit that turns the world over is replaced by that of position and heading.
+    """
     fit = aligning(poses(path), truth, SE3)
     if fit is None or (poses(path).known & truth.known).sum() < 2:
         return math.nan
+    if is_upside_down(fit, poses(path), truth):
+        fit = aligning(poses(path), truth, YAW)
+        assert fit is not None  # there are matches
     off = fit.of(path).position - truth.position
     return rms(np.hypot(off[:, 0], off[:, 1]))

@@ -19,11 +19,11 @@ from data.formats.results.matrices import translation_first
 from data.formats.results.path import GivenPath
 from data.formats.results.space import flattened
 from data.notice import Code, Notice, Severity, Value, notice
-from data.questions import FASTEST, SHARE
+from data.questions import FASTEST, SHARE, changes, per_second
 from data.se2 import Array, BoolArray, wrap_angle
 from eval.referee.consistency import nees
-from eval.referee.errors import rms
-from eval.referee.in_space import NONE, InSpace, poses, tilts
+from eval.referee.errors import align, rms
+from eval.referee.in_space import NONE, SAME_VERTICAL, InSpace, poses, tilts
 
 FEW = 5
 """Least number of matched poses for a question about both files."""
@@ -145,15 +145,13 @@ def _turn_rate(path: GivenPath) -> Iterator[Notice]:
     raw = path.headings
     if raw is None or len(raw) < FEW:
         return
-    turn = np.abs(np.diff(raw))
-    turn[np.abs(turn - 2.0 * np.pi) < 1.0] = 0.0
-    rate = turn / np.diff(path.time)
-    rate = rate[np.isfinite(rate)]
+    rate = np.abs(per_second(path.time, changes(raw)))
     fast = int((rate > FASTEST).sum())
     rad, deg = _against_course(path.pose[:, :2], raw, 1.0), _against_course(path.pose[:, :2], raw, np.pi / 180.0)
-    if fast > max(2.0, SHARE * np.count_nonzero(rate)) or (deg > 0.95 and rad < 0.6):
-        largest = float(np.nanmax(np.abs(raw)))
-        yield _ask(Code.PATH_TURNS, file=path.file, fast=fast, steps=len(rate), largest=largest)
+    largest = float(np.nanmax(np.abs(raw), initial=0.0))
+    follows = largest > 2.0 * np.pi and deg > 0.95 and rad < 0.6
+    if fast > max(2.0, SHARE * np.count_nonzero(rate)) or follows:
+        yield _ask(Code.PATH_TURNS, file=path.file, fast=fast, seconds=len(rate), largest=largest)
 
 
 def _against_course(xy: Array, heading: Array, unit: float) -> float:
@@ -176,6 +174,7 @@ def about_pair(pair: Pair) -> Iterator[Notice]:
     yield from _order(pair, known)
     if known.sum() >= FEW:
         yield from _scale(pair, known)
+        yield from _mirrored(pair, known)
     if pair.space is not None and pair.truth is not None:
         yield from _tilt(pair.estimate, pair.truth, pair.space)
     yield from _partly_known(pair.estimate)
@@ -287,7 +286,7 @@ def _scale(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         yield _ask(Code.PATH_SCALE, estimate=pair.estimate.file, ratio=ratio)
 
 
-TILTED = math.radians(20.0)
+TILTED = SAME_VERTICAL
 """Smallest median tilt between two worlds that raises a question."""
 
 
@@ -310,6 +309,23 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     first = _w_first(ours.rotation, theirs.rotation)
     which = "quaternion" if first else "world" if same_world else "body"
     yield _ask(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which)
+
+
+REFLECTED = 0.2
+"""Largest RMS error of a mirrored fit, as a share of that of the fit itself, for a question."""
+
+
+def _mirrored(pair: Pair, known: BoolArray) -> Iterator[Notice]:
+    """A path that fits the truth's mirror image: a left-handed world, or z down."""
+    a, b = pair.estimate.pose[known, :2], pair.at[known, :2]
+    a, b = a - a.mean(axis=0), b - b.mean(axis=0)
+    spread = math.sqrt(float(np.mean(np.sum(b**2, axis=1))))
+    off = []
+    for sign in (1.0, -1.0):
+        R, t = align(a * [1.0, sign], b)
+        off.append(math.sqrt(float(np.mean(np.sum(((a * [1.0, sign]) @ R.T + t - b) ** 2, axis=1)))))
+    if off[0] > FITS * spread and off[1] < REFLECTED * off[0]:
+        yield _ask(Code.PATH_MIRRORED, estimate=pair.estimate.file, direct=off[0], mirrored=off[1])
 
 
 def _partly_known(path: GivenPath) -> Iterator[Notice]:

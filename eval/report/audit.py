@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +15,10 @@ from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from eval.report.words import as_sentence, say
 from graph.audit.audit import DRAWS, FAMILY, Audit, Statistics, examined
+from graph.audit.conventions import Question, questions
 from graph.audit.factors import UNCHECKED
 from graph.audit.kinds import Grouping
+from graph.audit.leaving_out import left_out
 from graph.audit.linear import Graph, Values, name
 
 if TYPE_CHECKING:
@@ -102,7 +104,8 @@ class AuditFacts:
     hidden: Hidden | None
     decrement: float
     gained: float
-    second: Second | None
+    minima: tuple[Second, ...]
+    questions: tuple[Question, ...]
     curvature: float
     gauge: int
     loose: tuple[str, ...]
@@ -118,7 +121,8 @@ class AuditReport:
     Attributes:
         factors: a row each, index: number in the graph. keys, kind, dim; chi2 of the whitened residual; redundancy,
             unchecked; deleted (T), rank, p, p_family (Holm); minimal_error [sigma]; influence_m [m]; p_drawn (draws of
-            the graph's own noise); missed_m [m], motion of its own ends by a just missed error; weight (robust); cost.
+            the graph's own noise); missed_m [m], motion of its own ends by a just missed error; weight (robust); cost;
+            resolved_m, resolved_cost: motion and decrease of the graph solved again, NaN where it was not.
         kinds: a row each: n, dim, chi2, redundancy, component, se, sigma_factor, unchecked, p, p_family.
         components: a row for each axis of a kind with diagonal noise.
         audit: the numbers.
@@ -128,16 +132,19 @@ class AuditReport:
     kinds: pd.DataFrame
     components: pd.DataFrame
     audit: Audit
-    second: Second | None = None
+    minima: tuple[Second, ...] = ()
+    questions: tuple[Question, ...] = ()
+    clusters_again: dict[int, float] = field(default_factory=dict)
 
     @property
     def clusters(self) -> pd.DataFrame:
-        """Loops that agree with each other, tested together: factors, deleted (T), rank, p, p_family, influence_m."""
+        """Loops that agree with each other, tested together; `resolved_m` of those that were left out."""
         rows = [
-            (c.factors, c.T, c.rank, c.p, p, c.moved)
-            for c, p in zip(self.audit.clusters, self.audit.p_cluster, strict=True)
+            (c.factors, c.T, c.rank, c.p, p, c.moved, self.clusters_again.get(k, np.nan))
+            for k, (c, p) in enumerate(zip(self.audit.clusters, self.audit.p_cluster, strict=True))
         ]
-        frame = pd.DataFrame(rows, columns=["factors", "deleted", "rank", "p", "p_family", "influence_m"])
+        heads = ["factors", "deleted", "rank", "p", "p_family", "influence_m", "resolved_m"]
+        frame = pd.DataFrame(rows, columns=heads)
         return frame.sort_values("p", kind="stable", ignore_index=True)
 
     @property
@@ -183,6 +190,7 @@ def audit(
     draws: int = DRAWS,
     seed: int = 0,
     full: bool = False,
+    resolve: int = 0,
 ) -> AuditReport:
     """Examine any gtsam graph at its optimum: which factor is wrong, which noise is wrong, what is unchecked.
 
@@ -193,6 +201,8 @@ def audit(
             name, or nothing: by type, odometry or loop, and noise.
         draws: number of draws of the graph's own noise for `p_drawn`; 0: none.
         seed: of the draws, and of the probes of the variance components.
+        resolve: number of the most influential factors, and of rejected clusters, without which the graph is solved
+            again: `resolved_m`, `resolved_cost`, beside the linear `influence_m`, `cost`.
         full: each draw is a graph of drawn measurements, optimized again: exact, and many times slower.
 
     Returns:
@@ -209,12 +219,23 @@ def audit(
         >>> report.factors[["kind", "redundancy", "p_family"]]  # a row for each factor
     """
     with threadpool_limits(1):
-        return reported(examined(graph, values, groups, draws, seed, full=full))
+        return reported(examined(graph, values, groups, draws, seed, full=full), graph, values, resolve)
 
 
-def reported(a: Audit) -> AuditReport:
-    """The report of an audit."""
-    return AuditReport(*tables(a), a)
+def reported(a: Audit, graph: Graph, values: Values, resolve: int = 0) -> AuditReport:
+    """The report of an audit of a graph and its values; `resolve` as of `audit`."""
+    factors, kinds, components = tables(a)
+    ranked = np.argsort(-np.nan_to_num(a.factors.moved), kind="stable")
+    alone = [(int(i),) for i in ranked[:resolve].tolist() if np.isfinite(a.factors.chi2[i])]
+    order = np.argsort(a.p_cluster, kind="stable")[:resolve]
+    together = [int(k) for k in order if a.p_cluster[k] < FAMILY]
+    again = left_out(graph, values, a, [*alone, *(a.clusters[k].factors for k in together)])
+    for name_, column in (("resolved_m", 0), ("resolved_cost", 1)):
+        factors[name_] = np.nan
+        for (i,), found in zip(alone, again, strict=False):
+            factors.loc[i, name_] = found[column]
+    clusters = {k: found[0] for k, found in zip(together, again[len(alone) :], strict=True)}
+    return AuditReport(factors, kinds, components, a, questions=questions(a, graph), clusters_again=clusters)
 
 
 def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
@@ -287,7 +308,8 @@ def _facts(report: AuditReport) -> AuditFacts:
         int(factors["chi2"].notna().sum()), a.freedom, float(factors["chi2"].sum()), a.rejected, len(wrong),
         tuple(scaled), component, least if least.p < FAMILY else None, _cluster(report), least, len(unchecked),
         tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in counts.items()),
-        hidden, a.decrement, a.gained, report.second, a.curvature, a.condition.gauge, tuple(loose), a.condition.parts,
+        hidden, a.decrement, a.gained, report.minima, report.questions,
+        a.curvature, a.condition.gauge, tuple(loose), a.condition.parts,
         tuple(f"{i} and {j}" for i, j in a.condition.duplicates), int((factors["weight"] < 1.0).sum()),
     )  # fmt: skip
 

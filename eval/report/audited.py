@@ -10,15 +10,16 @@ import pandas as pd
 from threadpoolctl import threadpool_limits
 
 from data.errors import UsageError
-from data.formats.graph_file import GraphFile, read_graph_file, with_information
+from data.formats.graph_file import GraphFile, graph_file_of, read_graph_file, with_information
 from eval.report.audit import AuditReport, Second, reported
 from graph.audit.audit import DRAWS, examined, places
 from graph.audit.cure import LEVELS, Cure, coverage, cure, known
-from graph.audit.files import another_start, build, built_by, optimized
+from graph.audit.files import build, built_by, callbacks, optimized, other_starts
 from graph.audit.kinds import ODOMETRY
 from graph.audit.linear import Graph, Values, name
 
-LARGEST = 6000  # factors up to which a second start is tried
+LARGEST, SMALL = 6000, 2000  # factors up to which other starts are tried, and the graph is solved without a factor
+FEW = 200  # callbacks, which are slow, up to which it is
 DIFFERENT, SHARE = 1e-3, 0.1  # relative difference of errors of two minima; share of the largest motion that is named
 
 
@@ -32,7 +33,9 @@ class Opened:
     file: GraphFile | None
 
 
-def opened(place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0, *, full: bool = False) -> Opened:
+def opened(
+    place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0, *, full: bool = False, resolve: int = 0
+) -> Opened:
     """The audit of a graph file, or of a `FILE.py:FUNCTION`.
 
     Args:
@@ -41,62 +44,92 @@ def opened(place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0,
         draws: as of `audit`.
         seed: as of `audit`.
         full: as of `audit`.
+        resolve: as of `audit`, of a small graph.
     """
     script, _, function = place.rpartition(":")
     with threadpool_limits(1):
         if script.endswith(".py") and function.isidentifier():
             graph, values = built_by(place)
-            return Opened(_audit(graph, values, None, bool(optimize), draws, seed, full)[0], graph, values, None)
-        return _of_file(read_graph_file(Path(place)), optimize is not False, draws, seed, full=full)
+            return Opened(
+                _audit(graph, values, None, bool(optimize), draws, seed, full, resolve)[0], graph, values, None
+            )
+        return _of_file(read_graph_file(Path(place)), optimize is not False, draws, seed, full=full, resolve=resolve)
 
 
 def _of_file(
-    file: GraphFile, optimize: bool, draws: int, seed: int, near: Values | None = None, *, full: bool = False
+    file: GraphFile,
+    optimize: bool,
+    draws: int,
+    seed: int,
+    near: Values | None = None,
+    *,
+    full: bool = False,
+    resolve: int = 0,
 ) -> Opened:
     graph, values, names = build(file)
     if near is not None:
         values.update(known(near, values))
-    report, values = _audit(graph, values, names, optimize, draws, seed, full)
+    report, values = _audit(graph, values, names, optimize, draws, seed, full, resolve)
     if near is None and optimize and graph.size() <= LARGEST:
-        report = replace(report, second=_second(file, graph, values, report))
+        report = replace(report, minima=_minima(file, graph, values, report))
     return Opened(report, graph, values, file)
 
 
-def _second(file: GraphFile, graph: Graph, values: Values, report: AuditReport) -> Second | None:
-    """Where the optimizer ends from the edges alone, if that is another minimum."""
-    start = another_start(file, values)
-    if start is None:
-        return None
-    other = optimized(graph, start)
-    ours, error = graph.error(values), graph.error(other)
-    if abs(error - ours) < DIFFERENT * max(1.0, min(ours, error)):
-        return None
-    keys, place = report.audit.f.system.keys, report.audit.place
-    apart = np.nan_to_num(np.linalg.norm(places(other, keys) - place, axis=1))
-    most = int(np.argmax(apart))
-    far = int((apart > SHARE * apart.max(initial=0.0)).sum())
-    return Second("the path along the edges", error, ours, far, name(keys[most]), float(apart[most]))
+def _minima(file: GraphFile, graph: Graph, values: Values, report: AuditReport) -> tuple[Second, ...]:
+    """Where the optimizer ends from other starts, each other minimum once."""
+    out: list[Second] = []
+    ours = graph.error(values)
+    for start, begin in other_starts(file, values).items():
+        other = optimized(graph, begin)
+        error = graph.error(other)
+        if not any(
+            abs(error - known) < DIFFERENT * max(1.0, min(known, error)) for known in (ours, *(s.error for s in out))
+        ):
+            keys, place = report.audit.f.system.keys, report.audit.place
+            apart = np.nan_to_num(np.linalg.norm(places(other, keys) - place, axis=1))
+            most = int(np.argmax(apart))
+            far = int((apart > SHARE * apart.max(initial=0.0)).sum())
+            out.append(Second(start, error, ours, far, name(keys[most]), float(apart[most])))
+    return tuple(out)
 
 
 def _audit(
-    graph: Graph, values: Values, names: list[str] | None, optimize: bool, draws: int, seed: int, full: bool
+    graph: Graph,
+    values: Values,
+    names: list[str] | None,
+    optimize: bool,
+    draws: int,
+    seed: int,
+    full: bool,
+    resolve: int = 0,
 ) -> tuple[AuditReport, Values]:
     values = optimized(graph, values) if optimize else values
-    return reported(examined(graph, values, names, draws, seed, full=full)), values
+    a = examined(graph, values, names, draws, seed, full=full)
+    small = graph.size() <= SMALL and callbacks(graph) <= FEW
+    return reported(a, graph, values, resolve if small else 0), values
 
 
-def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0) -> pd.DataFrame:
-    """Write the graph with variance components applied and rejected factors left out; a row before, one after.
+LEAVE_OUT, ROBUST = "leave-out", "robust"
+"""What becomes of rejected factors."""
 
-    Raises UsageError where the graph is of no file, DataError if what is left out leaves a part without a factor.
+
+def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, rejected: str = LEAVE_OUT) -> pd.DataFrame:
+    """Write the graph with variance components applied and rejected factors cured; a row before, one after each way.
+
+    `rejected`: of the graph that is written, what becomes of rejected factors. Raises UsageError where the graph is of
+    no file, DataError if what is left out leaves a part without a factor.
     """
     if before.file is None:
         raise UsageError(f"--rescale {out}: only a graph file can be written; a .g2o or .graph is needed")
     with threadpool_limits(1):
-        made = cure(before.file, before.report.audit, before.values)
-        out.write_text(with_information(before.file, made.information, made.left_out), encoding="utf-8", newline="\n")
-        after = _of_file(read_graph_file(out), True, draws, seed, before.values)
-        rows = [_row("before", before, Cure({}, set())), _row("after", after, made)]
+        rows = [_row("before", before, Cure({}, set(), {}))]
+        for way in (LEAVE_OUT, ROBUST):
+            made = cure(before.file, before.report.audit, before.values, robust=way == ROBUST)
+            text = with_information(before.file, made.information, made.left_out)
+            if way == rejected:
+                out.write_text(text, encoding="utf-8", newline="\n")
+            after = _of_file(graph_file_of(out, text), True, draws, seed, before.values)
+            rows.append(_row(f"after, {way}", after, made))
     return pd.DataFrame(rows)
 
 
@@ -111,6 +144,7 @@ def _row(title: str, o: Opened, made: Cure) -> dict[str, object]:
     chi2 = float(np.nansum(a.factors.chi2))
     return {
         "graph": title, "factors": int(np.isfinite(a.factors.chi2).sum()), "left_out": len(made.left_out),
+        "robust": len(made.robust),
         "chi2_per_freedom": chi2 / max(a.freedom, 1), "rejected": int((a.p_family < 0.05).sum()),
         "loops_predicted": count,
         **{f"coverage_{100 * level:.0f}": float(each) for level, each in zip(LEVELS, share, strict=True)},

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,8 +59,10 @@ def publish(
     for i, trial in enumerate(trials):
         others = variants(trial, trials)
         drawn = not (output.no_plots or _shown_elsewhere(trial, trials))
-        for place, kind in enumerate(kinds(trial, others, quick=output.quick) if drawn else ()):
-            jobs.append(Job((i, place), draw, (folder, trial, kind, others), DRAWING))
+        shown = _only(trial, output.show)
+        there = kinds(shown, others, quick=output.quick) if drawn else ()
+        for place, kind in enumerate(k for k in there if not output.figures or k in output.figures):
+            jobs.append(Job((i, place), draw, (folder, shown, kind, others), DRAWING))
     for i, trial in enumerate(trials):
         length = WRITING * len(trial.log.recorded)
         jobs.append(Job((i, RUN_FILES), publish_runs, (folder, output, trial), math.inf if output.animate else length))
@@ -77,6 +80,12 @@ def publish(
             made[owner] = picture
         progress(done, len(jobs))
     return [[made[owner] for owner in sorted(made) if owner[0] == i] for i in range(len(trials))]
+
+
+def _only(trial: Trial, estimators: Sequence[str]) -> Trial:
+    """A trial with the runs of these estimators, and dead reckoning; all without any."""
+    wanted = (*estimators, "dead-reckoning")
+    return replace(trial, runs=tuple(r for r in trial.runs if r.estimator in wanted)) if estimators else trial
 
 
 def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:

@@ -23,7 +23,7 @@ from graph.audit.linear import System, linearize
 from graph.audit.simulated import smallest_p_optimized
 
 DRAWS = 200
-FAMILY = 0.05  # family-wise level of a rejection
+FAMILY, PARTS = 0.05, (0.5, 0.25, 0.25)  # family-wise level of a rejection; parts of factors, components, clusters
 Draws = Callable[[Factored, Sequence[Directions]], Array]
 
 
@@ -149,11 +149,15 @@ def statistics(
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
     together, all_ = clusters(f, seen, t, np.flatnonzero(of.loops).tolist(), metres)
     p_cluster = np.concatenate([[c.p for c in together], np.ones(all_ - len(together))])
-    family_of = np.concatenate([t.p, by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan), p_cluster])
+    of_components = np.concatenate([by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan)])
     drawn = np.zeros(0) if draws is None else draws(f, seen)
-    tests, several = int(np.isfinite(t.p).sum()), int(np.isfinite(family_of).sum())
+    tests = int(np.isfinite(t.p).sum())
     alone = min(independent(drawn), tests) if len(drawn) and tests else tests
-    adjusted = holm(family_of, (alone + several - tests) / max(several, 1))
+    classes = (t.p, of_components, p_cluster)
+    weight = [np.full(len(p), part / max(np.isfinite(p).sum(), 1)) for p, part in zip(classes, PARTS, strict=True)]
+    share = np.ones(sum(map(len, classes)))
+    share[: len(t.p)] = alone / max(tests, 1)
+    adjusted = holm(np.concatenate(classes), np.concatenate(weight), share)
     n, k = len(t.p), len(of.names)
     p_drawn = family(t.p, drawn) if len(drawn) else np.full(n, np.nan)
     return Statistics(

@@ -1,4 +1,4 @@
-"""A cure for a graph file: variance components applied, rejected factors left out; and how well loops are predicted.
+"""A cure for a graph file: variance components applied, rejected factors left out or robust; how it predicts loops.
 
 Cross-validation: every tenth relation of poses that are no neighbours is left out, and predicted from all others. The
 share of predictions inside their stated 50, 90 and 95 % is the proof that a cure helped, or did not.
@@ -28,36 +28,46 @@ ROUNDS = 8  # of rescaling and leaving out in turn, at most
 
 @dataclass(frozen=True)
 class Cure:
-    """What a cure changes: information (d, d) of edges by number, and edges left out."""
+    """What a cure changes: information (d, d) of edges by number, edges left out, and weights of those made robust."""
 
     information: dict[int, Array]
     left_out: set[int]
+    robust: dict[int, float]
 
 
-def cure(file: GraphFile, a: Audit, values: gtsam.Values) -> Cure:
+def cure(file: GraphFile, a: Audit, values: gtsam.Values, *, robust: bool = False) -> Cure:
     """Components and rejected factors in turn, as each disturbs the other: first rescaled, then the rejected left out.
 
     Args:
         file: the graph.
         a: its audit.
         values: its estimate.
+        robust: keep rejected factors under Cauchy's loss; their information is multiplied by their weight at the end,
+            so that the file, which has no losses, has the optimum of the robust graph.
     """
-    kept, edges = np.arange(len(file.edges)), list(file.edges)
+    kept, edges, loose = np.arange(len(file.edges)), list(file.edges), set[int]()
+    kind = [a.kinds.names[k] for k in a.kinds.of[: len(edges)].tolist()]  # a loss makes no other kind
     for turn in range(ROUNDS):
         if turn % 2 == 0:
             edges = [replace(e, information=each) for e, each in zip(edges, rescaled(edges, a), strict=True)]
         else:
-            rejected = rejected_factors(a, len(edges))
+            rejected = rejected_factors(a, len(edges)) - loose
             if not rejected:
                 break
-            kept = np.delete(kept, sorted(rejected))
-            edges = [edge for i, edge in enumerate(edges) if i not in rejected]
-        graph, start, names = build(replace(file, edges=edges))
+            if robust:
+                loose |= rejected
+            else:
+                kept = np.delete(kept, sorted(rejected))
+                edges = [edge for i, edge in enumerate(edges) if i not in rejected]
+        graph, start, names = build(replace(file, edges=edges), loose)
         start.update(known(values, start))
         values = optimized(graph, start)
-        a = examined(graph, values, names, draws=0)
-    information = {int(i): edge.information for i, edge in zip(kept, edges, strict=True)}
-    return Cure(information, set(range(len(file.edges))) - set(information))
+        a = examined(graph, values, [kind[i] for i in kept.tolist()] + names[len(edges) :], draws=0)
+    weight = {i: float(a.factors.weight[i]) for i in loose}
+    information = {
+        int(i): edge.information * weight.get(k, 1.0) for k, (i, edge) in enumerate(zip(kept, edges, strict=True))
+    }
+    return Cure(information, set(range(len(file.edges))) - set(information), weight)
 
 
 def known(values: gtsam.Values, wanted: gtsam.Values) -> gtsam.Values:

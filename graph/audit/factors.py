@@ -147,18 +147,24 @@ def noncentrality(rank: int) -> float:
     return float(brentq(lambda v: ncx2.sf(gate, rank, v) - POWER, 1e-3, 1e3))
 
 
-def holm(p: Array, share: float = 1.0) -> Array:
-    """Family-wise p values of the finite ones (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays.
+def holm(p: Array, weight: Array | None = None, share: Array | None = None) -> Array:
+    """Family-wise p values of the finite ones, weighted (Holm, Scandinavian Journal of Statistics 6, 1979); NaN stays.
 
-    `share`: independent tests over all tests, as each other's residuals tell of the same errors.
+    Args:
+        p: (K,) p values.
+        weight: (K,) parts of the level, of any sum; without, equal ones.
+        share: (K,) independent tests over all tests of a kind, as each other's residuals tell of the same errors.
     """
     out = np.full(p.shape, np.nan)
     at = np.flatnonzero(np.isfinite(p))
-    order = at[np.argsort(p[at], kind="stable")]
-    left = np.maximum(share * np.arange(len(order), 0, -1), 1.0)
+    part = np.ones(len(at)) if weight is None else weight[at]
+    few = np.ones(len(at)) if share is None else share[at]
+    order = np.argsort(p[at] * few / part, kind="stable")
+    at, part, few = at[order], part[order], few[order]
+    left = np.maximum(few * np.cumsum(part[::-1])[::-1] / part, 1.0)
     with np.errstate(divide="ignore"):
-        steps = -np.expm1(left * np.log1p(-p[order])) if share < 1.0 else np.minimum(p[order] * left, 1.0)
-    out[order] = np.maximum.accumulate(steps)
+        steps = np.where(few < 1.0, -np.expm1(left * np.log1p(-p[at])), np.minimum(p[at] * left, 1.0))
+    out[at] = np.maximum.accumulate(steps)
     return out
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.util
 import sys
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -19,12 +19,14 @@ from data.errors import DataError, UsageError
 from data.formats.graph_file import POINT2, POINT3, POSE2, POSE3, Edge, GraphFile
 from data.inputs import IntArray
 from data.se2 import Array
+from graph.audit.chordal import chordal
 from graph.audit.fronts import factorize, ordering, step
 from graph.audit.linear import System, linearize
 
 N = gtsam.noiseModel
 MOST, CLOSE = 30, 1e-3  # steps; length of a step in sigmas that ends them
 COPIES = 2e6  # callbacks times variables up to which gtsam optimizes: it copies all values for each callback
+CAUCHY = 1.0  # sigmas at which the loss of a robust edge bends
 LAST_FIRST = [3, 4, 5, 0, 1, 2]  # gtsam has the rotation first
 
 
@@ -42,14 +44,15 @@ INDEX = 2**56 - 1  # the index bits of a gtsam key, below its character
 MAKE: dict[str, Callable[[Array], Any]] = {POSE2: pose2, POSE3: pose3, POINT2: np.asarray, POINT3: np.asarray}
 
 
-def build(file: GraphFile) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[str]]:
+def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values, list[str]]:
     """Graph, values, and the kind of each factor that is not a relation of poses; one factor an edge, in order.
 
+    The edges `robust`, by number, have Cauchy's loss.
     Values without a vertex follow the edges from the first pose. More than one fixed vertex: constraints, at the end.
     """
     graph, values, names = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[str]()
-    for edge in file.edges:
-        graph.add(_factor(file, edge))
+    for number, edge in enumerate(file.edges):
+        graph.add(_factor(file, edge, number in robust))
         names.append("" if len(set(file.kind(edge))) == 1 else _name(edge))
     for key in sorted({key for edge in file.edges for key in ends(file, edge)}):
         kind, v = (file.points if key >> 56 else file.poses).get(key & INDEX, ("", None))
@@ -84,14 +87,17 @@ def _fixed(values: gtsam.Values, key: int, kind: str) -> gtsam.NonlinearFactor:
     return gtsam.PriorFactorVector(key, point, N.Constrained.All(len(point)))
 
 
-def _factor(file: GraphFile, edge: Edge) -> gtsam.NonlinearFactor:
+def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
     (i, j), z = ends(file, edge), edge.measured
+    spatial = len(z) == 7
+    model: Any = N.Gaussian.Information(
+        edge.information[np.ix_(LAST_FIRST, LAST_FIRST)] if spatial else edge.information
+    )
+    model = N.Robust.Create(N.mEstimator.Cauchy.Create(CAUCHY), model) if robust else model
     if edge.tag in ("EDGE_SE2", "EDGE2"):
-        return gtsam.BetweenFactorPose2(i, j, pose2(z), N.Gaussian.Information(edge.information))
-    if len(z) == 7:
-        I = edge.information[np.ix_(LAST_FIRST, LAST_FIRST)]  # noqa: E741
-        return gtsam.BetweenFactorPose3(i, j, pose3(z), N.Gaussian.Information(I))
-    model = N.Gaussian.Information(edge.information)
+        return gtsam.BetweenFactorPose2(i, j, pose2(z), model)
+    if spatial:
+        return gtsam.BetweenFactorPose3(i, j, pose3(z), model)
     if edge.tag == "BR":
         return gtsam.BearingRangeFactor2D(i, j, gtsam.Rot2(z[0]), z[1], model)
     if edge.tag == "EDGE_BEARING_SE2_XY":
@@ -171,17 +177,23 @@ def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
     return here.compose(step_ if key == edge.ends[0] else step_.inverse())
 
 
-def another_start(file: GraphFile, values: gtsam.Values) -> gtsam.Values | None:
-    """The values along the edges alone, shifted onto the first pose of `values`; None where no vertex was given."""
-    if not file.poses:
-        return None
-    start = gtsam.Values()
-    with suppress(DataError):
-        _follow(replace(file, poses={}, points={}), start)
-        first = min(edge.ends[0] for edge in file.edges)  # a pose, of every kind of edge
-        pose: Any = values.atPose2(first) if file.kind(file.edges[0])[0] == POSE2 else values.atPose3(first)
-        return _shifted(start, pose.compose(_pose_of(start, first).inverse()))
-    return None
+EDGES, CHORDAL = "the path along the edges", "the chordal start"
+
+
+def other_starts(file: GraphFile, values: gtsam.Values) -> dict[str, gtsam.Values]:
+    """Starts by name, shifted onto the first pose of `values`: along the edges, if there are vertices, and chordal."""
+    out = {}
+    first = min(edge.ends[0] for edge in file.edges)  # a pose, of every kind of edge
+    for name, poses in ((EDGES, {}), (CHORDAL, chordal(file))):
+        if (name == EDGES and not file.poses) or (name == CHORDAL and not poses):
+            continue
+        start = gtsam.Values()
+        for key, (kind, v) in poses.items():
+            start.insert(key, MAKE[kind](v))
+        with suppress(DataError):  # a landmark that bearings alone see has no place
+            _follow(replace(file, poses={}, points={}), start)
+            out[name] = _shifted(start, _pose_of(values, first).compose(_pose_of(start, first).inverse()))
+    return out
 
 
 def _pose_of(values: gtsam.Values, key: int) -> Any:
@@ -217,8 +229,7 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, quick:
 
     `quick`: the minimum is near, Gauss-Newton alone.
     """
-    own = sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
-    if not quick and own * values.size() < COPIES:
+    if not quick and callbacks(graph) * values.size() < COPIES:
         held = gtsam.NonlinearFactorGraph(graph)
         hold(held, values)
         with suppress(RuntimeError):  # indeterminate: what follows leaves such directions alone
@@ -245,6 +256,11 @@ def optimized(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, *, quick:
             return values
         system = linearize(graph, values)
     return values
+
+
+def callbacks(graph: gtsam.NonlinearFactorGraph) -> int:
+    """Number of factors that are functions of Python."""
+    return sum(isinstance(graph.at(i), gtsam.CustomFactor) for i in range(graph.size()) if graph.exists(i))
 
 
 def hold(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> None:

@@ -297,6 +297,17 @@ def test_positions_in_millimetres_are_asked_about(scored):
     assert not asked
 
 
+@pytest.mark.parametrize("planar", [False, True])
+def test_a_mirrored_path_is_asked_about_and_not_turned_over(planar, scored):
+    """In space a flat path fits its mirror image when it is turned upside down."""
+    turned = [(x, -y) for x, y in CURVE]
+    files = [headed(np.zeros(40), turned), headed(np.zeros(40))] if planar else [tum(turned), tum(CURVE)]
+    values, asked, _ = scored(*files)
+    assert values["rmse_aligned_m"] > 1.0
+    assert len(asked) == 1
+    assert "mirror image" in asked[0]
+
+
 # ---- covariances
 
 SIGMA = np.diag([0.1, 0.2, 0.3, 0.001, 0.002, 0.003])
@@ -377,6 +388,14 @@ def test_an_axis_of_unknown_variance_leaves_the_others_scored(unknown, scored):
     values, _, _ = scored(planar, "t,x,y,theta\n0,0,0,0\n1,0,0,0\n")
     assert values["nees_position"] == pytest.approx(2.0)
     assert "nees_heading" not in values
+
+
+def test_names_of_planar_covariances_may_spell_the_heading_out(scored):
+    names = "t,x,y,yaw,cov_xx,cov_xy,cov_xyaw,cov_yy,cov_yaw_y,cov_yaw_yaw"
+    rows = [(k, x + 0.1, y, 0.2, 0.01, 0, 0, 0.04, 0, 0.04) for k, (x, y) in enumerate(CURVE)]
+    values, _, _ = scored(commas(rows, names), tum(CURVE))
+    assert values["nees_position"] == pytest.approx(1.0)
+    assert values["nees_heading"] == pytest.approx(1.0)
 
 
 def test_whole_seconds_and_nanoseconds_are_one_stamp(scored):

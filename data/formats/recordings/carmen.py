@@ -1,7 +1,8 @@
-"""A CARMEN log (`.log` or `.clf`, also as `.gz`) as a laser log: odometry and range scans, no landmarks.
+"""A CARMEN log (`.log` or `.clf`, also as `.gz` or `.bz2`) as a laser log: odometry and range scans, no landmarks.
 
 Every ODOM line is a frame; without any, every scan is. A scan belongs to the last ODOM line in line order, since stamps
-of such logs come in bursts and go back.
+of such logs come in bursts and go back. The frame's pose is then the robot's pose that the scan's line states. Where
+most scans follow another without an ODOM line between, every scan is a frame.
 
 Raw odometry can be recovered from a log corrected by a particle filter. Each scan line that the filter used states its
 corrected pose, at the instant of the ODOM line before it; the following ODOM lines are that pose with raw increments.
@@ -31,9 +32,20 @@ from data.formats.recordings.carmen_lines import (
     content_of,
     parse_carmen,
 )
-from data.formats.recordings.laser import laser_inputs
+from data.formats.recordings.laser import laser_inputs, without_odometry
+from data.formats.recordings.mending import (
+    AS_STATED,
+    Mending,
+    beam_angles,
+    piled_up,
+    require_metres,
+    sigma_of,
+    stamps_back,
+    without_jumps,
+)
 from data.inputs import IntArray, Scanner, Scans
 from data.log import Log
+from data.notice import Code, Notice, notice
 from data.se2 import Array, BoolArray, between, dead_reckoned, inverse, wrap_angle
 from data.terminal import counted
 from data.truth import Truth
@@ -43,7 +55,7 @@ def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
     """The same lines with raw odometry from the first ODOM pose on, and a note.
 
     The raw increment into an ODOM line starts at the last pose stated before it, corrected or not. Repeated corrected
-    poses are dropped; poses of scan lines are kept.
+    poses are dropped; a scan has the raw pose of the ODOM line before it.
     """
     odometry, scans = lines.odometry, lines.scans
     again = _stated_again(lines)
@@ -57,6 +69,7 @@ def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
     raw = dead_reckoned(pose[counted[0]], increments)
     raw[:, 2] = wrap_angle(raw[:, 2])
     kept = OdometryLines(raw, odometry.stamp[~again], odometry.line[~again])
+    last = np.maximum(np.searchsorted(kept.line, scans.line) - 1, 0)
     before = np.searchsorted(odometry.line, scans.line) - 1
     corrections = between(odometry.pose[before[before >= 0]], scans.robot[before >= 0])
     distance = np.hypot(corrections[:, 0], corrections[:, 1])
@@ -65,7 +78,7 @@ def without_corrections(lines: CarmenLines) -> tuple[CarmenLines, str]:
         f"Raw odometry recovered: {moved} corrections undone, the largest {distance.max(initial=0.0):.3g} m; "
         f"{int(again.sum())} ODOM lines that repeat a corrected pose dropped."
     )
-    return replace(lines, odometry=kept, neff=lines.neff[:0]), note
+    return replace(lines, odometry=kept, scans=replace(scans, robot=raw[last]), neff=lines.neff[:0]), note
 
 
 def _stated_again(lines: CarmenLines) -> BoolArray:
@@ -86,26 +99,23 @@ REACH = 80.0
 """m, reach of the SICK LMS 2xx; its codes for no return begin at 81.83 m."""
 SIGMA = 0.01
 """m, of a range: the resolution, above the noise of 5 mm (data sheet of the LMS 200)."""
-PILE, BESIDE, STANDS_OUT = 1e-3, 0.01, 10
-"""The largest reading is a code for no return if it is the share PILE of all, and STANDS_OUT times as frequent as
-readings less than the share BESIDE below it."""
 OFFSET = "robot_frontlaser_offset"
 LARGEST_RANGE = ("laser_max_range", "robot_front_laser_max")
 """Parameters that state the reach."""
-NARROW = {101: 100.0, 201: 100.0, 401: 100.0}
-"""Opening angle [deg] by number of beams, where it is not 180."""
+FEWEST_KEPT = 0.5
+"""Least share of the scans that frames of ODOM lines keep."""
 MOUNTED = 0.01
 """m, rad, largest variation of a laser's pose on the robot, as given by the line's two poses."""
 
 
 def log_name(path: Path) -> str:
-    """The file's name without `.gz`, `.log`, `.clf`."""
-    return re.sub(r"(?i)(?<=.)\.(log|clf)$", "", re.sub(r"(?i)(?<=.)\.gz$", "", path.name))
+    """The file's name without `.gz`, `.bz2`, `.log`, `.clf`."""
+    return re.sub(r"(?i)(?<=.)\.(log|clf)$", "", re.sub(r"(?i)(?<=.)\.(gz|bz2)$", "", path.name))
 
 
 def is_named_carmen(path: Path) -> bool:
     """Whether a file is named as a CARMEN log."""
-    return path.name.lower().removesuffix(".gz").endswith(ENDINGS)
+    return path.name.lower().removesuffix(".gz").removesuffix(".bz2").endswith(ENDINGS)
 
 
 def is_carmen(path: Path) -> bool:
@@ -125,7 +135,13 @@ def relations_beside(path: Path) -> Path | None:
     return beside if beside.is_file() else None
 
 
-def load_carmen(path: str | PathLike[str], relations: Path | None = None, *, undo_correction: bool = False) -> Log:
+def load_carmen(
+    path: str | PathLike[str],
+    relations: Path | None = None,
+    *,
+    undo_correction: bool = False,
+    mending: Mending = AS_STATED,
+) -> Log:
     """A CARMEN log with the relations in a file, or in the file beside it; `undo_correction` recovers raw odometry.
 
     The prior is the first odometry pose, exactly; increments have the noise of `data.formats.recordings.laser`. The
@@ -142,33 +158,70 @@ def load_carmen(path: str | PathLike[str], relations: Path | None = None, *, und
         if not len(lines.odometry.line):
             raise DataError.at(file, "no ODOM line; recovering raw odometry needs them")
         lines, *notes = without_corrections(lines)
-    log = log_of(file, sha256, lines, relations or relations_beside(file))
+        used, scans = len(np.unique(np.searchsorted(lines.odometry.line, lines.scans.line))), len(lines.scans.line)
+        if used < FEWEST_KEPT * scans:
+            what = f"--undo-correction keeps {used} of {scans} scans, because the others have no ODOM line of their own"
+            raise DataError.at(file, f"{what}; raw odometry is needed between scans: read the log without the flag")
+    log = log_of(file, sha256, lines, relations or relations_beside(file), mending)
     return replace(log, notes=(*notes, *log.notes))
 
 
-def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None) -> Log:
+def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, mending: Mending = AS_STATED) -> Log:
     """The log of a file's lines."""
+    lines = _mended(lines, mending)
+    require_metres(file, lines.scans.ranges)
     scans, odometry = lines.scans, lines.odometry
-    if len(odometry.line):
-        frame = np.searchsorted(odometry.line, scans.line) - 1
-        pose, stamp = odometry.pose, odometry.stamp
-    else:
+    frame = np.searchsorted(odometry.line, scans.line) - 1
+    own = bool((scans.robot != scans.robot[0]).any())
+    few = len(np.unique(frame[frame >= 0])) < FEWEST_KEPT * len(frame)
+    if not len(odometry.line) or (own and few and relations is None):
         frame, pose, stamp = np.arange(len(scans.line)), scans.robot, scans.stamp
+    else:
+        pose, stamp = odometry.pose, odometry.stamp
     kept = np.flatnonzero((frame >= 0) & np.append(True, frame[1:] != frame[:-1]))
     if len(kept) == 0:
         raise DataError.at(file, "no scan after the first ODOM line; at least one is needed")
-    scanner, of_scanner = _scanner(lines)
+    scanner, of_scanner, asked = _scanner(lines)
+    scanner = mending.scanner(scanner)
+    if own:
+        pose = pose.copy()
+        pose[frame[kept]] = scans.robot[kept]
     raw = stamp.copy()
     raw[frame[kept]] = scans.stamp[kept]
     taken = Scans(scanner, frame[kept], with_returns(scans.ranges[kept], scanner.max_range))
-    recorded = laser_inputs(pose, stamp, taken)
+    clock, broken = without_jumps(stamp)
+    asked += [] if mending.sort_stamps else stamps_back(pose, clock)
+    asked += [notice(Code.STAMPS_BROKEN, broken=broken, stamps=len(stamp))] if broken else []
+    recorded = laser_inputs(pose, clock, taken)
+    if not mending.odometry:
+        recorded = without_odometry(recorded)
     source = {"kind": "carmen", "file": file.name, "sha256": sha256}
     truth = Truth()
     if relations is not None:
         truth = Truth(relations=read_relations(relations, len(pose), raw))
         source["relations"], source["relations_sha256"] = relations.name, file_sha256(relations)
     notes = [*_notes(lines, frame.astype(np.int64), kept, stamp), *of_scanner]
-    return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes))
+    return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes), asked=tuple(asked))
+
+
+def _mended(lines: CarmenLines, mending: Mending) -> CarmenLines:
+    """Lines in metres, in the order of their stamps if asked for."""
+    scans, odometry = lines.scans, lines.odometry
+    scans = replace(
+        scans, ranges=mending.ranges(scans.ranges), laser=mending.poses(scans.laser), robot=mending.poses(scans.robot)
+    )
+    odometry = replace(odometry, pose=mending.poses(odometry.pose))
+    if mending.sort_stamps:
+        # an ODOM line goes before a scan of the same stamp
+        first, then = np.argsort(odometry.stamp, kind="stable"), np.argsort(scans.stamp, kind="stable")
+        place = np.argsort(np.argsort(np.concatenate([odometry.stamp, scans.stamp]), kind="stable"))
+        odometry = OdometryLines(odometry.pose[first], odometry.stamp[first], np.sort(place[: len(first)]))
+        head = None if scans.head is None else scans.head[then]
+        scans = replace(
+            scans, ranges=scans.ranges[then], laser=scans.laser[then], robot=scans.robot[then],
+            stamp=scans.stamp[then], line=np.sort(place[len(first) :]), head=head,
+        )  # fmt: skip
+    return replace(lines, odometry=odometry, scans=scans)
 
 
 def _notes(lines: CarmenLines, frame: IntArray, kept: IntArray, stamp: Array) -> list[str]:
@@ -188,56 +241,48 @@ def _notes(lines: CarmenLines, frame: IntArray, kept: IntArray, stamp: Array) ->
     return notes
 
 
-def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str]]:
-    """The scanner, and notes about it."""
+def _scanner(lines: CarmenLines) -> tuple[Scanner, list[str], list[Notice]]:
+    """The scanner, notes about it, and questions."""
     scans = lines.scans
-    notes: list[str] = []
+    low, step = scans.beams
+    notes, asked = list[str](), list[Notice]()
     mounting: Array
     offset = lines.parameters.get(OFFSET)
     stated = next((lines.parameters[key] for key in LARGEST_RANGE if lines.parameters.get(key, 0.0) > 0.0), None)
     if scans.head is None:
-        low, step = beams_of(scans.ranges.shape[1])
         sigma, mounting = SIGMA, np.array([offset or 0.0, 0.0, 0.0])
     else:
         head = dict(zip(HEAD, scans.head[0].tolist(), strict=True))
-        low, step = head["start_angle"], head["resolution"]
+        asked = beam_angles(low, step, low + head["fov"], scans.ranges.shape[1])
         sigma = head["accuracy"] if head["accuracy"] > 0.0 else SIGMA
         stated = float(scans.head[:, HEAD.index("max_range")].min())
         mounting, notes = _mounting(scans, offset)
     largest, note = largest_range(scans.ranges, stated)
+    sigma, coarse = sigma_of(sigma, scans.ranges, step, largest, SIGMA)
+    notes += coarse
+    if scans.resampled:
+        notes.append(f"{scans.resampled} of {counted(len(scans.line), 'scan')} with other beams: resampled.")
     if mounting.any():
         x, y, turned = mounting[0], mounting[1], math.degrees(mounting[2])
         notes.append(f"The laser is mounted at ({x:.6g}, {y:.6g}) m, turned by {turned:.4g} deg.")
     # p_scanner = R p_body + T: the body's pose in the laser's frame
     tx, ty, turn = (float(v) + 0.0 for v in inverse(mounting))
     scanner = Scanner(low, step, largest, sigma, turn, (tx, ty))
-    return scanner, [*notes, note]
-
-
-def beams_of(n: int) -> tuple[float, float]:
-    """Angle of the first beam and step [rad] of a FLASER line with n beams, which states neither.
-
-    From -90 degrees; an odd number reaches +90 (181: every degree, 361: every half), an even one stops a step before
-    (180, 360). 101, 201 and 401 beams open 100 degrees.
-    """
-    opening = math.radians(NARROW.get(n, 180.0))
-    return -0.5 * opening, opening / max(n - n % 2, 1)
+    return scanner, [*notes, note], asked
 
 
 def largest_range(ranges: Array, stated: float | None) -> tuple[float, str]:
     """The range [m] from which on a reading is no return, and a note.
 
-    It is the stated one; else the largest reading below 80 m if readings pile up there; else 80 m.
+    It is the largest reading below the stated one, or below 80 m, if readings pile up there; else these.
     """
-    if stated is not None:
-        return stated, f"No return: readings of {stated:g} m and more, as the log states."
-    below = ranges[ranges < REACH]
-    top = float(below.max(initial=0.0))
-    piled = int((below == top).sum())
-    beside = int(((below < top) & (below >= (1.0 - BESIDE) * top)).sum())
-    if top > 0.0 and piled >= max(PILE * ranges.size, STANDS_OUT) and piled >= STANDS_OUT * beside:
-        return top, f"No return: readings of {top:g} m and more, where {piled} of {ranges.size} pile up."
-    return REACH, f"No return: readings of {REACH:g} m and more."
+    limit = REACH if stated is None else stated
+    found = piled_up(ranges, limit)
+    if found is not None:
+        top, piled = found
+        text = f"No return: readings of {top:g} m and more, where {piled} of {ranges.size} pile up"
+        return top, f"{text}." if stated is None else f"{text}; the log states {stated:g} m."
+    return limit, f"No return: readings of {limit:g} m and more{', as the log states' * (stated is not None)}."
 
 
 def _mounting(scans: ScanLines, offset: float | None) -> tuple[Array, list[str]]:

@@ -1,4 +1,4 @@
-"""CARMEN log text, plain or gzip: lines of odometry and of a front laser as arrays.
+"""CARMEN log text, plain, gzip or bzip2: lines of odometry and of a front laser as arrays.
 
 Fields are separated by blanks; the first word is the kind of line:
 
@@ -15,20 +15,24 @@ Source: the CARMEN toolkit's log format (M. Montemerlo, N. Roy, S. Thrun), as st
 
 from __future__ import annotations
 
+import bz2
 import gzip
 import hashlib
 import io
+import math
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 
 from data.errors import LARGEST, DataError
 from data.formats.csv_table import Table, number_rows, shown
 from data.formats.open_log.scans import DENSEST, LARGE
+from data.formats.recordings.beams import on_one_set
 from data.inputs import IntArray
 from data.se2 import Array
 
@@ -36,8 +40,6 @@ ODOM, FLASER, ROBOTLASER, PARAM, NEFF = "ODOM", "FLASER", "ROBOTLASER1", "PARAM"
 SCANS = (FLASER, ROBOTLASER)
 POSES = ("x", "y", "theta", "odom_x", "odom_y", "odom_theta")
 HEAD = ("type", "start_angle", "fov", "resolution", "max_range", "accuracy", "remission_mode")
-GEOMETRY = slice(1, 4)
-"""Entries of `HEAD` that may not change within a log."""
 TAIL = 3
 """Fields at the end of a line: stamp, host, stamp of the logger."""
 ODOM_FIELDS = 1 + 6 + TAIL
@@ -62,7 +64,9 @@ class ScanLines:
         laser, robot: (S, 3) poses of laser and robot in the odometry frame.
         stamp: (S,) s.
         line: (S,) in the file.
+        beams: angle of the first beam and step [rad].
         head: (S, 7) the numbers `HEAD` of each line (ROBOTLASER1), else None.
+        resampled: number of scans that had other beams.
     """
 
     kind: str
@@ -71,7 +75,9 @@ class ScanLines:
     robot: Array
     stamp: Array
     line: IntArray
+    beams: tuple[float, float]
     head: Array | None = None
+    resampled: int = 0
 
 
 @dataclass(frozen=True)
@@ -169,21 +175,19 @@ def _complete(path: Path, line: int, kind: str, fields: list[bytes], needed: int
         raise DataError.at(path, f"{kind} with {len(fields)} fields; {because} take {needed}{hint}", line=line)
 
 
-def _same_beams(path: Path, kind: str, lines: list[int], counts: list[int]) -> None:
+def _with_beams(path: Path, kind: str, lines: list[int], counts: list[int]) -> None:
     for line, n in zip(lines, counts, strict=True):
         if n == 0:
             raise DataError.at(path, f"{kind} without beams; at least one is needed", line=line)
-        if n != counts[0]:
-            what = f"{kind} with {n} beams; {counts[0]} are needed, as in line {lines[0]}"
-            raise DataError.at(path, what, line=line)
 
 
 def _flaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLines:
     counts = [_count(path, i, FLASER, f, 1, "beams") for i, f in zip(lines, rows, strict=True)]
     for line, fields, n in zip(lines, rows, counts, strict=True):
         _complete(path, line, FLASER, fields, 2 + n + len(POSES) + TAIL, f"{n} beams, two poses and stamps")
-    _same_beams(path, FLASER, lines, counts)
-    return _scans(path, FLASER, lines, [f[2:-2] for f in rows], counts[0])
+    _with_beams(path, FLASER, lines, counts)
+    angles = np.array([beams_of(n) for n in counts])
+    return _scans(path, FLASER, lines, [f[2:-2] for f in rows], counts, angles)
 
 
 def _robotlaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLines:
@@ -199,33 +203,56 @@ def _robotlaser(path: Path, lines: list[int], rows: list[list[bytes]]) -> ScanLi
         poses = at + 2 + n + m
         heads.append(fields[1:at])
         chosen.append([*fields[at + 1 : at + 1 + n], *fields[poses : poses + len(POSES)], fields[-TAIL]])
-    _same_beams(path, ROBOTLASER, lines, counts)
+    _with_beams(path, ROBOTLASER, lines, counts)
     table = _table(path, lines, heads, HEAD)
     table.require_finite(HEAD)
     table.require(table.columns["resolution"] != 0.0, "resolution", "{} rad between beams; a number above 0 is needed")
     table.require(table.columns["max_range"] > 0.0, "max_range", "{} m; a number above 0 is needed")
     head = table.stack(HEAD)
-    for i in range(GEOMETRY.start, GEOMETRY.stop):
-        what = f"{{}} differs from {float(head[0, i])!r} in line {lines[0]}; one geometry is needed"
-        table.require(np.abs(head[:, i] - head[0, i]) <= 1e-6, HEAD[i], what)
-    return replace(_scans(path, ROBOTLASER, lines, chosen, counts[0]), head=head)
+    angles = head[:, [HEAD.index("start_angle"), HEAD.index("resolution")]]
+    return replace(_scans(path, ROBOTLASER, lines, chosen, counts, angles), head=head)
 
 
-def _scans(path: Path, kind: str, lines: list[int], rows: list[list[bytes]], n: int) -> ScanLines:
-    """Scans from the fields of each line: n ranges (may be infinite), six numbers of poses, the stamp."""
-    names = (*(f"range {i}" for i in range(1, n + 1)), *POSES, "stamp")
-    values = number_rows(path, lines, rows, names)
+def _scans(
+    path: Path, kind: str, lines: list[int], rows: list[list[bytes]], counts: list[int], angles: Array
+) -> ScanLines:
+    """Scans from the fields of each line: n ranges (may be infinite), six numbers of poses, the stamp; `angles` (S, 2)
+    of the first beam and between two [rad].
+    """
+    most = max(counts)
+    names = (*(f"range {i}" for i in range(1, most + 1)), *POSES, "stamp")
+    padded = [[*f[:n], *[b"0"] * (most - n), *f[n:]] for f, n in zip(rows, counts, strict=True)]
+    values = number_rows(path, lines, padded, names)
     numbers = np.array(lines, np.int64)
-    ranges = values[:, :n]
+    ranges = values[:, :most]
     fine = ranges >= 0.0  # false for NaN
     if not fine.all():
         row, beam = np.argwhere(~fine)[0].tolist()
         what = f"{float(ranges[row, beam])!r} is not a range; a number from 0 up is needed"
         raise DataError.at(path, what, line=lines[row], column=names[beam])
-    rest = dict(zip((*POSES, "stamp"), values[:, n:].T, strict=True))
+    rest = dict(zip((*POSES, "stamp"), values[:, most:].T, strict=True))
     table = Table(path, rest, line=numbers)
     table.require_finite((*POSES, "stamp"))
-    return ScanLines(kind, ranges, table.stack(POSES[:3]), table.stack(POSES[3:]), rest["stamp"], numbers)
+    seen = [r[:n] for r, n in zip(ranges, counts, strict=True)]
+    common, low, step, resampled = on_one_set(seen, angles[:, 0], angles[:, 1])
+    return ScanLines(
+        kind, common, table.stack(POSES[:3]), table.stack(POSES[3:]), rest["stamp"], numbers, (low, step),
+        resampled=resampled,
+    )  # fmt: skip
+
+
+NARROW = {101: 100.0, 201: 100.0, 401: 100.0}
+"""Opening angle [deg] by number of beams, where it is not 180."""
+
+
+def beams_of(n: int) -> tuple[float, float]:
+    """Angle of the first beam and step [rad] of a FLASER line with n beams, which states neither.
+
+    From -90 degrees; an odd number reaches +90 (181: every degree, 361: every half), an even one stops a step before
+    (180, 360). 101, 201 and 401 beams open 100 degrees.
+    """
+    opening = math.radians(NARROW.get(n, 180.0))
+    return -0.5 * opening, opening / max(n - n % 2, 1)
 
 
 def _table(path: Path, lines: list[int], rows: list[list[bytes]], names: Sequence[str]) -> Table:
@@ -238,24 +265,31 @@ PART = 1 << 16
 
 
 def content_of(path: Path) -> tuple[bytes, str]:
-    """Contents of a file, unpacked if its name ends in .gz, and its SHA-256 as it is; DataError if unreadable."""
+    """Contents of a file, unpacked if named .gz or .bz2, and its SHA-256 as it is; DataError if unreadable."""
+    kind = path.suffix.lower()
     try:
         packed = path.read_bytes()
-        content = _unpacked(path, packed) if path.suffix.lower() == ".gz" else packed
+        content = _unpacked(path, packed, OPENERS[kind]) if kind in OPENERS else packed
         return content, hashlib.sha256(packed).hexdigest()
     except gzip.BadGzipFile:
         raise DataError.at(path, "not a gzip file; compress it, or rename it without .gz") from None
     except (EOFError, zlib.error) as error:
-        raise DataError.at(path, f"the gzip file is broken or cut off ({error}); a whole one is needed") from None
+        what = "gzip" if kind == ".gz" else "bzip2"
+        raise DataError.at(path, f"the {what} file is broken or cut off ({error}); a whole one is needed") from None
     except OSError as error:
+        if kind == ".bz2" and error.errno is None:
+            raise DataError.at(path, "not a bzip2 file; compress it, or rename it without .bz2") from None
         raise DataError.at(path, f"cannot be read: {error.strerror}") from None
 
 
-def _unpacked(path: Path, packed: bytes) -> bytes:
-    """The content of a gzip file; logs pack to about a fifth, so much larger contents are refused."""
+OPENERS: dict[str, Callable[[io.BytesIO], IO[bytes]]] = {".gz": gzip.open, ".bz2": bz2.open}  # type: ignore[dict-item]
+
+
+def _unpacked(path: Path, packed: bytes, opened: Callable[[io.BytesIO], IO[bytes]]) -> bytes:
+    """The content of a packed file; logs pack to about a fifth, so much larger contents are refused."""
     most = max(LARGE, DENSEST * len(packed))
     parts, length = [], 0
-    with gzip.open(io.BytesIO(packed)) as file:
+    with opened(io.BytesIO(packed)) as file:
         while part := file.read(PART):
             parts.append(part)
             length += len(part)

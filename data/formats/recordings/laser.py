@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -65,6 +66,23 @@ def made_increasing(stamp: Array) -> Array:
         if not time[i] > time[i - 1]:
             time[i] = max(time[i - 1] + 1e-6, np.nextafter(time[i - 1], np.inf))
     return time
+
+
+SPEED, TURN_RATE = 0.3, 0.7
+"""m/s, rad/s; standard deviations of what an unknown motion changes by, times the time between frames."""
+
+
+def without_odometry(inputs: Inputs) -> Inputs:
+    """The same log with unknown motion: zero, with the standard deviation of a robot's speed.
+
+    Steps count at least the mean time between frames, since stamps come in bursts.
+    """
+    count = len(inputs)
+    seconds = np.diff(inputs.time, prepend=inputs.time[0])
+    seconds = np.maximum(seconds, float(seconds[1:].mean()) if count > 1 else 0.0)
+    covariance = np.zeros((count, 3, 3))
+    covariance[1:] = np.diag([SPEED**2, SPEED**2, TURN_RATE**2]) * seconds[1:, None, None] ** 2
+    return replace(inputs, increments=Increments(np.zeros((count, 3)), covariance), floored=0)
 
 
 def laser_inputs(pose: Array, stamp: Array, scans: Scans) -> Inputs:

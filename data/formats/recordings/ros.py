@@ -1,4 +1,5 @@
-"""A ROS bag as a laser log: every scan is a frame, with interpolated odometry; tf gives the laser's mounting.
+"""A ROS bag as a laser log: every scan is a frame, with interpolated odometry; tf gives the laser's mounting, and the
+odometry where no topic does.
 
 Needs `rosbags`.
 """
@@ -9,7 +10,7 @@ import math
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,9 @@ import numpy as np
 from data.digest import source_file
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.open_log.scans import with_returns
-from data.formats.recordings.laser import laser_inputs
+from data.formats.recordings.beams import on_one_set
+from data.formats.recordings.laser import laser_inputs, without_odometry
+from data.formats.recordings.mending import AS_STATED, Mending, beam_angles, piled_up, require_metres
 from data.inputs import Scanner, Scans
 from data.log import Log
 from data.se2 import Array, interpolate, inverse
@@ -104,7 +107,11 @@ def _name(frame: str) -> str:
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 SHORT = {SCAN: "sensor_msgs/LaserScan", ODOMETRY: "nav_msgs/Odometry"}
 OLD_TRANSFORMS = "tf/msg/tfMessage"
-GEOMETRY = ("angle_min", "angle_increment", "range_min", "range_max")
+GEOMETRY = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
+SHARED = ("range_min", "range_max")
+"""Numbers that are the same in every scan; angles may differ (rotating scanners)."""
+TF = "tf"
+"""In place of a topic of odometry: the transform from the odometry's frame to the robot's."""
 
 
 @dataclass(frozen=True)
@@ -114,8 +121,9 @@ class Bag:
     Attributes:
         scan_topic, odometry_topic: their topics.
         scan_stamp, odometry_stamp: (S,), (O,) s.
-        geometry: numbers of `GEOMETRY`, the same in every scan.
-        ranges: (S, B) m, as in the messages.
+        geometry: numbers of `GEOMETRY`.
+        ranges: (S, B) m, as in the messages, or resampled to the angles of the most frequent kind of scan.
+        resampled: number of scans with other angles.
         pose: (O, 3) of the robot.
         mounting: of the laser's frame in the robot's, None if unknown.
         frames: names of the robot's frame and of the laser's.
@@ -130,10 +138,12 @@ class Bag:
     pose: Array
     mounting: Transform | None
     frames: tuple[str, str]
+    resampled: int = 0
 
 
 def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | None = None) -> Bag:
-    """Read a bag; a topic may be left out if it is the only one of its kind.
+    """Read a bag; a topic may be left out if it is the only one of its kind. Without a topic of odometry (or with `tf`)
+    the poses are the transforms from the odometry's frame, as in bags for gmapping, karto and slam_toolbox.
 
     Raises:
         UsageError: `rosbags` is not installed, or a topic is missing or ambiguous.
@@ -142,7 +152,8 @@ def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
     with opened(path) as reader:
         topics = {c.topic: c.msgtype for c in reader.connections}
         scans = _topic(path, topics, SCAN, scan_topic, "--scan")
-        odometry = _topic(path, topics, ODOMETRY, odometry_topic, "--odom")
+        by_tf = odometry_topic == TF or (odometry_topic is None and ODOMETRY not in topics.values())
+        odometry = TF if by_tf else _topic(path, topics, ODOMETRY, odometry_topic, "--odom")
         found = _Messages(path, scans, odometry)
         kinds = (SCAN, ODOMETRY, TRANSFORMS, OLD_TRANSFORMS)
         wanted = [c for c in reader.connections if c.topic in (scans, odometry) or c.msgtype in kinds[2:]]
@@ -169,6 +180,8 @@ def _reported(path: Path) -> Iterator[None]:
     except (*LIBRARY, *BROKEN) as error:
         what = " ".join(str(error).split())[:120] or type(error).__name__
         right = "a whole .bag, .mcap or .db3 is needed"
+        if "index" in what.lower():  # the recorder was stopped
+            right = "rebuild its index: `rosbag reindex FILE`, of MCAP `mcap recover FILE`"
         raise DataError.at(path, f"not a bag that can be read ({what}); {right}") from None
 
 
@@ -211,6 +224,8 @@ class _Messages:
         self.ranges: list[Array] = []
         self.pose: list[tuple[float, float, float]] = []
         self.transforms = Transforms()
+        self.moving: dict[tuple[str, str], list[tuple[float, float, float, float]]] = {}
+        self.angles: list[tuple[float, float]] = []
         self.frames = ["", ""]
 
     def add(self, topic: str, message: Any, recorded: float) -> None:
@@ -222,7 +237,11 @@ class _Messages:
         else:
             for t in message.transforms:
                 p, q = t.transform.translation, t.transform.rotation
-                self.transforms.add(t.header.frame_id, t.child_frame_id, (p.x, p.y, p.z), (q.x, q.y, q.z, q.w))
+                rotation = (q.x, q.y, q.z, q.w)
+                self.transforms.add(t.header.frame_id, t.child_frame_id, (p.x, p.y, p.z), rotation)
+                if self.odometry_topic == TF:
+                    edge = _name(t.header.frame_id), _name(t.child_frame_id)
+                    self.moving.setdefault(edge, []).append((stamp_of(t, recorded), p.x, p.y, heading(rotation)))
 
     def _scan(self, message: Any, recorded: float) -> None:
         number = len(self.ranges)
@@ -234,13 +253,15 @@ class _Messages:
             if not geometry["range_max"] > max(geometry["range_min"], 0.0):
                 raise self._error(number, f"range_max {geometry['range_max']:g} m; a number above range_min is needed")
             self.geometry, self.frames[1] = geometry, message.header.frame_id
-        elif len(ranges) != len(self.ranges[0]):
-            raise self._error(number, f"{len(ranges)} beams; {len(self.ranges[0])} are needed, as in the first")
+        elif not len(ranges) or not geometry["angle_increment"]:
+            raise self._error(number, f"{geometry} with {len(ranges)} beams is no scan")
         else:
-            for name, value in geometry.items():
+            for name in SHARED:
+                value = geometry[name]
                 if not abs(value - self.geometry[name]) <= 1e-5:
                     raise self._error(number, f"{name} {value!r}; {self.geometry[name]!r} is needed, as in the first")
         self.ranges.append(ranges)
+        self.angles.append((geometry["angle_min"], geometry["angle_increment"]))
         self.scan_stamp.append(stamp_of(message, recorded))
 
     def _odometry(self, message: Any, recorded: float) -> None:
@@ -256,23 +277,50 @@ class _Messages:
     def _error(self, number: int, what: str) -> DataError:
         return DataError.at(self.path, f"message {number} of {self.scan_topic}: {what}")
 
+    def _take_transforms(self) -> None:
+        """The poses of the robot from the transforms on the way to the laser: those that move and name the odometry."""
+        chain = set(self.transforms._chain(self.frames[1]))
+        edges = {e: rows for e, rows in self.moving.items() if e[1] in chain and len({r[1:] for r in rows}) > 1}
+        named = {e: rows for e, rows in edges.items() if e[0].endswith(ODOM_FRAME)} or edges
+        if not named:
+            what = f"neither a topic of odometry nor a moving transform to {self.frames[1]!r}"
+            raise DataError.at(self.path, f"{what}; one is needed: --odom TOPIC, or --no-odometry")
+        edge = max(named, key=lambda e: len(named[e]))
+        rows = np.array(named[edge])
+        if not np.isfinite(rows).all():
+            raise DataError.at(
+                self.path, f"transform {edge[0]} to {edge[1]}: {len(rows)} poses; finite ones are needed"
+            )
+        self.frames[0] = edge[1]
+        self.odometry_stamp = rows[:, 0].tolist()
+        self.pose = [(x, y, a) for _, x, y, a in rows.tolist()]
+
     def bag(self) -> Bag:
         """All of it."""
+        if self.odometry_topic == TF and self.ranges:
+            self._take_transforms()
         for topic, messages in ((self.scan_topic, self.ranges), (self.odometry_topic, self.pose)):
             if not messages:
                 raise DataError.at(self.path, f"no message of {topic}; at least one is needed")
         robot, laser = self.frames
+        angles = np.array(self.angles)
+        ranges, low, step, resampled = on_one_set(self.ranges, angles[:, 0], angles[:, 1])
+        geometry = self.geometry | {"angle_min": low, "angle_increment": step}
         return Bag(
             self.scan_topic,
             self.odometry_topic,
             np.array(self.scan_stamp),
             np.array(self.odometry_stamp),
-            self.geometry,
-            np.array(self.ranges),
+            geometry,
+            ranges,
             np.array(self.pose),
             self.transforms.between(robot, laser),
             (robot, laser),
+            resampled,
         )
+
+
+ODOM_FRAME = "odom"
 
 
 def stamp_of(message: Any, recorded: float) -> float:
@@ -289,13 +337,24 @@ SMALL = 1e-3
 """Largest deviation of the tilt's cosine from 1 (2.6 degrees)."""
 
 
-def log_of(path: Path, bag: Bag) -> Log:
+def log_of(path: Path, bag: Bag, mending: Mending = AS_STATED) -> Log:
     """The log: frames are the scans within the span of the odometry, which is interpolated at their stamps.
 
     Scans are taken in the order of their stamps. A range below range_min, not below range_max, infinite or NaN is no
     return, as in sensor_msgs/LaserScan. DataError without a scan within the odometry, or if the laser is not level.
     """
     scanner, note = _scanner(path, bag)
+    measured = mending.ranges(np.where(np.isfinite(bag.ranges), bag.ranges, 0.0))
+    require_metres(path, measured)
+    g = bag.geometry
+    last = g["angle_min"] + (measured.shape[1] - 1) * g["angle_increment"] if bag.resampled else g["angle_max"]
+    asked = beam_angles(g["angle_min"], g["angle_increment"], last, measured.shape[1])
+    if mending.range_unit != "m":
+        scanner = replace(scanner, max_range=float(mending.ranges(np.array(scanner.max_range))))
+    piled = piled_up(measured, scanner.max_range)
+    if piled is not None:
+        scanner = replace(scanner, max_range=piled[0])
+    scanner = mending.scanner(scanner)
     time, first = np.unique(bag.odometry_stamp, return_index=True)
     order = np.argsort(bag.scan_stamp, kind="stable")
     stamp = bag.scan_stamp[order]
@@ -303,9 +362,9 @@ def log_of(path: Path, bag: Bag) -> Log:
     if not inside.any():
         what = f"scans at {stamp[0]:.3f} to {stamp[-1]:.3f} s, odometry at {time[0]:.3f} to {time[-1]:.3f} s"
         raise DataError.at(path, f"{what}; at least one scan within the odometry is needed")
-    stamp, ranges = stamp[inside], bag.ranges[order][inside]
-    pose = interpolate(time, bag.pose[first], stamp)
-    ranges = np.where(ranges >= bag.geometry["range_min"], ranges, 0.0)
+    stamp, ranges = stamp[inside], measured[order][inside]
+    pose = interpolate(time, mending.poses(bag.pose[first]), stamp)
+    ranges = np.where(ranges >= float(mending.ranges(np.array(g["range_min"]))), ranges, 0.0)
     scans = Scans(scanner, np.arange(len(stamp)), with_returns(ranges, scanner.max_range))
     notes = [
         "No ground truth: the prior is the first pose of the odometry.",
@@ -319,8 +378,16 @@ def log_of(path: Path, bag: Bag) -> Log:
     far = int((time[after] - time[after - 1] > LONG).sum()) if len(time) > 1 else 0
     if far:
         notes.append(f"{counted(far, 'scan is', 'scans are')} where the odometry pauses for more than {LONG:g} s.")
+    if bag.resampled:
+        notes.append(f"{bag.resampled} of {counted(len(inside), 'scan')} with other beams: resampled.")
+    if piled is not None:
+        top, many = piled
+        stated = f"the messages state {g['range_max']:g}"
+        notes.append(f"No return: readings of {top:g} m and more, where {many} of {measured.size} pile up; {stated}.")
     source = {"kind": "rosbag", **source_file(path), "scan": bag.scan_topic, "odometry": bag.odometry_topic}
-    return Log(path.stem, laser_inputs(pose, stamp, scans), Truth(), source=source, notes=tuple(notes))
+    recorded = laser_inputs(pose, stamp, scans)
+    recorded = recorded if mending.odometry else without_odometry(recorded)
+    return Log(path.stem, recorded, Truth(), source=source, notes=tuple(notes), asked=tuple(asked))
 
 
 def _scanner(path: Path, bag: Bag) -> tuple[Scanner, str]:

@@ -43,6 +43,8 @@ ALIAS = (
 KNOWN_UNITS = {*DIGITS, *LENGTHS, *TURNS}
 GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy", "vz")}
 """Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
+SHOWN = 6
+"""Most names in a note."""
 WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", ("t", "x", "y", "z", "qw", "qx", "qy", "qz"): "EuRoC CSV"}
 PLANAR = ("xx", "xy", "xt", "yy", "yt", "tt")
 
@@ -160,8 +162,9 @@ def role_of(name: str) -> tuple[str, str]:
         return "t", unit
     if last in ANGLES and around <= TURN | {"euler", "angle"}:
         return ANGLES[last], unit
-    if found := re.fullmatch(r"c(?:ov)?([xyt]{2})", "".join(words)):
-        return f"c_{found[1]}", ""
+    if found := re.fullmatch(r"(?:c|cov)(x|y|t|theta|yaw|heading)(x|y|t|theta|yaw|heading)", "".join(words)):
+        pair = [c if c in "xy" else "t" for c in found.groups()]
+        return f"c_{''.join(sorted(pair, key='xyt'.index))}", ""
     if found := re.fullmatch(r"(?:c|p|cov)([1-6])([1-6])", "".join(words)):
         return f"c{found[1]}{found[2]}", ""
     if last in tuple("wxyz") and around & TURN and around <= TURN | PLACE:
@@ -215,7 +218,8 @@ def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
             value[role] = value[role] * lengths[unit]
     if "nanoseconds" in value:
         value["t"] = value["t"] + 1e-9 * value["nanoseconds"]
-    notes = (f"columns not read: {', '.join(columns.unread)}",) if columns.unread else ()
+    unread = [*columns.unread[:SHOWN], *(["..."] if len(columns.unread) > SHOWN else [])]
+    notes = (f"columns not read: {', '.join(unread)}",) if unread else ()
     unit_of_time = "s" if "nanoseconds" in value else columns.unit.get("t")
     if unit_of_time is not None and unit_of_time not in DIGITS:
         raise DataError.at(

@@ -17,7 +17,7 @@ from data.formats.tables.files import TextTable, headings, read_text, shared
 from data.formats.tables.flags import Wanted
 from data.formats.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
 from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior
-from data.log import ODOMETRY_KIND, Log
+from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, Log
 from data.motion.velocity import floor_covariances
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
@@ -109,7 +109,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
     seen = observations(texts["observations"], wanted, odometry)
     notes = [*odometry.notes, *seen.notes]
     time, frame, seen = _frames(odometry, seen, wanted, notes)
-    increments, gaps = odometry.increments(time, wanted.noise)
+    increments, gaps = odometry.increments(time, wanted.noise, wanted.model)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if odometry.velocity is None:
         floored += gaps  # of poses it counts floored covariances
@@ -135,14 +135,16 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
     )
     files = {role: path.name for role, path in wanted.files.items()}
     files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items()}
-    files |= {ODOMETRY_KIND: kind}
+    more: dict[str, object] = {ODOMETRY_KIND: kind}
+    if kind == "velocities" and len(odometry.time) > 1:
+        more |= {ODOMETRY_PERIOD: float(np.median(np.diff(odometry.time))), INTEGRATION: wanted.model}
     return Log(
         name,
         inputs,
         Truth(pose, known, labels.get("true_id")),
         label=labels.get("label"),
         labels_are_sensed=wanted.sensed,
-        source={"kind": "table", **files, "columns": dict(columns.given), "unit": dict(columns.units.given)},
+        source={"kind": "table", **files, **more, "columns": dict(columns.given), "unit": dict(columns.units.given)},
         notes=tuple(notes),
     )
 

@@ -132,6 +132,7 @@ examples:
   {PROG} --log victoria-park --task slam    one log, one task
   {PROG} intel.log.gz --keyframe-distance 0.8    a laser log (CARMEN): scans matched, loops closed
   {PROG} intel.log.gz --least-information 0.2    without the key poses of least information
+  {PROG} intel.log.gz --no-odometry             scans alone tell the motion
   {PROG} intel.log.gz --relations intel.relations.csv    a laser log, scored by reference relations
   {PROG} my_log --exclude-truth 12:15.5 --keep-truth    ground truth left out there, and nowhere else
   {PROG} visual:0                           a rendered camera log
@@ -168,6 +169,7 @@ examples:
   {PROG} --truth gt.csv --result a=a.tum --cov-order rotation-first --unit truth=deg    what files do not state
   {PROG} arena:0 --table-width column --columns rmse_position_m,nees_pose,nis
   {PROG} arena:0 --figure-width 3.4in --font Times --font-size 8    figures for a column
+  {PROG} arena:0 --figures map,error --show ekf,batch --no-titles    for a paper, with their data
   {PROG} arena:0 --figure-width 86mm --usetex --pgf      text set by LaTeX
   {PROG} victoria-park --estimator ekf --animate --speed 20    a film at 20 times real time
   {PROG} --config my_run.toml -v            the same keys from a file; flags win

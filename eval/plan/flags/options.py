@@ -11,6 +11,7 @@ from data.errors import UsageError, did_you_mean
 from eval.plan.flags.help import PROG
 from eval.plan.flags.table import CONFIGS, Options, parser, shipped
 from eval.plan.flags.variant import Variant
+from eval.replay.external.spec import names_of
 from eval.replay.flag import Flag, filled, read_values, rows
 from eval.replay.settings import Setup, check_gates
 
@@ -143,6 +144,9 @@ def _check(options: Options) -> None:
         for row in rows(Setup).values():
             if row.of(setup) != row.default:
                 raise UsageError(f"{row.option} and --scenario exclude each other: [setup] in its file")
+    there = (*names_of(s.estimator), *(word.partition("=")[0] for word in options.results.result))
+    if out.show and not s.lab and (gone := next((name for name in out.show if name not in there), "")):
+        raise UsageError(f"--show {gone}: not among the estimators; there are {', '.join(there)}")
     if out.write_up and "tex" not in out.formats:
         raise UsageError(f"--write-up: needs LaTeX tables; add tex to --formats {','.join(out.formats)}")
     if options.execution.quiet and options.execution.verbose:

@@ -41,6 +41,11 @@ from eval.studies.shipped import VALIDATIONS, scenarios
 FORMATS = ("csv", "md", "tex")
 KNOWN_FORMATS = (*FORMATS, "pdf")
 FACTORS = ("1", "2", "5", "10", "20", "50", "auto")
+FIGURES = (
+    *("map", "grid", "loops", "error", "nees", "difference", "claims", "fate", "filter-smoother", "systematic"),
+    *("growth", "state", "association"),
+)
+"""Kinds of figures of a log."""
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
 TWINS = 99  # replicates of a log: a share of the level of 5 % still leaves ranks to those statistics that need them
@@ -101,9 +106,9 @@ class Selection:
 
     log: tuple[str, ...] = several(
         "PATH|NAME",
-        "open log folder, CARMEN log (.log, .clf, also .gz), or victoria-park, arena:SEED, circle:SEED, linear:SEED, "
-        "corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, five corridors and "
-        "60 frames of visual:0)",
+        "open log folder, CARMEN log (.log, .clf, also .gz, .bz2), or victoria-park, arena:SEED, circle:SEED, "
+        "linear:SEED, corridor:SEED:people+no-odometry+KEY=VALUE (repeatable; default: victoria-park, arena:0, five "
+        "corridors and 60 frames of visual:0)",
     )
     data: tuple[str, ...] = several(
         "DIR",
@@ -230,6 +235,7 @@ class Opening:
     relations: str | None = file_row(
         "reference relations of the only laser log (default: NAME.relations.csv, or relations.csv in its folder)"
     )
+    no_odometry: bool = switch_row("laser logs: the odometry is unknown, and scans alone tell the motion")
 
 
 @dataclass(frozen=True)
@@ -275,6 +281,12 @@ class Output:
         "width of the LaTeX tables: column (252 pt) or page (516 pt) of an IEEE paper (default: page)",
         free_row,
     )
+    figures: tuple[str, ...] = free_row(
+        (), names(FIGURES), "LIST", f"only these figures of logs, of {', '.join(FIGURES)} (default: all that apply)"
+    )
+    show: tuple[str, ...] = free_row(
+        (), names(), "LIST", "draw only these estimators, as in ekf,batch; tables have all (default: all that fit)"
+    )
     write_up: bool = free_switch("write write-up.tex, with tables and figures on one page per log, for pdflatex")
     lab_text: bool = free_switch(
         "write lab.txt for each run: its steps as the lab's program prints them, numbers from 1"
@@ -310,8 +322,9 @@ class Output:
 
 @dataclass(frozen=True)
 class Drawing:
-    """Figures for a paper."""
+    """Figures for a paper: with any of these flags also as PDF, with their data (CSV) and a script that draws it."""
 
+    no_titles: bool = free_switch("figures without a title inside, as a caption says what they show")
     figure_width: str | None = free_row(
         None, width, "LENGTH", "width of all figures, as in 3.4in, 8.6cm, 252pt (default: 7in)"
     )

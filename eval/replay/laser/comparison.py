@@ -17,7 +17,7 @@ from association.scans.points import beams_of, scan_points
 from association.scans.redundant import redundant, without
 from association.scans.uncertainty import learned_scale, residuals, spanned
 from data.errors import UsageError
-from data.inputs import Inputs
+from data.inputs import Increments, Inputs
 from data.result import Run
 from data.se2 import Array, between, compose, dead_reckoned, transform_points
 from eval.replay.laser.backends import NAMES, Solved, backend
@@ -48,13 +48,16 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
         raise ValueError("a laser front end needs scans")
     p, count = parameters, len(inputs)
     beams = beams_of(scans.scanner, scans.ranges.shape[1])
-    tracker = Tracker(p, scans.scanner.sigma)
+    unknown = count > 1 and is_unknown(inputs.increments)
+    tracker = Tracker(p, scans.scanner.sigma, steady=unknown)
     closer = LoopCloser(p, scans.scanner)
     graph = PoseGraph(inputs.prior)
     row = np.full(count, -1)
     row[scans.frame] = np.arange(len(scans.frame))
     nothing = np.zeros(scans.ranges.shape[1])
     step = np.zeros(count) if inputs.time_is_index else np.diff(inputs.time, prepend=inputs.time[0])
+    if unknown and float(np.mean(step[1:] < BURST * step[1:].mean())) > BURST:
+        step[1:] = step[1:].mean() or 1.0
 
     frames: list[int] = []
     motions: list[Array] = []
@@ -62,7 +65,7 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
     key = np.zeros(count, np.int64)
     since, since_covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
     online, seconds = np.zeros((count, 3)), np.zeros(count)
-    poses = np.zeros((0, 3))
+    poses, waiting = np.zeros((0, 3)), 0
     for frame in range(count):
         began = time.perf_counter()
         if frame:
@@ -90,14 +93,27 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
                     np.array([c.key1 for c in believed]), np.array([c.key2 for c in believed]),
                     np.array([c.relative for c in believed]), np.array([c.covariance for c in believed]),
                 )  # fmt: skip
+                waiting += 1
+            # in large graphs several key poses have an update in common, so that each costs as much as in a small one
+            if waiting and frames[-1] and len(frames) % (1 + len(frames) // AMORTIZED) == 0:
                 graph.update()
-                poses = graph.poses()
+                poses, waiting = graph.poses(), 0
         key[frame] = len(frames) - 1
         since[frame], since_covariance[frame] = tracker.pose, tracker.covariance
         online[frame] = compose(poses[-1], tracker.pose)
         seconds[frame] = time.perf_counter() - began
     chain = Chain(np.array(frames), np.array(motions), np.array(covariances), key, since, since_covariance)
     return FrontEndResult(chain, closer.loops(), online, seconds)
+
+
+def is_unknown(increments: Increments) -> bool:
+    """Whether the odometry says nothing: no motion, with a standard deviation of centimetres and more."""
+    return not increments.mean.any() and bool(np.median(increments.covariance[1:, 0, 0]) > UNKNOWN**2)
+
+
+AMORTIZED = 1500  # key poses from which on loop closures wait for each other
+BURST = 0.1  # of the mean time between frames, and share of shorter ones, from which on stamps come in bursts
+UNKNOWN = 0.01  # m, above the error of a step of any odometry that is at rest
 
 
 def between_scans(inputs: Inputs, pose: Array) -> Array:
@@ -153,7 +169,7 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
         run = _run(inputs, front, backend(name, inputs, front.chain, front.loops, setup, gate=gate))
         if learned and run.chain is not None:
             run = replace(run, scale=(claimed, parameters.variance_scale * error))
-        if name == "ekf" and gate is None:
+        if name == "ekf" and gate is None and run.failure is None:
             scaled, unscaled = (
                 _run(inputs, given, backend(name, inputs, given.chain, given.loops, setup, gate=CONTRAST))
                 for given in (front, _scaled(front, 1.0 / claimed))

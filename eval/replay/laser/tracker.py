@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from association.scans.matching import Match, MotionPrior, NearestGrid, best_pose, match, pyramid
+from association.scans.matching import Match, MotionPrior, NearestGrid, Pyramid, best_pose, match, pyramid
 from association.scans.points import Points
 from association.scans.uncertainty import compose_covariances
 from data.se2 import Array, between, compose, transform_points, wrap_angle
@@ -32,8 +32,9 @@ POINTS = 150
 class Tracker:
     """The robot's pose relative to the newest key pose, frame by frame."""
 
-    def __init__(self, parameters: LaserParameters, sigma: float) -> None:
-        self.parameters = parameters
+    def __init__(self, parameters: LaserParameters, sigma: float, *, steady: bool = False) -> None:
+        """`steady`: odometry is unknown, and the last motion goes on, with the covariances of `predict`."""
+        self.parameters, self.steady = parameters, steady
         self.sigma = parameters.distance_sigma(sigma)
         self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
         self.surprise = 0.0  # chi-square (3 dof) of the last match against odometry
@@ -44,6 +45,7 @@ class Tracker:
         self._travelled = self._travel = Travel()
         self._cost = 0.0
         self._slipped = False
+        self._pyramid: Pyramid | None = None
 
     def predict(self, motion: Array, covariance: Array, seconds: float = 0.0) -> None:
         """Add the odometry of one frame; `seconds` since the frame before, 0 where unknown."""
@@ -60,12 +62,15 @@ class Tracker:
         self.surprise = 0.0
         if not self._keys or len(points.xy) == 0:
             return False
+        again = repeated(self._motion, self._travelled, self._travel)
+        if self.steady and again is not None:
+            self.pose = compose(self._matched, again)
+            self.pose[2] = wrap_angle(float(self.pose[2]))
         prior = MotionPrior(self.pose, np.asarray(np.linalg.inv(self.covariance + 1e-10 * np.eye(3)), float))
-        slip = slip_deviation(self._travel)
+        slip = np.maximum(slip_deviation(self._travel), np.sqrt(np.diag(self.covariance)))
         tried = [self._match(points, self.pose, prior)]
         going_on = None
-        again = repeated(self._motion, self._travelled, self._travel)
-        if again is not None:
+        if again is not None and not self.steady:
             start = compose(self._matched, again)
             apart = _apart(start, self.pose)
             if (np.abs(apart) > OTHER_START).any() and (np.abs(apart) <= MOST_SIGMAS * slip).all():
@@ -104,9 +109,11 @@ class Tracker:
     def _searched(self, points: Points, slip: Array) -> Array | None:
         """The pose around odometry, as far as the wheels may slip, where the scan fits the reference best."""
         window = np.minimum(MOST_SIGMAS * slip, WIDEST)
+        if self._pyramid is None:
+            self._pyramid = pyramid(self._reference.xy, FARTHEST + 2.0)
         near = points.xy[np.hypot(points.xy[:, 0], points.xy[:, 1]) < FARTHEST]
         some = near[:: max(len(near) // SEARCHED, 1)]
-        pose, score = best_pose(some, pyramid(self._reference.xy, FARTHEST + 2.0), self.pose, window, LEAST_CORRELATION)
+        pose, score = best_pose(some, self._pyramid, self.pose, window, LEAST_CORRELATION)
         return pose if score > 0.0 else None
 
     @property
@@ -126,6 +133,7 @@ class Tracker:
         self._reference = self._grid.reference(
             np.concatenate([k.xy for k in self._keys]), np.concatenate([k.normal for k in self._keys])
         )
+        self._pyramid = None
         self._matched = between(self.pose, self._matched)
         self.pose, self.covariance = np.zeros(3), np.zeros((3, 3))
 

@@ -13,7 +13,8 @@ from markdown_it.token import Token
 
 from eval.figures.paper import tex_escape
 from eval.referee.score import Scores, Trial
-from eval.report.page.blocks import Picture, Section
+from eval.report.page.blocks import Picture, Section, Table
+from eval.report.page.latex import notes_of
 from eval.report.rows import rows_of, stem, value_of
 from eval.report.words import environment
 
@@ -95,7 +96,8 @@ def write_up(
 ) -> None:
     """Write the file: a page for each answer of a lab, then one for each log and task with its tables and figures."""
     logs = [log_page(folder, trial, scores, sections) for trial in trials if trial.variant_of is None]
-    notes = (folder / "tables" / "notes.tex").exists()
+    of_answers = [b.stem for section in answers for b in section.blocks if isinstance(b, Table) and b.stem]
+    notes = notes_of(folder / "tables", [*of_answers, *(t for page in logs for t in page.tables)])
     text = _template().render(answers=answers, logs=logs, notes=notes).strip() + "\n"
     (folder / "write-up.tex").write_text(text, encoding="utf-8", newline="\n")
 

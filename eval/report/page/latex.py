@@ -144,6 +144,19 @@ def add_note(
     path.write_text(HEAD + "\n" + "\n\n".join(p.strip() for p in paragraphs) + "\n", encoding="utf-8", newline="\n")
 
 
+def notes_of(folder: Path, stems: Sequence[str]) -> str:
+    """The notes of these tables only, so that no reference is left without its table."""
+    path = folder / "notes.tex"
+    paragraphs = path.read_text(encoding="utf-8").removeprefix(HEAD).split("\n\n") if path.exists() else []
+    found = []
+    for paragraph in filter(str.strip, paragraphs):
+        first, _, note = paragraph.strip().partition("\n")
+        there = [rf"\ref{{tab:{s}}}" for s in re.findall(r"\\ref\{tab:([^}]*)\}", first) if s in stems]
+        if there:
+            found.append(rf"\textbf{{Table{'s' * (len(there) > 1)}~{', '.join(there)}.}}" + f"\n{note}")
+    return "\n\n".join(found)
+
+
 WIDTHS = {"column": 252.0, "page": 516.0}  # pt (1/72.27 in). A column and both of an IEEE journal: 21 and 43 picas
 EM = {"footnotesize": 8.0, "scriptsize": 7.0}  # pt. Type sizes where the text is 10 pt
 SMALL_FACE = 17.0 / 16.0  # of small faces against cmr10 scaled down, at 8 pt; at 7 pt they are 9/8 as wide

@@ -227,13 +227,21 @@ def test_a_cure_is_applied_and_proved(written, tmp_path, capsys):
     assert main([path, "--draws", "0", "--rescale", str(out)]) == 1
     assert "coverage_90" in capsys.readouterr().out
     table = audited.cured(audited.opened(path, None, draws=0), out, draws=0)
-    before, after = table.to_dict("records")
+    before, after, robust = table.to_dict("records")
     assert after["left_out"] >= 1
     assert out.read_text().count("# left out: EDGE_SE2") == after["left_out"]
     assert before["chi2_per_freedom"] > 1.3
     assert after["chi2_per_freedom"] == pytest.approx(1.0, abs=0.15)
     assert after["rejected"] == 0
     assert after["loops_predicted"] == 6
+    assert robust["robust"] >= 1
+    assert robust["left_out"] == 0
+    assert robust["factors"] == 140
+    assert robust["coverage_90"] >= 0.5
+    audited.cured(audited.opened(path, None, draws=0), out, draws=0, rejected="robust")
+    kept = audited.opened(str(out), None, draws=0)
+    assert "left out" not in out.read_text()
+    assert kept.file.edges[100].information[0, 0] < 0.3 * kept.file.edges[101].information[0, 0]
 
 
 def test_only_a_file_can_be_cured(written, tmp_path):
@@ -259,8 +267,8 @@ def test_another_minimum_is_named(written):
     twisted = [gtsam.Pose2(p.x(), p.y(), np.pi / 2) for p in true]
     vertices = [f"VERTEX_SE2 {k} {p.x()!r} {p.y()!r} {p.theta()!r}" for k, p in enumerate(twisted)]
     report = opened(written("\n".join([*vertices, *lines]) + "\n"), None, draws=0)
-    assert report.facts.second is not None
-    assert report.facts.second.error < 1e-9 < report.facts.second.ours
+    (other,) = report.facts.minima  # that of both other starts
+    assert other.error < 1e-9 < other.ours
     assert "another minimum" in report.words()
 
 
@@ -329,7 +337,7 @@ def test_landmarks_of_lower_ids_than_poses_have_a_second_start(written):
     """The first pose, not the first id, ties the path along the edges to the vertices."""
     text = "VERTEX_SE2 5 0 0 0\nVERTEX_SE2 6 1 0 0\nVERTEX_XY 0 1 1\nEDGE_SE2 5 6 1 0 0 1 0 0 1 0 1\n"
     text += "EDGE_SE2_XY 5 0 1 1 1 0 1\nEDGE_SE2_XY 6 0 0 1 1 0 1\n"
-    assert opened(written(text), None, draws=0).facts.second is None
+    assert opened(written(text), None, draws=0).facts.minima == ()
 
 
 def test_a_variable_without_information_of_its_own_is_left_out():

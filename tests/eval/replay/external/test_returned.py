@@ -135,3 +135,10 @@ def test_a_map_without_covariance_is_a_map():
     assert np.isnan(found.covariance).all()
     with pytest.raises(ForeignError, match=r"returned a list; .number, xy, covariance. is needed"):
         map_of("F.landmarks", [1])
+
+
+def test_the_effective_number_of_samples_counts_copies_once():
+    poses = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    assert Samples(poses[1:]).effective == pytest.approx(3.0)
+    assert Samples(poses).effective == pytest.approx(16.0 / 6.0)
+    assert Samples(poses, np.array([1.0, 0.0, 0.0, 0.0])).effective == pytest.approx(1.0)

@@ -85,7 +85,7 @@ def test_the_last_motion_goes_on_by_the_metres_of_the_wheels(made):
 def test_with_wheels_at_rest_the_last_motion_goes_on_in_time_as_far_as_they_may_slip(made):
     made.tracker.predict(np.array([0.0, 0.0, 0.68]), np.eye(3), 0.1)
     made.correct(([0.0, 0.0, 0.68], 0.1, 1.0))
-    made.tracker.predict(np.zeros(3), np.eye(3), 0.05)
+    made.tracker.predict(np.zeros(3), FINE, 0.05)
     made.correct(GOOD)  # 0.34 rad in 0.05 s is farther than wheels slip
     assert len(made.starts) == 1
     assert repeated(np.array([0.1, 0.0, 0.0]), Travel(seconds=0.5), Travel(seconds=1.0)) == pytest.approx([0.2, 0, 0])

@@ -12,6 +12,7 @@ import pytest
 from eval.referee.score import Trial, score
 from eval.report.labs.write_up import log_page, tex, write_up
 from eval.report.page.blocks import Folded, Formula, Picture, Section, Table
+from eval.report.page.latex import add_note
 from tests.eval.handmade import circle_log, run_with_error
 
 SIDE = np.array([0.0, 1.0, 0.0])
@@ -103,7 +104,10 @@ def test_a_log_s_page_tells_of_its_own_task_alone_and_trials_beside_it_have_none
 
 
 def test_answers_come_first_with_every_block_and_notes_last(tmp_path):
-    with_files(tmp_path, "tables/notes.tex")
+    (tmp_path / "tables").mkdir()
+    add_note(tmp_path / "tables", "q1", "What q1 means.")
+    add_note(tmp_path / "tables", "elsewhere", "What q1 means.")
+    add_note(tmp_path / "tables", "trust", "What no page shows.")
     table = Table(pd.DataFrame({"a": [1]}), "caption", stem="q1")
     blocks = (
         "**Yes.**", table, replace(table, stem=""), picture("lab", "Paths, 5 %."), Formula("x = 1", "<math></math>"),
@@ -118,4 +122,5 @@ def test_answers_come_first_with_every_block_and_notes_last(tmp_path):
     assert "{figures/lab}\\\\\n{\\footnotesize Paths, 5 \\%.}" in body
     assert "\\[\nx = 1\n\\]" in body
     assert "one\n\ntwo" in body
-    assert r"\input{tables/notes.tex}" in found[2][1]
+    # a reference to a table that no page has would be printed as ??
+    assert found[2][1].strip() == "{\\footnotesize \\textbf{Table~\\ref{tab:q1}.}\nWhat q1 means.\\par}"

@@ -80,6 +80,14 @@ class Maker:
         stamped = self._of("geometry_msgs/msg/TransformStamped", self._header(parent, 0.0), child, transform)
         self.messages.append((-1.0, "/tf_static", TF, self._of(TF, [stamped])))
 
+    def transform(self, at: float, parent: str, child: str, pose: Iterable[float]) -> None:
+        """One that changes: the pose of a frame in its parent at a time."""
+        x, y, yaw = pose
+        moved = self._of("geometry_msgs/msg/Vector3", float(x), float(y), 0.0)
+        transform = self._of("geometry_msgs/msg/Transform", moved, self._turn(yaw))
+        stamped = self._of("geometry_msgs/msg/TransformStamped", self._header(parent, at), child, transform)
+        self.messages.append((at, "/tf", TF, self._of(TF, [stamped])))
+
     def drive(self, times: Array) -> None:
         """Odometry along x at 1 m/s, turning by 0.1 rad/s."""
         for t in times.tolist():

@@ -91,8 +91,8 @@ def test_of_several_topics_one_is_chosen(maker, tmp_path):
 @pytest.mark.parametrize(
     ("changed", "ranges", "message"),
     [
-        ({}, [1.0, 2.0], "message 1 of /scan: 2 beams; 3 are needed, as in the first"),
-        ({"angle_min": -0.75}, [1.0, 2.0, 3.0], "message 1 of /scan: angle_min -0.75; -0.5 is needed"),
+        ({}, [], "message 1 of /scan: .* with 0 beams is no scan"),
+        ({"angle_increment": 0.0}, [1.0, 2.0, 3.0], "message 1 of /scan: .* is no scan"),
         ({"range_max": math.nan}, [1.0, 2.0, 3.0], "message 1 of /scan: range_max nan; 8.0 is needed"),
     ],
 )
@@ -149,3 +149,37 @@ def test_a_path_without_a_bag_is_named(tmp_path):
     (tmp_path / "empty").mkdir()
     with pytest.raises(DataError, match=r"empty: not a bag that can be read"):
         load(tmp_path / "empty")
+
+
+def test_without_a_topic_of_odometry_the_moving_transform_is_it(tmp_path):
+    made = Maker("mcap")
+    made.mounting("base_link", "laser", 0.25, 0.0, 0.0)
+    for t in LEVEL.tolist():
+        made.transform(t, "odom", "base_link", (t, 0.0, 0.1 * t))
+        made.transform(t, "map", "odom", (0.5, 0.0, 0.0))
+    made.scan(0.75, [1.0, 2.0, 3.0])
+    made.scan(2.25, [1.0, 2.0, 3.0])
+    log = load(made.save(tmp_path))
+    assert log.recorded.prior.mean == pytest.approx([0.75, 0.0, 0.075])
+    assert log.recorded.scans.scanner.translation == (-0.25, 0.0)
+
+
+def test_scans_of_other_lengths_are_resampled(maker, tmp_path):
+    maker.scan(1.5, [1.0, 2.0, 3.0])
+    maker.scan(2.0, [1.0, 1.0], angle_increment=1.0)
+    log = load(maker.save(tmp_path))
+    assert log.recorded.scans.ranges.tolist() == [[1, 2, 3], [1, 2, 3], [1, 1, 1]]
+    assert any("1 of 3 scans with other beams" in note for note in log.notes)
+
+
+def test_a_bag_whose_recorder_was_stopped_is_told_how_to_mend_it(tmp_path):
+    made = Maker("ros1")
+    made.drive(LEVEL)
+    made.scan(1.0, [1.0, 2.0, 3.0])
+    path = made.save(tmp_path)
+    content = bytearray(path.read_bytes())
+    at = content.index(b"index_pos=") + len(b"index_pos=")
+    content[at : at + 8] = bytes(8)
+    path.write_bytes(content)
+    with pytest.raises(DataError, match="rosbag reindex"):
+        load(path)

@@ -1,0 +1,190 @@
+"""What a laser recording does not state, or states wrongly, and how a person says it: units, mounting, reach, clock."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from data.errors import DataError
+from data.inputs import Scanner
+from data.notice import Code, Notice, notice
+from data.se2 import Array
+
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+
+@dataclass(frozen=True)
+class Mending:
+    """How the numbers of a laser recording are read.
+
+    Attributes:
+        range_unit, odometry_unit: of lengths in the file, a key of `METRES`.
+        clockwise: beams run clockwise: the laser is upside down, or its beams are listed from left to right.
+        laser_turned: deg, heading of the laser on the robot besides what the recording states.
+        beam_step: deg between beams, where the recording's is wrong.
+        max_range: m, from which on a reading is no return.
+        sort_stamps: lines are in the order of their stamps, not in that of the file.
+        odometry: false: it is unknown, and scans alone tell the motion.
+    """
+
+    range_unit: str = "m"
+    odometry_unit: str = "m"
+    clockwise: bool = False
+    laser_turned: float = 0.0
+    beam_step: float | None = None
+    max_range: float | None = None
+    sort_stamps: bool = False
+    odometry: bool = True
+
+    def ranges(self, ranges: Array) -> Array:
+        """In metres."""
+        return ranges * METRES[self.range_unit]
+
+    def poses(self, pose: Array) -> Array:
+        """Poses (N, 3) with positions in metres."""
+        unit = METRES[self.odometry_unit]
+        return np.asarray(pose * np.array([unit, unit, 1.0]))
+
+    def scanner(self, scanner: Scanner) -> Scanner:
+        """The scanner as it is mounted."""
+        if self.beam_step is not None:
+            scanner = replace(scanner, angle_step=math.copysign(math.radians(self.beam_step), scanner.angle_step))
+        if self.max_range is not None:
+            scanner = replace(scanner, max_range=self.max_range)
+        return scanner.mounted(clockwise=self.clockwise, turned=math.radians(self.laser_turned))
+
+
+AS_STATED = Mending()
+
+
+FARTHEST = 100.0
+"""m, beyond which no scanner of robots measures; codes for no return are smaller."""
+TOO_FAR = 0.5
+"""Share of readings beyond it that raises an error."""
+
+
+def require_metres(path: Path, ranges: Array) -> None:
+    """Raise DataError where most finite ranges are farther than any scanner measures."""
+    finite = ranges[np.isfinite(ranges) & (ranges > 0.0)]
+    if not len(finite) or (finite > FARTHEST).mean() <= TOO_FAR:
+        return
+    middle = float(np.median(finite))
+    unit = "mm" if middle > 1000.0 else "cm"
+    what = f"the middle range is {middle:g} m; metres are needed"
+    raise DataError.at(path, f"{what}: are the ranges in {unit}? Then add --range-unit {unit} to slamref convert")
+
+
+LOOSE = 1.5
+"""Beams, by which the stated angles may disagree."""
+
+
+def beam_angles(first: float, step: float, last: float, beams: int) -> list[Notice]:
+    """A question where the angles [rad] of the first and of the last beam are not `beams` steps apart."""
+    wanted = (last - first) / max(beams - 1, 1)
+    if beams < 2 or abs(first + (beams - 1) * step - last) <= LOOSE * abs(step) or wanted == 0.0:
+        return []
+    return [
+        notice(
+            Code.BEAM_ANGLES, beams=beams, step=math.degrees(step), last=math.degrees(last),
+            reached=math.degrees(first + (beams - 1) * step), mended=abs(math.degrees(wanted)),
+            flags=(f"--beam-step {abs(math.degrees(wanted)):.6g}",),
+        )
+    ]  # fmt: skip
+
+
+PILE, BESIDE, STANDS_OUT = 1e-3, 0.01, 10
+"""The largest reading is a code for no return if it is the share PILE of all, and STANDS_OUT times as frequent as
+readings less than the share BESIDE below it."""
+
+
+def piled_up(ranges: Array, below: float) -> tuple[float, int] | None:
+    """The largest reading below a limit [m] if readings pile up there, and their number."""
+    fine = ranges[ranges < below]
+    top = float(fine.max(initial=0.0))
+    piled = int((fine == top).sum())
+    beside = int(((fine < top) & (fine >= (1.0 - BESIDE) * top)).sum())
+    if top > 0.0 and piled >= max(PILE * ranges.size, STANDS_OUT) and piled >= STANDS_OUT * beside:
+        return top, piled
+    return None
+
+
+SPREAD = 1.4826
+"""Standard deviation of a normal variable per median of its size."""
+SMOOTH = 0.1
+"""Largest relative difference of neighbouring ranges on one surface."""
+PLENTY = 1000
+"""Least number of triples of beams."""
+
+
+def range_noise(ranges: Array, step: float, max_range: float) -> float | None:
+    """Standard deviation [m] of ranges (S, B), from neighbouring beams on straight walls; None with too few.
+
+    Along a straight wall u = 1 / r obeys u(i-1) + u(i+1) = 2 cos(step) u(i). Corners spoil few triples, which the
+    median ignores.
+    """
+    r = ranges[:: max(len(ranges) // 500, 1)]
+    fine = (r > 0.0) & (r < max_range) & np.isfinite(r)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.where(fine, 1.0 / r, np.nan)
+        near = (np.abs(r[:, 1:-1] / r[:, :-2] - 1.0) < SMOOTH) & (np.abs(r[:, 2:] / r[:, 1:-1] - 1.0) < SMOOTH)
+    off = (u[:, :-2] + u[:, 2:] - 2.0 * math.cos(step) * u[:, 1:-1]) * r[:, 1:-1] ** 2
+    off = off[near & np.isfinite(off)]
+    if len(off) < PLENTY:
+        return None
+    return SPREAD * float(np.median(np.abs(off))) / math.sqrt(2.0 + 4.0 * math.cos(step) ** 2)
+
+
+COARSE = 3.0
+"""Times the noise of the data from which on a stated accuracy is a resolution."""
+
+
+def sigma_of(stated: float, ranges: Array, step: float, max_range: float, least: float) -> tuple[float, list[str]]:
+    """The standard deviation of a range [m], and a note where the stated one is much larger than the data's."""
+    found = range_noise(ranges, step, max_range)
+    if found is None or stated <= COARSE * max(found, least):
+        return stated, []
+    used = max(found, least)
+    return used, [
+        f"The stated accuracy of {stated:g} m is taken as a resolution: along walls the ranges vary by {found:.2g} m, "
+        f"and {used:.2g} m is used."
+    ]
+
+
+def without_jumps(stamp: Array) -> tuple[Array, int]:
+    """Stamps (N,) without single ones far above all that follow (a broken clock), and how many were replaced."""
+    if len(stamp) < 2:
+        return stamp, 0
+    padded = np.concatenate([stamp[1:], np.full(NEXT, stamp[-1])])
+    following = np.median(np.lib.stride_tricks.sliding_window_view(padded, NEXT), axis=1)
+    broken = stamp - following[: len(stamp)] > JUMP
+    if not broken.any():
+        return stamp, 0
+    fine = np.flatnonzero(~broken)
+    mended = stamp.copy()
+    mended[broken] = np.interp(np.flatnonzero(broken), fine, stamp[fine]) if len(fine) else stamp[broken]
+    return mended, int(broken.sum())
+
+
+NEXT = 9
+"""Stamps after one, whose middle it is compared with."""
+JUMP = 60.0
+"""s, by which a stamp exceeds the next ones if its clock is broken; buffers delay by seconds."""
+BACK = 1.0
+"""s, from which on a step back is no burst."""
+SHORTER = 0.9
+"""Length of the path in the order of the stamps per length in that of the file, below which lines are out of order."""
+
+
+def stamps_back(pose: Array, stamp: Array) -> list[Notice]:
+    """A question where the path (N, 3) is clearly shorter in the order of its stamps."""
+    back = int((np.diff(stamp) < -BACK).sum())
+    if not back:
+        return []
+    way = np.hypot(*np.diff(pose[:, :2], axis=0).T).sum()
+    sorted_way = np.hypot(*np.diff(pose[np.argsort(stamp, kind="stable"), :2], axis=0).T).sum()
+    if not sorted_way < SHORTER * way:
+        return []
+    return [notice(Code.STAMPS_BACK, back=back, way=float(way), sorted=float(sorted_way), flags=("--sort-stamps",))]

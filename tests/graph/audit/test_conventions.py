@@ -1,0 +1,68 @@
+"""Conventions of g2o files in space are asked where the residuals speak for them; and the chordal start."""
+
+import dataclasses
+
+import gtsam
+import numpy as np
+import pytest
+
+from data.formats.graph_file import read_graph_file
+from eval.report import audited
+from graph.audit.chordal import chordal
+
+ROTATION, TRANSLATION = 0.02, 0.1
+
+
+def written(tmp_path, information, *, seed=0, exact=False):
+    """A walk in space with many loops; the file states `information` (6,), translation first."""
+    rng = np.random.default_rng(seed)
+    sigma = np.repeat([ROTATION, TRANSLATION], 3) * (not exact)
+    poses = [gtsam.Pose3()]
+    for _ in range(119):
+        turn = gtsam.Rot3.RzRyRx(*rng.normal(0, 0.4, 3))
+        poses.append(poses[-1].compose(gtsam.Pose3(turn, np.array([1.0, 0.0, 0.0]))))
+    pairs = [(k, k + 1) for k in range(119)] + [tuple(sorted(rng.choice(120, 2, False).tolist())) for _ in range(130)]
+    upper = np.diag(information)[np.triu_indices(6)]
+    lines = []
+    for a, b in pairs:
+        z = poses[a].between(poses[b]).retract(rng.normal(0, 1.0, 6) * sigma)
+        q = z.rotation().toQuaternion()
+        numbers = [*z.translation(), q.x(), q.y(), q.z(), q.w(), *upper]
+        lines.append(" ".join([f"EDGE_SE3:QUAT {a} {b}", *map(repr, map(float, numbers))]))
+    path = tmp_path / "graph.g2o"
+    path.write_text("\n".join(lines) + "\n")
+    return path, poses
+
+
+RIGHT = np.repeat([TRANSLATION**-2, ROTATION**-2], 3)
+
+
+@pytest.mark.parametrize(
+    ("stated", "convention"),
+    [
+        (RIGHT, set()),
+        (RIGHT * np.repeat([1.0, 4.0], 3), {"half-angle"}),
+        (RIGHT[[3, 4, 5, 0, 1, 2]], {"order"}),
+        (np.sqrt(RIGHT), {"root"}),
+        (RIGHT * 9.0, set()),
+    ],
+)
+def test_the_convention_that_the_residuals_speak_for_is_asked(tmp_path, stated, convention):
+    report = audited.opened(str(written(tmp_path, stated)[0]), None, draws=0).report
+    assert {q.convention for q in report.questions} == convention
+    assert report.words().count("?") == len(report.questions)
+
+
+def test_a_chordal_start_of_exact_relations_is_exact(tmp_path):
+    path, poses = written(tmp_path, RIGHT, exact=True)
+    found = chordal(read_graph_file(path))
+    for key, pose in enumerate(poses):
+        assert found[key][1][:3] == pytest.approx(pose.translation(), abs=1e-9)
+    planar = read_graph_file(path)
+    edges = [dataclasses.replace(e, tag="EDGE_SE2", measured=np.array([1.0, 0.0, 0.1]), information=np.eye(3))
+             for e in planar.edges[:100]]  # fmt: skip
+    found = chordal(dataclasses.replace(planar, edges=edges))
+    pose = gtsam.Pose2()
+    for k in range(101):
+        assert found[k][1][:2] == pytest.approx(pose.translation(), abs=1e-9)
+        pose = pose.compose(gtsam.Pose2(1.0, 0.0, 0.1))
