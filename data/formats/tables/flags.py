@@ -142,7 +142,8 @@ def settle(given: Given) -> Wanted:
     if kind is not None and kind not in KINDS:
         raise UsageError(f"--odometry-kind {kind}: {unknown(str(kind), KINDS)}")
     kind = kind_of(read_text(files["odometry"]), columns, None if kind is None else str(kind))
-    polar = columns.find(read_text(files["observations"]), "observations", "range") is not None
+    seen = read_text(files["observations"])
+    polar = any(columns.find(seen, "observations", q) is not None for q in ("range", "bearing"))
     spread = given.get("prior-sigma")
     return Wanted(
         files=files,

@@ -47,7 +47,10 @@ def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameOb
     """The observations of a file: range and bearing, or x and y in the sensor's frame."""
     columns = wanted.columns
     polar = columns.find(file, "observations", "range") is not None
-    polar |= columns.find(file, "observations", "bearing") is not None
+    if not polar and columns.find(file, "observations", "bearing") is not None:
+        what = f"bearings without a range: {file.described()}; name its column, as in --columns range=DIST"
+        alone = "bearings alone are read from g2o (EDGE_BEARING_SE2_XY), where they are triangulated"
+        raise DataError.at(file.path, f"{what}; {alone}")
     if not polar and not columns.has(file, "observations", ("x", "y")):
         what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns range=DIST,bearing=ANGLE")
