@@ -37,6 +37,8 @@ class Code(StrEnum):
     FIELD_OF_VIEW = "field-of-view"
     PRIOR = "prior"
     TRUTH_FRAME = "truth-frame"
+    INTEGRATION = "integration"
+    MIRRORED = "mirrored"
     # about a laser log, for its author
     NO_ODOMETRY = "no-odometry"
     ODOMETRY_UNIT = "odometry-unit"

@@ -63,6 +63,10 @@ FLAGS = {
         "MODEL",
         "for velocities: density (default), velocity (per sample), displacement (4 numbers), textbook (4 or 6)",
     ),
+    "integrate": (
+        "ORDER",
+        "of velocities: arc (default), midpoint, turn-first or drive-first, as the program that recorded them drives",
+    ),
     "observation-sigma": ("S1,S2", "noise of range and bearing, or of x and y, as in 0.1,2deg"),
     "track-width": ("M", "of wheel ticks: distance between the wheels"),
     "metres-per-tick": ("M[,M]", "of wheel ticks: for both, or left and right"),

@@ -48,9 +48,10 @@ def texts() -> Iterator[tuple[str, str]]:
     for path in [*templates, *pages]:
         for number, line in enumerate(path.read_text().splitlines(), start=1):
             yield f"{path.relative_to(ROOT)}:{number}", line
-    for cell in json.loads((ROOT / "docs" / "tour.ipynb").read_text())["cells"]:
-        if cell["cell_type"] == "markdown":
-            yield "docs/tour.ipynb", "".join(cell["source"])
+    for path in sorted((ROOT / "docs").glob("*.ipynb")):
+        for cell in json.loads(path.read_text())["cells"]:
+            if cell["cell_type"] == "markdown":
+                yield f"docs/{path.name}", "".join(cell["source"])
 
 
 @pytest.fixture(scope="module")

@@ -29,7 +29,7 @@ class Wanted:
         columns: columns and units.
         kind: of odometry; None: by its columns.
         wheels: of wheel ticks.
-        noise: of the odometry.
+        noise: of the odometry; model: how velocities become increments.
         sigma: (2,) of an observation.
         prior: mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None.
         map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's.
@@ -45,6 +45,7 @@ class Wanted:
     kind: str | None
     wheels: Wheels | None
     noise: VelocityNoise | TravelNoise
+    model: str
     sigma: Array
     prior: Array | str | None
     prior_sigma: Array | None
@@ -159,6 +160,7 @@ def settle(given: Given) -> Wanted:
         kind=kind,
         wheels=_wheels(given) if kind == "ticks" else None,
         noise=_noise(given, kind),
+        model=_model(given, kind),
         sigma=_observation_sigma(given, polar=polar),
         prior=_prior(given),
         prior_sigma=None if spread is None else _sigmas(spread, POSE, "prior-sigma", "x and y [m], heading [rad]"),
@@ -241,6 +243,17 @@ def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
         return VelocityNoise(model, alphas=tuple(_sigmas(text, ("",) * count, "odometry-sigma", what).tolist()))
     sigma_v, sigma_omega = _sigmas(text, ("length", "angle"), "odometry-sigma", what).tolist()
     return VelocityNoise(model, sigma=(sigma_v, sigma_omega))
+
+
+INTEGRATED = {"arc": "unicycle", "midpoint": "half_angle", "turn-first": "turn_first", "drive-first": "drive_first"}
+"""Motion model by the order of turning and driving within a step."""
+
+
+def _model(given: Given, kind: str) -> str:
+    """The motion model of velocities."""
+    if "integrate" in given and kind != "velocities":
+        raise UsageError(f"--integrate {given['integrate']}: for velocities; {kind} are integrated already")
+    return INTEGRATED[_one_of(given, "integrate", tuple(INTEGRATED))]
 
 
 def _observation_sigma(given: Given, *, polar: bool) -> Array:

@@ -18,7 +18,7 @@ from data.formats.tables.files import TextTable, headings, read_text, shared
 from data.formats.tables.flags import Wanted
 from data.formats.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
 from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior
-from data.log import ODOMETRY_KIND, Log
+from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
@@ -136,7 +136,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     if isinstance(wanted.prior, str) and true is not None:
         odometry, seen = _from_truth_on(odometry, seen, true, notes)
     time, frame, seen = _frames(odometry, seen, wanted, notes)
-    increments, gaps = odometry.increments(time, wanted.noise)
+    increments, gaps = odometry.increments(time, wanted.noise, wanted.model)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if odometry.velocity is None:
         floored += gaps  # of poses it counts floored covariances
@@ -163,8 +163,10 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     )
     files = {role: path.name for role, path in wanted.files.items()}
     files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items()}
-    files |= {ODOMETRY_KIND: kind}
-    more: dict[str, object] = {"hold": "backward"} if wanted.backward else {}
+    more: dict[str, object] = {ODOMETRY_KIND: kind}
+    if kind == "velocities" and len(odometry.time) > 1:
+        more |= {ODOMETRY_PERIOD: float(np.median(np.diff(odometry.time))), INTEGRATION: wanted.model}
+    more |= {"hold": "backward"} if wanted.backward else {}
     more |= {"time_offset": dict(columns.offsets)} if columns.offsets else {}
     log = Log(
         name,
@@ -172,7 +174,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
         Truth(pose, known, labels.get("true_id")),
         label=labels.get("label"),
         labels_are_sensed=wanted.sensed,
-        source={"kind": "table", **files, "columns": dict(columns.given), "unit": dict(columns.units.given), **more},
+        source={"kind": "table", **files, **more, "columns": dict(columns.given), "unit": dict(columns.units.given)},
         notes=tuple(notes),
     )
     if not as_recorded or odometry.velocity is None or not isinstance(wanted.noise, VelocityNoise):
@@ -180,7 +182,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     stamped = None
     if true is not None:
         stamped = (time if true.time is None else true.time, true.pose)
-    return Recording(log, Samples(odometry.time, odometry.velocity, VelocityModel(wanted.noise), stamped))
+    return Recording(log, Samples(odometry.time, odometry.velocity, VelocityModel(wanted.noise, wanted.model), stamped))
 
 
 def _from_truth_on(

@@ -86,15 +86,17 @@ class Odometry:
         velocity = np.concatenate([self.velocity[i : i + 1], self.velocity[rows]])
         return replace(self, time=np.append(begin, self.time[rows]), velocity=velocity)
 
-    def increments(self, at: Array, noise: VelocityNoise | TravelNoise) -> tuple[Increments, int]:
+    def increments(
+        self, at: Array, noise: VelocityNoise | TravelNoise, model: str = "unicycle"
+    ) -> tuple[Increments, int]:
         """Motion between the instants `at` (N,), and the number of gaps (velocities) or floored covariances (poses).
 
-        Velocities are preintegrated (exact arcs, zero-order hold); poses are interpolated, then differenced.
+        Velocities are preintegrated by a motion `model` (zero-order hold); poses are interpolated, then differenced.
         """
         if self.velocity is not None:
             if not isinstance(noise, VelocityNoise):
                 raise AssertionError("velocities have noise of velocities")
-            return preintegrate(VelocityModel(noise), self.time, self.velocity[:, 0], self.velocity[:, 1], at)
+            return preintegrate(VelocityModel(noise, model), self.time, self.velocity[:, 0], self.velocity[:, 1], at)
         if self.pose is None or not isinstance(noise, TravelNoise):
             raise AssertionError("poses have noise that grows with the way")
         same = len(at) == len(self.time) and bool((at == self.time).all())

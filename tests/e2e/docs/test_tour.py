@@ -1,4 +1,4 @@
-"""The tour runs from start to end, and shows what it shows in the repository."""
+"""The notebooks run from start to end, and show what they show in the repository."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ import pytest
 
 from tests.e2e.docs.notebook import executed, load
 
-TOUR = Path(__file__).parents[3] / "docs" / "tour.ipynb"
+DOCS = Path(__file__).parents[3] / "docs"
+TOURS = sorted(DOCS.glob("*.ipynb"))
+by_name = pytest.mark.parametrize("tour", TOURS, ids=[path.stem for path in TOURS])
 
 
 @pytest.mark.slow
-def test_the_tour_runs_and_shows_what_is_stored():
-    stored = load(TOUR)
+@by_name
+def test_the_tour_runs_and_shows_what_is_stored(tour):
+    stored = load(tour)
     fresh = executed(stored)
     for before, now in zip(stored["cells"], fresh["cells"], strict=True):
         assert shown(before) == shown(now), before["id"]
@@ -26,7 +29,8 @@ def shown(cell):
     return [(o["output_type"], sorted(o.get("data", {}))) for o in outputs], said
 
 
-def test_every_cell_of_the_tour_has_been_run_in_order():
-    cells = [c for c in load(TOUR)["cells"] if c["cell_type"] == "code"]
+@by_name
+def test_every_cell_of_the_tour_has_been_run_in_order(tour):
+    cells = [c for c in load(tour)["cells"] if c["cell_type"] == "code"]
     assert [c["execution_count"] for c in cells] == list(range(1, len(cells) + 1))
     assert sum(bool(c["outputs"]) for c in cells) >= len(cells) - 1
