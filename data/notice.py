@@ -60,6 +60,7 @@ class Code(StrEnum):
     PARKED = "parked"
     REMOVED = "removed"
     OBSERVATIONS_REJECTED = "observations-rejected"
+    TOO_MANY_KEYS = "too-many-keys"
     CLOSURES_GATED = "closures-gated"
     CLOSURES_REJECTED = "closures-rejected"
     CLOSURES_LOST = "closures-lost"
