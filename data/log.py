@@ -17,7 +17,9 @@ from data.se2 import BoolArray, dead_reckoned
 from data.truth import UNKNOWN_ID, Relations, Truth
 
 ODOMETRY_KIND = "odometry_kind"
-"""Key of the source of a log from tables: velocities, poses, steps or ticks."""
+ODOMETRY_PERIOD, INTEGRATION = "odometry_period", "integration"
+"""Keys of the source of a log from tables: velocities, poses, steps or ticks; of velocities their interval [s] and the
+motion model by which they became increments."""
 T = TypeVar("T", bound=NDArray[Any])
 
 

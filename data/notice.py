@@ -37,6 +37,8 @@ class Code(StrEnum):
     FIELD_OF_VIEW = "field-of-view"
     PRIOR = "prior"
     TRUTH_FRAME = "truth-frame"
+    INTEGRATION = "integration"
+    MIRRORED = "mirrored"
     # about a laser log, for its author
     NO_ODOMETRY = "no-odometry"
     ODOMETRY_UNIT = "odometry-unit"
@@ -58,6 +60,7 @@ class Code(StrEnum):
     PARKED = "parked"
     REMOVED = "removed"
     OBSERVATIONS_REJECTED = "observations-rejected"
+    TOO_MANY_KEYS = "too-many-keys"
     CLOSURES_GATED = "closures-gated"
     CLOSURES_REJECTED = "closures-rejected"
     CLOSURES_LOST = "closures-lost"

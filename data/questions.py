@@ -7,11 +7,12 @@ A question is a notice with the numbers that raise it. Its value `flags` are the
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from data import laser_questions
+from data.conventions import ARC, AS_STATED, SWAPPED, order_by_observations, order_by_truth, side_of_bearings
 from data.inputs import Inputs
 from data.log import ODOMETRY_KIND, Log
 from data.motion.velocity import carried
@@ -322,6 +323,39 @@ def truth_windows(log: Log) -> list[Notice]:
     ]
 
 
+def order(log: Log) -> list[Notice]:
+    """Velocities that another order of turning and driving fits."""
+    by_truth = order_by_truth(log)
+    found = by_truth if by_truth is not None else order_by_observations(log)
+    if found is None or found.name == ARC:
+        return []
+    flags = (f"--integrate {found.name}",)
+    return [notice(Code.INTEGRATION, order=found.name, gain=found.gain, by_truth=by_truth is not None, flags=flags)]
+
+
+def side(log: Log) -> list[Notice]:
+    """Bearings to the other side, or swapped coordinates."""
+    found = side_of_bearings(log.recorded)
+    if found is None or found.name == AS_STATED:
+        return []
+    units = log.source.get("unit")
+    given = units if isinstance(units, Mapping) else {}
+    if log.recorded.sensor.kind != RELATIVE_POINT:
+        unit = str(given.get("observations.bearing", given.get("bearing", given.get("angle", "rad"))))
+        other = unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
+        flags = (f"--unit bearing={other}", *(("--sensor-pose=0,0,90deg",) if found.name == SWAPPED else ()))
+    elif found.name == SWAPPED:
+        flags = ("--columns observations.x=y,observations.y=x",)
+    else:
+        flags = (f"--unit observations.y=-{given.get('length', 'm')}",)
+    return [notice(Code.MIRRORED, swapped=found.name == SWAPPED, gain=found.gain, flags=flags)]
+
+
+def conventions(log: Log) -> list[Notice]:
+    """Conventions of the log that are not those stated."""
+    return [*side(log), *order(log)]
+
+
 CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
     map_rows,
     truth_windows,
@@ -334,6 +368,7 @@ CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
     truth_start,
     truth_rate,
     labels,
+    conventions,
 )
 
 

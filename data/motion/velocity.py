@@ -18,7 +18,9 @@ from data.se2 import Array
 
 ARC = 0
 HALF_ANGLE = 1
-MODELS = {"unicycle": ARC, "half_angle": HALF_ANGLE}
+TURN_FIRST = 2
+DRIVE_FIRST = 3
+MODELS = {"unicycle": ARC, "half_angle": HALF_ANGLE, "turn_first": TURN_FIRST, "drive_first": DRIVE_FIRST}
 NOISES = ("velocity", "displacement", "density", "textbook")
 WITH_ALPHAS = {"displacement": (4,), "textbook": (4, 6)}
 """Conventions with alphas instead of sigmas, and their number."""
@@ -48,7 +50,8 @@ def step(model: int, displacement: float, rotation: float, mean: Array, G: Array
     """Body-frame increment `mean` (3,) of D m along an arc of A rad, and its Jacobian G (3, 2) to (D, A).
 
     `ARC`: exact integration, x = D sin(A)/A, y = D (1 - cos A)/A. `HALF_ANGLE`: a chord of length D at the middle
-    heading (the classic tutorials' model).
+    heading (the classic tutorials' model). `TURN_FIRST` and `DRIVE_FIRST`: a chord at the last or the first heading, as
+    many simulators drive; a sample must then not be cut between two frames.
     """
     A = rotation
     if model == ARC:
@@ -56,8 +59,9 @@ def step(model: int, displacement: float, rotation: float, mean: Array, G: Array
         along, across = sinc(A), 0.5 * A * half * half
         d_along, d_across = sinc_slope(A), sinc(A) - 0.5 * half * half
     else:
-        along, across = math.cos(0.5 * A), math.sin(0.5 * A)
-        d_along, d_across = -0.5 * across, 0.5 * along
+        share = 0.5 if model == HALF_ANGLE else 1.0 if model == TURN_FIRST else 0.0
+        along, across = math.cos(share * A), math.sin(share * A)
+        d_along, d_across = -share * across, share * along
     mean[0], mean[1], mean[2] = displacement * along, displacement * across, A
     G[0, 0], G[1, 0], G[2, 0] = along, across, 0.0
     G[0, 1], G[1, 1], G[2, 1] = displacement * d_along, displacement * d_across, 1.0
@@ -197,7 +201,7 @@ class VelocityNoise:
 
 @dataclass(frozen=True)
 class VelocityModel:
-    """How (v, omega) become increments: model `unicycle` (exact arc) or `half_angle`, and noise."""
+    """How (v, omega) become increments: model `unicycle` (exact arc) or another of `MODELS`, and noise."""
 
     noise: VelocityNoise
     model: str = "unicycle"

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from data.errors import DataError, UsageError
+from data.errors import DataError, UsageError, did_you_mean
 from data.formats.results.bags import is_bag
 from data.formats.results.clock import DIGITS, STATED, Clock
 from data.formats.results.path import AXES, COV_ORDERS, FRAMES, GivenPath, Manner
@@ -92,7 +92,7 @@ def manner_of(name: str, names: Sequence[str], reading: Reading) -> Manner:
 
 def _one_of(flag: str, value: str | None, known: Sequence[str]) -> str | None:
     if value is not None and value not in known:
-        raise UsageError(f"{flag} {value}: unknown; known: {', '.join(known)}")
+        raise UsageError(f"{flag} {value}: unknown{did_you_mean(value, known)}; known: {', '.join(known)}")
     return value
 
 

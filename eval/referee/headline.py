@@ -43,6 +43,7 @@ class Objection(StrEnum):
     """What speaks against an estimate, the strongest first."""
 
     MAP = "map"
+    CONVENTION = "convention"
     STOPPED = "stopped"
     IMPLAUSIBLE = "implausible"
     IDLE = "idle"
@@ -57,7 +58,8 @@ class Objection(StrEnum):
 class Objected:
     """An objection to an estimator with the number behind it (frame, NEES, share of wrong pairings, NIS per dof).
 
-    `MAP`, `CAUSE` are to the log: the estimator is blank, and the number of `CAUSE` the least family-wise p.
+    `MAP`, `CONVENTION`, `CAUSE` are to the log: the estimator is blank, and the number of `CAUSE` the least family-wise
+    p.
     """
 
     objection: Objection

@@ -79,6 +79,7 @@ class LogFacts:
     objections: tuple[Objected, ...]
     map_rows: Notice | None  # rows of the map that look swapped or shifted
     gauge: Gauge | None
+    conventions: tuple[Notice, ...] = ()  # that the log follows otherwise than stated; until corrected, use neither
 
     @property
     def name(self) -> str:
@@ -191,6 +192,7 @@ def log_facts(
     rejected = blame.p if blame is not None and blame.objected else math.nan
     decided_by = headline(a, b, preference, measured=measured, caused=trust is not None, rejected=rejected)
     terms = terms_of(trial.log.recorded)
+    conventions = tuple(questions.conventions(trial.log))
     return LogFacts(
         log=log,
         task=trial.task,
@@ -220,15 +222,20 @@ def log_facts(
         terms=terms,
         finding=None if trust is None else next(iter(main_findings(trust, terms)), None),
         twins=None if trust is None or trust.blame is None else len(trust.twins),
-        verdict=decided_by.verdict,
-        objections=(*_of_map(map_rows), *decided_by.objections),
+        verdict=Verdict.NEITHER if conventions else decided_by.verdict,
+        objections=(*_of_map(map_rows), *_of_conventions(conventions), *decided_by.objections),
         map_rows=map_rows,
         gauge=_gauge(filtered, smoothed) if trial.task == "slam" else None,
+        conventions=conventions,
     )
 
 
 def _of_map(rows: Notice | None) -> tuple[Objected, ...]:
     return () if rows is None else (Objected(Objection.MAP, "", math.nan),)
+
+
+def _of_conventions(found: Sequence[Notice]) -> tuple[Objected, ...]:
+    return (Objected(Objection.CONVENTION, "", math.nan),) * bool(found)
 
 
 def _claim(row: Scored, wrong: float, *, idle: bool, slam: bool) -> Claim:

@@ -182,7 +182,7 @@ def test_a_log_without_observations_can_be_asked(arena):
     none = Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
     empty = replace(recorded(arena, observations=none), truth=replace(arena.truth, landmark_of=None))
     assert asked(empty) == {}
-    assert len(CHECKS) == 11
+    assert len(CHECKS) == 12
 
 
 def test_of_a_single_frame_no_turn_is_asked():

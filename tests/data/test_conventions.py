@@ -1,0 +1,177 @@
+"""A log that turns first and then drives, or whose bearings are clockwise, is named, and the flag it gets mends it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import slamref
+from data.conventions import ORDERS, order_by_observations, order_by_truth, side_of_bearings
+from data.convert.__main__ import main
+from data.formats.open_log.reader import load_folder
+from data.motion.velocity import MODELS, VelocityModel, VelocityNoise, preintegrate
+from data.notice import Code
+from data.questions import ask
+from data.sensors import RelativePoint
+from eval.report.overview import trust_mark
+from eval.report.overview_facts import facts_of
+
+SIGMAS = ("--odometry-sigma", ".05,.02", "--observation-sigma", ".1,1.15deg")
+PERIOD, SPEED, TURN = 0.1, 4.0, 0.4
+
+
+def drive(pose, turn, order):
+    """One step of a simulator: a straight line before or after the turn, or along the arc."""
+    heading, way = pose[2] + turn * {"turn-first": 1.0, "drive-first": 0.0, "arc": 0.5}[order], SPEED * PERIOD
+    if order == "arc":
+        way *= np.sinc(0.5 * turn / np.pi)
+    return pose + [way * np.cos(heading), way * np.sin(heading), turn]
+
+
+def rows(table):
+    return "".join(",".join(f"{v:.9f}" for v in row) + "\n" for row in table)
+
+
+@pytest.fixture
+def converted(tmp_path):
+    """A robot on a circle with exact readings, at 10 Hz; `converted(order, *flags)` is its log."""
+
+    def run(order, *flags, truth=True, sign=1.0, swing=False, steps=300):
+        landmarks = np.random.default_rng(0).uniform(-15.0, 15.0, (30, 2)) + [0.0, 10.0]
+        pose, poses, readings, seen = np.zeros(3), [np.zeros(4)], [], []
+        for k in range(steps):
+            turn = TURN * PERIOD * (np.cos(0.05 * k) if swing else 1.0)
+            readings.append((k * PERIOD, SPEED, turn / PERIOD))
+            pose, t = drive(pose, turn, order), (k + 1) * PERIOD
+            poses.append(np.array([t, *pose]))
+            off = landmarks - pose[:2]
+            bearing = (np.arctan2(off[:, 1], off[:, 0]) - pose[2] + np.pi) % (2.0 * np.pi) - np.pi
+            near = np.hypot(*off.T) < 12.0
+            seen += [(t, r, sign * b) for r, b in zip(np.hypot(*off[near].T), bearing[near], strict=True)]
+        readings.append((steps * PERIOD, SPEED, TURN))
+        (tmp_path / "odo.csv").write_text("t,v,omega\n" + rows(readings))
+        (tmp_path / "seen.csv").write_text("t,range,bearing\n" + rows(seen))
+        (tmp_path / "truth.csv").write_text("t,x,y,theta\n" + rows(poses))
+        words = [
+            "table",
+            str(tmp_path / "odo.csv"),
+            str(tmp_path / "log"),
+            "--observations",
+            str(tmp_path / "seen.csv"),
+        ]
+        words += ["--truth", str(tmp_path / "truth.csv"), "--prior", "truth"] if truth else []
+        assert main([*words, *SIGMAS, "--prior-sigma", ".01,.01,.3deg", *flags]) == 0
+        return load_folder(tmp_path / "log")
+
+    return run
+
+
+def asked(log):
+    return {q.code: q.named for q in ask(log) if q.code in (Code.INTEGRATION, Code.MIRRORED)}
+
+
+@pytest.mark.parametrize("order", ["turn-first", "drive-first"])
+def test_the_order_of_turning_and_driving_is_named_and_its_flag_makes_the_log_exact(order, converted):
+    """Seen: pose NEES 74.5 and "either" on a circle whose readings are exact."""
+    found = asked(converted(order))[Code.INTEGRATION]
+    assert (found["order"], found["by_truth"], found["flags"]) == (order, True, (f"--integrate {order}",))
+    assert found["gain"] > 1000.0
+    mended = converted(order, "--integrate", order)
+    assert asked(mended) == {}
+    path = slamref.compare(mended.inputs(), "slam", ["dead-reckoning"], "nn")[0].trajectory("online").pose
+    assert np.abs(path[:, :2] - mended.truth.pose[:, :2]).max() < 1e-6
+
+
+@pytest.mark.parametrize("order", ["turn-first", "drive-first"])
+def test_without_ground_truth_the_observations_tell(order, converted):
+    found = asked(converted(order, truth=False))[Code.INTEGRATION]
+    assert (found["order"], found["by_truth"]) == (order, False)
+
+
+def test_along_arcs_nothing_is_asked_with_truth_and_without(converted):
+    assert asked(converted("arc")) == {}
+    assert asked(converted("arc", truth=False)) == {}
+    assert asked(converted("arc", swing=True)) == {}
+
+
+def test_steps_between_frames_are_counted(converted):
+    """Frames are where something is observed; with a fifth of them, five steps make an increment."""
+    log = converted("turn-first", "--frames", "odometry", swing=True)
+    every = replace(log, truth=replace(log.truth, pose=log.truth.pose[::5]), recorded=thinned(log.recorded, 5))
+    assert order_by_truth(every).name == "turn-first"
+
+
+def thinned(inputs, n):
+    """Every n-th frame, with the odometry between them, and without observations."""
+    from data import se2
+    from data.inputs import Increments
+
+    path = se2.dead_reckoned(np.zeros(3), inputs.increments.mean)[::n]
+    mean = np.vstack([np.zeros(3), se2.between(path[:-1], path[1:])])
+    o = inputs.observations
+    none = replace(o, frame=o.frame[:0], z=o.z[:0], R=o.R[:0])
+    increments = Increments(mean, n * inputs.increments.covariance[::n])
+    return replace(inputs, time=inputs.time[::n], increments=increments, observations=none)
+
+
+@pytest.mark.parametrize("name", ["ekf", "batch"])
+def test_the_headline_says_neither_and_why(name, converted):
+    log = converted("turn-first")
+    trial = slamref.Trial(log, "slam", tuple(slamref.compare(log.inputs(), "slam", ["ekf", "batch"], "nn")))
+    facts = facts_of(trial, slamref.score([trial]), ())
+    assert facts.verdict == "neither"
+    assert facts.objections[0].objection == "convention"
+    assert "--integrate turn-first" in trust_mark(facts).note
+
+
+@pytest.mark.parametrize(("name", "change", "flag"), [
+    ("arena:0", [1.0, -1.0], "--unit bearing=-rad"),
+    ("corridor:1", [1.0, -1.0], "--unit observations.y=-m"),
+    ("arena:0:sensor=relative_point", [1.0, -1.0], "--unit observations.y=-m"),
+    ("arena:0:sensor=relative_point", "swapped", "--columns observations.x=y,observations.y=x"),
+    ("arena:0", "swapped", "--unit bearing=-rad --sensor-pose=0,0,90deg"),
+])  # fmt: skip
+def test_observations_to_the_other_side_are_named_without_a_map_and_without_labels(name, change, flag):
+    log = slamref.open_log(name)
+    r = log.recorded
+    z = r.observations.z
+    if change != "swapped":
+        z = z * change
+    elif isinstance(r.sensor, RelativePoint):
+        z = z[:, ::-1].copy()
+    else:
+        z = np.column_stack([z[:, 0], (0.5 * np.pi - z[:, 1] + np.pi) % (2.0 * np.pi) - np.pi])
+    inputs = replace(r, observations=replace(r.observations, z=z), map=None)
+    found = asked(replace(log, recorded=inputs, truth=replace(log.truth, pose=None)))
+    assert found[Code.MIRRORED]["flags"] == tuple(f"--{f}" for f in flag.removeprefix("--").split(" --"))
+    assert Code.INTEGRATION not in found
+
+
+def test_the_flag_of_clockwise_bearings_mends_them(converted):
+    log = converted("arc", truth=False, sign=-1.0, swing=True)
+    (flag,) = asked(log)[Code.MIRRORED]["flags"]
+    assert flag == "--unit bearing=-rad"
+    assert asked(converted("arc", *flag.split(), truth=False, sign=-1.0, swing=True)) == {}
+
+
+@pytest.mark.parametrize(
+    "name", ["arena:3", "linear:2", "circle:2:frames=200", "park:2:frames=300", "corridor:5:people"]
+)
+def test_worlds_as_they_should_be_follow_the_stated_conventions(name):
+    log = slamref.open_log(name)
+    assert {v.name for v in (order_by_truth(log), order_by_observations(log)) if v is not None} <= {"arc"}
+    side = side_of_bearings(log.recorded)
+    assert side is None or side.name == "as stated"
+
+
+@pytest.mark.parametrize(("model", "order"), [("turn_first", "turn-first"), ("drive_first", "drive-first")])
+def test_the_motion_models_drive_as_the_simulators_do(model, order):
+    assert set(ORDERS) == {"arc", "turn-first", "drive-first"}
+    assert model in MODELS
+    noise = VelocityNoise("density", sigma=(0.05, 0.02))
+    time = np.arange(4.0) * PERIOD
+    found, _ = preintegrate(VelocityModel(noise, model), time, np.full(4, SPEED), np.full(4, TURN), time[[0, 2]])
+    pose = drive(drive(np.zeros(3), TURN * PERIOD, order), TURN * PERIOD, order)
+    np.testing.assert_allclose(found.mean[1], pose, atol=1e-12)
