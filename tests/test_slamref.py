@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 import zipfile
@@ -119,6 +120,9 @@ def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_
     tables = {p.relative_to(ROOT).as_posix() for f in ("configs", "scenarios") for p in (ROOT / "eval" / f).iterdir()}
     packages = ("association/", "data/", "ekf/", "eval/", "graph/")
     assert {name for name in code if name.startswith(packages)} | tables | {"slamref.py"} <= held
+    assert {f"{package}py.typed" for package in packages} <= held
+    stub = (tmp_path / "unpacked" / "slamref-stubs" / "__init__.pyi").read_text()
+    assert set(re.findall(r"(\w+) as \1\b", stub)) == set(NAMES) - {"__version__"}
     (entry,) = (name for name in held if name.endswith("entry_points.txt"))
     assert "slamref = slamref:main" in (tmp_path / "unpacked" / entry).read_text()
     asked = "import slamref; from eval.plan.flags.table import shipped; print(slamref.__file__, len(shipped()))"
@@ -127,3 +131,22 @@ def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_
         env={**os.environ, "PYTHONPATH": str(tmp_path / "unpacked")},
     )  # fmt: skip
     assert done.stdout == f"{tmp_path / 'unpacked' / 'slamref.py'} 4\n"
+
+
+@pytest.mark.slow
+def test_a_type_checker_knows_the_types_of_an_installed_wheel(tmp_path):
+    for step in (
+        [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)],
+        [sys.executable, "-m", "venv", "--without-pip", str(tmp_path / "venv")],
+    ):
+        subprocess.run(step, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = tmp_path.glob("*.whl")
+    (site,) = (tmp_path / "venv").glob("lib/python*/site-packages")
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    (tmp_path / "mine.py").write_text("import slamref\nreveal_type(slamref.open_log('arena:0'))\nslamref.study(1)\n")
+    python = tmp_path / "venv" / "bin" / "python"
+    check = [sys.executable, "-m", "mypy", "--python-executable", str(python), "--cache-dir", os.devnull, "mine.py"]
+    said = subprocess.run(check, cwd=tmp_path, capture_output=True, text=True, check=False).stdout
+    assert 'Revealed type is "data.log.Log"' in said
+    assert 'Argument 1 to "study" has incompatible type "int"' in said

@@ -87,7 +87,9 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     theory = np.array([name.startswith("slope_") for _, name in keys], bool) & np.isfinite(z)
     compared = np.array([not name.endswith(SHARES) for _, name in keys], bool)
     family = np.full(len(keys), np.nan)
-    family[compared] = battery.shared_p(values[compared], drawn[:, compared], z[compared], theory[compared])
+    correlation = _correlation(keys, inputs_of(log, task, association), smoother) if theory.any() else np.eye(len(keys))
+    among = correlation[np.ix_(compared, compared)]
+    family[compared] = battery.shared_p(values[compared], drawn[:, compared], z[compared], theory[compared], among)
     rows = []
     for i, (estimator, name) in enumerate(keys):
         m, own = real.measured[estimator, name], drawn[:, i]
@@ -107,6 +109,24 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
 def _in_errors(m: Measured) -> float:
     """A statistic in its own standard errors from what is expected."""
     return (m.value - m.expected) / m.se if m.se > 0.0 and math.isfinite(m.expected) else math.nan
+
+
+def _correlation(keys: Sequence[Key], inputs: Inputs, smoother: Run | None) -> Array:
+    """Correlation (S, S) of statistics: of the slopes from their joint information, else none."""
+    result = np.eye(len(keys))
+    if smoother is None or smoother.flaw is not None or smoother.final is None:
+        return result
+    along = smoother.errors_final
+    found = effects.scored(inputs, _path(smoother), residuals.used_by(smoother, inputs), along)
+    place = {name: i for i, name in enumerate(found.names)}
+    rows = [i for i, (_, name) in enumerate(keys) if name.removeprefix("slope_") in place and name.startswith("slope_")]
+    own = [place[keys[i][1].removeprefix("slope_")] for i in rows]
+    information = found.score.information[np.ix_(own, own)]
+    scale = np.sqrt(np.diag(information))
+    known = scale > 0.0
+    at = np.array(rows, np.int64)[known]
+    result[np.ix_(at, at)] = information[np.ix_(known, known)] / np.outer(scale[known], scale[known])
+    return result
 
 
 def is_exact(covariance: Array) -> bool:

@@ -91,7 +91,7 @@ def test_isam2_gets_twins_where_no_filter_runs(unmeasured, tmp_path):
     told = []
     done = run(unmeasured, tmp_path, "--estimator", "isam2,batch", "--twins", "2", told=lambda *now: told.append(now))
     (trust,) = done.trust
-    assert told == [(1, 2), (2, 2), (3, 4), (4, 4)], "two runs, then two twins"
+    assert told == [(0, 2), (1, 2), (2, 2), (3, 4), (4, 4)], "two runs, then two twins"
     assert {r.estimator for r in trust.rows if r.twins == 2} == {"isam2", "batch"}
     assert trust.blame is None
     assert [(n.code, n.named) for n in trust.notices] == [(Code.TOO_FEW_TWINS, {"twins": 2, "least": FEWEST})]

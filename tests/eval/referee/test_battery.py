@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.special import ndtr
 
 from eval.referee import battery
 from eval.referee.battery import evened, family_p, gaussian_p, rank_p, shared_p, standardized
@@ -82,21 +85,29 @@ def test_a_heavy_tail_does_not_hide_what_another_statistic_says():
 
 def test_the_parts_of_a_family_share_its_level():
     rng = np.random.default_rng(8)
-    theory = np.arange(24) < 12
-    rejected = 0
-    for _ in range(600):
-        draws = rng.normal(size=(40, 24))
-        rejected += np.min(shared_p(draws[0], draws[1:], draws[0], theory)) <= 0.05
-    assert rejected / 600 == pytest.approx(0.05, abs=0.022)
+    draws, theory, none = rng.normal(size=(40, 24)), np.arange(24) < 12, np.eye(24)
+    p = shared_p(draws[0], draws[1:], draws[0], theory, none)
+    # of 39 twins the farthest one is 1 in 40: half of the level of 5 %, and the other half is left for theory
+    assert p[~theory] == pytest.approx(np.minimum(2.0 * family_p(draws[0, 12:], draws[1:, 12:]), 1.0))
+    assert p[theory] == pytest.approx(np.minimum(2.0 * gaussian_p(draws[0, :12], np.eye(12)), 1.0))
     few = rng.normal(size=(20, 24))
-    assert shared_p(few[0], few[1:], few[0], theory) == pytest.approx(family_p(few[0], few[1:]))
+    assert shared_p(few[0], few[1:], few[0], theory, none) == pytest.approx(family_p(few[0], few[1:]))
 
 
 def test_the_largest_of_gaussian_statistics_is_corrected_for_their_number():
-    p = gaussian_p(np.array([0.1, 5.0, np.nan, 2.5]))
+    p = gaussian_p(np.array([0.1, 5.0, np.nan, 2.5]), np.eye(4))
     assert p[1] == pytest.approx(3 * 5.733e-7, rel=1e-3)
-    assert p[3] == pytest.approx(2 * 0.012419, rel=1e-3)
+    assert p[3] == pytest.approx(1 - (1 - 0.012419) ** 2, rel=0.1)
     assert np.isnan(p[2])
+
+
+@pytest.mark.parametrize("r", [0.0, 0.5, 0.9])
+def test_the_correlation_of_gaussian_statistics_is_taken_into_account(r):
+    n, farthest, u = 12, 2.6, np.linspace(-8.0, 8.0, 4001)
+    a, b = ((side * farthest - math.sqrt(r) * u) / math.sqrt(1.0 - r) for side in (-1.0, 1.0))
+    inside = np.sum((ndtr(b) - ndtr(a)) ** n * np.exp(-0.5 * u**2)) * (u[1] - u[0]) / math.sqrt(2.0 * math.pi)
+    z = np.r_[farthest, np.zeros(n - 1)]
+    assert gaussian_p(z, np.full((n, n), r) + (1.0 - r) * np.eye(n))[0] == pytest.approx(1.0 - inside, rel=0.06)
 
 
 def test_constant_and_unknown_statistics_do_not_count():
