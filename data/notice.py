@@ -99,6 +99,8 @@ class Code(StrEnum):
     PLACED = "placed"
     MAP_RESTARTED = "map-restarted"
     RETRACTED = "retracted"
+    MAP_FOLDED = "map-folded"
+    PLAIN_LIKELIER = "plain-likelier"
     # diagnostics of a run
     COST = "cost"
     LABELS_LEFT_OUT = "labels-left-out"
