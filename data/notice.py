@@ -60,6 +60,7 @@ class Code(StrEnum):
     PARKED = "parked"
     REMOVED = "removed"
     OBSERVATIONS_REJECTED = "observations-rejected"
+    TOO_MANY_KEYS = "too-many-keys"
     CLOSURES_GATED = "closures-gated"
     CLOSURES_REJECTED = "closures-rejected"
     CLOSURES_LOST = "closures-lost"
@@ -93,6 +94,8 @@ class Code(StrEnum):
     PLACED = "placed"
     MAP_RESTARTED = "map-restarted"
     RETRACTED = "retracted"
+    MAP_FOLDED = "map-folded"
+    PLAIN_LIKELIER = "plain-likelier"
     # diagnostics of a run
     COST = "cost"
     LABELS_LEFT_OUT = "labels-left-out"

@@ -29,7 +29,7 @@ TUNED = "tuned"  # title of the scores and errors after the fit
 DOUBT = """\
 innovations stay correlated (lag-1 {:+.2f} ± {:.2f}, expected 0), so the sigmas, fitted as if they were white, are not \
 to be believed: NIS is right by construction, the covariance is not. Remove the cause first: a latency, a bias, slip \
-(--fit bias,odometry,latency fits no sigma)"""
+(--fit {} fits no sigma)"""
 MARK = "tuned"  # key of [source] in log.toml of a tuned log: the fitted values and their log
 HELP = """\
 Fit noise of motion and sensor, observation biases, odometry scales and, with odometry.csv, observation latency.
@@ -141,23 +141,29 @@ def tune(
     """
     from association.expectation import gate_threshold
     from eval.tuning.fit import Fit, fit, pairings
-    from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, read_odometry, vector
+    from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, read_odometry, stated_groups, vector
 
     if not log.has_labels:
         raise UsageError(f"log {log.name!r} has no labels; a fit needs them (label in observations.csv)")
     if MARK in log.source:
         raise UsageError(f"log {log.name!r} is a tuned copy; tune the original")
     inputs = log.inputs(labels=True)
+    odometry = None if folder is None else read_odometry(folder)
+    wanted = DEFAULT_GROUPS if groups is None else stated_groups(groups, inputs, odometry)
     decisions = pairings(inputs, gate_threshold(gate))
-    wanted = DEFAULT_GROUPS if groups is None else tuple(groups.split(","))
-    model = make_model(inputs, None if folder is None else read_odometry(folder), wanted if use is None else GROUPS)
+    model = make_model(inputs, odometry, wanted if use is None else GROUPS)
     origin: Fit | Numbers = fit(model, decisions) if use is None else use
     found, theta = (origin, origin.theta) if isinstance(origin, Fit) else (None, vector(model, origin.values))
     tuned = _tuned(log, folder, model, theta, origin)
     scores, errors = _judge(log, tuned, model, decisions, found)
     if (s := _doubtful(model, found, scores[TUNED])) is not None:
-        tuned = replace(tuned, notes=(*tuned.notes, f"In this fit, {DOUBT.format(s.lag1, s.lag1_error)}."))
+        tuned = replace(tuned, notes=(*tuned.notes, f"In this fit, {_doubt(model, s)}."))
     return Tuning(tuned, model, found, theta, scores, errors)
+
+
+def _doubt(model: Model, s: Score) -> str:
+    causes = "bias,odometry" if model.odometry is None else "bias,odometry,latency"
+    return DOUBT.format(s.lag1, s.lag1_error, causes)
 
 
 def _doubtful(model: Model, found: Fit | None, after: Score | str | None) -> Score | None:
@@ -283,7 +289,7 @@ def _report(log: Log, tuning: Tuning) -> list[str]:
     """The lines of the printed report."""
     task = "SLAM" if tuning.model.inputs.map is None else "localization"
     doubt = tuning.doubtful
-    lines = [] if doubt is None else [f"warning: {DOUBT.format(doubt.lag1, doubt.lag1_error)}", ""]
+    lines = [] if doubt is None else [f"warning: {_doubt(tuning.model, doubt)}", ""]
     lines += [f"{log.name}: {counted(len(tuning.model.inputs), 'frame')}, {task}, known association", ""]
     rows = [("parameter", "value", "s.e.", "", "meaning")]
     for i, p in enumerate(tuning.model.parameters):

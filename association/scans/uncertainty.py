@@ -47,13 +47,16 @@ class PoseEdges:
         self._head[key1] = self._head[key2] = e
         self._count += 1
 
-    def project(self, root: int, keys: int) -> Array:
+    def project(self, root: int, keys: int, wanted: IntArray | None = None) -> Array:
         """Covariances (keys, 3, 3) of each key's pose in the frame of `root`, infinite where there is no path.
+
+        With `wanted` keys it ends when these are known; the others may be infinite, too.
 
         Each is propagated along the path of least summed variance (Dijkstra 1959): an upper bound of the covariance by
         all paths together.
         """
-        return _project(root, keys, self._head, self._next, self._keys, self._relative, self._covariance)
+        ends = np.arange(keys) if wanted is None else np.unique(wanted)
+        return _project(root, keys, ends, self._head, self._next, self._keys, self._relative, self._covariance)
 
 
 def compose_covariances(pose: Array, covariance: Array, motion: Array, motion_covariance: Array) -> Array:
@@ -78,7 +81,14 @@ def _doubled(array: AnyArray) -> AnyArray:
 
 @numba.njit(cache=True)
 def _project(
-    root: int, keys: int, head: IntArray, following: IntArray, ends: IntArray, relative: Array, covariance: Array
+    root: int,
+    keys: int,
+    wanted: IntArray,
+    head: IntArray,
+    following: IntArray,
+    ends: IntArray,
+    relative: Array,
+    covariance: Array,
 ) -> Array:
     result, pose = np.empty((keys, 3, 3)), np.zeros((keys, 3))
     done, cost, edge = np.zeros(keys, np.bool_), np.empty(keys), np.empty(keys, np.int64)
@@ -86,6 +96,10 @@ def _project(
         result[k], cost[k], edge[k] = np.inf, np.inf, -1
     cost[root] = 0.0
     heap = [(0.0, root)]
+    asked = np.zeros(keys, np.bool_)
+    for k in wanted:
+        asked[k] = True
+    left = len(wanted)
     z = np.zeros(3)
     C = np.zeros((3, 3))
     while len(heap) > 0:
@@ -103,6 +117,10 @@ def _project(
             b = ends[e, 1]
             _invert(relative[e], covariance[e], z, C)
             compose_in_place(pose[b], result[b], z, C, pose[a], result[a])
+        if asked[a]:
+            left -= 1
+            if left == 0:
+                break
         e = head[a]
         while e >= 0:
             side = 0 if ends[e, 0] == a else 1

@@ -17,6 +17,7 @@ from data.terminal import counted, ended
 from data.worlds.registry import SIMULATORS
 
 if TYPE_CHECKING:
+    from data.formats.open_log.writer import Recording
     from data.log import Log
 
 PROG = "python -m data.convert"
@@ -36,7 +37,7 @@ examples:
   python -m data.convert lab my_lab logs/lab
 """
 SOURCES = (mrclam, recordings, table, g2o, worlds, visual)
-CONVERTERS: dict[str, Callable[[argparse.Namespace], Log | str]] = {
+CONVERTERS: dict[str, Callable[[argparse.Namespace], Log | Recording | str]] = {
     kind: source.convert for source in SOURCES for kind in source.KINDS
 }
 """By kind: the log to write, or a sentence about a file written in another format."""
@@ -123,13 +124,14 @@ def _convert(argv: Sequence[str] | None, prog: str) -> None:
     if isinstance(made, str):
         print(made)
         return
-    from data.formats.open_log.writer import write_folder
+    from data.formats.open_log.writer import Recording, write_folder
     from data.questions import ask
     from data.words import sentence, title
 
-    write_folder(made, args.out)
+    made, samples = made if isinstance(made, Recording) else Recording(made)
+    written = write_folder(made, args.out, samples)
     print(f"{made.name}: {', '.join(summary(made))}.")
-    for note in made.notes:
+    for note in written.notes:
         print(f"- {note}")
     found = ask(made)
     for question in found:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from data.convert.parsers import Add
-    from data.log import Log
+    from data.formats.open_log.writer import Recording
 
 KINDS = ("table",)
 EXAMPLES = """\
@@ -40,6 +40,7 @@ A key alone applies to every file, with a part before it (odometry.t, truth.x) t
 key need not be stated.
 """
 SENSED = "labels-sensed"
+TABLES = ("columns", "unit", "time-offset")
 KEYS_ALONE = ("odometry", SENSED)
 """Keys of a mapping file besides the flags below."""
 FLAGS = {
@@ -69,6 +70,12 @@ FLAGS = {
     "observation-sigma": ("S1,S2", "noise of range and bearing, or of x and y, as in 0.1,2deg"),
     "track-width": ("M", "of wheel ticks: distance between the wheels"),
     "metres-per-tick": ("M[,M]", "of wheel ticks: for both, or left and right"),
+    "hold": ("WAY", "velocities: each holds forward, until the next row (default), or backward, since the row before"),
+    "time-offset": (
+        "PART=SECONDS,...",
+        "added to the stamps of odometry, observations or truth, as in observations=-0.05 for readings stamped 0.05 s "
+        "late",
+    ),
     "ticks": ("WHICH", "total: counted from the start (default); each: since the row before"),
     "tick-wrap": ("N", "total ticks start again at N, as 65536"),
     "prior": ("X,Y,THETA|truth", "first pose in the frame of map and truth (default without these: 0,0,0, exactly)"),
@@ -94,14 +101,14 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("source", metavar="SOURCE", type=Path, help=text)
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     for name, (metavar, text) in FLAGS.items():
-        action = "append" if name in ("columns", "unit") else "store"
+        action = "append" if name in TABLES else "store"
         sub.add_argument(f"--{name}", dest=name, metavar=metavar, help=text, action=action)
     text = "a sensor read the labels (barcodes), so some may be wrong"
     sub.add_argument(f"--{SENSED}", dest=SENSED, action="store_true", help=text)
 
 
-def convert(args: argparse.Namespace) -> Log:
-    """The log of the files."""
+def convert(args: argparse.Namespace) -> Recording:
+    """The log of the files, with velocities as recorded."""
     from data.formats.tables.flags import settle, with_mapping
     from data.formats.tables.log import open_files, read_log
 

@@ -25,6 +25,7 @@ import numpy as np
 from data import se2
 from data.digest import source_file
 from data.errors import LARGEST, DataError, UsageError
+from data.formats.bearings import PARALLAX, triangulate
 from data.formats.csv_table import bytes_of, is_number, read_table, symmetric
 from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
@@ -167,6 +168,8 @@ def _line(tag: str, ids: Sequence[int], values: Iterable[float]) -> str:
     return " ".join([tag, *map(str, ids), *(repr(float(v)) for v in values)])
 
 
+SHOWN = 5  # landmarks without a place that are named
+CONTRADICTED = 0.3  # rad between a bearing and its vertices, beyond which these are no estimates
 UNSEEN = 100.0
 """Standard deviation of an unmeasured range over the range from the vertices."""
 
@@ -185,8 +188,8 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     mean, covariance, used = _chain(graph, ids)
     covariance, floored = floor_covariances(covariance, FLOOR)
     vertex = _estimates(graph.pose, ids)
-    frame, label, z, R, sensor = _observations(graph, ids, notes)
     start = vertex[0] if np.isfinite(vertex[0]).all() else np.zeros(3)
+    frame, label, z, R, sensor = _observations(graph, ids, notes, se2.dead_reckoned(start, mean))
     notes += _changes(graph, ids, used)
     relations = _relations(graph.motion, ids, used)
     landmarks = None
@@ -266,10 +269,18 @@ def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
     return mean, 0.5 * (covariance + covariance.transpose(0, 2, 1)), used
 
 
-def _observations(graph: Graph, ids: IntArray, notes: list[str]) -> tuple[IntArray, IntArray, Array, Array, Sensor]:
-    """Frame (M,), label (M,), z (M, 2), R (M, 2, 2) by frame, and the sensor: points, or ranges with bearings."""
+def _observations(
+    graph: Graph, ids: IntArray, notes: list[str], path: Array
+) -> tuple[IntArray, IntArray, Array, Array, Sensor]:
+    """Frame (M,), label (M,), z (M, 2), R (M, 2, 2) by frame, and the sensor: points, or ranges with bearings.
+
+    Distances of bearings are triangulated along the odometry's path (N, 3).
+    """
     at = {int(i): k for k, i in enumerate(ids)}
     points, rays = graph.observation, graph.bearing
+    guess = np.zeros(0)
+    if len(rays):
+        rays, guess = _placed(graph, at, path, notes)
     frame = np.array([at[int(i)] for i in [*points.ends[:, 0], *rays.ends[:, 0]]], np.int64)
     label = np.concatenate([points.ends[:, 1], rays.ends[:, 1]])
     z, R = points.measured, points.covariance
@@ -277,14 +288,13 @@ def _observations(graph: Graph, ids: IntArray, notes: list[str]) -> tuple[IntArr
     if len(rays):
         kind = RangeBearing
         z, R = _polar(z, R)
-        guess = _ranges(graph, rays)
         far = np.zeros((len(rays), 2, 2))
         far[:, 0, 0], far[:, 1, 1] = (UNSEEN * guess) ** 2, rays.covariance[:, 0, 0]
         z = np.concatenate([z, np.stack([guess, rays.measured[:, 0]], axis=1)])
         R = np.concatenate([R, far])
         notes.append(
-            f"{len(rays)} bearings without a range ({BEARING}): it is taken from the file's vertices, with a standard "
-            f"deviation {UNSEEN:g} times as large"
+            f"{len(graph.bearing)} bearings without a range ({BEARING}): triangulated from {np.degrees(PARALLAX):.0f} "
+            f"deg of parallax on, else of the file's vertices, with a standard deviation {UNSEEN:g} times as large"
         )
         if len(points):
             notes.append(f"{len(points)} points ({OBSERVATION}) became ranges and bearings, to first order")
@@ -304,15 +314,31 @@ def _polar(z: Array, R: Array) -> tuple[Array, Array]:
     return np.stack([r, np.arctan2(z[:, 1], z[:, 0])], axis=1), J @ R @ J.transpose(0, 2, 1)
 
 
-def _ranges(graph: Graph, rays: Edges) -> Array:
-    """Distances (K,) between a bearing's vertices."""
+def _placed(graph: Graph, at: dict[int, int], path: Array, notes: list[str]) -> tuple[Edges, Array]:
+    """The bearings of landmarks that have a place, and their distances (K,); DataError where none has one."""
+    rays = graph.bearing
+    frame = np.array([at[int(i)] for i in rays.ends[:, 0]], np.int64)
+    found = triangulate(path, frame, rays.ends[:, 1], rays.measured[:, 0])
+    distance = np.where(np.isfinite(found.distance), found.distance, _of_vertices(graph, rays))
+    known = np.isfinite(distance)
+    if not known.all():
+        lost = np.unique(rays.ends[~known, 1])
+        shown = ", ".join(f"{i} ({np.degrees(found.parallax[i]):.2g} deg)" for i in lost[:SHOWN].tolist())
+        missing = f"{len(lost)} landmarks have no place (no VERTEX_XY): {shown}{', ...' if len(lost) > SHOWN else ''}"
+        needed = f"their bearings need {np.degrees(PARALLAX):.0f} deg of parallax, or a VERTEX_XY near the truth"
+        if not known.any() and not len(graph.observation):
+            raise DataError.at(graph.path, f"{BEARING}: {missing}; {needed}", line=int(rays.line[0]))
+        notes.append(f"{missing}; {needed}; {int((~known).sum())} bearings are left out")
+    kept = Edges(rays.ends[known], rays.measured[known], rays.covariance[known], rays.line[known])
+    return kept, np.maximum(distance[known], 1e-3)
+
+
+def _of_vertices(graph: Graph, rays: Edges) -> Array:
+    """Distances (K,) between a bearing's vertices, NaN where these contradict it or one is missing."""
     pose, point = _estimates(graph.pose, rays.ends[:, 0]), _estimates(graph.point, rays.ends[:, 1])
-    missing = ~(np.isfinite(pose).all(axis=1) & np.isfinite(point).all(axis=1))
-    if missing.any():
-        k = int(np.argmax(missing))
-        what = f"{BEARING} of landmark {rays.ends[k, 1]}, which has no VERTEX_XY; it is needed for the distance"
-        raise DataError.at(graph.path, what, line=int(rays.line[k]))
-    return np.asarray(np.maximum(np.hypot(*(point - pose[:, :2]).T), 1e-3))
+    off = point[:, :2] - pose[:, :2]
+    aside = np.abs(wrap_angle(np.arctan2(off[:, 1], off[:, 0]) - pose[:, 2] - rays.measured[:, 0]))
+    return np.asarray(np.where(aside < CONTRADICTED, np.hypot(*off.T), np.nan))
 
 
 def _relations(edges: Edges, ids: IntArray, used: IntArray) -> Relations | None:

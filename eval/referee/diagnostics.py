@@ -73,6 +73,8 @@ def _crowded(run: Run, inputs: Inputs) -> Notice | None:
         return None
     _, spread = inputs.sensor.body_points(o.z, o.R)
     reach = ON_TOP * float(np.sqrt(np.median(np.trace(spread, axis1=1, axis2=2))))
+    if reach > float(np.median(inputs.sensor.polar(o.z)[:, 0])):  # bearings alone: sigmas say nothing of neighbours
+        return None
     near = scipy.spatial.cKDTree(places.xy).query_pairs(reach, output_type="ndarray")
     if len(np.unique(near)) <= CROWDED * len(places):
         return None

@@ -159,6 +159,7 @@ LANDMARKS = File(
             "nearest landmark that may be the same one (no common frame, difference inside the 99 % gate); its own"
             " number: it may be two landmarks",
         ),
+        count("until", "frame of its last observation, if it left the world before the end (`jcbb-hindsight`)"),
     ),
 )
 DECISIONS = File(

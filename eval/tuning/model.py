@@ -139,12 +139,7 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
 
     Increments integrated beforehand cannot be cut again: interpolation averages neighbouring errors, which the
     likelihood takes for a better instant.
-
-    Raises UsageError for an unknown group.
     """
-    for group in groups:
-        if group not in GROUPS:
-            raise UsageError(f"--fit {group}: {unknown(group, GROUPS)}")
     sigma = np.sqrt(np.median(np.einsum("nii->ni", inputs.observations.R), axis=0))
     polar = isinstance(inputs.sensor, RangeBearing)
     first, second = ("range", "bearing") if polar else ("x", "y")
@@ -168,6 +163,21 @@ def make_model(inputs: Inputs, odometry: Odometry | None, groups: Collection[str
     if "latency" in groups and odometry is not None:
         found.append(Parameter(LATENCY, "s", 1.0, 0.2, "observations were taken this long before their stamp"))
     return Model(inputs, odometry, tuple(found))
+
+
+def stated_groups(text: str, inputs: Inputs, odometry: Odometry | None) -> tuple[str, ...]:
+    """Groups of parameters in a comma list; UsageError for an unknown one, or one that the log does not allow."""
+    groups = tuple(text.split(","))
+    for group in groups:
+        if group not in GROUPS:
+            raise UsageError(f"--fit {group}: {unknown(group, GROUPS)}")
+    if LATENCY in groups and odometry is None:
+        what = "the log has increments (frames.csv), which cannot be cut at other instants"
+        remedy = "convert it with v and omega, which become odometry.csv, or try `--time-offset observations=-S` there"
+        raise UsageError(f"--fit latency: {what}; {remedy}")
+    if "growth" in groups and not isinstance(inputs.sensor, RangeBearing):
+        raise UsageError("--fit growth: the sensor observes x and y; the exponent is that of a range")
+    return groups
 
 
 def _motion_parameters(odometry: Odometry | None) -> list[tuple[str, str]]:

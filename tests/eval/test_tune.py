@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -95,6 +96,9 @@ def test_sigmas_fitted_to_correlated_innovations_are_not_to_be_believed_and_it_i
     assert "pose NEES" in text
     assert load_folder(tmp_path / "out").notes[-1].startswith("In this fit, innovations stay correlated (lag-1 +0.")
     made = tune(log, groups="sensor")
+    # what the warning names can be typed
+    (groups,) = re.findall(r"\(--fit (\S+) fits no sigma\)", text.split("\n\n")[0])
+    assert main([str(tmp_path / "wandering"), str(tmp_path / "again"), "--fit", groups]) == 0
     assert made.scores["tuned"].nis == pytest.approx(1.0, abs=0.05)
     assert made.errors["tuned"][2] > 3.6, "NEES, expected 3"
     assert tune(log, groups="bias").doubtful is None, "no sigma was fitted"
@@ -145,7 +149,9 @@ def test_a_tuned_copy_is_not_tuned_again_but_may_be_replaced(stated, tmp_path, c
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--fit", "magic"], "--fit magic: not known"),
+        (["--fit", "magic"], "--fit magic: unknown; known: motion"),
+        (["--fit", "latency"], "--fit latency: the log has increments (frames.csv), which cannot be cut"),
+        (["--fit", "sensor,latency"], "convert it with v and omega, which become odometry.csv"),
         (["--gate", "1.5"], "a probability"),
         (["--use", "{stated}"], "not a tuned log"),
         (["--use", "{stated}", "--fit", "sensor"], "not a tuned log"),
@@ -153,7 +159,9 @@ def test_a_tuned_copy_is_not_tuned_again_but_may_be_replaced(stated, tmp_path, c
 )
 def test_options_that_make_no_sense_are_refused_in_one_line(stated, tmp_path, capsys, options, message):
     refused(stated, tmp_path / "out", *[o.format(stated=stated) for o in options])
-    assert message in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1
 
 
 def test_a_filter_that_fails_as_stated_is_a_clear_error():

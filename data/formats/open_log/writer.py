@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -23,6 +23,7 @@ from data.formats.open_log.reader import (
     MEAN,
     NOISE,
     OBSERVATIONS,
+    ODOMETRY,
     POSE,
     RELATIONS,
     SCANS,
@@ -34,16 +35,44 @@ from data.formats.open_log.reader import (
 from data.formats.open_log.scans import scans_content
 from data.inputs import UNLABELLED, IntArray, LandmarkMap
 from data.log import Log
+from data.motion.velocity import WITH_ALPHAS, VelocityModel
+from data.se2 import Array
 from data.truth import UNKNOWN_ID
 from data.whole import whole_folder
 
+VELOCITIES = ("v", "omega")
 
-def write_folder(log: Log, path: str | PathLike[str]) -> None:
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Velocities as recorded, from which a log's increments were preintegrated.
+
+    Attributes:
+        time, velocity: (K,) s, (K, 2) m/s and rad/s.
+        model: of the increments.
+        truth: stamps [s] and poses (L, 3) of the truth as recorded, NaN where unknown; None: none.
+    """
+
+    time: Array
+    velocity: Array
+    model: VelocityModel
+    truth: tuple[Array, Array] | None
+
+
+class Recording(NamedTuple):
+    """A log, and the samples to write instead of its increments; None: none."""
+
+    log: Log
+    samples: Samples | None = None
+
+
+def write_folder(log: Log, path: str | PathLike[str], samples: Samples | None = None) -> Log:
     """Write `log` into the folder `path`, whose last component becomes the log's name; an older log there is replaced.
 
-    Increments are written (frames.csv), with calibration, preintegration and covariance floor applied. The folder is
-    written beside its final name, read back as a check, and moved into place. landmarks.csv is map and truth in one, so
-    a log with true landmarks but without a map gets them as its map.
+    Increments are written (frames.csv), with calibration, preintegration and covariance floor applied; with `samples`,
+    these (odometry.csv). The folder is written beside its final name, read back as a check, and moved into place;
+    returned is what was read. landmarks.csv is map and truth in one, so a log with true landmarks but without a map
+    gets them as its map.
 
     Raises DataError if `path` holds something else, cannot be written, or format 1 cannot hold the log.
     """
@@ -51,11 +80,11 @@ def write_folder(log: Log, path: str | PathLike[str]) -> None:
     _require_replaceable(target)
     try:
         with whole_folder(target) as partial:
-            for name, text in contents(log, target.name).items():
+            for name, text in contents(log, target.name, samples).items():
                 (partial / name).write_text(text, encoding="utf-8", newline="")
             if log.recorded.scans is not None:
                 (partial / SCANS).write_bytes(scans_content(log.recorded.scans))
-            load_folder(partial)
+            return load_folder(partial)
     except OSError as error:
         raise DataError.at(target, f"cannot be written: {error.strerror}") from error
 
@@ -74,23 +103,21 @@ def _require_replaceable(target: Path) -> None:
         raise DataError.at(target, f"holds {other[0]!r}, which is no part of a log; move it or name another folder")
 
 
-def contents(log: Log, name: str) -> dict[str, str]:
+def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, str]:
     """Contents by file name, except scans, of a log under a name."""
     inputs, truth = log.recorded, log.truth
-    increments, observations = inputs.increments, inputs.observations
-    files = {HEADER: tomli_w.dumps(_header(log, name))}
-    upper = np.triu_indices(3)
-    frames = np.column_stack([inputs.time, increments.mean, increments.covariance[:, upper[0], upper[1]]])
-    frame_names = ["t", *MEAN, *COVARIANCE]
+    observations = inputs.observations
+    files = {HEADER: tomli_w.dumps(_header(log, name, samples))}
     if truth.relations is not None:
         files[RELATIONS] = _csv(*relations_columns(truth.relations))
-        if truth.relations.frame_stamp is not None:
-            frame_names.append(STAMP)
-            frames = np.column_stack([frames, truth.relations.frame_stamp])
-    files[FRAMES] = _csv(frame_names, frames.tolist())
+    if samples is None:
+        files[FRAMES] = _frames(log)
+        columns: dict[str, Sequence[object]] = {"frame": observations.frame.tolist()}
+    else:
+        files[ODOMETRY] = _csv(("t", *VELOCITIES), np.column_stack([samples.time, samples.velocity]).tolist())
+        columns = {"t": inputs.time[observations.frame].tolist()}
     R = observations.R
     numbers = np.column_stack([observations.z, R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]]).T.tolist()
-    columns: dict[str, Sequence[object]] = {"frame": observations.frame.tolist()}
     columns |= dict(zip(("z1", "z2", *NOISE), numbers, strict=True))
     if truth.landmark_of is not None:
         columns["true_id"] = _or_blank(truth.landmark_of, UNKNOWN_ID)
@@ -98,13 +125,27 @@ def contents(log: Log, name: str) -> dict[str, str]:
         columns["label"] = _or_blank(log.label, UNLABELLED)
     if inputs.scans is None or len(observations.frame) or len(columns) > 3 + len(NOISE):
         files[OBSERVATIONS] = _csv(columns, zip(*columns.values(), strict=True))
-    if truth.pose is not None:
+    if samples is not None and samples.truth is not None:
+        files[TRUTH] = _csv(("t", *POSE), np.column_stack(samples.truth).tolist())
+    elif truth.pose is not None:
         files[TRUTH] = _csv(POSE, truth.pose.tolist())
     landmarks = _landmarks(log)
     if landmarks is not None:
         x, y = landmarks.xy.reshape(-1, 2).T.tolist()
         files[LANDMARKS] = _csv(("id", "x", "y"), zip(landmarks.id.tolist(), x, y, strict=True))
     return files
+
+
+def _frames(log: Log) -> str:
+    """frames.csv."""
+    increments, relations = log.recorded.increments, log.truth.relations
+    upper = np.triu_indices(3)
+    frames = np.column_stack([log.recorded.time, increments.mean, increments.covariance[:, upper[0], upper[1]]])
+    frame_names = ["t", *MEAN, *COVARIANCE]
+    if relations is not None and relations.frame_stamp is not None:
+        frame_names.append(STAMP)
+        frames = np.column_stack([frames, relations.frame_stamp])
+    return _csv(frame_names, frames.tolist())
 
 
 def _landmarks(log: Log) -> LandmarkMap | None:
@@ -118,7 +159,7 @@ def _landmarks(log: Log) -> LandmarkMap | None:
     return known
 
 
-def _header(log: Log, name: str) -> dict[str, Any]:
+def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
     """Contents of log.toml."""
     inputs = log.recorded
     sensor = inputs.sensor
@@ -143,6 +184,11 @@ def _header(log: Log, name: str) -> dict[str, Any]:
     }
     if inputs.scans is not None:
         plain["scanner"] = asdict(inputs.scans.scanner)
+    if samples is not None:
+        noise = samples.model.noise
+        numbers = {"alphas": noise.alphas} if noise.kind in WITH_ALPHAS else {"sigma": noise.sigma}
+        # loading floors anew
+        plain |= {"motion": {"model": samples.model.model, "noise": noise.kind, **numbers}, "floored": 0}
     return {key: _plain(value) for key, value in plain.items()}
 
 

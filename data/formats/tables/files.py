@@ -275,11 +275,12 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 class Columns:
     """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
 
-    `used`: keys that named a column so far.
+    `offsets`: s added to the stamps of a role's file; `used`: keys that named a column so far.
     """
 
     given: Mapping[str, str]
     units: Units
+    offsets: Mapping[str, float] = field(default_factory=dict)
     used: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
@@ -363,6 +364,11 @@ class Columns:
         for q, c in columns.items():
             dates = q == "t" and self.units.is_date(role)
             values[q] = file.numbers(c, keep, stamps=dates) * self.units.factor(role, q)
+        if role in self.offsets:
+            if "t" not in values:
+                given = f"--time-offset {role}={self.offsets[role]:g}"
+                raise UsageError(f"{given}: {file.path.name} is read without stamps")
+            values["t"] = values["t"] + self.offsets[role]
         table = Table(file.path, values, line=file.line[keep])
         for q, c in columns.items():
             fine = np.isfinite(values[q])

@@ -37,6 +37,7 @@ class Wanted:
         max_range: m, view: rad, least and largest bearing; None: as observed.
         sensor_pose: (3,) of the sensor in the body frame.
         sensed: a sensor read the labels.
+        backward: a row's velocities held since the row before; else until the next one.
     """
 
     files: Mapping[str, Path]
@@ -55,8 +56,13 @@ class Wanted:
     view: tuple[float, float] | None
     sensor_pose: Array
     sensed: bool
+    backward: bool = False
 
 
+TABLES = ("columns", "unit", "time-offset")
+"""Flags of pairs KEY=VALUE, tables of a mapping file."""
+STAMPED = ("odometry", "observations", "truth")
+"""Roles of files with stamps."""
 POSE = ("length", "length", "angle")
 TRAVEL = ("length", "length", "angle", "angle")
 TUNED = "`python -m eval.tune LOG OUT` fits it afterwards where the log has labels"
@@ -74,9 +80,10 @@ def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, obj
         flag = key.replace("_", "-")
         if flag not in keys:
             raise DataError.at(path, f"key {key!r}: {unknown(flag, keys)}")
-        if flag in ("columns", "unit"):
+        if flag in TABLES:
             if not isinstance(value, dict):
-                raise DataError.at(path, f'{key}: a table is needed, as [{key}] with lines such as t = "stamp"')
+                line = "truth = 0.5" if flag == "time-offset" else 't = "stamp"'
+                raise DataError.at(path, f"{key}: a table is needed, as [{key}] with lines such as {line}")
             merged[flag] = dict(_flat(value))
         elif isinstance(value, list):
             merged[flag] = ",".join(str(v) for v in value)
@@ -87,7 +94,7 @@ def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, obj
         else:
             raise DataError.at(path, f"{key} = {value}: a text, a number or a list is needed")
     for key, value in given.items():
-        both = key in ("columns", "unit") and key in merged
+        both = key in TABLES and key in merged
         merged[key] = {**pairs(merged[key], key), **pairs(value, key)} if both else value
     return merged
 
@@ -110,6 +117,8 @@ def pairs(value: object, flag: str) -> dict[str, str]:
         key, equals, name = part.partition("=")
         if not (key.strip() and equals and name.strip()):
             right = "KEY=NAME is needed, as in t=stamp (names with commas: in a mapping file)"
+            if flag == "time-offset":
+                right = f"PART=SECONDS is needed, as in truth=-0.5, of {', '.join(STAMPED)}"
             raise UsageError(f"--{flag} {part}: {right}")
         if key.strip() in found:
             raise UsageError(f"--{flag}: {key.strip()} is named twice")
@@ -137,12 +146,14 @@ def settle(given: Given) -> Wanted:
     files = {role: Path(str(given[role])) for role in ROLES if given.get(role) is not None}
     if "odometry" not in files:
         raise UsageError('a mapping file names the file with the odometry: odometry = "FILE"')
-    columns = Columns(pairs(given.get("columns", {}), "columns"), Units(pairs(given.get("unit", {}), "unit")))
+    units = Units(pairs(given.get("unit", {}), "unit"))
+    columns = Columns(pairs(given.get("columns", {}), "columns"), units, _offsets(given, files))
     kind = given.get("odometry-kind")
     if kind is not None and kind not in KINDS:
         raise UsageError(f"--odometry-kind {kind}: {unknown(str(kind), KINDS)}")
     kind = kind_of(read_text(files["odometry"]), columns, None if kind is None else str(kind))
-    polar = columns.find(read_text(files["observations"]), "observations", "range") is not None
+    seen = read_text(files["observations"])
+    polar = any(columns.find(seen, "observations", q) is not None for q in ("range", "bearing"))
     spread = given.get("prior-sigma")
     return Wanted(
         files=files,
@@ -161,7 +172,26 @@ def settle(given: Given) -> Wanted:
         view=_view(given),
         sensor_pose=_pose(given, "sensor-pose"),
         sensed=bool(given.get("labels-sensed", False)),
+        backward=_backward(given, kind),
     )
+
+
+def _offsets(given: Given, files: Mapping[str, Path]) -> dict[str, float]:
+    """Seconds to add to the stamps, by role."""
+    found = {}
+    for role, text in pairs(given.get("time-offset", {}), "time-offset").items():
+        if role not in STAMPED:
+            raise UsageError(f"--time-offset {role}={text}: {unknown(role, STAMPED)}")
+        if role not in files:
+            raise UsageError(f"--time-offset {role}={text}: there is no file of it; --{role} FILE names one")
+        found[role] = quantity_with_unit(text, "time", f"--time-offset {role}")
+    return found
+
+
+def _backward(given: Given, kind: str) -> bool:
+    if "hold" in given and kind != "velocities":
+        raise UsageError(f"--hold {given['hold']}: the odometry has {kind}; velocities hold, between rows")
+    return _one_of(given, "hold", ("forward", "backward")) == "backward"
 
 
 def _one_of(given: Given, flag: str, known: Sequence[str]) -> str:

@@ -12,13 +12,14 @@ from data import se2
 from data.digest import file_sha256
 from data.errors import DataError, UsageError
 from data.formats.csv_table import Table
+from data.formats.open_log.writer import Recording, Samples
 from data.formats.recordings.laser import FLOOR
 from data.formats.tables.files import TextTable, headings, read_text, shared
 from data.formats.tables.flags import Wanted
 from data.formats.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
 from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, Log
-from data.motion.velocity import floor_covariances
+from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.terminal import counted
@@ -47,7 +48,10 @@ def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameOb
     """The observations of a file: range and bearing, or x and y in the sensor's frame."""
     columns = wanted.columns
     polar = columns.find(file, "observations", "range") is not None
-    polar |= columns.find(file, "observations", "bearing") is not None
+    if not polar and columns.find(file, "observations", "bearing") is not None:
+        what = f"bearings without a range: {file.described()}; name its column, as in --columns range=DIST"
+        alone = "bearings alone are read from g2o (EDGE_BEARING_SE2_XY), where they are triangulated"
+        raise DataError.at(file.path, f"{what}; {alone}")
     if not polar and not columns.has(file, "observations", ("x", "y")):
         what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns range=DIST,bearing=ANGLE")
@@ -101,23 +105,50 @@ def open_files(files: Mapping[str, Path]) -> dict[str, TextTable]:
     return {role: read[path] for role, path in files.items()}
 
 
-def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
-    """The log of the tables; DataError or UsageError for invalid parts, stamps without overlap, or a missing prior."""
+@dataclass(frozen=True, eq=False)
+class TruePoses:
+    """True poses (K, 3) in the world frame, NaN where unknown, at stamps (K,) [s]; None: one for each frame."""
+
+    path: Path
+    time: Array | None
+    pose: Array
+
+    @property
+    def begin(self) -> float | None:
+        """Stamp of the first known pose; None without one."""
+        known = np.isfinite(self.pose).all(axis=1)
+        return None if self.time is None or not known.any() else float(self.time[np.argmax(known)])
+
+
+def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recording:
+    """The log of the tables, with velocities as recorded; DataError or UsageError for invalid parts, stamps without
+    overlap, or a missing prior.
+    """
     columns = wanted.columns
     kind = kind_of(texts["odometry"], columns, wanted.kind)
     odometry = read_odometry(texts["odometry"], columns, kind, wanted.wheels)
+    if wanted.backward:
+        odometry = odometry.held_backward()
     seen = observations(texts["observations"], wanted, odometry)
     notes = [*odometry.notes, *seen.notes]
+    if odometry.velocity is not None:
+        way = "since the row before" if wanted.backward else "until the next row"
+        other = "forward: until the next row" if wanted.backward else "backward: since the row before"
+        notes.append(f"v and omega are taken to hold {way} (--hold {other})")
+    true = _true_poses(texts["truth"], wanted, notes, stamped=odometry.stamped) if "truth" in texts else None
+    if isinstance(wanted.prior, str) and true is not None:
+        odometry, seen = _from_truth_on(odometry, seen, true, notes)
     time, frame, seen = _frames(odometry, seen, wanted, notes)
     increments, gaps = odometry.increments(time, wanted.noise, wanted.model)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if odometry.velocity is None:
         floored += gaps  # of poses it counts floored covariances
-    elif gaps:
+    as_recorded = odometry.velocity is not None and "t" in seen.table and not wanted.every_row
+    if odometry.velocity is not None and gaps and not as_recorded:  # of odometry.csv loading says it
         many = counted(gaps, "gap")
         notes.append(f"odometry: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
     known = _map(texts["map"], wanted) if "map" in texts else None
-    pose = _truth(texts["truth"], wanted, time, notes, stamped=odometry.stamped) if "truth" in texts else None
+    pose = None if true is None else _at_frames(true, texts["truth"], wanted, time)
     columns.check_used(list(dict.fromkeys(texts.values())))
     labels = {key: whole(seen.table, seen.texts[key], key) for key in ("true_id", "label") if key in seen.texts}
     sensor = _sensor(wanted, seen, notes)
@@ -138,7 +169,9 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
     more: dict[str, object] = {ODOMETRY_KIND: kind}
     if kind == "velocities" and len(odometry.time) > 1:
         more |= {ODOMETRY_PERIOD: float(np.median(np.diff(odometry.time))), INTEGRATION: wanted.model}
-    return Log(
+    more |= {"hold": "backward"} if wanted.backward else {}
+    more |= {"time_offset": dict(columns.offsets)} if columns.offsets else {}
+    log = Log(
         name,
         inputs,
         Truth(pose, known, labels.get("true_id")),
@@ -147,6 +180,30 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Log:
         source={"kind": "table", **files, **more, "columns": dict(columns.given), "unit": dict(columns.units.given)},
         notes=tuple(notes),
     )
+    if not as_recorded or odometry.velocity is None or not isinstance(wanted.noise, VelocityNoise):
+        return Recording(log)
+    stamped = None
+    if true is not None:
+        stamped = (time if true.time is None else true.time, true.pose)
+    return Recording(log, Samples(odometry.time, odometry.velocity, VelocityModel(wanted.noise, wanted.model), stamped))
+
+
+def _from_truth_on(
+    odometry: Odometry, seen: FrameObservations, true: TruePoses, notes: list[str]
+) -> tuple[Odometry, FrameObservations]:
+    """Odometry and observations since the first true pose, where a log with that prior begins."""
+    begin = true.begin
+    if begin is None or not odometry.time[0] < begin < odometry.time[-1]:
+        return odometry, seen
+    if "t" in seen.table:
+        later = seen.at >= begin
+    else:
+        row = int(np.searchsorted(odometry.time, begin))
+        begin, later = float(odometry.time[row]), seen.at >= row
+        seen = replace(seen, at=seen.at - row)
+    late, left_out = begin - odometry.time[0], counted(int((~later).sum()), "observation")
+    notes.append(f"the truth begins {late:.6g} s after the odometry; so does the log, without {left_out} before")
+    return odometry.since(begin), seen.part(np.flatnonzero(later))
 
 
 def _frames(
@@ -193,13 +250,11 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     return LandmarkMap(ids[order], se2.transform_points(wanted.map_pose, table.stack(("x", "y")))[order])
 
 
-def _truth(file: TextTable, wanted: Wanted, time: Array, notes: list[str], *, stamped: bool) -> Array:
-    """True poses (N, 3) in the world frame at the frames, NaN where unknown."""
+def _true_poses(file: TextTable, wanted: Wanted, notes: list[str], *, stamped: bool) -> TruePoses:
+    """The poses of a truth file."""
     columns = wanted.columns
     pose = pose_columns(file, columns, "truth")
     by_stamp = stamped and columns.find(file, "truth", "t") is not None
-    if not by_stamp and len(file) != len(time):
-        columns.require(file, "truth", ("t",))
     wants = (*(("t",) if by_stamp else ()), *pose)
     table, _, _ = columns.table(file, "truth", wants, may_be_blank=pose)
     values = table.columns
@@ -207,14 +262,21 @@ def _truth(file: TextTable, wanted: Wanted, time: Array, notes: list[str], *, st
     notes += suspicious(file, columns, read[:, 2], values["t"] if by_stamp else None, "truth")
     read[~np.isfinite(read).all(axis=1)] = np.nan
     world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
-    if not by_stamp:
-        return world
-    table.require_ascending("t", strictly=True)
-    there = np.isfinite(world).all(axis=1)
-    result = truth_at(values["t"], world, time)
-    if there.any() and not np.isfinite(result).any():
-        apart = f"truth from {_span(values['t'])} s, frames from {_span(time)} s: no frame has one within {MAX_GAP:g} s"
-        raise DataError.at(file.path, f"{apart}; state the unit as in --unit truth.t=ms")
+    if by_stamp:
+        table.require_ascending("t", strictly=True)
+    return TruePoses(file.path, values["t"] if by_stamp else None, world)
+
+
+def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) -> Array:
+    """True poses (N, 3) at the frames, NaN where unknown."""
+    if true.time is None:
+        if len(true.pose) != len(time):
+            wanted.columns.require(file, "truth", ("t",))
+        return true.pose
+    result = truth_at(true.time, true.pose, time)
+    if true.begin is not None and not np.isfinite(result).any():
+        apart = f"truth from {_span(true.time)} s, frames from {_span(time)} s: no frame has one within {MAX_GAP:g} s"
+        raise DataError.at(true.path, f"{apart}; state the unit as in --unit truth.t=ms")
     return result
 
 

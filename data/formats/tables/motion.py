@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from data.formats.csv_table import Table
 from data.formats.recordings.laser import TravelNoise, increments_of
 from data.formats.tables.files import QUATERNION, Columns, TextTable, headings
 from data.inputs import Increments
-from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
+from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, preintegrate
 from data.questions import FASTEST, SHARE
 from data.se2 import Array
 
@@ -61,6 +61,30 @@ class Odometry:
     pose: Array | None
     velocity: Array | None
     notes: tuple[str, ...] = ()
+
+    def held_backward(self) -> Odometry:
+        """Velocities as samples that hold until the next one, from rows that held since the row before.
+
+        The last one holds on; the first row's precede the log.
+        """
+        if self.velocity is None:
+            raise AssertionError("only velocities hold")
+        return replace(self, velocity=np.concatenate([self.velocity[1:], self.velocity[-1:]]))
+
+    def since(self, begin: float) -> Odometry:
+        """The odometry from an instant between its stamps on, the first stamp."""
+        later = self.time > begin
+        i = int(np.argmax(later)) - 1
+        rows = np.flatnonzero(later)
+        if self.pose is not None:
+            first = se2.interpolate(self.time, self.pose, np.array([begin]))
+            return replace(self, time=np.append(begin, self.time[rows]), pose=np.concatenate([first, self.pose[rows]]))
+        if self.velocity is None:
+            raise AssertionError("odometry is poses or velocities")
+        if begin - self.time[i] > MAX_HOLD:  # in a gap
+            return replace(self, time=self.time[rows], velocity=self.velocity[rows])
+        velocity = np.concatenate([self.velocity[i : i + 1], self.velocity[rows]])
+        return replace(self, time=np.append(begin, self.time[rows]), velocity=velocity)
 
     def increments(
         self, at: Array, noise: VelocityNoise | TravelNoise, model: str = "unicycle"

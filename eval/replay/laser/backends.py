@@ -29,6 +29,8 @@ LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
 """Losses on loop closures of the batch smoothers."""
 NAMES = ("dead-reckoning", "ekf", "isam2", "fixed-lag", *LOSSES, "gnc")
 PLAIN = Setup()
+MOST_KEYS = 4000
+"""Key poses of a filter: its time grows with their cube, a minute for 3300."""
 
 
 class Solved(NamedTuple):
@@ -90,6 +92,10 @@ def backend(
     given = _Constraints(inputs, chain, loops, order[loops.believed[order] >= 0].astype(np.int64))
     if name == "dead-reckoning":
         solved = _dead_reckoning(given)
+    elif name == "ekf" and len(chain.frame) > MOST_KEYS:
+        why = notice(Code.TOO_MANY_KEYS, keys=len(chain.frame), most=MOST_KEYS)
+        run, nothing_known = _stopped(name, chain, Failure("incomplete", 0, why))
+        solved = Solved(run, nothing_known, np.full(len(loops), np.nan))
     elif name == "ekf":
         solved = _filter(given, gate)
     elif name in ("isam2", "fixed-lag"):
@@ -122,9 +128,15 @@ def _run(name: str, **parts: object) -> Run:
 
 def _diverged(name: str, chain: Chain, frame: int, stop: UnderConstrained) -> tuple[Run, Array]:
     """A failed smoother and its blank key poses (K, 3)."""
+    return _stopped(name, chain, Failure("diverged", frame, stopped(str(stop))))
+
+
+def _stopped(name: str, chain: Chain, failure: Failure) -> tuple[Run, Array]:
+    """A run without a result and its blank key poses (K, 3)."""
     blank = np.full((len(chain.frame), 3), np.nan)
-    final = over_frames(chain, blank, np.full((len(blank), 3, 3), np.nan))
-    return _run(name, final=final, failure=Failure("diverged", frame, stopped(str(stop)))), blank
+    path = over_frames(chain, blank, np.full((len(blank), 3, 3), np.nan))
+    run = _run(name, failure=failure)
+    return (replace(run, online=path) if name == "ekf" else replace(run, final=path)), blank
 
 
 def _dead_reckoning(given: _Constraints) -> Solved:

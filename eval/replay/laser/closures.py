@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 
@@ -77,13 +78,21 @@ class LoopCloser:
         last = newest - p.loop_gap
         if last < 0 or len(self._keys[newest].points.xy) < 10:
             return []
-        covariance = self.edges.project(newest, newest + 1)
-        spread = np.sqrt(covariance[: last + 1, 0, 0] + covariance[: last + 1, 1, 1])
         world = transform_points(poses, self.centres[: newest + 1])
         apart = np.hypot(*(world[: last + 1] - world[newest]).T)
-        distance = np.where(apart <= p.loop_distance + 2.0 * spread, apart, np.inf)
+        # candidates, whatever their uncertainty: the nearest, if these are enough; others follow from it
+        chosen = nearest_first(np.where(apart <= p.loop_distance, apart, np.inf), p.loop_apart, p.loops_per_key)
+        recent = np.arange(max(newest - p.wait, 0), newest + 1)
+        enough = len(chosen) == p.loops_per_key
+        near = chosen if enough else np.flatnonzero(apart <= p.loop_distance + 2.0 * p.widest)
+        covariance = self.edges.project(newest, newest + 1, np.concatenate([near, recent]))
+        if not enough:
+            spread = np.sqrt(covariance[: last + 1, 0, 0] + covariance[: last + 1, 1, 1])
+            distance = np.full(last + 1, np.inf)
+            distance[near] = np.where(apart[near] <= p.loop_distance + 2.0 * spread[near], apart[near], np.inf)
+            chosen = nearest_first(distance, p.loop_apart, p.loops_per_key)
         found: list[Closure] = []
-        for key in nearest_first(distance, p.loop_apart, p.loops_per_key):
+        for key in chosen:
             closure = self._close(int(key), newest, poses, covariance[key])
             (self.candidates if closure.refused else found).append(closure)
         return self._believe(found, covariance)
@@ -148,7 +157,8 @@ class LoopCloser:
                 if old.refused or old.key2 == new.key2 or (old.believed >= 0 and new.believed >= 0):
                     continue
                 if from_key1 is None:
-                    from_key1 = self.edges.project(new.key1, newest + 1)
+                    late = takewhile(lambda c: newest - c.key2 <= p.wait, reversed(self.candidates))
+                    from_key1 = self.edges.project(new.key1, newest + 1, np.array([c.key1 for c in late]))
                 if self._disagreement(new, old, from_key1[old.key1], from_newest[old.key2]) < p.pair_gate:
                     for c in (old, new):
                         if c.believed < 0:

@@ -80,7 +80,7 @@ PRIOR = "sigma = [0.1, 0.1, 0.05]"
         (
             'model = "unicycle"',
             'model = "bicycle"',
-            r"\[motion\] model = 'bicycle': unknown; known: unicycle, half_angle",
+            r"\[motion\] model = 'bicycle': unknown \(did you mean unicycle\?\); known: unicycle, half_angle",
         ),
         ('model = "unicycle"', "", None),
         ('noise = "density"', "", r"\[motion\] noise: missing; known: velocity, displacement, density, textbook"),

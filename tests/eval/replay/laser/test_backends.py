@@ -14,6 +14,7 @@ from data.notice import Code
 from data.se2 import between, compose, inverse, pose_error
 from data.sensors import RelativePoint
 from eval.replay.laser import backends
+from eval.replay.laser import backends as module
 from eval.replay.laser.backends import NAMES, backend, over_frames
 from eval.replay.settings import ESTIMATORS
 from graph.optimum import NotConvergedError
@@ -194,3 +195,12 @@ def test_the_way_since_is_measured_from_the_key_pose():
     inputs, chain, loops, _ = LOG
     path = backend("batch", inputs, chain, loops).run.final.pose
     np.testing.assert_allclose(compose(inverse(path[chain.frame[7]]), path[22]), chain.since[22], atol=1e-12)
+
+
+def test_a_filter_over_too_many_key_poses_is_left_out(monkeypatch):
+    inputs, chain, loops, _ = LOG
+    monkeypatch.setattr(module, "MOST_KEYS", len(chain.frame) - 1)
+    run = backend("ekf", inputs, chain, loops).run
+    assert run.failure.status == "incomplete"
+    assert run.failure.notice.code is Code.TOO_MANY_KEYS
+    assert np.isnan(run.online.pose).all()

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from association.scans.points import Points, beams_of, scan_points
+from association.scans.uncertainty import PoseEdges
 from data.se2 import between, dead_reckoned
 from eval.replay.laser.closures import Closure, LoopCloser
 from eval.replay.laser.parameters import LaserParameters
@@ -151,3 +152,17 @@ def test_key_poses_farther_apart_than_the_path_between_allows_are_not_looked_at(
         poses[-1, 0] = away
         found = closer_at(GAP + 1, covariance=steps * np.diag([0.0005, 0.0015, 1e-6]))
         assert candidates(found, poses) == expected
+
+
+def test_uncertainty_of_wanted_key_poses_is_that_of_all_of_them():
+    rng = np.random.default_rng(5)
+    edges = PoseEdges()
+    for k in range(60):
+        edges.add(k, k + 1, rng.normal(0.0, 0.3, 3), np.diag(rng.uniform(1e-4, 1e-2, 3)))
+    for _ in range(8):
+        a, b = sorted(rng.choice(61, 2, replace=False).tolist())
+        edges.add(a, b, rng.normal(0.0, 0.3, 3), np.diag(rng.uniform(1e-4, 1e-2, 3)))
+    every, wanted = edges.project(60, 61), np.array([3, 3, 40])
+    some = edges.project(60, 61, wanted)
+    assert some[wanted].tolist() == every[wanted].tolist()
+    assert np.isinf(some).any(), "it ends before the others are known"

@@ -1,0 +1,107 @@
+"""Landmarks of bearings alone are placed where their rays cross, whatever the file's vertices are, or refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import slamref
+from data import se2
+from data.convert.__main__ import main
+from data.errors import DataError
+from data.formats.bearings import triangulate
+from data.formats.g2o import log_of, read_graph
+
+RADIUS, FRAMES = 8.0, 120
+STEP = np.array([0.4, 0.0, 0.4 / RADIUS])
+SIGMA = [0.02, 0.02, 0.005]
+SIGMA_BEARING = 0.01
+
+
+def circle(path, points, *, frames=FRAMES, reach=12.0):
+    """A robot on a circle that sees the directions of landmarks; returns its true path (N, 3).
+
+    Vertices of poses are the odometry's; of landmarks the `true` ones, all `zero`, or `none`.
+    """
+    rng = np.random.default_rng(0)
+    landmarks = rng.uniform(-14.0, 14.0, (14, 2))
+    true, reckoned, edges = [np.array([RADIUS, 0.0, 0.5 * np.pi])], [np.array([RADIUS, 0.0, 0.5 * np.pi])], []
+    for k in range(frames - 1):
+        true.append(se2.compose(true[-1], STEP))
+        measured = STEP + rng.normal(size=3) * SIGMA
+        reckoned.append(se2.compose(reckoned[-1], measured))
+        x, y, a = (1.0 / s**2 for s in SIGMA)
+        edges.append(f"EDGE_SE2 {k} {k + 1} {' '.join(map(repr, measured.tolist()))} {x} 0 0 {y} 0 {a}")
+    for k, pose in enumerate(true):
+        off = landmarks - pose[:2]
+        bearing = np.arctan2(off[:, 1], off[:, 0]) - pose[2] + SIGMA_BEARING * rng.normal(size=len(off))
+        for i in np.flatnonzero(np.hypot(*off.T) < reach):
+            turned = float(se2.wrap_angle(bearing[i]))
+            edges.append(f"EDGE_BEARING_SE2_XY {k} {1000 + i} {turned!r} {SIGMA_BEARING**-2}")
+    lines = [f"VERTEX_SE2 {k} {' '.join(map(repr, p.tolist()))}" for k, p in enumerate(reckoned)]
+    if points != "none":
+        places = landmarks if points == "true" else np.zeros_like(landmarks)
+        lines += [f"VERTEX_XY {1000 + i} {x} {y}" for i, (x, y) in enumerate(places.tolist())]
+    path.write_text("\n".join([*lines, *edges, "FIX 0"]) + "\n")
+    return np.array(true)
+
+
+@pytest.mark.parametrize("points", ["true", "zero", "none"])
+def test_a_graph_of_bearings_is_solved_whatever_its_vertices(points, tmp_path):
+    """Seen: diverged, 40.8 m, and a question about landmarks within 1788 m of another."""
+    true = circle(tmp_path / "b.g2o", points)
+    log = log_of("bearings", read_graph(tmp_path / "b.g2o"))
+    runs = slamref.compare(log.inputs(labels=True), "slam", ["ekf", "isam2", "batch"])
+    rmse = {}
+    for run in runs:
+        assert run.failure is None
+        off = run.trajectory(run.phases[-1]).pose[:, :2] - true[:, :2]
+        rmse[run.estimator] = float(np.sqrt((off**2).sum(axis=1).mean()))
+    assert max(rmse["isam2"], rmse["batch"]) < 0.06  # 0.045 m, as from the true vertices
+    (ekf,) = [run for run in runs if run.estimator == "ekf"]
+    assert rmse["ekf"] < 0.3 or ekf.status == "implausible"  # a filter cannot linearize again, which is said
+    found = slamref.notices([slamref.Trial(log, "slam", tuple(runs))])
+    assert "landmarks" not in {n.code for n in found}
+
+
+def test_without_parallax_and_without_a_place_the_file_is_refused_in_a_line_that_says_what_is_missing(tmp_path):
+    seen = "".join(f"EDGE_BEARING_SE2_XY {k} {i} {0.5 + 0.01 * k} 1e4\n" for i in (1000, 1001) for k in (0, 1))
+    (tmp_path / "b.g2o").write_text(
+        f"VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 0.1 0 0\nEDGE_SE2 0 1 0.1 0 0 1e4 0 0 1e4 0 1e4\n{seen}FIX 0\n"
+    )
+    with pytest.raises(
+        DataError,
+        match=r"EDGE_BEARING_SE2_XY: \d+ landmarks have no place \(no VERTEX_XY\): 10\d\d \(.* deg\).* need 8",
+    ):
+        log_of("bearings", read_graph(tmp_path / "b.g2o"))
+
+
+def test_landmarks_without_a_place_are_left_out_and_counted(tmp_path):
+    circle(tmp_path / "b.g2o", "none", frames=6)
+    log = log_of("bearings", read_graph(tmp_path / "b.g2o"))
+    (note,) = [n for n in log.notes if "have no place" in n]
+    assert "bearings are left out" in note
+    assert 0 < len(set(log.label.tolist())) < 14
+
+
+def test_vertices_that_agree_with_the_bearings_place_landmarks_without_parallax(tmp_path):
+    circle(tmp_path / "b.g2o", "true", frames=2)
+    log = log_of("bearings", read_graph(tmp_path / "b.g2o"))
+    assert len(log.recorded.observations.z) > 10
+
+
+def test_two_rays_cross_where_their_lines_do():
+    path = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    found = triangulate(path, np.array([0, 1]), np.array([7, 7]), np.arctan2([1.0, 1.0], [1.0, -1.0]))
+    np.testing.assert_allclose(found.distance, np.sqrt(2.0))
+    assert found.parallax[7] == pytest.approx(0.5 * np.pi)
+    behind = triangulate(path, np.array([0, 1]), np.array([7, 7]), np.arctan2([-1.0, 1.0], [1.0, 1.0]))
+    assert np.isnan(behind.distance).all()
+
+
+def test_a_table_of_bearings_alone_is_told_what_is_missing(tmp_path, capsys):
+    (tmp_path / "odo.csv").write_text("t,v,omega\n0,1,0\n1,1,0\n")
+    (tmp_path / "seen.csv").write_text("t,bearing,label\n0,0.1,3\n1,0.2,3\n")
+    words = ["table", str(tmp_path / "odo.csv"), str(tmp_path / "log"), "--observations", str(tmp_path / "seen.csv")]
+    assert main([*words, "--odometry-sigma", ".05,.02", "--observation-sigma", ".1,1deg"]) == 2
+    assert "bearings without a range" in capsys.readouterr().err
