@@ -40,6 +40,8 @@ EDGES = {
 }  # fmt: skip
 """Measured values, residuals, and the kinds of both ends."""
 TORO = [0, 1, 4, 2, 5, 3]  # places of I11 I12 I13 I22 I23 I33 among the six of an EDGE2
+IDS = 2**63  # ids are below: keys of gtsam, too
+HUGE = 1e30  # the largest number: the information of a sigma of 1e-15
 UNIT = 1e-3  # largest difference of a quaternion's norm from 1
 
 
@@ -80,7 +82,7 @@ def read_graph_file(path: Path) -> GraphFile:
     positive definite, a quaternion that is no rotation, an id that is repeated, or of two kinds, a pose without its
     vertex where the file has some; and for a file without an edge.
     """
-    return graph_file_of(path, bytes_of(path).decode("utf-8", "replace"))
+    return graph_file_of(path, bytes_of(path).decode("utf-8-sig", "replace"))
 
 
 def graph_file_of(path: Path, text: str) -> GraphFile:
@@ -130,12 +132,20 @@ def graph_file_of(path: Path, text: str) -> GraphFile:
 def _fields(path: Path, line: int, tag: str, fields: list[str], ids: int, count: int) -> tuple[tuple[int, ...], Array]:
     if len(fields) != ids + count:
         raise DataError.at(path, f"{tag} with {len(fields)} numbers; {ids + count} are needed", line=line)
-    for k, field in enumerate(fields):
+    keys = []
+    for field in fields[:ids]:
         value = float(field) if is_number(field) else math.nan
-        if not abs(value) <= LARGEST or (k < ids and (value < 0.0 or not value.is_integer())):
-            wanted = "an id, a whole number from 0 up" if k < ids else "a number"
+        key = int(field) if field.isdecimal() else int(value) if 0.0 <= value <= LARGEST and value.is_integer() else -1
+        if not 0 <= key < IDS:
+            wanted = "an id, a whole number from 0 up" + f" and below {IDS}" * (key >= IDS)
             raise DataError.at(path, f"{tag}: {field[:40]!r} is not {wanted}", line=line)
-    return tuple(int(float(f)) for f in fields[:ids]), np.array([float(f) for f in fields[ids:]])
+        keys.append(key)
+    for field in fields[ids:]:
+        value = float(field) if is_number(field) else math.nan
+        if not abs(value) <= HUGE:
+            wanted = f"a number of at most {HUGE:g}" if math.isfinite(value) else "a number"
+            raise DataError.at(path, f"{tag}: {field[:40]!r} is not {wanted}", line=line)
+    return tuple(keys), np.array([float(f) for f in fields[ids:]])
 
 
 def _edge(path: Path, line: int, tag: str, fields: list[str]) -> Edge:

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 TEN, SHOWN = 10, 6  # rows of the worst factors; names in a sentence
+FAR, FAR_SHARE = 9.0, 0.1  # decrease of the sum of squares from which values are no optimum; over the freedom
 NARROW = ["factor", "keys", "kind", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
 """Columns that fit a page; factors.csv has all."""
 
@@ -112,6 +113,10 @@ class AuditFacts:
     parts: tuple[int, ...]
     duplicates: tuple[str, ...]
     ignored: int
+    unread: tuple[str, ...]
+    zero: tuple[str, ...]
+    far: bool
+    most: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +140,7 @@ class AuditReport:
     minima: tuple[Second, ...] = ()
     questions: tuple[Question, ...] = ()
     clusters_again: dict[int, float] = field(default_factory=dict)
+    unread: tuple[str, ...] = ()
 
     @property
     def clusters(self) -> pd.DataFrame:
@@ -175,7 +181,8 @@ class AuditReport:
 
         place = {key: v for v, key in enumerate(self.audit.f.system.keys)}
         some = [i for i, keys in enumerate(self.audit.keys) if len(keys) > 1]
-        ends = np.array([(place[self.audit.keys[i][0]], place[self.audit.keys[i][-1]]) for i in some]).reshape(-1, 2)
+        ends = np.array([(place[self.audit.keys[i][0]], place[self.audit.keys[i][-1]]) for i in some], np.int64)
+        ends = ends.reshape(-1, 2)
         t = self.audit.factors
         rejected = [n for n, i in enumerate(some) if self.audit.p_family[i] < FAMILY]
         share = (t.redundancy[some] / np.maximum(t.dim[some], 1)).clip(0.0, 1.0)
@@ -301,7 +308,7 @@ def _facts(report: AuditReport) -> AuditFacts:
     if len(seen) and seen["missed_m"].max() > 0.0:
         i = int(seen["missed_m"].idxmax())
         hidden = Hidden(i, _keys(factors, i), float(factors["minimal_error"][i]), float(factors["missed_m"][i]))
-    loose = [f"{name(a.f.system.keys[v])} ({n} directions)" for v, n in a.condition.loose[:SHOWN]]
+    loose = [f"{name(a.f.system.keys[v])} ({n} direction{'s' * (n > 1)})" for v, n in a.condition.loose[:SHOWN]]
     if len(a.condition.loose) > SHOWN:
         loose.append(f"{len(a.condition.loose) - SHOWN} more")
     return AuditFacts(
@@ -310,7 +317,9 @@ def _facts(report: AuditReport) -> AuditFacts:
         tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in counts.items()),
         hidden, a.decrement, a.gained, report.minima, report.questions,
         a.curvature, a.condition.gauge, tuple(loose), a.condition.parts,
-        tuple(f"{i} and {j}" for i, j in a.condition.duplicates), int((factors["weight"] < 1.0).sum()),
+        tuple(f"{i} and {j}" for i, j in a.condition.duplicates), int((factors["weight"] < 1.0).sum()), report.unread,
+        tuple(str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero),
+        a.gained > max(FAR, FAR_SHARE * a.freedom), len(wrong) > 0.5 * len(order),
     )  # fmt: skip
 
 

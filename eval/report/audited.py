@@ -14,11 +14,13 @@ from data.formats.graph_file import GraphFile, graph_file_of, read_graph_file, w
 from eval.report.audit import AuditReport, Second, reported
 from graph.audit.audit import DRAWS, examined, places
 from graph.audit.cure import LEVELS, Cure, coverage, cure, known
-from graph.audit.files import build, built_by, callbacks, optimized, other_starts
+from graph.audit.files import EDGES, build, built_by, callbacks, optimized, other_starts
 from graph.audit.kinds import ODOMETRY
 from graph.audit.linear import Graph, Values, name
 
 LARGEST, SMALL = 6000, 2000  # factors up to which other starts are tried, and the graph is solved without a factor
+BAD = 4.0  # sum of squares over the degrees of freedom from which they are tried at any size
+VERTICES = "the vertices"
 FEW = 200  # callbacks, which are slow, up to which it is
 DIFFERENT, SHARE = 1e-3, 0.1  # relative difference of errors of two minima; share of the largest motion that is named
 
@@ -69,27 +71,40 @@ def _of_file(
     graph, values, names = build(file)
     if near is not None:
         values.update(known(near, values))
-    report, values = _audit(graph, values, names, optimize, draws, seed, full, resolve)
-    if near is None and optimize and graph.size() <= LARGEST:
-        report = replace(report, minima=_minima(file, graph, values, report))
-    return Opened(report, graph, values, file)
+    ends = _ends(file, graph, values) if near is None and optimize else {}
+    if ends:  # of several minima the lowest is examined
+        lowest = min(map(graph.error, ends.values()))
+        values = next(v for v in ends.values() if graph.error(v) - lowest < DIFFERENT * max(1.0, lowest))
+    report, values = _audit(graph, values, names, optimize and not ends, draws, seed, full, resolve)
+    unread = tuple(f"{count} {tag}" for tag, count in file.other.items())
+    return Opened(replace(report, minima=_minima(ends, graph, values, report), unread=unread), graph, values, file)
 
 
-def _minima(file: GraphFile, graph: Graph, values: Values, report: AuditReport) -> tuple[Second, ...]:
-    """Where the optimizer ends from other starts, each other minimum once."""
+def _ends(file: GraphFile, graph: Graph, values: Values) -> dict[str, Values]:
+    """Where the optimizer ends, by start: the vertices, and other starts if the graph is small or fits badly."""
+    first = optimized(graph, values)
+    ends = {VERTICES if file.poses else EDGES: first}
+    rows, unknowns = sum(graph.at(i).dim() for i in range(graph.size())), sum(values.dims().values())
+    if graph.size() <= LARGEST or 2.0 * graph.error(first) > BAD * max(rows - unknowns, 1):
+        for start, begin in other_starts(file, first).items():
+            ends[start] = optimized(graph, begin)
+    return ends
+
+
+def _minima(ends: dict[str, Values], graph: Graph, ours: Values, report: AuditReport) -> tuple[Second, ...]:
+    """Each other minimum once."""
     out: list[Second] = []
-    ours = graph.error(values)
-    for start, begin in other_starts(file, values).items():
-        other = optimized(graph, begin)
+    lowest = graph.error(ours)
+    for start, other in ends.items():
         error = graph.error(other)
         if not any(
-            abs(error - known) < DIFFERENT * max(1.0, min(known, error)) for known in (ours, *(s.error for s in out))
+            abs(error - known) < DIFFERENT * max(1.0, min(known, error)) for known in (lowest, *(s.error for s in out))
         ):
             keys, place = report.audit.f.system.keys, report.audit.place
             apart = np.nan_to_num(np.linalg.norm(places(other, keys) - place, axis=1))
             most = int(np.argmax(apart))
             far = int((apart > SHARE * apart.max(initial=0.0)).sum())
-            out.append(Second(start, error, ours, far, name(keys[most]), float(apart[most])))
+            out.append(Second(start, error, lowest, far, name(keys[most]), float(apart[most])))
     return tuple(out)
 
 

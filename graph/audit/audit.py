@@ -15,15 +15,26 @@ from graph.audit.clusters import Cluster, clusters
 from graph.audit.components import Components, Estimator
 from graph.audit.condition import Condition, condition, curvature
 from graph.audit.draws import family, independent, smallest_p
-from graph.audit.factors import BRIEF, INEXACT, Directions, Tested, directions, examine, holm, row_redundancies
+from graph.audit.factors import (
+    BRIEF,
+    INEXACT,
+    Directions,
+    Tested,
+    directions,
+    examine,
+    holm,
+    p_values,
+    row_redundancies,
+)
 from graph.audit.files import moved
 from graph.audit.fronts import Factored, factorize, ordering
 from graph.audit.kinds import Grouping, Kinds, kinds, positions_of
-from graph.audit.linear import System, linearize
+from graph.audit.linear import IGNORED, System, linearize
 from graph.audit.simulated import smallest_p_optimized
 
 DRAWS = 200
 FAMILY, PARTS = 0.05, (0.5, 0.25, 0.25)  # family-wise level of a rejection; parts of factors, components, clusters
+SNOOPED = 10  # factors left out one by one before components
 Draws = Callable[[Factored, Sequence[Directions]], Array]
 
 
@@ -108,11 +119,12 @@ def examined(
     elif draws:
         drawn = lambda f, seen: smallest_p(f, seen, draws, rng)  # noqa: E731
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
-    s = statistics(system, keys, of, positions_of(values, system.keys), rng, drawn)
+    metres = positions_of(values, system.keys)
+    s = statistics(system, keys, of, metres, rng, drawn)
     whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
     gained = max(whole - s.f.square, 0.0)
     bent = curvature(s.f, lambda x: float(graph.error(moved(system, s.f.at, x, values))), rng)
-    found = condition(s.f, parts(system), firsts(system))
+    found = condition(s.f, parts(system), metres)
     return Audit(**vars(s), decrement=float(np.sqrt(gained)), gained=gained, condition=found, curvature=bent,
                  place=places(values, system.keys))  # fmt: skip
 
@@ -143,16 +155,22 @@ def statistics(
     seen = directions(f, BRIEF if brief else INEXACT)
     t = examine(f, seen, metres, brief=brief)
     axis, rows = axes_of(of, system)
-    estimator = Estimator(f, order, rows, axis[:, 0], rng)
-    by_kind, by_axis = estimator.by_kind(), estimator.by_axis()
+    drawn = np.zeros(0) if draws is None else draws(f, seen)
+    tests = int(np.isfinite(t.p).sum())
+    alone = min(independent(drawn), tests) if len(drawn) and tests else tests
+    found = []
+    for rest, left in snooped(f, order, t, PARTS[0] * FAMILY / max(alone, 1)):
+        used = [np.where(np.isin(g.factor, left)[:, None], -1, r) for g, r in zip(system.groups, rows, strict=True)]
+        estimator = Estimator(rest, order, used, axis[:, 0], rng)
+        found.append((estimator.by_kind(), estimator.by_axis()))
+    (by_kind, by_axis), *without = found
+    for of_kind, of_axis in without:
+        by_kind, by_axis = replace(by_kind, without=of_kind.p), replace(by_axis, without=of_axis.p)
     whole_rows, every = np.concatenate([each.ravel() for each in rows]), [row_redundancies(s).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
     together, all_ = clusters(f, seen, t, np.flatnonzero(of.loops).tolist(), metres)
     p_cluster = np.concatenate([[c.p for c in together], np.ones(all_ - len(together))])
     of_components = np.concatenate([by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan)])
-    drawn = np.zeros(0) if draws is None else draws(f, seen)
-    tests = int(np.isfinite(t.p).sum())
-    alone = min(independent(drawn), tests) if len(drawn) and tests else tests
     classes = (t.p, of_components, p_cluster)
     weight = [np.full(len(p), part / max(np.isfinite(p).sum(), 1)) for p, part in zip(classes, PARTS, strict=True)]
     share = np.ones(sum(map(len, classes)))
@@ -165,6 +183,35 @@ def statistics(
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
         system.rows - f.rank, f,
     )  # fmt: skip
+
+
+def snooped(f: Factored, order: IntArray, t: Tested, level: float) -> list[tuple[Factored, IntArray]]:
+    """The system in least squares, and the factors it lacks; then without those that are wrong on their own, if any.
+
+    What a few wrong factors do to the residuals of others would else be put down to the noise of their kind, as would
+    the weights of a robust noise, which all are 1 here. Its rejected factors are left out in both systems. In the
+    second the worst of all is, too, and the rest solved again, until none has a p value below `level` (data snooping:
+    Baarda 1968); where they are many there is no second system.
+    """
+    robust, p = t.weight < 1.0, t.p.copy()
+    left = np.flatnonzero(robust & (p < level))
+    rest = _without(f, left, order) if robust.any() else f
+    whole = [(rest, left)]
+    for turn in range(SNOOPED + 1):
+        if rest is not f:
+            for g, some in zip(rest.system.groups, p_values(directions(rest, BRIEF)), strict=True):
+                p[g.factor] = some
+        p[left] = np.nan
+        if not np.nanmin(p, initial=1.0) < level:
+            return [*whole, (rest, left)] if turn else whole
+        left = np.append(left, np.nanargmin(p))
+        rest = _without(f, left, order)
+    return whole
+
+
+def _without(f: Factored, left: IntArray, order: IntArray) -> Factored:
+    groups = [replace(g, weight=np.where(np.isin(g.factor, left), IGNORED, 1.0)) for g in f.system.groups]
+    return factorize(replace(f.system, groups=groups), order)
 
 
 def places(values: gtsam.Values, keys: Sequence[int]) -> Array:

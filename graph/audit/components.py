@@ -17,14 +17,16 @@ from scipy.sparse import csr_matrix
 from scipy.stats import chi2
 
 from data.inputs import IntArray
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from graph.audit.fronts import PART, Factored, factorize, solved, step
 
 ROWS = 6000  # probed rows of an axis: 2 % of the entries of S
 MOST, POOLED = 12, 2  # iterations; those where axes share a component: if they differ there is no fixed point
 CLOSE = 0.3  # change in standard errors that ends them
 NEAR = 0.02  # least step of scoring
-SMALLEST, NONE = 1e-6, 0.5  # component of residuals that are all zero; redundancy below which there is no estimate
+SMALLEST, NONE = 1e-8, 0.5  # least component; redundancy below which there is no estimate
+ZERO = 1e-8  # sum of squares over redundancy below which residuals are zero: nothing was drawn, or it is stated twice
+VAGUE = 1e-4  # leverage of a row below which a sigma that is too large spoils nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +34,8 @@ class Components:
     """Arrays (K,): component, its standard error, redundancy at the stated weights; NaN where nothing is redundant.
 
     `ratio` is the sum of squares over the redundancy, both at the stated weights; `freedom` that of its chi-square.
+    `vague`: sigmas so wide that its rows move nothing, as those of a prior that only states a gauge. `without`: p
+    values without the factors that are wrong on their own, NaN where there are none.
     """
 
     component: Array
@@ -39,6 +43,13 @@ class Components:
     redundancy: Array
     ratio: Array
     freedom: Array
+    vague: BoolArray
+    without: Array
+
+    @property
+    def zero(self) -> BoolArray:
+        """Whether all residuals are zero, though others check them."""
+        return (self.redundancy > NONE) & (self.ratio < ZERO)
 
     @property
     def p(self) -> Array:
@@ -46,10 +57,13 @@ class Components:
 
         The sum of squares at the stated weights has the right size, but answers to the noise of other kinds; the
         estimate does not, but is no chi-square where it has few degrees of freedom. The larger p has both virtues.
+        Neither blames the noise for what a few wrong factors do.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             own = _two_sided(self.component, 2.0 * (self.component / self.error) ** 2)
-            return np.where(np.isfinite(self.component), np.fmax(own, _two_sided(self.ratio, self.freedom)), np.nan)
+            tested = np.isfinite(self.component) & ~(self.vague & (self.component < 1.0))
+            whole = np.fmax(own, _two_sided(self.ratio, self.freedom))
+            return np.where(tested, np.fmax(whole, self.without), np.nan)
 
 
 def _two_sided(ratio: Array, freedom: Array) -> Array:
@@ -92,10 +106,10 @@ class Estimator:
     def __init__(
         self, f: Factored, order: IntArray, of: Sequence[IntArray], kind: IntArray, rng: np.random.Generator
     ) -> None:
-        """`of`: per group, (n, d) the axis of each row; `kind`: (K,) of each axis."""
+        """`of`: per group, (n, d) the axis of each row, -1: of none; `kind`: (K,) of each axis."""
         self._f, self._order, self._of, self._kind = f, order, of, kind
         self._row = np.concatenate([each.ravel() for each in of])
-        self._size = np.bincount(self._row, minlength=len(kind))
+        self._size = np.bincount(self._row[self._row >= 0], minlength=len(kind))
         probes = np.clip(np.ceil(ROWS / np.maximum(self._size, 1)), 2, 400).astype(int)
         self._signs = [_probes(n, m, rng) for n, m in zip(self._size.tolist(), probes.tolist(), strict=True)]
         self._axes: Components | None = None
@@ -116,19 +130,21 @@ class Estimator:
     def _equations(self, theta: Array, f: Factored | None = None) -> tuple[Array, Array]:
         """S (K, K) and q (K,) of rows whose variances are multiplied by `theta` (K,)."""
         system, row, count = self._f.system, self._row, len(self._kind)
-        scale = [1.0 / np.sqrt(theta)[each] for each in self._of]
+        scale = [np.where(each < 0, 1.0, 1.0 / np.sqrt(theta)[each]) for each in self._of]
         f = factorize(system, self._order, scale) if f is None else f
         A, x = weighted_rows(f, scale), step(f)
         b = np.concatenate(
             [(np.sqrt(g.weight)[:, None] * s * g.r).ravel() for g, s in zip(system.groups, scale, strict=True)]
         )
-        q = np.bincount(row, (b + A @ x) ** 2, count).astype(float)
+        used = row >= 0
+        q = np.bincount(row[used], ((b + A @ x) ** 2)[used], count).astype(float)
         S = np.zeros((count, count))
         for k, signs in enumerate(self._signs):
             if len(signs):
                 e = np.zeros((len(row), signs.shape[1]))
                 e[row == k] = signs
-                S[:, k] = np.bincount(row, np.sum(residuals(f, A, e) ** 2, 1), count) / signs.shape[1]
+                square = np.sum(residuals(f, A, e) ** 2, 1)
+                S[:, k] = np.bincount(row[used], square[used], count) / signs.shape[1]
         return 0.5 * (S + S.T), q
 
     def _estimate(self, share: Array) -> Components:
@@ -136,11 +152,12 @@ class Estimator:
         theta, (S, q) = np.ones(share.shape[1]), self._stated
         S, q = share.T @ S @ share, share.T @ q
         redundancy = S.sum(1)
-        live = redundancy > NONE
+        live = (redundancy > NONE) & (q > ZERO * redundancy)
+        vague = redundancy > (1.0 - VAGUE) * (self._size @ share)
         stated, freedom = q / np.maximum(redundancy, NONE), redundancy**2 / np.maximum(np.diagonal(S), NONE**2)
         error = np.full(len(theta), np.nan)
         if not live.any():
-            return Components(error, error, redundancy, stated, freedom)
+            return Components(error, error, redundancy, stated, freedom, vague, np.full(len(theta), np.nan))
         for turn in range(most := MOST if len(theta) == len(share) else POOLED):
             # Fisher's scoring; where that leads too far, the almost-unbiased estimate
             part = np.ix_(live, live)
@@ -156,4 +173,6 @@ class Estimator:
                 break
             S, q = self._equations(share @ theta)
             S, q = share.T @ S @ share, share.T @ q
-        return Components(np.where(live, theta, np.nan), error, redundancy, stated, freedom)
+        return Components(
+            np.where(live, theta, np.nan), error, redundancy, stated, freedom, vague, np.full(len(theta), np.nan)
+        )

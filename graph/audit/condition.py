@@ -14,6 +14,7 @@ from graph.audit.fronts import Factored, solved
 
 MOVES = 1e-6  # share of a null vector's largest entry that counts as motion
 WEAKEST, ITERATIONS = 3, 3  # directions, and inverse iterations, in which the curvature is looked at
+WHOLE, FEW = 0.9, 3  # share, and least number, of the poses that move with the whole graph
 MOST = 512  # directions without information that are looked at
 
 
@@ -34,23 +35,59 @@ class Condition:
     duplicates: tuple[tuple[int, int], ...]
 
 
-def condition(f: Factored, part: IntArray, first: Sequence[int]) -> Condition:
-    """The findings; `part` (V,) is the connected part of each variable, `first` the variable of each that stays."""
+def condition(f: Factored, part: IntArray, metres: Sequence[IntArray]) -> Condition:
+    """The findings; `part` (V,) is the connected part of each variable, `metres` its components that are a position."""
     sizes = tuple(sorted(np.bincount(part).tolist(), reverse=True))
     gauge, loose = 0, list[tuple[int, int]]()
     N = _null(f, f.dropped[-MOST:])
-    for v in first if N.shape[1] else []:
-        rows = np.concatenate([_columns(f, u) for u in np.flatnonzero(part == part[v]).tolist()])
-        mine = N[:, (np.abs(N[rows]) > MOVES).any(0)]
-        _, s, Vt = np.linalg.svd(mine[_columns(f, v)])
-        rank = int((s > MOVES).sum())
-        gauge += rank
-        rest = mine @ Vt[rank:].T  # what else moves while the first variable stays
-        if rest.shape[1]:
-            for u in np.flatnonzero(part == part[v]).tolist():
-                moved = int((np.linalg.svd(rest[_columns(f, u)], compute_uv=False) > MOVES).sum())
-                loose += [(u, moved)] * (moved > 0)
+    placed = np.array([len(each) > 0 for each in metres])
+    for p in np.unique(part).tolist() if N.shape[1] else []:
+        members = np.flatnonzero(part == p)
+        rows = np.concatenate([_columns(f, u) for u in members.tolist()])
+        poses = members[placed[members]] if placed[members].any() else members
+        found, rest = _gauge(f, N[:, (np.abs(N[rows]) > MOVES).any(0)], members, poses)
+        gauge += found
+        moved = _ranks(f, rest, members)
+        loose += [(int(u), int(n)) for u, n in zip(members[moved > 0], moved[moved > 0], strict=True)]
     return Condition(sizes, gauge, tuple(sorted(loose)), _duplicates(f))
+
+
+def _gauge(f: Factored, N: Array, members: IntArray, poses: IntArray) -> tuple[int, Array]:
+    """Number of the directions that move nearly all poses, and what still moves while some poses stay.
+
+    A pose stays that lets the fewest others move, of a few: one that is loose itself would let all. More than a pose is
+    held only where a number of others moves, as with the scale that cameras leave open.
+    """
+    gauge, held = 0, np.zeros(0, np.int64)
+    while N.shape[1]:
+        free = np.setdiff1d(poses, held)
+        rank = _ranks(f, N, free)
+        if np.count_nonzero(rank) < max(WHOLE * len(free), FEW if len(held) else 1):
+            break
+        typical = free[rank == np.bincount(rank[rank > 0]).argmax()]
+        tries = [_held(f, N, int(v)) for v in typical[[0, len(typical) // 2, -1]]]
+        counts = [np.count_nonzero(_ranks(f, rest, members)) for _, rest in tries]
+        best = int(np.argmin(counts))
+        gauge, N = gauge + tries[best][0], tries[best][1]
+        held = np.append(held, typical[[0, len(typical) // 2, -1]][best])
+    return gauge, N
+
+
+def _held(f: Factored, N: Array, v: int) -> tuple[int, Array]:
+    """Number of directions in which a variable moves, and the motions in which it stays."""
+    _, s, Vt = np.linalg.svd(N[_columns(f, v)])
+    rank = int((s > MOVES).sum())
+    return rank, N @ Vt[rank:].T
+
+
+def _ranks(f: Factored, N: Array, some: IntArray) -> IntArray:
+    """Number of directions in which each of some variables moves."""
+    out = np.zeros(len(some), np.int64)
+    for d in np.unique(f.system.dim[some]).tolist() if N.shape[1] else []:
+        mine = np.flatnonzero(f.system.dim[some] == d)
+        blocks = N[f.at[some[mine]][:, None] + np.arange(d)]
+        out[mine] = (np.linalg.svd(blocks, compute_uv=False) > MOVES).sum(1)
+    return out
 
 
 def _columns(f: Factored, v: int) -> IntArray:

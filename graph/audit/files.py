@@ -54,14 +54,16 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
     for number, edge in enumerate(file.edges):
         graph.add(_factor(file, edge, number in robust))
         names.append("" if len(set(file.kind(edge))) == 1 else _name(edge))
-    for key in sorted({key for edge in file.edges for key in ends(file, edge)}):
-        kind, v = (file.points if key >> 56 else file.poses).get(key & INDEX, ("", None))
+    places = _places(file)
+    for key in sorted(places):
+        point, number = places[key]
+        kind, v = (file.points if point else file.poses).get(number, ("", None))
         if v is not None:
             values.insert(key, MAKE[kind](v))
     _follow(file, values)
     if len(file.fixed) > 1:
         for key in dict.fromkeys(file.fixed):
-            place = key if key in file.poses else L(key)
+            place = key if key in file.poses else point_key(key)
             if values.exists(place):
                 graph.add(_fixed(values, place, (file.poses | file.points)[key][0]))
                 names.append("fixed")
@@ -69,9 +71,26 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
 
 
 def ends(file: GraphFile, edge: Edge) -> tuple[int, int]:
-    """Keys of both ends: the ids of poses, and L(id) of points."""
+    """Keys of both ends: the ids of poses, and of points as `point_key`."""
     i, j = edge.ends
-    return i, L(j) if file.kind(edge)[1] in (POINT2, POINT3) else j
+    return i, point_key(j) if file.kind(edge)[1] in (POINT2, POINT3) else j
+
+
+def point_key(number: int) -> int:
+    """Key of a point: L(id), as a pose may have the same id; the id itself where it is a key with a character."""
+    return L(number) if number <= INDEX else number
+
+
+def _places(file: GraphFile) -> dict[int, tuple[bool, int]]:
+    """By key, whether it is a point, and its id. Raises DataError where a pose and a point have the same key."""
+    out: dict[int, tuple[bool, int]] = {}
+    for edge in file.edges:
+        for key, number, kind in zip(ends(file, edge), edge.ends, file.kind(edge), strict=True):
+            mine = kind in (POINT2, POINT3), number
+            if out.setdefault(key, mine) != mine:
+                what = f"{edge.tag}: {number} is the key of a pose and of a point; ids from {INDEX + 1} up must differ"
+                raise DataError.at(file.path, what, line=edge.line)
+    return out
 
 
 def _name(edge: Edge) -> str:
@@ -152,18 +171,18 @@ def _follow(file: GraphFile, values: gtsam.Values) -> None:
                 if value is not None:
                     values.insert(other, value)
                     (queue.appendleft if abs(other - key) == 1 else queue.append)(other)
-    lost = next((key for pair in keys for key in pair if not values.exists(key)), None)
-    if lost is not None:
-        raise DataError.at(
-            file.path, f"vertex {lost & INDEX} has no place: only bearings see it; its VERTEX line is needed"
-        )
+    for edge, pair in zip(file.edges, keys, strict=True):
+        lost = next((number for number, key in zip(edge.ends, pair, strict=True) if not values.exists(key)), None)
+        if lost is not None:
+            what = f"vertex {lost} has no place: only bearings see it; its VERTEX line is needed"
+            raise DataError.at(file.path, what)
 
 
 def _beyond(file: GraphFile, edge: Edge, values: gtsam.Values, key: int) -> Any:
     """Value of the other end of an edge, None where it does not say."""
     z, (first, second) = edge.measured, file.kind(edge)
     if first != (kind := second):
-        if key != edge.ends[0] or key >> 56 or edge.tag == "EDGE_BEARING_SE2_XY":
+        if key != edge.ends[0] or edge.tag == "EDGE_BEARING_SE2_XY":
             return None
         if edge.tag == "BR":
             z = z[1] * np.array([np.cos(z[0]), np.sin(z[0])])

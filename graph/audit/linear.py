@@ -60,7 +60,8 @@ class System:
 def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System:
     """The graph around the values. Empty slots have no group; variables without a factor no column.
 
-    Raises DataError for a factor of an unknown variable, or one whose residual or Jacobian is not finite.
+    Raises DataError for a factor of an unknown variable, one that gtsam cannot evaluate, or one whose residual or
+    Jacobian is not finite, or has another shape than its noise and variables ask for.
     """
     dims = values.dims()
     used = sorted(graph.keyVector())
@@ -69,7 +70,7 @@ def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System
         number = next(i for i in range(graph.size()) if graph.exists(i) and absent in set(graph.at(i).keys()))
         raise DataError(f"factor {number}: {name(absent)} has no value; a value for each variable is needed")
     place = {key: k for k, key in enumerate(used)}
-    linear = graph.linearize(values)
+    linear = _linear(graph, values)
     shaped: dict[tuple[int, ...], tuple[list[int], list[list[int]], list[Array], list[Array], list[float]]] = {}
     constraints: list[tuple[tuple[int, ...], int, Array]] = []
     for i in range(graph.size()):
@@ -78,8 +79,8 @@ def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System
         factor = graph.at(i)
         keys = factor.keys()
         A, r, weight, exact = _whitened(factor, linear, i, keys, values)
-        if A.shape[1] != sum(dims[key] for key in keys):  # a factor that sorts or repeats its keys
-            keys = list(dict.fromkeys(keys))
+        if len(set(keys)) < len(keys):
+            A, keys = _once(A, keys, dims)
         if not (np.isfinite(A).all() and np.isfinite(r).all()):
             raise DataError(f"factor {i}: its residual at {', '.join(map(name, keys))} is not finite; check its noise")
         shape = (len(r), *(dims[key] for key in keys))
@@ -100,23 +101,73 @@ def linearize(graph: gtsam.NonlinearFactorGraph, values: gtsam.Values) -> System
     return System(used, np.array([dims[key] for key in used], np.int64), groups, graph.size())
 
 
+def _linear(graph: Graph, values: Values) -> gtsam.GaussianFactorGraph:
+    """All factors linearized, but callbacks: gtsam does not check their Jacobians, and ends the process over some."""
+    plain = gtsam.NonlinearFactorGraph(graph)
+    for i in range(graph.size()):
+        if graph.exists(i) and isinstance(graph.at(i), gtsam.CustomFactor):
+            plain.remove(i)
+    try:
+        return plain.linearize(values)
+    except RuntimeError:
+        for i in range(plain.size()):
+            try:
+                if plain.exists(i):
+                    plain.at(i).linearize(values)
+            except RuntimeError as error:
+                why = next(iter(str(error).strip().splitlines()), "gtsam cannot linearize it at these values")
+                raise DataError(f"factor {i}: {why}") from None
+        raise
+
+
+def _once(A: Array, keys: list[int], dims: dict[int, int]) -> tuple[Array, list[int]]:
+    """Jacobian and keys, each variable once: a factor may have one several times."""
+    unique = list(dict.fromkeys(keys))
+    if A.shape[1] == sum(dims[key] for key in unique):
+        return A, unique
+    parts = np.split(A, np.cumsum([dims[key] for key in keys])[:-1], axis=1)
+    return np.hstack([sum(part for part, k in zip(parts, keys, strict=True) if k == key) for key in unique]), unique
+
+
+def _callback(factor: gtsam.NoiseModelFactor, i: int, keys: list[int], values: Values) -> tuple[Array, Array]:
+    """Residual and Jacobian of a factor before its noise. Raises DataError for other shapes than it states."""
+    blocks = gtsam.JacobianVector([np.empty((0, 0))] * len(keys))
+    error, dims = np.asarray(factor.unwhitenedError(values, blocks)), values.dims()
+    if len(error) != factor.dim():
+        raise DataError(f"factor {i}: {len(error)} residuals; its noise has {factor.dim()} dimensions")
+    for key, block in zip(keys, blocks, strict=True):
+        if np.shape(block) != (len(error), dims[key]):
+            wrong, right = np.shape(block), (len(error), dims[key])
+            raise DataError(f"factor {i}: its Jacobian of {name(key)} has the shape {wrong}; {right} is needed")
+    return error, np.hstack(list(blocks))
+
+
 def _whitened(
     factor: gtsam.NonlinearFactor, linear: gtsam.GaussianFactorGraph, i: int, keys: list[int], values: gtsam.Values
 ) -> tuple[Array, Array, float, Array | None]:
     """Jacobian, residual, weight, and which rows are constraints (None: none)."""
     model = factor.noiseModel() if isinstance(factor, gtsam.NoiseModelFactor) else None
     if isinstance(factor, gtsam.NoiseModelFactor) and isinstance(model, gtsam.noiseModel.Robust):
-        blocks = gtsam.JacobianVector([np.empty((0, 0))] * len(keys))
-        error, beneath = factor.unwhitenedError(values, blocks), model.noise()
+        (error, A), beneath = _callback(factor, i, keys, values), model.noise()
         loss: Any = model.robust()  # the stubs do not know the weight
         r = beneath.whiten(error)
         weight = max(float(loss.weight(float(np.linalg.norm(r)))), IGNORED)
-        return beneath.Whiten(np.hstack(list(blocks))), r, weight, None
+        return beneath.Whiten(A), r, weight, None
+    if isinstance(factor, gtsam.CustomFactor):
+        error, A = _callback(factor, i, keys, values)
+        if isinstance(model, gtsam.noiseModel.Constrained):
+            exact = np.asarray(model.sigmas()) == 0.0
+            scale = np.where(exact, 1.0, 1.0 / np.where(exact, 1.0, model.sigmas()))
+            return scale[:, None] * A, scale * error, 1.0, exact if exact.any() else None
+        return (A, error, 1.0, None) if model is None else (model.Whiten(A), model.whiten(error), 1.0, None)
     if not linear.exists(i):  # a factor that is switched off at these values
         return np.zeros((0, sum(values.dims()[key] for key in keys))), np.zeros(0), 1.0, None
     if type(model) is gtsam.noiseModel.Gaussian and not (np.diagonal(model.R()) > 0.0).all():
         raise DataError(f"factor {i}: its noise is not positive definite; check its covariance or information")
     A, b = linear.at(i).jacobian()
+    if isinstance(linear.at(i), gtsam.HessianFactor):  # a row without coefficients is what was eliminated: a constant
+        told = A.any(1)
+        A, b = A[told], b[told]
     if isinstance(model, gtsam.noiseModel.Constrained):
         exact = np.asarray(model.sigmas()) == 0.0
         return A, -b, 1.0, exact if exact.any() else None
@@ -124,5 +175,5 @@ def _whitened(
 
 
 def name(key: int) -> str:
-    """A key as gtsam prints it."""
-    return str(gtsam.DefaultKeyFormatter(key))
+    """A key as gtsam prints it; its number, where its character cannot be printed."""
+    return str(gtsam.DefaultKeyFormatter(key)) if key < 1 << 56 or 32 < key >> 56 < 127 else str(key)
