@@ -369,7 +369,7 @@ def _name(log: Log, quantity: str) -> str:
 
 def conventions(log: Log) -> list[Notice]:
     """Conventions of the log that are not those stated."""
-    return [*side(log), *order(log)]
+    return [*side(log), *order(log), *(question for check in laser_questions.CHECKS for question in check(log))]
 
 
 CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
@@ -390,5 +390,5 @@ CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
 
 def ask(log: Log) -> tuple[Notice, ...]:
     """Questions about a log; none where it looks as it should."""
-    found = [*log.asked, *(question for check in (*CHECKS, *laser_questions.CHECKS) for question in check(log))]
+    found = [*log.asked, *(question for check in CHECKS for question in check(log))]
     return tuple(question.about(log=log.name) for question in found)

@@ -207,6 +207,7 @@ class Run(Locked):
         walls: landmarks are walls (rho, alpha) instead of points.
         begun: (M,) as `created`, by the final decisions, where these changed it (else None).
         gated_final: as `gated`, of the final decisions, where all were revised (else None).
+        left: (l,) numbers of landmarks in the map that left the world before the end (None: not known).
     """
 
     estimator: str
@@ -236,6 +237,7 @@ class Run(Locked):
     walls: bool = False
     begun: IntArray | None = None
     gated_final: tuple[float, float] | None = None
+    left: IntArray | None = None
     handed_in: ClassVar[bool] = False
     """Whether it is another program's result."""
 

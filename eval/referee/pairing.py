@@ -23,7 +23,7 @@ from data.questions import FASTEST, SHARE, changes, per_second
 from data.se2 import Array, BoolArray, wrap_angle
 from eval.referee.consistency import nees
 from eval.referee.errors import align, rms
-from eval.referee.in_space import NONE, SAME_VERTICAL, InSpace, poses, tilts
+from eval.referee.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
 
 FEW = 5
 """Least number of matched poses for a question about both files."""
@@ -306,7 +306,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     worlds = theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)
     bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation
     same_world = _spread(worlds) <= _spread(bodies)
-    first = _w_first(ours.rotation, theirs.rotation)
+    first = _same_vertical(ours, theirs) and _w_first(ours.rotation, theirs.rotation)
     which = "quaternion" if first else "world" if same_world else "body"
     yield _ask(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which)
 
@@ -342,6 +342,17 @@ def _partly_known(path: GivenPath) -> Iterator[Notice]:
 def _spread(R: Array) -> float:
     """Median angle [rad] of rotations (n, 3, 3) from the first."""
     return float(np.median(se3.angle_between(np.broadcast_to(R[0], R.shape), R)))
+
+
+def _same_vertical(ours: Poses, theirs: Poses) -> bool:
+    """Whether positions fit about as well when the estimate is only turned about the vertical."""
+    found = []
+    for how in (YAW, SE3):
+        fit = aligning(ours, theirs, how)
+        assert fit is not None  # there are matches
+        found.append(rms(np.linalg.norm(ours.position @ fit.R.T + fit.t - theirs.position, axis=1)))
+    size = float(np.linalg.norm(np.ptp(theirs.position, axis=0)))
+    return found[0] <= 2.0 * found[1] + FITS * size
 
 
 def _w_first(ours: Array, theirs: Array) -> bool:

@@ -64,6 +64,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
         front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,
         iterations=result.iterations, last_step_sigma=result.last_step, errors_final=result.systematic,
         begun=None if front.begun is None else initialized, gated_final=front.gated_final,
+        left=front.left,
     )  # fmt: skip
 
 

@@ -79,7 +79,8 @@ class FrontEnd:
 
     revises_map = False  # whether landmarks leave the map for other reasons than map management's
     asks_for_innovations = False  # whether the estimator must form its innovations
-    gated_final: tuple[float, float] | None = None  # see `Run`
+    gated_final: tuple[float, float] | None = None  # see `Run`, as `left`
+    left: IntArray | None = None
 
     def __init__(
         self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None

@@ -111,7 +111,7 @@ class Recorder:
             self.decisions, final, self.created, innovations, total, size, seconds, failure, tuple(front.notes()),
             removed, events, self._gated(), finished.iterations, finished.last_step_sigma,
             errors_online=self._errors_online(), errors_final=finished.systematic, begun=begun,
-            gated_final=front.gated_final,
+            gated_final=front.gated_final, left=front.left,
         )  # fmt: skip
 
     def _errors_online(self) -> Systematics | None:

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from association.scans.constraints import SCAN
+from data.inputs import IntArray
 from data.log import folder_name
 from data.notice import Notice
 from data.result import Run, Trajectory
@@ -210,14 +211,24 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
             return
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
     ids = landmark_true_ids(named(run), trial.log.truth, m.number)
-    near = ambiguous(run, trial.log.recorded)
+    near, until = ambiguous(run, trial.log.recorded), _until(run, trial.log.recorded.observations.frame)
     table = pd.DataFrame({
         "landmark": m.number, "x": m.xy[:, 0], "y": m.xy[:, 1], "c_xx": m.covariance[:, 0, 0],
         "c_xy": m.covariance[:, 0, 1], "c_yy": m.covariance[:, 1, 1],
         "true_id": pd.Series(ids, dtype=object).where(ids >= -1, None), "first_frame": m.first_frame,
         "times_seen": m.times_seen, "ambiguous": pd.Series(near, dtype=object).where(near >= 0, None),
+        "until": pd.Series(until, dtype=object).where(until >= 0, None),
     })  # fmt: skip
     result_files.LANDMARKS.write(table, place)
+
+
+def _until(run: Run, frame: IntArray) -> IntArray:
+    """Frame of the last observation of each landmark of the map that left before the end, else -1; `frame` (M,)."""
+    assert run.map is not None
+    number, until = run.map.number, np.full(len(run.map), -1, np.int64)
+    for n in [] if run.left is None else run.left.tolist():
+        until[number == n] = frame[run.final_decisions == n].max(initial=-1)
+    return until
 
 
 def _write_decisions(place: Path, trial: Trial, run: Run) -> None:

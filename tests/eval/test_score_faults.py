@@ -173,6 +173,10 @@ def test_poses_a_minute_apart_are_no_milliseconds(scored):
     assert "stamps in s" in said
 
 
+def test_a_unit_of_no_file_is_refused(scored):
+    assert "--unit estmate=ms: unknown" in scored(tum(CURVE), tum(CURVE), "--unit", "estmate=ms", status=2)
+
+
 # ---- axes
 
 
@@ -211,6 +215,8 @@ def test_two_files_in_two_planes_are_aligned_in_space(places, scored):
     assert values["rmse_aligned_m"] == pytest.approx(0.0, abs=1e-6)
     assert values["rmse_position_3d_se3_m"] == pytest.approx(0.0, abs=1e-6)
     assert any("90 deg" in a for a in asked)
+    if places is PLACES:  # on a line w-first quaternions explain it as well
+        assert any("worlds' axes" in a for a in asked)
     for how in ("se2", "se3", "sim3", "first"):
         values, asked, _ = scored(estimate, tum(places), "--align", how)
         assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-6)

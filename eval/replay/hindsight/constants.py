@@ -74,6 +74,8 @@ REASSOCIATION_GATE = 0.999  # gate of the final re-association
 REASSOCIATION_QUANTILE = 0.9  # quantile of squared distances that gives the variance scale; a median ignores tails
 REASSOCIATION_OBSERVATIONS = 4  # observations of a landmark that counts for this scale
 
+PLAIN_ODDS = 10.0  # log odds from which the final decisions are those of `jcbb`
+
 # --- A frame without a prediction (placement.py) --------------------------------------------------------------------
 
 DISTANCE_SIGMAS = 3.0  # standard deviations within which two distances, or a point and a landmark, agree

@@ -36,10 +36,22 @@ def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observati
     rows = np.flatnonzero((number >= 0) & (times[np.maximum(number, 0)] >= constants.REASSOCIATION_OBSERVATIONS))
     if not len(rows):
         return 1.0
-    nu = sensor.residual(seen.z[rows], sensor.predict(pose[seen.frame[rows]], known.positions(number[rows])))
-    d2 = (nu * np.linalg.solve(seen.R[rows], nu[..., None])[..., 0]).sum(axis=1)
+    d2 = _distances(sensor, pose, known, seen, number, rows)
     share = float(np.quantile(d2, constants.REASSOCIATION_QUANTILE)) / gate_threshold(constants.REASSOCIATION_QUANTILE)
     return max(share, constants.LEAST_SCALE)
+
+
+def squares(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> float:
+    """Sum of the squared distances of observations (m) to their landmarks (m,), -1 for none; poses (N, 3)."""
+    return float(_distances(sensor, pose, known, seen, number, np.flatnonzero(number >= 0)).sum())
+
+
+def _distances(
+    sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray, rows: IntArray
+) -> Array:
+    nu = sensor.residual(seen.z[rows], sensor.predict(pose[seen.frame[rows]], known.positions(number[rows])))
+    d2: Array = (nu * np.linalg.solve(seen.R[rows], nu[..., None])[..., 0]).sum(axis=1)
+    return d2
 
 
 def reassociate(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations) -> Reassociation:

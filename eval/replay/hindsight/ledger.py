@@ -53,8 +53,9 @@ class Ledger:
         self.created, self.frame, self.frames, self.travelled = 0, -1, 0, 0.0
         self.epoch = Epoch()
         self.events: list[Event] = []  # the revisions, in order
-        # at the end: landmarks of the map that left before, and whether the map is folded
-        self.left, self.folded = np.empty(0, np.int64), False
+        # at the end: landmarks of the map that left before; landmarks removed from a folded map, and their last
+        # observations
+        self.left, self.folded = np.empty(0, np.int64), dict[int, int]()
         self.merged: list[tuple[int, int, int]] = []  # (frame, away, kept) of every merged landmark
         self._read = replace(sensor, max_range=0.0, min_angle=0.0, max_angle=0.0)  # the view that held observations
         self._touched: set[int] = set()
@@ -194,7 +195,11 @@ class Ledger:
         observations = np.array([len(r.observations) for _, r in every], np.int64)
         found = kept_at_end([recounted.get(n, r.opportunities) for n, r in every], observations)
         numbers = np.array([n for n, _ in every], np.int64)
-        self.left, self.folded = numbers[found.left], found.folded
+        left = numbers[found.left].tolist()
+        if found.folded:
+            self.folded = {n: self.records[n].observations[-1][0] for n in left}
+        else:
+            self.left = np.array(left, np.int64)
         return self._retract(dict.fromkeys(numbers[~found.stays].tolist(), "uncertain"))
 
     def _retract(self, leaving: dict[int, str]) -> IntArray:

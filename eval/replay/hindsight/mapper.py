@@ -14,7 +14,7 @@ import numpy as np
 from association.candidates import in_view
 from association.expectation import Expectation
 from data.inputs import ERRORS, Frame, FrameObservations, IntArray, Systematic
-from data.notice import Notice
+from data.notice import Code, Notice, notice
 from data.result import Event
 from data.se2 import Array
 from ekf.slam import EkfSlam
@@ -88,6 +88,7 @@ class HindsightMapper:
         self.kidnapping = Kidnapping(self.ledger, setup)  # whether the robot was moved unseen
         self.duplicates = Duplicates(self.ledger)  # landmarks initialized twice
         self.lost = Lost(self.ledger)  # plausibility of the map; decides nothing
+        self.folded: list[int] = []  # frames in which landmarks of a folded map were last seen
         self.whole = WholeLog(given)  # the log, for the final re-association
 
     @property
@@ -173,12 +174,17 @@ class HindsightMapper:
         """
         often = [n for n, r in self.ledger.records.items() if r.evidence.seen >= constants.CONFIRMED]
         errors = self._systematic if self.filters.has_errors else None
-        found = self.whole.reassociate(self.ledger.records, self.filter.landmarks(), self.restated, errors)
+        found = self.whole.reassociate(
+            self.ledger.records, self.filter.landmarks(), self.ledger.view, self.restated, errors
+        )
+        if found is not None:
+            found = self.whole.plain(self.setup, self.restated, errors) or found
         unobserved = self._remove(self.ledger.reassociate(found)) if found is not None else np.empty(0, np.int64)
-        transient = self.ledger.transient(self.whole.opportunities(self.ledger.view))
+        transient = self.ledger.transient(self.whole.opportunities)
         if found is not None:
             self.whole.settle(self.ledger.records)
         self.lost.end(often, transient)
+        self.folded = [self.whole.frame_of(row) for row in self.ledger.folded.values()]
         return np.concatenate([unobserved, self._remove(transient)])
 
     def _remove(self, numbers: IntArray) -> IntArray:
@@ -196,5 +202,16 @@ class HindsightMapper:
         return [
             *self.restated.notes(), *self.ledger.notes(), *self.motion.notes(), *self.kidnapping.notes(),
             *self.ledger.merge_notes(), *self.lost.notes(),
-            *([self.whole.failed] if self.whole.failed is not None else []),
+            *([self.whole.failed] if self.whole.failed is not None else []), *self._end_notes(),
         ]  # fmt: skip
+
+    def _end_notes(self) -> list[Notice]:
+        """Messages about the end of the log."""
+        found = []
+        if self.whole.odds >= constants.PLAIN_ODDS:
+            found.append(notice(Code.PLAIN_LIKELIER, odds=self.whole.odds))
+        if self.folded:
+            gone, every = len(self.folded), len(self.folded) + len(self.ledger.records)
+            first, last = min(self.folded), max(self.folded)
+            found.append(notice(Code.MAP_FOLDED, landmarks=gone, of=every, first=first, last=last))
+        return found

@@ -78,6 +78,7 @@ class MappingFrontEnd(FrontEnd):
     def close(self) -> None:
         """Re-associate all observations and retract transient landmarks."""
         self._retract(self.mapper.close())
+        self.left = self.mapper.ledger.left
         if self.mapper.whole.settled is not None:
             if self.can.amendable is not None:
                 self.can.amendable.amend(*self.mapper.whole.settled)

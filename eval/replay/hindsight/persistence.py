@@ -65,10 +65,17 @@ def kinds(opportunities: Opportunities, p: Persistence) -> Kinds:
     return Kinds(*_probabilities(*_packed(opportunities), np.array(p), _fixed()))
 
 
+def evidence(opportunities: Opportunities) -> Array:
+    """Log-likelihood (n,) of each landmark's opportunities, whatever its kind, with the parameters fitted to them."""
+    p = np.array(persistence(opportunities))
+    return _evidences(*_packed(opportunities), p, _fixed())
+
+
 class Kept(NamedTuple):
     """Landmarks (n,) of a map that stay in it at the end of a log.
 
-    left: those of them that left the world before; folded: whether most would have left, which no world explains.
+    left: those that left the world before; folded: most would have left, which no world explains, so none of these
+    stays.
     """
 
     stays: BoolArray
@@ -94,7 +101,7 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray) -> Kept:
         )
     left = keep & (found.left > found.persistent)
     folded = bool(left.sum() > constants.FOLDED_SHARE * keep.sum())
-    return Kept(keep & ~left, left & False, True) if folded else Kept(keep, left, False)
+    return Kept(keep & ~left if folded else keep, left, folded)
 
 
 def _fixed() -> Array:
@@ -149,6 +156,17 @@ def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Arra
         share = exp(transient[k] - result[2])
         expected[2] += share if k < n else 0.0
         expected[3] += share * k
+    return result
+
+
+@njit(cache=True)
+def _evidences(opportunities: IntArray, begin: IntArray, p: Array, fixed: Array) -> Array:
+    result, expected = np.empty(len(begin) - 1), np.empty(4)
+    for i in range(len(result)):
+        terms = _likelihoods(opportunities[begin[i] : begin[i + 1]], p, fixed, expected)
+        terms[:2] += log(p[0])
+        terms[2] += log(1.0 - p[0])
+        result[i] = _log_sum(terms)
     return result
 
 

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from association.candidates import narrower
-from association.expectation import gate_threshold
+from association.expectation import SingularInnovationError, gate_threshold
 from data.errors import DataError
 from data.inputs import Frame, FrameObservations, Increments, Inputs, IntArray, LandmarkMap, Observations, Systematic
 from data.motion.systematic import sensor_frame
@@ -18,12 +18,14 @@ from data.notice import Code, Notice, notice
 from data.result import DISCARD, MapState
 from data.se2 import Array
 from data.sensors import Sensor
+from ekf.filter import FilterDivergedError
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.final_association import Reassociation, noise_share, reassociate
+from eval.replay.hindsight.final_association import Reassociation, noise_share, reassociate, squares
+from eval.replay.hindsight.floor import Smoothed, likelier, observed_again, plain, renumbered
 from eval.replay.hindsight.noise import Restated, with_shares
 from eval.replay.hindsight.opportunities import recounted
 from eval.replay.hindsight.record import Record
-from eval.replay.settings import Given
+from eval.replay.settings import Given, Setup
 from graph.batch import Start, smooth
 from graph.factors import UnderConstrained
 
@@ -37,8 +39,9 @@ class WholeLog:
         # frames (m,), observations, landmarks (m,)
         self.settled: tuple[IntArray, FrameObservations, IntArray] | None = None
         self.gate = math.inf  # squared distance under the noise as `restated` beyond which nothing was re-associated
-        self._smoothed: tuple[Sensor, Array, LandmarkMap, Observations, IntArray] | None = None
-        self._given = given
+        self.smoothed: Smoothed | None = None  # the final decisions
+        self.odds = -math.inf  # log odds of the decisions of `jcbb` against those in hindsight
+        self._given, self._view = given, given.sensor
         self._frames: list[Frame] = []
         self._loosened: dict[int, Array] = {}
         self._path: list[Array] = []
@@ -56,23 +59,73 @@ class WholeLog:
         self._path.append(pose)
 
     def reassociate(
-        self, records: dict[int, Record], landmarks: MapState, restated: Restated, systematic: Systematic | None
+        self,
+        records: dict[int, Record],
+        landmarks: MapState,
+        view: Sensor,
+        restated: Restated,
+        systematic: Systematic | None,
     ) -> Reassociation | None:
         """All observations for the recorded landmarks; None where the path cannot be smoothed.
 
-        Noise as `restated`; `systematic`: odometry errors that are estimated.
+        `view`: the sensor with the field of view in which observations were made; noise as `restated`; `systematic`:
+        odometry errors that are estimated.
         """
+        self._view = view
         if self.managed or not records:
             return None
-        log = self._inputs(restated, systematic)
-        number = _numbers(records, len(log.observations.frame))
-        places = np.full((int(landmarks.number.max()) + 1, 2), np.nan)
-        places[landmarks.number] = landmarks.xy
+        number = _numbers(records, len(self._seen().frame))
         try:
-            found = smooth(log, number, np.full(len(number), -1), Start(np.array(self._path), places))
+            self.smoothed = self._smooth(
+                number, np.array(self._path), LandmarkMap(landmarks.number, landmarks.xy), restated, systematic
+            )
         except (DataError, UnderConstrained) as stop:  # what a filter can use may be singular for a smoother
             self.failed = notice(Code.NO_REASSOCIATION, text=str(stop))
             return None
+        return self._settled_gate(self.smoothed)
+
+    def plain(self, setup: Setup, restated: Restated, systematic: Systematic | None) -> Reassociation | None:
+        """The decisions of `jcbb` with the numbers of recorded landmarks, where these are likelier.
+
+        After `reassociate`, with arguments as of it.
+        """
+        assert self.smoothed is not None
+        try:
+            found = plain(self._given, setup, self._frames)
+            number = observed_again(found.number)
+            if not (number >= 0).any():
+                return None
+            other = self._smooth(number, found.path, found.known, restated, systematic)
+        except (DataError, UnderConstrained, FilterDivergedError, SingularInnovationError):
+            return None  # it comes to no end
+        self.odds = likelier(self.smoothed, other, self._view)
+        if self.odds < constants.PLAIN_ODDS:
+            return None
+        named = renumbered(other.found, self.smoothed.found.number)
+        return self._settled_gate(self._renamed(other, named))
+
+    def _renamed(self, s: Smoothed, named: Reassociation) -> Smoothed:
+        """With the landmarks' new numbers; those without are no part of the map."""
+        both = np.flatnonzero(named.number >= 0)
+        number, first = np.unique(named.number[both], return_index=True)
+        former = s.found.number[both[first]]
+        looks = {n: s.opportunities[old] for n, old in zip(number.tolist(), former.tolist(), strict=True)}
+        known = LandmarkMap(number, s.known.positions(former))
+        self.smoothed = s._replace(known=known, found=named, opportunities=looks)
+        return self.smoothed
+
+    def _settled_gate(self, s: Smoothed) -> Reassociation:
+        self.gate = s.share * gate_threshold(constants.REASSOCIATION_GATE)
+        return s.found
+
+    def _smooth(
+        self, number: IntArray, path: Array, known: LandmarkMap, restated: Restated, systematic: Systematic | None
+    ) -> Smoothed:
+        """Smooth observations of the landmarks (M,), from a path (N, 3) and a map, and re-associate them all."""
+        log = self._inputs(restated, systematic)
+        places = np.full((int(known.id.max()) + 1, 2), np.nan)
+        places[known.id] = known.xy
+        found = smooth(log, number, np.full(len(number), -1), Start(path, places))
         assert found.map is not None
         pose, xy, sensor = found.trajectory.pose, found.map.xy, restated.widened(log.sensor)
         if systematic is not None and found.systematic is not None:
@@ -81,21 +134,20 @@ class WholeLog:
             pose, sensor = frame.poses_in(pose, found.systematic.mean), frame.sensor(sensor)
         known, seen = LandmarkMap(found.map.number, xy), log.observations
         share = noise_share(sensor, pose, known, seen, number)
-        self.gate = share * gate_threshold(constants.REASSOCIATION_GATE)
-        seen = Observations(seen.frame, seen.z, share * seen.R)
-        result = reassociate(sensor, pose, known, seen)
-        self._smoothed = sensor, pose, known, seen, result.number
-        return result
+        motion = found.cost - squares(sensor, pose, known, seen, number)
+        scaled = Observations(seen.frame, seen.z, share * seen.R)
+        paired = reassociate(sensor, pose, known, scaled)
+        looks = recounted(narrower(sensor, self._view), pose, known, scaled, paired.number)
+        return Smoothed(sensor, pose, known, seen, paired, share, motion, looks)
 
-    def opportunities(self, view: Sensor) -> dict[int, bytes]:
-        """Detection opportunities of the landmarks after re-association, by number; empty if nothing was.
+    @property
+    def opportunities(self) -> dict[int, bytes]:
+        """Of the landmarks after re-association, by number; empty if nothing was re-associated."""
+        return {} if self.smoothed is None else self.smoothed.opportunities
 
-        `view`: the sensor with the field of view in which observations were made.
-        """
-        if self._smoothed is None:
-            return {}
-        sensor, path, known, seen, number = self._smoothed
-        return recounted(narrower(sensor, view), path, known, seen, number)
+    def frame_of(self, row: int) -> int:
+        """The frame of an observation."""
+        return int(self._seen().frame[row])
 
     def settle(self, records: dict[int, Record]) -> None:
         """The recorded landmarks are the final ones."""

@@ -9,8 +9,10 @@ import pandas as pd
 import pytest
 
 from data.result import DISCARD, NEW, Innovations, Systematics
+from data.worlds.registry import named_log
 from eval.referee.given_runs import begun_by, created_by
 from eval.referee.score import Trial
+from eval.replay.run import step_by_step
 from eval.report.publish import trajectory_table, write_run, write_truths, write_tum
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error, true_path
 
@@ -136,3 +138,18 @@ def test_dead_reckoning_decides_nothing_and_has_no_map_and_slam_without_one_is_a
     known = run_with_error(OFF, mapped=False, task="localization")
     names = {p.name for p in written(tmp_path, known, circle_log(name="my:log", known_map=True)).iterdir()}
     assert names == {"online.csv", "online.tum", "decisions.csv"}
+
+
+def test_a_landmark_that_left_has_the_frame_of_its_last_observation(tmp_path):
+    run = step_by_step("ekf", named_log("arena:0:frames=20").inputs(labels=True).without_map(), "slam")
+    gone = int(run.map.number[2])
+    log = named_log("arena:0:frames=20")
+    table = pd.read_csv(written_of(tmp_path, replace(run, left=np.array([gone])), log)).set_index("landmark")
+    last = log.recorded.observations.frame[run.final_decisions == gone].max()
+    assert table["until"].dropna().to_dict() == {gone: last}
+
+
+def written_of(folder, run, log):
+    write_run(folder, Trial(log, run.task, (run,)), run)
+    (found,) = folder.glob("runs/*/*/landmarks.csv")
+    return found

@@ -219,7 +219,7 @@ def test_the_path_is_smoothed_with_the_noise_there_is_and_without_a_motion_that_
     restated.shares = Shares(4.0, 9.0, 2.0)
     record = Record([(0, NEW), (1, 0), (3, 0)], (0.0, 0.0), 0.0, 0.0)
     landmarks = MapState(np.array([0]), np.ones((1, 2)), np.eye(2)[None])
-    assert whole.reassociate({0: record}, landmarks, restated, None) is None
+    assert whole.reassociate({0: record}, landmarks, sensor, restated, None) is None
     (log,) = asked
     np.testing.assert_allclose(log.increments.covariance[1:], [2.0 * M, 2.0 * M + more, 2.0 * M])
     np.testing.assert_allclose(log.increments.mean[1:], [[1.0, 0.0, 0.1]] * 3)
