@@ -13,7 +13,7 @@ Five steps, from a log to a table and its warnings:
 Logs: `open_log`, `Log` (`Log.from_arrays`).
 Runs: `compare` with `Setup`; `make_estimator` (one estimator, step by step).
 Data association: `Expectation` (candidates and covariances), `decide`, and the decisions `NEW` and `DISCARD`.
-Results: `Trial`, `score`, `notices`, `Notice`, `sentence`.
+Results: `Trial`, `score`, `notices`, `Notice`, `sentence`; `score_files` for files of other programs.
 Your own estimators and association methods: `Samples`, and `check_estimator`, `check_association` (for tests),
 `estimator_findings`, `association_findings` (as lists).
 Many logs: `study` (a `Study` with verdicts). A log without ground truth: `twins` (a `Diagnosis`).
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from eval.replay.external.adapter import Samples
     from eval.replay.settings import Setup
     from eval.report.audit import audit
-    from eval.report.calls import Diagnosis, Study, study, twins
+    from eval.report.calls import Diagnosis, Study, score_files, study, twins
 
     __version__: str
 
@@ -77,6 +77,7 @@ __all__ = [
     "notices",
     "open_log",
     "score",
+    "score_files",
     "sentence",
     "study",
     "twins",
@@ -91,6 +92,7 @@ HOMES = {
     "study": "eval.report.calls",
     "Study": "eval.report.calls",
     "twins": "eval.report.calls",
+    "score_files": "eval.report.calls",
     "Diagnosis": "eval.report.calls",
     "make_estimator": "eval.replay.estimators",
     "decide": "association.decide",

@@ -30,6 +30,7 @@ from eval.replay.settings import Setup as Setup
 from eval.report.audit import audit as audit
 from eval.report.calls import Diagnosis as Diagnosis
 from eval.report.calls import Study as Study
+from eval.report.calls import score_files as score_files
 from eval.report.calls import study as study
 from eval.report.calls import twins as twins
 

@@ -18,7 +18,17 @@ ROOT = Path(__file__).parents[1]
 NAMES = [
     *("DISCARD", "NEW", "Diagnosis", "Expectation", "Log", "Notice", "Samples", "Setup", "Study", "Trial"),
     *("__version__", "association_findings", "audit", "check_association", "check_estimator", "compare", "decide"),
-    *("estimator_findings", "make_estimator", "notices", "open_log", "score", "sentence", "study", "twins"),
+    *(
+        "estimator_findings",
+        "make_estimator",
+        "notices",
+        "open_log",
+        "score",
+        "score_files",
+        "sentence",
+        "study",
+        "twins",
+    ),
 ]
 
 
@@ -44,13 +54,13 @@ def test_the_names_are_those_of_the_submodules():
     from eval.replay.external.adapter import Samples
     from eval.replay.settings import Setup
     from eval.report.audit import audit
-    from eval.report.calls import Diagnosis, Study, study, twins
+    from eval.report.calls import Diagnosis, Study, score_files, study, twins
 
     assert (dir(slamref), slamref.__all__) == (sorted(NAMES), NAMES)
     homes = (
         *(DISCARD, NEW, Diagnosis, Expectation, Log, Notice, Samples, Setup, Study, Trial, version("slamref")),
         *(association_findings, audit, check_association, check_estimator, compare, decide, estimator_findings),
-        *(make_estimator, notices, open_log, score, sentence, study, twins),
+        *(make_estimator, notices, open_log, score, score_files, sentence, study, twins),
     )
     assert tuple(getattr(slamref, name) for name in NAMES) == homes
     with pytest.raises(AttributeError, match="'slamref' has no attribute 'ekf'"):

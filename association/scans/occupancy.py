@@ -131,15 +131,23 @@ TOLERANCE = 0.3  # m, by which a surface must lie before another, besides ...
 TOLERANCE_SHARE = 0.05  # ... this share of its range, to contradict it: the effect of a heading error at a grazing wall
 
 
-def contradiction(ranges: Array, others: Array, relative: Array, scanner: Scanner, max_range: float) -> float:
+def contradiction(
+    ranges: Array,
+    others: Array,
+    relative: Array,
+    scanner: Scanner,
+    max_range: float,
+    tolerance: tuple[float, float] = (TOLERANCE, TOLERANCE_SHARE),
+) -> float:
     """Share of the shared beams of two scans (B,) that contradict, 0 where none is shared.
 
     `relative` (3,) is the body's pose at the second scan in its frame at the first. Each end point of either scan is
     compared with the other scan: nearer than that beam's surface (and its neighbours') it contradicts, at the same
-    range it agrees, behind it nothing is known.
+    range it agrees, behind it nothing is known. `tolerance`: in m, and as a share of the range.
     """
     mount = scanner.rotation, scanner.translation[0], scanner.translation[1]
-    seen, against = _compare(ranges, others, relative, (scanner.angle_min, scanner.angle_step), mount, max_range)
+    beams = scanner.angle_min, scanner.angle_step
+    seen, against = _compare(ranges, others, relative, beams, mount, max_range, tolerance)
     return float(against / max(seen, 1))
 
 
@@ -151,6 +159,7 @@ def _compare(
     beams: tuple[float, float],
     mount: tuple[float, float, float],
     max_range: float,
+    tolerances: tuple[float, float],
 ) -> tuple[int, int]:
     """Numbers of shared and of contradicting beams. `beams`: first angle and step [rad]; `mount`: rotation [rad] and
     translation [m] of the scanner on the body.
@@ -188,7 +197,7 @@ def _compare(
                 low, high = min(low, theirs[j]), max(high, theirs[j])
             if unknown:
                 continue
-            tolerance = TOLERANCE + TOLERANCE_SHARE * r
+            tolerance = tolerances[0] + tolerances[1] * r
             if r < low - tolerance:
                 seen += 1
                 against += 1

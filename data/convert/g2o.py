@@ -12,6 +12,7 @@ if TYPE_CHECKING:
 
 KINDS = ("g2o",)
 SUFFIX = ".g2o"
+TORO = (".graph", ".toro")
 EXAMPLES = """\
 examples:
   python -m data.convert g2o victoria.g2o logs/victoria                  a graph becomes a log, landmarks labelled
@@ -31,7 +32,9 @@ of a point, EDGE_BEARING_SE2_XY observations without a range, VERTEX_XY ids the 
 def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parser of `g2o`; `parameters` is unused."""
     sub = add("g2o", help="a g2o graph as a log, or a log or run as a graph", description=TEXT, epilog=EXAMPLES)
-    sub.add_argument("source", metavar="SOURCE", help=f"a {SUFFIX} file, or a log by path or name")
+    sub.add_argument(
+        "source", metavar="SOURCE", help=f"a {SUFFIX} file (Toro: {', '.join(TORO)}), or a log by path or name"
+    )
     sub.add_argument("out", metavar="OUT", type=Path, help=f"log folder to write, or {SUFFIX} file")
     sub.add_argument("--true", action="store_true", help="of a graph: its vertices are the true values")
     run = "of a log: poses, map and pairings of this run in a report, runs/LOG/TASK-ESTIMATOR-ASSOCIATION"
@@ -42,13 +45,13 @@ def convert(args: argparse.Namespace) -> Log | str:
     """The log of the graph, or a sentence about the graph that was written."""
     from data.errors import DataError, UsageError
 
-    if args.source.endswith(SUFFIX):
+    if args.source.endswith((SUFFIX, *TORO)):
         from data.formats.g2o import log_of, read_graph
 
         if args.run is not None:
             raise UsageError("--run: SOURCE is a graph already; a log is needed")
         return log_of(args.out.absolute().name, read_graph(Path(args.source)), true=args.true)
-    from data.formats.g2o import graph_text, labelled, of_result
+    from data.formats.g2o import POSE_IDS, graph_text, labelled, of_result
     from data.logs import open_log
 
     if args.out.suffix != SUFFIX:
@@ -57,7 +60,8 @@ def convert(args: argparse.Namespace) -> Log | str:
         raise UsageError("--true: SOURCE is a log; a graph is needed")
     log = open_log(args.source)
     estimate = labelled(log) if args.run is None else of_result(log, args.run)
-    text = graph_text(log.recorded, estimate)
+    ids = log.source.get(POSE_IDS)
+    text = graph_text(log.recorded, estimate, ids if isinstance(ids, list) and len(ids) == len(log.recorded) else None)
     try:
         args.out.write_text(text, encoding="utf-8", newline="")
     except OSError as error:

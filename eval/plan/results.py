@@ -105,7 +105,8 @@ def _unit(values: Sequence[str], kind: Sequence[str], name: str, names: Sequence
     known = [unit for units in UNITS for unit in units]
     for text in values:
         _one_of("--unit", text.rpartition("=")[2], known)
-    return _of("--unit", [v for v in values if v.rpartition("=")[2] in kind], name, names, alone=False)
+    own = [text for text in values if text.rpartition("=")[2] in kind]
+    return _one_of("--unit", _of("--unit", own, name, names, alone=False), known)
 
 
 def _of(flag: str, values: Sequence[str], name: str, names: Sequence[str], *, alone: bool) -> str | None:

@@ -25,6 +25,7 @@ from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
 from data.words import sentence
+from eval.referee import laser_faults
 from eval.referee.ambiguity import ambiguous
 from eval.referee.errors import named, observed, position_distance, rms
 from eval.referee.metrics import RUN
@@ -309,7 +310,7 @@ def notices(trials: Sequence[Trial], scores: Scores | None = None) -> list[Notic
             for n in _all(r, trial, scores)
         ]
         found += [n.about(log=trial.log.name, task=trial.task) for n in (*own, *minima(trial), *disputed(trial))]
-    return found
+    return [*found, *laser_faults.sizes_disagree(trials)]
 
 
 def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:
@@ -320,6 +321,7 @@ def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:
         if found is not None:
             yield found
     yield from run.notes
+    yield from laser_faults.of_run(run, trial)
     yield from questions_of_run(run, trial.log.recorded)
     yield from ambiguity_of(run, trial.log.recorded)
 

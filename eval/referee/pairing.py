@@ -16,14 +16,14 @@ from data.errors import DataError
 from data.formats.results.clock import ASSUMED, DIGITS, RATE, Clock
 from data.formats.results.frames import Tree, bare, in_frame
 from data.formats.results.matrices import translation_first
-from data.formats.results.path import GivenPath
+from data.formats.results.path import LEFT, LOCAL, ROTATION, WORLD, GivenPath, Spatial
 from data.formats.results.space import flattened
 from data.notice import Code, Notice, Severity, Value, notice
 from data.questions import FASTEST, SHARE, changes, per_second
 from data.se2 import Array, BoolArray, wrap_angle
 from eval.referee.consistency import nees
 from eval.referee.errors import align, rms
-from eval.referee.in_space import NONE, SAME_VERTICAL, InSpace, poses, tilts
+from eval.referee.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
 
 FEW = 5
 """Least number of matched poses for a question about both files."""
@@ -239,29 +239,36 @@ def _apart(difference: Array) -> float:
 
 
 WORSE, POOR, FAIR = 4.0, 12.0, 30.0
-"""Ratio of mean pose NEES in both orders, least NEES as read, and largest in the other order, for a question."""
+"""Ratio of mean pose NEES as read and read otherwise, least as read, and largest otherwise, for a question."""
 
 
 def _order(pair: Pair, known: BoolArray) -> Iterator[Notice]:
-    """6x6 covariances whose order is not stated, and that fit the errors in the other order."""
+    """Covariances whose order or frame is not stated, and that fit the errors in another one."""
     s = pair.estimate.space if pair.space is None else pair.space.estimate
-    if s is None or s.covariance is None or s.stated.order or known.sum() < 3:
+    if s is None or s.covariance is None or known.sum() < 3:
         return
-    swapped = replace(s, covariance=translation_first(s.covariance))
+    others = (
+        {} if s.stated.order else {f"--cov-order {ROTATION}": replace(s, covariance=translation_first(s.covariance))}
+    )
+    if not s.stated.convention:
+        others |= {f"--cov-frame {f}": replace(s, frame=f) for f in (WORLD, LOCAL, LEFT) if f != s.frame}
+    as_read, best = _mean_nees(s, pair.at), (math.inf, "")
+    for flag, other in others.items():
+        best = min(best, (_mean_nees(other, pair.at), flag))
+    if as_read > POOR and as_read > WORSE * best[0] and best[0] < FAIR:
+        yield _ask(Code.PATH_ORDER, file=s.file, nees=as_read, other=best[0], flag=best[1], read_as=s.frame)
+
+
+def _mean_nees(s: Spatial, truth: Array) -> float:
+    """Mean pose NEES in the plane; infinite where it has none."""
     try:
-        mean = [_mean_nees(flattened(path), pair.at) for path in (s, swapped)]
-    except DataError:  # the other order is no covariance in the plane
-        return
-    if mean[0] > POOR and mean[0] > WORSE * mean[1] and mean[1] < FAIR:
-        yield _ask(Code.PATH_ORDER, file=s.file, nees=mean[0], swapped=mean[1])
-
-
-def _mean_nees(path: GivenPath, truth: Array) -> float:
-    if path.covariance is None:
-        return math.nan
+        path = flattened(s)
+    except DataError:  # as read this way it is no covariance in the plane
+        return math.inf
+    assert path.covariance is not None  # it has one in space
     values = nees(path.pose, path.covariance, truth, "pose")
     values = values[np.isfinite(values)]
-    return float(values.mean()) if len(values) else math.nan
+    return float(values.mean()) if len(values) else math.inf
 
 
 RATIOS = (1000.0, 100.0, 0.001, 0.01, 0.3048, 1.0 / 0.3048)
@@ -306,7 +313,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     worlds = theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)
     bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation
     same_world = _spread(worlds) <= _spread(bodies)
-    first = _w_first(ours.rotation, theirs.rotation)
+    first = _same_vertical(ours, theirs) and _w_first(ours.rotation, theirs.rotation)
     which = "quaternion" if first else "world" if same_world else "body"
     yield _ask(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which)
 
@@ -342,6 +349,17 @@ def _partly_known(path: GivenPath) -> Iterator[Notice]:
 def _spread(R: Array) -> float:
     """Median angle [rad] of rotations (n, 3, 3) from the first."""
     return float(np.median(se3.angle_between(np.broadcast_to(R[0], R.shape), R)))
+
+
+def _same_vertical(ours: Poses, theirs: Poses) -> bool:
+    """Whether positions fit about as well when the estimate is only turned about the vertical."""
+    found = []
+    for how in (YAW, SE3):
+        fit = aligning(ours, theirs, how)
+        assert fit is not None  # there are matches
+        found.append(rms(np.linalg.norm(ours.position @ fit.R.T + fit.t - theirs.position, axis=1)))
+    size = float(np.linalg.norm(np.ptp(theirs.position, axis=0)))
+    return found[0] <= 2.0 * found[1] + FITS * size
 
 
 def _w_first(ours: Array, theirs: Array) -> bool:

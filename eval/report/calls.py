@@ -1,4 +1,4 @@
-"""One call from Python for what a command does: a Monte Carlo study, and the diagnosis of a log from its replicates."""
+"""One call from Python for what a command does: a Monte Carlo study, a diagnosis from replicates, scores of files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from data.errors import UsageError
 from data.log import Log
 from eval.compare import compare
 from eval.plan.experiment import Experiment, Work
-from eval.plan.flags.table import TWINS, Execution, Options, Output
+from eval.plan.flags.table import TWINS, Execution, Options, Output, Reading
 from eval.plan.flags.table import Study as Simulated
 from eval.plan.trust import trusted
 from eval.plan.unfinished import Unfinished
@@ -23,7 +23,9 @@ from eval.plan.work import Job, work
 from eval.referee.score import Trial
 from eval.replay.external.load import Loaded, Thing, adopt, load, objects, text_of
 from eval.replay.external.spec import introduce, is_foreign, name_of
+from eval.replay.flag import read_values, rows
 from eval.replay.settings import Setup
+from eval.report.results import scored, scores
 from eval.report.trust import Terms, first_words, terms_of
 from eval.studies import montecarlo
 from eval.studies.montecarlo import DOF, Result, consistency_table, judge, one_run, study_of
@@ -249,3 +251,24 @@ def twins(
     if not found:
         raise UsageError(f"{log.name}: no run to diagnose")
     return Diagnosis(found[0], terms_of(log.recorded))
+
+
+def score_files(estimate: str | Path, truth: str | Path, **reading: object) -> dict[str, float]:
+    """The numbers of `slamref score ESTIMATE TRUTH` by name: errors, relative errors, NEES; in space where both are.
+
+    Args:
+        estimate: a trajectory file (docs/results-files.md).
+        truth: another one, or a log.
+        reading: the flags of `slamref score`, as in `align="se2"`, `cov="estimate.cov"` or `unit=["truth=ns"]`.
+
+    Raises:
+        DataError: a file that cannot be read, or matched.
+        UsageError: an unknown flag or value.
+
+    Example:
+        >>> slamref.score_files("estimate.tum", "truth.tum", align="se2")["rmse_position_m"]
+    """
+    if unknown := sorted(set(reading) - set(rows(Reading))):
+        raise UsageError(f"{unknown[0]}: unknown; known: {', '.join(rows(Reading))}")
+    flags = Reading(**read_values(Reading, reading, lambda row: f"{row.name} ="))
+    return scores(scored(str(estimate), str(truth), flags))

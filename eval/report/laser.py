@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from association.scans.constraints import SCAN, LaserRun, Loops
-from association.scans.occupancy import Grid, occupancy_grid
+from association.scans.occupancy import MOST_CELLS, Grid, occupancy_grid
 from data.formats.g2o import MOTION, written
 from data.log import Log, folder_name
 from data.result import Run
@@ -83,7 +83,7 @@ def phase_of(run: LaserRun) -> str:
 
 
 def grid_of(trial: Trial, run: LaserRun) -> Grid:
-    """The occupancy grid of a run's key scans at its last key poses."""
+    """The occupancy grid of a run's key scans at its last key poses, in larger cells where 5 cm would be too many."""
     scans = trial.log.recorded.scans
     assert scans is not None
     assert run.chain is not None
@@ -91,7 +91,15 @@ def grid_of(trial: Trial, run: LaserRun) -> Grid:
     row = np.searchsorted(scans.frame, run.chain.frame)
     row = np.minimum(row, len(scans.frame) - 1)
     there = scans.frame[row] == run.chain.frame
-    return occupancy_grid(run.key_pose[there], scans.ranges[row[there]], scans.scanner)
+    reach = float(scans.ranges.max(initial=0.0))
+    spans = np.ptp(run.key_pose[there][:, :2], axis=0) + 2.0 * reach + 2.0 if there.any() else np.ones(2)
+    resolution = 0.05
+    while not float(np.prod(spans / resolution)) < MOST_CELLS and resolution < COARSEST:
+        resolution *= 2.0
+    return occupancy_grid(run.key_pose[there], scans.ranges[row[there]], scans.scanner, resolution=resolution)
+
+
+COARSEST = 1e3  # m, cells of a map whose poses diverged
 
 
 def write_laser_files(folder: Path, trial: Trial) -> None:

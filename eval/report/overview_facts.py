@@ -10,6 +10,7 @@ from enum import StrEnum
 
 from data import questions
 from data.notice import Notice
+from eval.referee import laser_faults
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.diagnostics import unused
 from eval.referee.headline import Claim, Headline, Objected, Objection, Preference, Verdict, headline, usable
@@ -79,7 +80,8 @@ class LogFacts:
     objections: tuple[Objected, ...]
     map_rows: Notice | None  # rows of the map that look swapped or shifted
     gauge: Gauge | None
-    conventions: tuple[Notice, ...] = ()  # that the log follows otherwise than stated; until corrected, use neither
+    # conventions: that the log follows otherwise than stated, or walls and wheels that forbid trust; use neither
+    conventions: tuple[Notice, ...] = ()
 
     @property
     def name(self) -> str:
@@ -192,7 +194,7 @@ def log_facts(
     rejected = blame.p if blame is not None and blame.objected else math.nan
     decided_by = headline(a, b, preference, measured=measured, caused=trust is not None, rejected=rejected)
     terms = terms_of(trial.log.recorded)
-    conventions = tuple(questions.conventions(trial.log))
+    conventions = (*questions.conventions(trial.log), *laser_faults.serious(trial))
     return LogFacts(
         log=log,
         task=trial.task,

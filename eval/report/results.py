@@ -60,7 +60,7 @@ class Scored:
 
 def printed(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tuple[str, str]:
     """Lines of the scores, a name and a value each, of several with their verdicts; and lines of notes."""
-    found = [_scored(file, truth, reading) for file, truth in zip(files, truths, strict=True)]
+    found = [scored(file, truth, reading) for file, truth in zip(files, truths, strict=True)]
     if len(found) == 1:
         one = found[0]
         lines = say("results#one", scores=scores(one), projected=one.projected, space=bool(one.run.space))
@@ -91,7 +91,7 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
     }
 
 
-def _scored(file: str, truth: str, reading: Reading) -> Scored:
+def scored(file: str, truth: str, reading: Reading) -> Scored:
     """An estimate, read and matched; of a truth that is a log, the run has its frames if they are the same."""
     path = Path(truth)
     given = None

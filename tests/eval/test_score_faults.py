@@ -173,6 +173,10 @@ def test_poses_a_minute_apart_are_no_milliseconds(scored):
     assert "stamps in s" in said
 
 
+def test_a_unit_of_no_file_is_refused(scored):
+    assert "--unit estmate=ms: unknown" in scored(tum(CURVE), tum(CURVE), "--unit", "estmate=ms", status=2)
+
+
 # ---- axes
 
 
@@ -211,6 +215,8 @@ def test_two_files_in_two_planes_are_aligned_in_space(places, scored):
     assert values["rmse_aligned_m"] == pytest.approx(0.0, abs=1e-6)
     assert values["rmse_position_3d_se3_m"] == pytest.approx(0.0, abs=1e-6)
     assert any("90 deg" in a for a in asked)
+    if places is PLACES:  # on a line w-first quaternions explain it as well
+        assert any("worlds' axes" in a for a in asked)
     for how in ("se2", "se3", "sim3", "first"):
         values, asked, _ = scored(estimate, tum(places), "--align", how)
         assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-6)
@@ -347,6 +353,26 @@ def test_the_order_of_a_tangent_is_obeyed_wherever_it_stands_or_asked_for(scored
     assert values["nees_pose"] > 100.0
     assert len(asked) == 1
     assert "--cov-order" in asked[0]
+
+
+def test_the_frame_of_covariances_is_said_and_asked_for_where_another_fits(scored):
+    """Certain along the world's x, on a way that turns: in the body's axes it would be certain along the way."""
+    rng = np.random.default_rng(2)
+    rows, truth = [], []
+    for k in range(60):
+        a = 0.1 * k
+        x, y, h = 10.0 * math.sin(a), 10.0 * math.cos(a), -a
+        q = (0.0, 0.0, math.sin(h / 2), math.cos(h / 2))
+        truth.append((k, x, y, 0.0, *q))
+        rows.append((k, x + rng.normal(0.0, 0.01), y + rng.normal(0.0, 0.5), 0.0, *q))
+    C = np.diag([0.01, 0.5, 0.1, 0.1, 0.1, 0.1]) ** 2
+    values, asked, said = scored(lines(wide(rows, C)), lines(truth))
+    assert values["nees_pose"] > 100.0
+    assert "covariances are read as local ones" in said
+    assert any("--cov-frame world" in a for a in asked)
+    values, asked, _ = scored(lines(wide(rows, C)), lines(truth), "--cov-frame", "world")
+    assert 1.0 < values["nees_position"] < 3.0
+    assert not asked
 
 
 def test_rows_with_nan_are_left_out_counted_and_said(scored):

@@ -145,6 +145,8 @@ def results() -> list[Files]:
     return [
         encoded({"path.tum": TUM}),
         encoded({"path.tum": "".join(f"{k} {k} 0 0 0 0 0 1 {UPPER}\n" for k in range(5))}),
+        encoded({"path.tum": "".join(f"{k} {k} 0 0 0 0 0 1 1 0 0 1 0 1 1 0 0 1 0 1\n" for k in range(5))}),
+        encoded({"path.tum": "time_ms,x [m],y [m],yaw_deg\n" + "".join(f"{50 * k},{k},0,9\n" for k in range(9))}),
         encoded({"online.csv": PLANE, "landmarks.csv": LANDMARKS, "decisions.csv": DECISIONS}),
     ]
 

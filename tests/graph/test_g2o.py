@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import gtsam
@@ -219,3 +220,42 @@ def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):
         log_of("bad", read_graph(path))
     assert said in str(caught.value)
     assert str(caught.value).startswith(str(path))
+
+
+def test_a_graph_of_toro_is_read_in_its_own_order_of_information(tmp_path):
+    """The same graph, written in g2o's order by hand."""
+    (tmp_path / "a.graph").write_text(
+        "VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0\nVERTEX2 2 2 0 0\n"
+        "EDGE2 0 1 1 0 0.1 50 3 40 90 2 1\nEDGE2 1 2 1 0 0.2 60 0 60 80 0 0\n"
+    )
+    (tmp_path / "a.g2o").write_text(
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 2 0 0\n"
+        "EDGE_SE2 0 1 1 0 0.1 50 3 2 40 1 90\nEDGE_SE2 1 2 1 0 0.2 60 0 0 60 0 80\n"
+    )
+    toro, g2o = (log_of("a", read_graph(tmp_path / name)).recorded.increments for name in ("a.graph", "a.g2o"))
+    assert toro.mean.tolist() == g2o.mean.tolist()
+    assert toro.covariance.tolist() == g2o.covariance.tolist()
+
+
+def test_vertices_out_of_order_and_with_gaps_keep_their_ids(tmp_path):
+    (tmp_path / "a.g2o").write_text(
+        "VERTEX_SE2 30 2 0 0\nVERTEX_SE2 10 0 0 0\nVERTEX_SE2 20 1 0 0\nVERTEX_XY 7 1 1\n"
+        "EDGE_SE2 10 20 1 0 0 9 0 0 9 0 9\nEDGE_SE2 20 30 1 0 0 9 0 0 9 0 9\nEDGE_SE2_XY 20 7 0 1 9 0 9\n"
+    )
+    log = log_of("a", read_graph(tmp_path / "a.g2o"))
+    assert log.source["pose_ids"] == [10, 20, 30]
+    again = graph_text(log.recorded, labelled(log), log.source["pose_ids"])
+    assert [line.split()[:2] for line in again.splitlines()[:4]] == [
+        ["VERTEX_SE2", "10"], ["VERTEX_SE2", "20"], ["VERTEX_SE2", "30"], ["VERTEX_XY", "7"]
+    ]  # fmt: skip
+    assert "EDGE_SE2_XY 20 7" in again
+
+
+def test_the_measured_pose_of_the_first_vertex_is_the_prior(tmp_path):
+    text = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
+    (tmp_path / "a.g2o").write_text(f"{text}EDGE_PRIOR_SE2 0 5 6 {math.pi / 2} 100 0 0 25 0 400\n")
+    prior = log_of("a", read_graph(tmp_path / "a.g2o")).recorded.prior
+    assert prior.mean == pytest.approx([5.0, 6.0, math.pi / 2])
+    assert prior.covariance == pytest.approx(np.diag([0.04, 0.01, 0.0025]), abs=1e-12)
+    (tmp_path / "a.g2o").write_text(f"{text}EDGE_PRIOR_SE2 0 5 6 0 100 0 0 25 0 400\nFIX 0\n")
+    assert not log_of("a", read_graph(tmp_path / "a.g2o")).recorded.prior.covariance.any()

@@ -154,6 +154,10 @@ def path_of(
         )
         C, more = known_only(C)
         notes += more
+        if C is not None and not stated.convention and manner.frame is None:
+            notes += (
+                f"covariances are read as {frame} ones with the translation first, unless --cov-frame names another",
+            )
     file, R = str(text.path), rotations(rows[:, 4:8], text.place)
     kind = f"{kind}, {clock.words}"
     spatial = Spatial(file, kind, time, rows[:, 1:4], R, C, frame, text.place, stated, notes, clock)

@@ -74,7 +74,7 @@ def read_plane(text: Text, manner: Manner) -> GivenPath:
     pose = np.column_stack([scale * rows[:, 1:3], wrap_angle(turn * rows[:, 3])])[keep]
     unknown = int((~np.isfinite(pose).all(axis=1)).sum())
     if unknown:
-        notes += (f"{unknown} of {len(pose)} poses are blank or NaN and not scored",)
+        notes += (f"{unknown} of {len(pose)} poses are blank or NaN, and scored as far as they are known",)
     path, kind = str(text.path), "CSV of t, x, y, theta"
     raw = rows[keep, 3] if manner.angles is None else None
     if not there:

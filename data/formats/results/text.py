@@ -69,6 +69,9 @@ def numbers(
     fields may be blank. Columns of `huge` may exceed `LARGEST`.
     """
     k = len(columns)
+    plain = _plain(text, k, more)
+    if plain is not None:
+        return plain
     found = np.full((len(text.fields), k), np.nan)
     for row, (line, fields) in enumerate(zip(text.line, text.fields, strict=True)):
         if len(fields) < k or (len(fields) > k and not more):
@@ -91,6 +94,19 @@ def numbers(
             found[row, j] = value
     found[np.isinf(found)] = np.nan
     return found
+
+
+def _plain(text: Text, k: int, more: bool) -> Array | None:
+    """The first k fields of every line as numbers (n, k), at once; None unless all are finite and within bounds."""
+    widths = set(map(len, text.fields))
+    if min(widths) < k or (max(widths) > k and not more):
+        return None
+    try:
+        found = np.array([list(map(float, fields[:k])) for fields in text.fields])
+    except ValueError:
+        return None
+    underscored = any("_" in field for fields in text.fields for field in fields[:k])  # Python reads 1_0 as ten
+    return None if underscored or not (np.abs(found) <= LARGEST).all() else found
 
 
 def is_covariance(name: str) -> bool:

@@ -26,6 +26,8 @@ def shown():
 @pytest.mark.parametrize("name", NAMES)
 def test_the_example_of_a_public_name_runs(name, shown, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
+    for file in ("estimate.tum", "truth.tum"):
+        (tmp_path / file).write_text("".join(f"{t} {t} {t * t} 0 0 0 0 1\n" for t in range(9)))
     text = inspect.getdoc(getattr(slamref, name)) or ""
     examples = doctest.DocTestParser().get_examples(text)
     assert examples, f"{name} has no example"

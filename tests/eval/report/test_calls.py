@@ -80,3 +80,15 @@ def test_replicates_in_python_accept_a_sound_log():
     assert found.p > 0.05
     assert "19 bootstrap replicates" in found.words()
     assert set(found.table.estimator) == {"ekf", "batch"}
+
+
+def test_files_are_scored_as_by_the_command(tmp_path):
+    for name, shift in (("estimate.tum", 0.5), ("truth.tum", 0.0)):
+        lines = (f"{t} {t} {0.1 * t * t + shift} 0 0 0 0 1\n" for t in range(9))
+        (tmp_path / name).write_text("".join(lines))
+    estimate, truth = tmp_path / "estimate.tum", tmp_path / "truth.tum"
+    found = slamref.score_files(estimate, truth)
+    assert found["rmse_position_m"] == pytest.approx(0.5)
+    assert slamref.score_files(estimate, truth, align="se2")["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
+    with pytest.raises(UsageError, match="alignment: unknown; known: cov, "):
+        slamref.score_files(estimate, truth, alignment="se2")

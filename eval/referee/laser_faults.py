@@ -1,0 +1,208 @@
+"""What speaks against the result of a laser log without any truth: wheels, refused loop closures, doubled walls.
+
+And with reference relations: claimed covariances, and graphs with other distances between key poses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from association.scans.constraints import LaserRun
+from association.scans.occupancy import contradiction
+from data.inputs import Inputs
+from data.notice import Code, Notice, Severity, Value, notice
+from data.result import Run
+from data.se2 import between, compose, covariances_in_world, dead_reckoned, wrap_angle
+from eval.referee.laser import errors, relation_errors
+from eval.referee.score import Trial
+
+SIGMAS, FAR, TURNED = 10.0, 0.5, 0.5
+"""Standard deviations of odometry, and m or rad, from which a step from scan to scan contradicts the wheels. Simulated
+slips of 0.6 rad at rest, and robots that back while they report forward, are such steps; noise has none."""
+
+
+def against_wheels(run: LaserRun, inputs: Inputs) -> Notice | None:
+    """A notice where steps of the chain from scan to scan contradict odometry by many sigmas and far."""
+    if inputs.scans is None or run.chain is None or not inputs.increments.mean.any():
+        return None
+    chain, at = run.chain, inputs.scans.frame
+    path = compose(dead_reckoned(np.zeros(3), chain.motion)[chain.key], chain.since)
+    wheels = dead_reckoned(np.zeros(3), inputs.increments.mean)
+    told, found = between(wheels[at[:-1]], wheels[at[1:]]), between(path[at[:-1]], path[at[1:]])
+    error = found - told
+    error[:, 2] = wrap_angle(error[:, 2])
+    # the increments' covariances, added in the world's axes: a heading error between them is small beside FAR
+    world = covariances_in_world(wheels[:-1, 2], inputs.increments.covariance[1:])
+    gathered = np.concatenate([np.zeros((1, 3, 3)), np.cumsum(world, axis=0)])
+    variance = np.einsum("kii->ki", gathered[at[1:]] - gathered[at[:-1]])
+    position = np.hypot(error[:, 0], error[:, 1])
+    deviation = np.sqrt(variance[:, 0] + variance[:, 1])
+    lever = np.hypot(told[:, 0], told[:, 1]) * np.sqrt(variance[:, 2])
+    moved = (position > FAR) & (position > SIGMAS * (deviation + lever))
+    turned = (np.abs(error[:, 2]) > TURNED) & (np.abs(error[:, 2]) > SIGMAS * np.sqrt(variance[:, 2]))
+    wrong = np.flatnonzero(moved | turned)
+    if not len(wrong):
+        return None
+    size = np.hypot(position[wrong] / FAR, error[wrong, 2] / TURNED)
+    worst = int(wrong[np.argmax(size)])
+    return _of(
+        run, Code.AGAINST_WHEELS, frame=int(at[worst + 1]), steps=len(wrong), scans=len(at),
+        distance=float(position[worst]), turned=math.degrees(abs(float(error[worst, 2]))),
+    )  # fmt: skip
+
+
+def _of(run: Run, code: Code, frame: int | None = None, **values: Value) -> Notice:
+    return notice(code, Severity.WARNING, frame, **values).about(estimator=run.estimator, association=run.association)
+
+
+REFUSED, TESTED = 0.6, 50
+"""Share of refused loop closures, and their least number: on 12 simulated plans and Intel 0.33 to 0.51 are refused, as
+they do not fit well enough or find no second one."""
+
+
+def refused(run: LaserRun) -> Notice | None:
+    """A notice where most loop closures were refused."""
+    if run.loops is None or len(run.loops) < TESTED:
+        return None
+    out = int((run.loops.believed < 0).sum())
+    if out <= REFUSED * len(run.loops):
+        return None
+    return _of(run, Code.CLOSURES_REFUSED, refused=out, tested=len(run.loops))
+
+
+NEAR, APART, BESIDE = 3.0, 12, 3
+"""m between two key poses whose scans are compared; key poses between them: revisits, and neighbours at most."""
+MOST_PAIRS = 300
+TOLERANCE = (0.15, 0.03)
+"""m, and share of the range: a doubled wall is farther off, a grazing wall by a right heading is not."""
+DOUBLED = 0.03
+"""Share of beams by which revisits contradict more than neighbours do: at most 0.008 on recorded logs and on simulated
+ones with people and glass; 0.12 where the path of a simulated one drifts by half a metre."""
+
+
+def doubled_walls(run: LaserRun, inputs: Inputs) -> Notice | None:
+    """A notice where scans of revisited places contradict each other more than neighbouring ones."""
+    found = map_consistency(run, inputs)
+    if found is None or found[0] - found[1] <= DOUBLED:
+        return None
+    return _of(run, Code.DOUBLED_WALLS, revisits=found[0], neighbours=found[1], pairs=found[2])
+
+
+def map_consistency(run: LaserRun, inputs: Inputs) -> tuple[float, float, int] | None:
+    """Shares of beams of one key scan that pass a surface of another: among revisits, among neighbours (its noise, with
+    people and glass), and the number of revisits compared; None without any.
+    """
+    if inputs.scans is None or run.chain is None or run.key_pose is None:
+        return None
+    scans, pose, frames = inputs.scans, run.key_pose, run.chain.frame
+    pairs: list[tuple[int, int]] = []
+    for k in range(len(pose)):
+        before = pose[: max(k - APART + 1, 0), :2]
+        old = np.flatnonzero(np.hypot(before[:, 0] - pose[k, 0], before[:, 1] - pose[k, 1]) < NEAR)  # NaN is far
+        if len(old):
+            pairs.append((int(old[len(old) // 2]), k))
+    if len(pairs) < 10:
+        return None
+    pairs = pairs[:: max(len(pairs) // MOST_PAIRS, 1)]
+    row = dict(zip(scans.frame.tolist(), scans.ranges, strict=True))
+
+    def share(some: Sequence[tuple[int, int]]) -> float:
+        shares = [
+            contradiction(
+                row[int(frames[i])], row[int(frames[j])], between(pose[i], pose[j]), scans.scanner, 20.0, TOLERANCE
+            )
+            for i, j in some
+            if int(frames[i]) in row and int(frames[j]) in row
+        ]
+        return float(np.mean(shares)) if shares else 0.0
+
+    return share(pairs), share([(max(j - BESIDE, 0), j) for _, j in pairs]), len(pairs)
+
+
+CLAIMED = 3.0
+"""Mean squared error over the variance that a claim allows at most, from which it is too small. The sum of both ends'
+variances is the largest that the relation between them can have, unless their errors oppose each other."""
+
+
+def beyond_claims(run: Run, trial: Trial) -> Notice | None:
+    """A notice where errors against reference relations exceed the claimed standard deviations."""
+    relations, path = trial.log.truth.relations, run.final
+    if relations is None or path is None or run.failure is not None or len(relations) < 10:
+        return None
+    a, b = relations.row1, relations.row2
+    error = errors(path.pose[a], path.pose[b], relations.relative)
+    P = np.einsum("kii->ki", path.covariance[a]) + np.einsum("kii->ki", path.covariance[b])
+    fine = np.isfinite(error).all(axis=1) & (P > 0.0).all(axis=1)
+    if fine.sum() < 10:
+        return None
+    turned, claimed = np.abs(error[fine, 2]), np.sqrt(P[fine, 2])
+    moved, allowed = np.hypot(error[fine, 0], error[fine, 1]), np.sqrt(P[fine, 0] + P[fine, 1])
+    ratio = max(float(np.mean((turned / claimed) ** 2)), float(np.mean((moved / allowed) ** 2)))
+    if ratio <= CLAIMED:
+        return None
+    return _of(
+        run, Code.BEYOND_CLAIMS, ratio=ratio, relations=int(fine.sum()),
+        turned=math.degrees(float(np.sqrt(np.mean(turned**2)))), claimed=math.degrees(float(np.median(claimed))),
+        moved=float(np.sqrt(np.mean(moved**2))), allowed=float(np.median(allowed)),
+    )  # fmt: skip
+
+
+DISAGREE, LEAST = 3.0, 0.05
+"""Ratio and size [m] of errors (or of distances of the paths from each other) of graphs of other sizes."""
+
+
+def sizes_disagree(trials: Sequence[Trial]) -> list[Notice]:
+    """Notices where graphs with other distances between key poses lead to other paths."""
+    found = []
+    for base in (t for t in trials if t.variant_of is None):
+        run = _mapped(base)
+        others = [(t, r) for t in trials if t.variant_of == base.log.name and (r := _mapped(t)) is not None]
+        if run is None or run.last is None or not others:
+            continue
+        relations, time = base.log.truth.relations, base.log.recorded.time
+        sizes = []
+        for t, r in [(base, run), *others]:
+            assert r.last is not None
+            if relations is None:
+                off = float(np.sqrt(np.nanmean(np.sum((r.last - run.last)[:, :2] ** 2, axis=1))))
+                sizes.append((off, t.log.name))
+            elif (e := relation_errors(r.last, relations, time)) is not None:
+                sizes.append((e.trans_mean_m, t.log.name))
+        if len(sizes) < 2:
+            continue
+        (best, best_name), (worst, worst_name) = min(sizes), max(sizes)
+        alike = worst <= DISAGREE * max(best, LEAST) if relations is not None else worst <= 10.0 * LEAST
+        if not alike:
+            by = notice(
+                Code.SIZES_DISAGREE, related=relations is not None, best=best, best_log=best_name, worst=worst,
+                worst_log=worst_name,
+            )  # fmt: skip
+            found.append(by.about(log=base.log.name, task=base.task, estimator=run.estimator))
+    return found
+
+
+def _mapped(trial: Trial) -> LaserRun | None:
+    found = [r for r in trial.runs if isinstance(r, LaserRun) and r.failure is None and r.last is not None]
+    return min(found, key=lambda r: r.estimator != "isam2", default=None)
+
+
+def serious(trial: Trial) -> list[Notice]:
+    """What forbids to trust any path of a laser log: it leaves the wheels, or its walls are doubled."""
+    run = _mapped(trial)
+    if run is None:
+        return []
+    inputs = trial.log.recorded
+    return [n for n in (against_wheels(run, inputs), doubled_walls(run, inputs)) if n is not None]
+
+
+def of_run(run: Run, trial: Trial) -> list[Notice]:
+    """All notices of one run of a laser log."""
+    if not isinstance(run, LaserRun) or run.chain is None:
+        return []
+    mapped = _mapped(trial)
+    own = serious(trial) if mapped is run else []
+    more = refused(run) if mapped is run else None
+    return [n for n in (*own, more, beyond_claims(run, trial)) if n is not None]
