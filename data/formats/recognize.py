@@ -32,7 +32,9 @@ KINDS = {
     **dict.fromkeys(
         (".g2o", ".graph", ".toro"), "a pose graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
     ),
-    **dict.fromkeys((".csv", ".tsv", ".txt"), "a table; type slamref convert table {file} LOG --columns ..."),
+    **dict.fromkeys(
+        (".csv", ".tsv", ".txt"), "a table; type slamref convert table {file} LOG (--help names its flags)"
+    ),
     ".tum": "a path of another program; type slamref score {file} TRUTH, or slamref run LOG --result mine={file}",
     ".toml": "a TOML file; type slamref convert table {file} LOG, slamref study {file} or slamref run --config {file}",
     **dict.fromkeys((".png", ".jpg", ".jpeg"), "a picture; type slamref detect {file} REFERENCE"),

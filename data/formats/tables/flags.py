@@ -65,7 +65,7 @@ STAMPED = ("odometry", "observations", "truth")
 """Roles of files with stamps."""
 POSE = ("length", "length", "angle")
 TRAVEL = ("length", "length", "angle", "angle")
-TUNED = "`python -m eval.tune LOG OUT` fits it afterwards where the log has labels"
+TUNED = "`slamref tune LOG OUT` fits it afterwards where the log has labels"
 
 Given = Mapping[str, object]
 """Texts by flag (without leading dashes), `columns` and `unit` as text or as a table of texts."""
