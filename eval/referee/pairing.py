@@ -13,10 +13,10 @@ import numpy as np
 
 from data import se2, se3
 from data.errors import DataError
-from data.formats.results.clock import ASSUMED, DIGITS, RATE, Clock
+from data.formats.results.clock import ASSUMED, DIGITS, RATE, ROWS, Clock
 from data.formats.results.frames import Tree, bare, in_frame
 from data.formats.results.matrices import translation_first
-from data.formats.results.path import LEFT, LOCAL, ROTATION, WORLD, GivenPath, Spatial
+from data.formats.results.path import LEFT, LOCAL, ROTATION, WORLD, GivenPath, Spatial, restamped
 from data.formats.results.space import flattened
 from data.notice import Code, Notice, Severity, Value, notice
 from data.questions import FASTEST, SHARE, changes, per_second
@@ -35,8 +35,11 @@ FEW = 5
 def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
     """Both with stamps in s; a unit inferred by rate gives way where the plain numbers fit the other file better.
 
-    DataError where the spans of both and their steps differ by the same power of a thousand.
+    Files without stamps get those of the other. DataError where the spans of both and their steps differ by the same
+    power of a thousand, or where two files, of which one has no stamps, have unequal numbers of poses.
     """
+    if ROWS in (a.clock.by, b.clock.by):
+        return _row_by_row(a, b)
     a, b = _plain_if_better(a, b), _plain_if_better(b, a)
     (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
     sure = {a.clock.by, b.clock.by} & {ASSUMED, RATE}
@@ -54,6 +57,15 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
     return a, b
 
 
+def _row_by_row(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
+    bare, other = (a, b) if a.clock.by == ROWS else (b, a)
+    if len(bare) != len(other):
+        what = f"{len(bare)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
+        raise DataError.at(bare.file, f"{what} As many in both are needed, or --times NAME=FILE, a stamp [s] a line")
+    stamped = restamped(bare, other.time, other.clock)
+    return (stamped, b) if bare is a else (a, stamped)
+
+
 def _span(path: GivenPath) -> tuple[float, float]:
     """Span and median step of the stamps [s]."""
     if len(path) < 2:
@@ -68,10 +80,7 @@ def _plain_if_better(path: GivenPath, other: GivenPath) -> GivenPath:
     plain = path.time * 10.0 ** DIGITS[path.clock.unit]
     if _overlap(plain, other.time) <= 2.0 * _overlap(path.time, other.time):
         return path
-    clock = Clock("s", ASSUMED)
-    kind = path.kind.replace(path.clock.words, clock.words)
-    space = None if path.space is None else replace(path.space, time=plain, clock=clock, kind=kind)
-    return replace(path, time=plain, clock=clock, kind=kind, space=space)
+    return restamped(path, plain, Clock("s", ASSUMED))
 
 
 def _overlap(time: Array, other: Array) -> float:

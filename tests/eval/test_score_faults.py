@@ -193,6 +193,25 @@ def test_kitti_is_in_a_cameras_axes(scored, tmp_path):
     assert not asked
 
 
+@pytest.mark.parametrize("stamped", ["neither", "truth", "estimate"])
+def test_kitti_without_stamps_is_matched_row_by_row(stamped, scored):
+    height = [(x, z + 1.0) for x, z in PLACES]
+    of_robot = [(z, -x) for x, z in PLACES]
+    estimate = tum([(z, -x) for x, z in height]) if stamped == "estimate" else kitti(height)
+    values, asked, said = scored(estimate, tum(of_robot) if stamped == "truth" else kitti(PLACES))
+    assert values["rmse_position_m"] == pytest.approx(1.0)
+    assert values["matched"] == len(PLACES)
+    assert not asked
+    assert "without stamps" in said or stamped == "truth"
+
+
+def test_kitti_of_another_length_is_refused(scored):
+    error = scored(kitti(PLACES[:-1]), kitti(PLACES), status=2)
+    assert "4 poses without stamps, and 5 of" in error
+    assert "--times NAME=FILE" in error
+    assert error.count("\n") == 1
+
+
 def test_kitti_whose_z_is_flat_is_asked_about(scored, tmp_path):
     (tmp_path / "times.txt").write_text("".join(f"{k}\n" for k in range(5)))
     robot = lines((1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, 0) for x, y in PLACES)
