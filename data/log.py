@@ -191,6 +191,7 @@ def _first_relations(r: Relations, n: int) -> Relations:
         _rows(r.exact, inside),
         _rows(r.stamp, inside),
         _rows(r.frame_stamp, slice(n)),
+        _rows(r.covariance, inside),
     )
 
 

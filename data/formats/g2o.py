@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -28,16 +28,16 @@ import numpy as np
 
 from data import se2
 from data.digest import source_file
-from data.errors import LARGEST, DataError, UsageError
+from data.errors import LARGEST, DataError
 from data.formats.bearings import PARALLAX, triangulate
-from data.formats.csv_table import bytes_of, is_number, read_table, symmetric
+from data.formats.csv_table import bytes_of, is_number, symmetric
 from data.formats.graph_file import TORO
 from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
 from data.se2 import Array, inverse, wrap_angle
-from data.sensors import RANGE_BEARING, RangeBearing, RelativePoint, Sensor
+from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Relations, Truth
 
 POSE, POINT, FIX = "VERTEX_SE2", "VERTEX_XY", "FIX"
@@ -159,34 +159,6 @@ def _edges(path: Path, rows: Sequence[tuple[int, list[float]]], tag: str) -> Edg
         raise DataError.at(path, what, line=int(line[np.argmax(bad)]))
     covariance = np.linalg.inv(information).astype(np.float64)
     return Edges(values[:, :2].astype(np.int64), values[:, 2 : 2 + d], covariance, line)
-
-
-def written(
-    poses: tuple[Sequence[int], Array],
-    points: tuple[Sequence[int], Array],
-    fixed: Iterable[int],
-    edges: Iterable[tuple[str, int, int, Array, Array]],
-) -> str:
-    """Text of a graph from poses and points by id, fixed ids, and edges (tag, id, id, measured (d,), covariance (d,
-    d)).
-
-    The covariance of an EDGE_SE2 is that of the additive error in the frame of its start.
-    """
-    lines = [_line(POSE, [i], p) for i, p in zip(*poses, strict=True)]
-    lines += [_line(POINT, [i], p) for i, p in zip(*points, strict=True)]
-    for tag, a, b, measured, covariance in edges:
-        P = np.atleast_2d(covariance)
-        if tag == MOTION:  # g2o's error is in the frame of the edge's end
-            P = se2.covariances_in_body(measured[None, 2], P[None])[0]
-        information = np.linalg.inv(P)
-        lines.append(_line(tag, [a, b], [*np.ravel(measured), *information[np.triu_indices(len(P))]]))
-    # last, because gtsam's reader stops there
-    lines += [f"{FIX} {i}" for i in fixed]
-    return "\n".join(lines) + "\n"
-
-
-def _line(tag: str, ids: Sequence[int], values: Iterable[float]) -> str:
-    return " ".join([tag, *map(str, ids), *(repr(float(v)) for v in values)])
 
 
 SHOWN = 5  # landmarks without a place that are named
@@ -394,7 +366,8 @@ def _relations(edges: Edges, ids: IntArray, used: IntArray) -> Relations | None:
         return None
     at = {int(i): k for k, i in enumerate(ids)}
     rows = np.array([[at[int(a)], at[int(b)]] for a, b in edges.ends[rest]], np.int64)
-    return Relations(rows[:, 0], rows[:, 1], edges.measured[rest])
+    covariance = se2.covariances_in_world(edges.measured[rest, 2], edges.covariance[rest])
+    return Relations(rows[:, 0], rows[:, 1], edges.measured[rest], covariance=covariance)
 
 
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
@@ -410,105 +383,3 @@ def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
         notes.append(f"FIX {' '.join(map(str, graph.fixed.tolist()[:5]))}: the first pose is fixed instead")
     notes += [f"{count} {tag} left out" for tag, count in graph.other.items()]
     return notes
-
-
-BLIND = 10.0
-"""Sigma over range from which an observation is written as a bearing alone."""
-Edge = tuple[str, int, int, Array, Array]
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """The vertices to write: pose (N, 3), landmark number `of` (M,) of each observation or -1, landmark by number."""
-
-    pose: Array
-    of: IntArray
-    landmark: dict[int, Array]
-    known: bool = False
-
-
-def labelled(log: Log) -> Estimate:
-    """Dead reckoning, pairings by label, and each landmark from its first observation; UsageError without labels."""
-    label, inputs = log.granted, log.recorded
-    if label is None and len(inputs.observations.frame):
-        raise UsageError(f"log {log.name!r} has no labels, so its landmarks are unknown; name a run with --run FOLDER")
-    label = np.zeros(0, np.int64) if label is None else label
-    pose = se2.dead_reckoned(inputs.prior.mean, inputs.increments.mean)
-    of = np.where(label >= 0, label, -1)
-    landmark: dict[int, Array] = {}
-    for i in np.flatnonzero(of >= 0).tolist():
-        if int(of[i]) not in landmark:
-            xy, _, _ = inputs.sensor.inverse(pose[inputs.observations.frame[i]], inputs.observations.z[i][None])
-            landmark[int(of[i])] = xy[0]
-    return Estimate(pose, of, landmark)
-
-
-def of_result(log: Log, folder: Path) -> Estimate:
-    """The last path, map and final decisions of a run's folder in a report; DataError if a file is missing or of
-    another log.
-    """
-    inputs = log.recorded
-    path = next((p for p in (folder / "final.csv", folder / "online.csv") if p.exists()), None)
-    if path is None:
-        raise DataError.at(folder, "neither final.csv nor online.csv; the folder of one run in a report is needed")
-    table = read_table(path, ("x", "y", "theta"), may_be_blank=("x", "y", "theta"))
-    if len(table) != len(inputs):
-        raise DataError.at(path, f"{len(table)} rows for the {len(inputs)} frames of log {log.name!r}; another log's?")
-    pose = table.stack(("x", "y", "theta"))
-    if not np.isfinite(pose).all():
-        raise DataError.at(path, "poses are missing; a run that finished is needed")
-    of = np.full(len(inputs.observations.frame), -1, np.int64)
-    if len(of):
-        file = folder / "decisions.csv"
-        decided = read_table(file, ("frame", "decision", "final_decision"), may_be_blank=("final_decision",))
-        if not np.array_equal(decided.columns["frame"], inputs.observations.frame):
-            raise DataError.at(file, f"its frames are not those of log {log.name!r}; another log's?")
-        online, final = (decided.columns[c].astype(np.int64) for c in ("decision", "final_decision"))
-        founded = np.where(online == -1, np.cumsum(online == -1) - 1, -1)
-        of = np.where(final >= 0, final, np.where(final == -1, founded, -1))
-    known = not (folder / "landmarks.csv").exists()
-    if known:
-        if inputs.map is None:
-            return Estimate(pose, np.full(len(of), -1), {})
-        landmark = {int(i): xy for i, xy in zip(inputs.map.id, inputs.map.xy, strict=True)}
-        of = decided.columns["final_decision"].astype(np.int64) if len(of) else of
-    else:
-        places = read_table(folder / "landmarks.csv", ("landmark", "x", "y"))
-        xy = places.stack(("x", "y"))
-        landmark = {int(i): p for i, p in zip(places.columns["landmark"], xy, strict=True)}
-    of = np.where(np.isin(of, list(landmark)), of, -1)
-    return Estimate(pose, of, landmark, known)
-
-
-def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = None) -> str:
-    """The graph; poses have the ids 0 to N - 1 (or `ids`), landmarks the following ones in the order of their numbers;
-    beside given ids their own where these are free.
-
-    Observations become points in the body frame, to first order, or bearings where the range is nearly unknown. The
-    first pose is fixed, and so are landmarks of a known map. UsageError where landmarks are walls.
-    """
-    if not inputs.sensor.sees_points:
-        raise UsageError("the log's landmarks are walls, which g2o has no vertex for; a log of points is needed")
-    n, o = len(inputs), inputs.observations
-    numbers = sorted(set(estimate.of[estimate.of >= 0].tolist()))
-    own = range(n) if ids is None else ids
-    after = max(own, default=0) + 1
-    free = ids is not None and not set(numbers) & set(own)
-    vertex = {number: number if free else after + k for k, number in enumerate(numbers)}
-    edges: list[Edge] = [
-        (MOTION, own[k - 1], own[k], inputs.increments.mean[k], inputs.increments.covariance[k]) for k in range(1, n)
-    ]
-    points, spread = inputs.sensor.body_points(o.z, o.R) if len(o.frame) else (o.z, o.R)
-    blind = np.zeros(len(o.frame), bool)
-    if inputs.sensor.kind == RANGE_BEARING and not any(inputs.sensor.translation):
-        blind = np.sqrt(o.R[:, 0, 0]) > BLIND * o.z[:, 0]
-    for i in np.flatnonzero(estimate.of >= 0).tolist():
-        ends = own[int(o.frame[i])], vertex[int(estimate.of[i])]
-        if blind[i]:
-            bearing = o.z[i, 1] - inputs.sensor.rotation
-            edges.append((BEARING, *ends, np.array([bearing]), o.R[i, 1:, 1:]))
-        else:
-            edges.append((OBSERVATION, *ends, points[i], spread[i]))
-    places = np.array([estimate.landmark[number] for number in numbers]).reshape(-1, 2)
-    held = [own[0], *(vertex.values() if estimate.known else ())]
-    return written((own, estimate.pose), (list(vertex.values()), places), held, edges)

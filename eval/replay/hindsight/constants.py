@@ -74,6 +74,7 @@ REASSOCIATION_GATE = 0.999  # gate of the final re-association
 REASSOCIATION_QUANTILE = 0.9  # quantile of squared distances that gives the variance scale; a median ignores tails
 REASSOCIATION_OBSERVATIONS = 4  # observations of a landmark that counts for this scale
 
+PLAIN_MOST = 2  # landmarks of `jcbb` over those initialized in hindsight, above which it is not followed to its end
 PLAIN_ODDS = 10.0  # log odds from which the final decisions are those of `jcbb`
 
 # --- A frame without a prediction (placement.py) --------------------------------------------------------------------

@@ -54,8 +54,11 @@ class Smoothed(NamedTuple):
     opportunities: dict[int, bytes]
 
 
-def plain(given: Given, setup: Setup, frames: Sequence[Frame]) -> Plain:
-    """`jcbb` over all frames of a log, in an EKF-SLAM with all as stated."""
+def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> Plain | None:
+    """`jcbb` over all frames of a log, in an EKF-SLAM with all as stated; None: with more than `most` landmarks.
+
+    It is lost then, and takes long.
+    """
     held = EkfSlam(given.prior, given.sensor)
     numbers, path = [], []
     for frame in frames:
@@ -65,6 +68,8 @@ def plain(given: Given, setup: Setup, frames: Sequence[Frame]) -> Plain:
             e = held.expect(frame.observations)
             decisions = decide("jcbb", e, setup.gate, setup.new_gate).decisions
             done = held.update(frame.observations, decisions)
+            if done.created.max(initial=-1) >= most:
+                return None
             numbers.append(np.where(done.created >= 0, done.created, np.where(done.used, decisions, DISCARD)))
         path.append(held.estimate().mean)
     number = np.concatenate([np.empty(0, np.int64), *numbers])

@@ -89,7 +89,10 @@ def test_what_was_observed_once_is_no_landmark():
 def test_plain_decisions_are_those_of_jcbb():
     inputs = named_log("arena:2:frames=60+clutter=0.5").inputs(labels=False).without_map()
     run = step_by_step("ekf", inputs, "slam", "jcbb")
-    found = plain(inputs, Setup(), [inputs.frame(k) for k in range(len(inputs))])
+    frames = [inputs.frame(k) for k in range(len(inputs))]
+    found = plain(inputs, Setup(), frames, 1000)
+    assert found is not None
+    assert plain(inputs, Setup(), frames, int(run.created.max())) is None, "more landmarks than are allowed"
     assert np.array_equal(found.number, np.where(run.created >= 0, run.created, run.decisions))
     np.testing.assert_allclose(found.path, run.online.pose, atol=1e-9)
 
