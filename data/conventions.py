@@ -40,6 +40,7 @@ TURNED, LONGEST, PAIRS = 0.25, 60, 150  # rad and frames between the frames of a
 TINY = 1e-12  # sigmas; a shorter difference of two conventions is none
 SPANS = (1, 4, 16)
 """Frames between compared true poses: over more of them the order shows through noisy or rarely known ones."""
+REGULAR = 1e-9  # of the trace of a covariance, added to its variances before it is inverted
 FEWEST = 30  # observations, or steps with a true one, for a question
 
 
@@ -94,7 +95,8 @@ def _order_over(span: int, pose: Array, orders: Mapping[str, Increments]) -> Ver
     rows = np.flatnonzero(np.isfinite(true).all(axis=1) & (np.abs(mean[:, 2]) > 0.0) & mean[:, :2].any(axis=1))
     if len(rows) < FEWEST:
         return None
-    weight = np.linalg.inv(covariance[rows, :2, :2])
+    P = covariance[rows, :2, :2]  # singular where odometry is exact in one direction
+    weight = np.linalg.inv(P + (REGULAR * np.trace(P, axis1=1, axis2=2)[:, None, None] + TINY) * np.eye(2))
     stated = mean[rows, :2]
     r = true[rows, :2] - stated
     cost, off = {}, {}
