@@ -37,6 +37,7 @@ NEAR = 0.3
 ROBUST = 16.0  # squared distance beyond which an observation counts as one of something else
 TURNED, LONGEST, PAIRS = 0.25, 60, 150  # rad and frames between the frames of a pair; most pairs
 TINY = 1e-12  # sigmas; a shorter difference of two conventions is none
+REGULAR = 1e-9  # of the trace of a covariance, added to its variances before it is inverted
 FEWEST = 30  # observations, or steps with a true one, for a question
 
 
@@ -83,7 +84,8 @@ def order_by_truth(log: Log) -> Verdict | None:
     rows = np.flatnonzero(np.isfinite(true).all(axis=1) & (np.abs(u.mean[1:, 2]) > 0.0) & u.mean[1:, :2].any(axis=1))
     if len(rows) < FEWEST:
         return None
-    weight = np.linalg.inv(u.covariance[1:][rows][:, :2, :2])
+    P = u.covariance[1:][rows][:, :2, :2]  # singular where odometry is exact in one direction
+    weight = np.linalg.inv(P + (REGULAR * np.trace(P, axis1=1, axis2=2)[:, None, None] + TINY) * np.eye(2))
     stated = u.mean[1:][rows, :2]
     r = true[rows, :2] - stated
     cost, off = {}, {}
