@@ -343,7 +343,10 @@ def _placed(graph: Graph, at: dict[int, int], path: Array, notes: list[str]) -> 
         lost = np.unique(rays.ends[~known, 1])
         shown = ", ".join(f"{i} ({np.degrees(found.parallax[i]):.2g} deg)" for i in lost[:SHOWN].tolist())
         missing = f"{len(lost)} landmarks have no place (no VERTEX_XY): {shown}{', ...' if len(lost) > SHOWN else ''}"
-        needed = f"their bearings need {np.degrees(PARALLAX):.0f} deg of parallax, or a VERTEX_XY near the truth"
+        needed = (
+            f"rays that cross ahead of the robot at {np.degrees(PARALLAX):.0f} deg, or a VERTEX_XY near the truth, are "
+            "needed"
+        )
         if not known.any() and not len(graph.observation):
             raise DataError.at(graph.path, f"{BEARING}: {missing}; {needed}", line=int(rays.line[0]))
         notes.append(f"{missing}; {needed}; {int((~known).sum())} bearings are left out")
