@@ -380,7 +380,7 @@ def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
     if loops:
         notes.append(
             f"{loops} {MOTION} outside the chain of poses (loop closures) became reference relations for scoring; no "
-            "estimator sees them, and slamref audit optimizes the graph"
+            f"estimator sees them, and slamref audit {graph.path.name} optimizes the graph"
         )
     if len(graph.fixed) and graph.fixed.tolist() != [int(ids[0])]:
         notes.append(f"FIX {' '.join(map(str, graph.fixed.tolist()[:5]))}: the first pose is fixed instead")
