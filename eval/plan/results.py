@@ -22,7 +22,7 @@ from data.notice import Code, Notice, Severity, notice
 from data.se2 import Array
 from eval.plan.flags.table import Reading, Results
 from eval.referee.given_runs import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
-from eval.referee.pairing import Pair, about_file, about_pair, same_clock, same_frames
+from eval.referee.pairing import Pair, about_file, about_pair, called, same_clock, same_frames
 from eval.referee.score import Trial
 from eval.referee.time_offset import time_offset
 from eval.replay.flag import rows
@@ -199,6 +199,8 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
             scored = replace(last, pose=run.trajectory(phase).pose)
             notes += about_pair(Pair(scored, truth.path, run.match.truth, run.space.get(phase)))
             notes += () if truth.path is None else about_file(truth.path)
+        named = {} if truth is None or truth.path is None else {truth.path.file: TRUTH}
+        notes = called(notes, named | {last.file: result.name})
         yield replace(run, notes=(*run.notes, *notes))
 
 

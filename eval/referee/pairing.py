@@ -6,7 +6,7 @@ A question is a notice with the numbers that raise it; the numbers of the result
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -110,6 +110,22 @@ def same_frames(path: GivenPath, truth: GivenPath, align: str) -> tuple[GivenPat
     return path, asked
 
 
+def called(questions: Iterable[Notice], names: Mapping[str, str]) -> list[Notice]:
+    """The questions with the names by which flags call their files (`names` by file)."""
+    made = []
+    for q in questions:
+        values = q.named
+        if NAME in values:
+            file = str(values.get("file", values.get("estimate")))
+            q = replace(q, values=tuple(sorted({**values, NAME: names.get(file, "NAME")}.items())))
+        made.append(q)
+    return made
+
+
+NAME = "name"
+"""Value of a question whose flag takes the name of its file."""
+
+
 def _ask(code: Code, **values: Value) -> Notice:
     return notice(code, Severity.WARNING, None, **values)
 
@@ -143,10 +159,19 @@ def _axes(path: GivenPath) -> Iterator[Notice]:
         return
     x, y, z = np.ptp(s.position, axis=0)
     if y <= x and y < FLAT * z and z > STEEP * x and not s.stated.axes:
-        yield _ask(Code.PATH_AXES, file=path.file, wanted="camera", flattest="y", extent=(float(x), float(y), float(z)))
+        yield _ask(
+            Code.PATH_AXES,
+            file=path.file,
+            wanted="camera",
+            flattest="y",
+            extent=(float(x), float(y), float(z)),
+            name="",
+        )
     if s.stated.axes and x <= y and x < FLAT * z and z > STEEP * y:
         # in the file's own axes x is -y, y is -z, and z is x of the robot's
-        yield _ask(Code.PATH_AXES, file=path.file, wanted="robot", flattest="z", extent=(float(y), float(z), float(x)))
+        yield _ask(
+            Code.PATH_AXES, file=path.file, wanted="robot", flattest="z", extent=(float(y), float(z), float(x)), name=""
+        )
 
 
 def _turn_rate(path: GivenPath) -> Iterator[Notice]:
@@ -160,7 +185,7 @@ def _turn_rate(path: GivenPath) -> Iterator[Notice]:
     largest = float(np.nanmax(np.abs(raw), initial=0.0))
     follows = largest > 2.0 * np.pi and deg > 0.95 and rad < 0.6
     if fast > max(2.0, SHARE * np.count_nonzero(rate)) or follows:
-        yield _ask(Code.PATH_TURNS, file=path.file, fast=fast, seconds=len(rate), largest=largest)
+        yield _ask(Code.PATH_TURNS, file=path.file, fast=fast, seconds=len(rate), largest=largest, name="")
 
 
 def _against_course(xy: Array, heading: Array, unit: float) -> float:
@@ -224,7 +249,9 @@ def _degrees(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         raw = path.headings if own else _raw_at(path, pair.estimate.time)
         as_degrees = _apart(np.pi / 180.0 * raw[known] - other)
         if plain > TURNED and plain > CLOSER * as_degrees:
-            yield _ask(Code.PATH_DEGREES, file=path.file, rad=math.degrees(plain), deg=math.degrees(as_degrees))
+            yield _ask(
+                Code.PATH_DEGREES, file=path.file, rad=math.degrees(plain), deg=math.degrees(as_degrees), name=""
+            )
             return
 
 
@@ -281,6 +308,7 @@ def _mean_nees(s: Spatial, truth: Array) -> float:
 
 
 RATIOS = (1000.0, 100.0, 0.001, 0.01, 0.3048, 1.0 / 0.3048)
+METRIC = {1000.0: "mm", 100.0: "cm"}
 NEAR, FITS = 0.02, 0.05
 """Largest deviation from a ratio of units, and largest RMS error of the scaled fit as a share of the path's size."""
 
@@ -299,7 +327,11 @@ def _scale(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     turn = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
     off = a @ se2.rotation(turn).T / ratio - b
     if math.sqrt(float(np.mean(np.sum(off**2, axis=1)))) < FITS * size_b:
-        yield _ask(Code.PATH_SCALE, estimate=pair.estimate.file, ratio=ratio)
+        metric = METRIC.get(unit if unit > 1.0 else 1.0 / unit, "")
+        other = unit < 1.0 and pair.truth is not None
+        file = pair.truth.file if other and pair.truth is not None else pair.estimate.file
+        stated = metric if unit > 1.0 or other else ""
+        yield _ask(Code.PATH_SCALE, file=file, estimate=pair.estimate.file, ratio=ratio, unit=stated, name="")
 
 
 TILTED = SAME_VERTICAL
@@ -324,7 +356,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     same_world = _spread(worlds) <= _spread(bodies)
     first = _same_vertical(ours, theirs) and _w_first(ours.rotation, theirs.rotation)
     which = "quaternion" if first else "world" if same_world else "body"
-    yield _ask(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which)
+    yield _ask(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which, name="")
 
 
 REFLECTED = 0.2

@@ -216,7 +216,7 @@ def test_kitti_whose_z_is_flat_is_asked_about(scored, tmp_path):
     (tmp_path / "times.txt").write_text("".join(f"{k}\n" for k in range(5)))
     robot = lines((1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, 0) for x, y in PLACES)
     _, asked, _ = scored(robot, robot, "--times", "DIR/times.txt")
-    assert any("--axes NAME=robot" in a for a in asked)
+    assert any("--axes estimate=robot" in a for a in asked)
     _, asked, _ = scored(robot, robot, "--times", "DIR/times.txt", "--axes", "robot")
     assert not asked
 
@@ -253,7 +253,7 @@ def test_axes_are_given_for_each_file(scored):
     assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
     assert not asked
     _, asked, _ = scored(lines(rows), tum(CURVE))
-    assert any("--axes NAME=camera" in a for a in asked)
+    assert any("--axes estimate=camera" in a for a in asked)
 
 
 def test_quaternions_that_begin_with_w_are_asked_about(scored):
@@ -281,10 +281,34 @@ def test_degrees_in_one_of_two_files_are_asked_about(which, scored):
     values, asked, _ = scored(*files)
     assert values["rmse_heading_deg"] > 60.0
     assert len(asked) == 1
-    assert "--unit NAME=deg" in asked[0]
+    assert f"--unit {which}=deg" in asked[0]
     values, asked, _ = scored(*files, "--unit", f"{which}=deg")
     assert values["rmse_heading_deg"] == pytest.approx(2.3)
     assert not asked
+
+
+ROBOT = lines((1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, 0) for x, y in PLACES)
+AHEAD = [(x, 0.02 * k**2) for k, (x, _) in enumerate(CURVE)]
+ASKED = {
+    "an estimate in mm": (tum([(1000 * x, 1000 * y) for x, y in CURVE]), tum(CURVE)),
+    "an estimate in cm": (tum([(100 * x, 100 * y) for x, y in CURVE]), tum(CURVE)),
+    "a truth in mm": (tum(CURVE), tum([(1000 * x, 1000 * y) for x, y in CURVE])),
+    "an estimate in feet": (tum([(x / 0.3048, y / 0.3048) for x, y in CURVE]), tum(CURVE)),
+    "an estimate in degrees": (headed(np.degrees(np.linspace(0, 3, 40))), headed(np.linspace(0, 3, 40))),
+    "a truth in degrees": (headed(np.linspace(0, 3, 40)), headed(np.degrees(np.linspace(0, 3, 40)))),
+    "both in a robot's axes": (ROBOT, ROBOT),
+    "a camera's axes": (lines((k, -y, 0, x, 0, 0, 0, 1) for k, (x, y) in enumerate(AHEAD)), tum(AHEAD)),
+}
+
+
+@pytest.mark.parametrize("fault", ASKED)
+def test_the_flags_that_are_asked_for_end_the_questions_as_typed(fault, scored):
+    values, asked, _ = scored(*ASKED[fault])
+    assert asked
+    flags = [word for text in asked for word in re.findall(r"`(--.*?)`", text)[0].split()]
+    better, again, _ = scored(*ASKED[fault], *flags)
+    assert not again
+    assert better["rmse_position_m"] <= values["rmse_position_m"]
 
 
 def test_degrees_in_both_files_are_asked_about(scored):
@@ -456,7 +480,7 @@ def test_yaw_of_three_angles_in_degrees_is_asked_about(scored):
     truth = [(k, x, y, 0, 0, 0, math.sin(a / 2), math.cos(a / 2)) for k, ((x, y), a) in enumerate(zip(CURVE, h))]
     header = "t,x,y,z,roll,pitch,yaw"
     _, asked, _ = scored(commas(rows, header), lines(truth))
-    assert any("--unit NAME=deg" in a for a in asked)
+    assert any("--unit estimate=deg" in a for a in asked)
     for text, flags in ((commas(rows, header), ("--unit", "estimate=deg")), (commas(rows, header + "_deg"), ())):
         values, asked, _ = scored(text, lines(truth), *flags)
         assert values["rmse_rotation_3d_deg"] == pytest.approx(0.0, abs=1e-5)

@@ -34,6 +34,8 @@ TABLES = {
     "a truth elsewhere": (("--prior truth", "--prior 0,0,0 --truth-transform 30,0,1"), Code.TRUTH_FRAME),
 }
 
+QUICK = ("bearings in degrees", "bearings of this file to the other side", "a short reach", "a prior elsewhere")
+
 
 @pytest.fixture
 def convert(capsys):
@@ -67,7 +69,7 @@ def test_a_right_table_is_asked_nothing(robot, convert, tmp_path):
     assert convert(["table", *robot, str(tmp_path / "log"), *FLAGS]) == (set(), [])
 
 
-@pytest.mark.parametrize("fault", TABLES)
+@pytest.mark.parametrize("fault", [pytest.param(f, marks=[] if f in QUICK else pytest.mark.slow) for f in TABLES])
 def test_what_is_printed_about_a_table_mends_it(fault, robot, convert, tmp_path):
     (right, wrong), code = TABLES[fault]
     flags = " ".join(shlex.quote(w) for w in FLAGS).replace(right, wrong)
