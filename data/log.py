@@ -20,6 +20,8 @@ ODOMETRY_KIND = "odometry_kind"
 ODOMETRY_PERIOD, INTEGRATION = "odometry_period", "integration"
 """Keys of the source of a log from tables: velocities, poses, steps or ticks; of velocities their interval [s] and the
 motion model by which they became increments."""
+TRUTH_POSE = "truth_transform"
+"""Key of the same: pose of the truth's frame in the world."""
 T = TypeVar("T", bound=NDArray[Any])
 
 
@@ -189,6 +191,7 @@ def _first_relations(r: Relations, n: int) -> Relations:
         _rows(r.exact, inside),
         _rows(r.stamp, inside),
         _rows(r.frame_stamp, slice(n)),
+        _rows(r.covariance, inside),
     )
 
 

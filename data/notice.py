@@ -72,6 +72,7 @@ class Code(StrEnum):
     CORNERS = "corners"
     READ_FROM = "read-from"
     MATCHED = "matched"
+    TIME_OFFSET = "time-offset"
     NO_TRUTH = "no-truth"
     ALIGNED = "aligned"
     LANDMARKS_GONE = "landmarks-gone"

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from data import laser_questions
 from data.conventions import ARC, AS_STATED, SWAPPED, order_by_observations, order_by_truth, side_of_bearings
 from data.inputs import Inputs
-from data.log import ODOMETRY_KIND, Log
+from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
 from data.motion.velocity import carried
 from data.notice import Code, Notice, notice
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
@@ -212,11 +213,16 @@ def prior(log: Log) -> list[Notice]:
     if inputs.map is None or len(inputs.map.id) == 0:
         return []
     hit = explained(inputs)
-    if len(hit) < FEWEST or hit.mean() >= EXPLAINED:
+    if len(hit) < FEWEST or hit.mean() >= EXPLAINED or side(log):
         return []
     first = None if log.truth.pose is None else log.truth.pose[0]
+    if first is not None and as_pose(first) == as_pose(inputs.prior.mean):
+        first = None  # as stated
     low, high = inputs.map.xy.min(axis=0).tolist(), inputs.map.xy.max(axis=0).tolist()
     known = first is not None and bool(np.isfinite(first).all())
+    mends = False
+    if first is not None and known:
+        mends = bool(explained(replace(inputs, prior=replace(inputs.prior, mean=first))).mean() >= EXPLAINED)
     return [
         notice(
             Code.PRIOR,
@@ -227,7 +233,7 @@ def prior(log: Log) -> list[Notice]:
             y=(low[1], high[1]),
             walls=not inputs.sensor.sees_points,
             truth=tuple(first.tolist()) if first is not None and known else None,
-            flags=(f"--prior={as_pose(first)}",) if first is not None and known else (),
+            flags=(f"--prior={as_pose(first)}",) if first is not None and mends else (),
         )
     ]
 
@@ -266,7 +272,10 @@ def truth_start(log: Log) -> list[Notice]:
     distance, turned = float(np.hypot(*away[:2])), abs(float(wrap_angle(away[2])))
     if distance <= SLACK + 5.0 * sigma[:2].max() and turned <= SLACK_HEADING + 5.0 * sigma[2]:
         return []
-    carry = compose(inputs.prior.mean, inverse(pose[0]))
+    if any(question.named["flags"] for question in prior(log)):  # the map fits the truth, and not the prior
+        return []
+    given = np.array(log.source.get(TRUTH_POSE, np.zeros(3)), float)
+    carry = compose(compose(inputs.prior.mean, inverse(pose[0])), given)
     flags = (f"--truth-transform={as_pose(carry)}",)
     return [notice(Code.TRUTH_FRAME, distance=distance, turned=turned, sigma=tuple(sigma.tolist()), flags=flags)]
 
@@ -341,14 +350,25 @@ def side(log: Log) -> list[Notice]:
     units = log.source.get("unit")
     given = units if isinstance(units, Mapping) else {}
     if log.recorded.sensor.kind != RELATIVE_POINT:
-        unit = str(given.get("observations.bearing", given.get("bearing", given.get("angle", "rad"))))
+        key = "observations.bearing" if "observations.bearing" in given else "bearing"
+        unit = str(given.get(key, given.get("angle", "rad")))
         other = unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
-        flags = (f"--unit bearing={other}", *(("--sensor-pose=0,0,90deg",) if found.name == SWAPPED else ()))
+        sensor = log.recorded.sensor
+        turned = inverse(np.array([*sensor.translation, sensor.rotation])) + np.array([0.0, 0.0, 0.5 * np.pi])
+        flags = (f"--unit {key}={other}", *((f"--sensor-pose={as_pose(turned)}",) if found.name == SWAPPED else ()))
     elif found.name == SWAPPED:
-        flags = ("--columns observations.x=y,observations.y=x",)
+        x, y = (_name(log, q) for q in ("x", "y"))
+        flags = (f"--columns observations.x={y},observations.y={x}",)
     else:
         flags = (f"--unit observations.y=-{given.get('length', 'm')}",)
     return [notice(Code.MIRRORED, swapped=found.name == SWAPPED, gain=found.gain, flags=flags)]
+
+
+def _name(log: Log, quantity: str) -> str:
+    """The name of a column of the observations."""
+    columns = log.source.get("columns")
+    given = columns if isinstance(columns, Mapping) else {}
+    return str(given.get(f"observations.{quantity}", given.get(quantity, quantity)))
 
 
 def conventions(log: Log) -> list[Notice]:

@@ -25,6 +25,7 @@ class Relations(Locked):
         exact: (K,) 1 where both rows are certain, else 0; None: not stated.
         stamp: (K, 2) s, the reference's own stamps; None: rows only.
         frame_stamp: (N,) s, the frames' recorded stamps, not made monotone; None: the log's time.
+        covariance: (K, 3, 3) of the relative pose, in the frame of row1; None: not stated.
     """
 
     row1: IntArray
@@ -33,6 +34,7 @@ class Relations(Locked):
     exact: IntArray | None = None
     stamp: Array | None = None
     frame_stamp: Array | None = None
+    covariance: Array | None = None
 
     def __len__(self) -> int:
         return len(self.row1)

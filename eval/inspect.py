@@ -41,6 +41,7 @@ def _inspect(log: str, plot: Path | None) -> None:
     """Print the summary; plot the log to `plot`, if given."""
     if plot is not None and plot.suffix not in PICTURES:
         raise UsageError(f"--plot {plot}: a file name that ends in {' or '.join(PICTURES)} is needed")
+    from data.convert.__main__ import mending
     from data.formats.recognize import door
     from data.logs import open_log
     from data.questions import ask
@@ -55,7 +56,11 @@ def _inspect(log: str, plot: Path | None) -> None:
         return
     opened = open_log(log)
     lines = summarize(opened)
-    lines += [("question", f"{title(question)}: {sentence(question)}") for question in ask(opened)]
+    questions = ask(opened)
+    lines += [("question", f"{title(question)}: {sentence(question)}") for question in questions]
+    if Path(log).is_file() and opened.source.get("kind") == "carmen":
+        command = mending(["carmen", log, f"{opened.name}-mended"], questions)
+        lines += [("if so", command)] if command else []
     if opened.has_labels:
         from eval.replay.settings import Setup
         from eval.report.answer import gate_sentence

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import shlex
 import sys
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from data.command import COMPLETION, Parser, complete
 from data.convert import g2o, mrclam, recordings, table, visual, worlds
+from data.convert.again import again
 from data.terminal import counted, ended
 from data.worlds.registry import SIMULATORS
 
 if TYPE_CHECKING:
     from data.formats.open_log.writer import Recording
     from data.log import Log
+    from data.notice import Notice
 
 PROG = "python -m data.convert"
 EXAMPLES = """\
@@ -60,32 +61,13 @@ def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentPar
     return top
 
 
-LISTS, REPEATED = ("--unit",), ("--exclude-truth",)
-"""Flags whose values are joined by commas, and flags that may be repeated; of all others the value is replaced."""
+def mending(given: Sequence[str], questions: Sequence[Notice]) -> str:
+    """The command that converts a recording with all flags of questions about it; empty if that mends none of them.
 
-
-def mended(given: Sequence[str], flags: Sequence[str], known: Collection[str]) -> list[str]:
-    """The words of a command with flags `--name value` or `--name=value` that mend it; empty where none is `known`."""
-    words, changed = list(given), False
-    for flag in dict.fromkeys(flags):
-        name, value = re.split("[ =]", flag, maxsplit=1)
-        if name not in known or flag in words:
-            continue
-        changed = True
-        at = next((i for i, w in enumerate(words) if w == name or w.startswith(f"{name}=")), None)
-        if at is not None and name not in REPEATED:
-            there = at if "=" in words[at] else at + 1
-            head = f"{name}=" if there == at else ""
-            words[there] = f"{words[there]},{value}" if name in LISTS else f"{head}{value}"
-        else:
-            words += [flag] if flag.startswith(f"{name}=") else [name, value]
-    return words if changed else []
-
-
-def _flags_of(reader: argparse.ArgumentParser, kind: str) -> set[str]:
-    """Flags of a kind."""
-    choices = next(a.choices for a in reader._actions if isinstance(a, argparse._SubParsersAction))
-    return {flag for action in choices[kind]._actions for flag in action.option_strings}
+    `given`: words of `slamref convert` without these flags.
+    """
+    words = again(given, questions, parser(simulators=False))
+    return shlex.join(["slamref", "convert", *words]) if words else ""
 
 
 def summary(log: Log) -> list[str]:
@@ -136,9 +118,8 @@ def _convert(argv: Sequence[str] | None, prog: str) -> None:
     found = ask(made)
     for question in found:
         print(f"warning: {sentence(question)} ({title(question)})")
-    flags = [str(flag) for question in found for flag in cast("tuple[str, ...]", question.named.get("flags", ()))]
-    if again := mended(given, flags, known=_flags_of(reader, args.kind)):
-        print(f"if so: {shlex.join([*prog.split(), *again])}")
+    if words := again(given, found, reader):
+        print(f"if so: {shlex.join([*prog.split(), *words])}")
     print(f"written: {Path(args.out).absolute()}")
 
 

@@ -3,9 +3,12 @@
     VERTEX_SE2 id x y theta                        pose [m, m, rad]
     VERTEX_XY id x y                               landmark [m]
     FIX id [id ...]                                fixed vertices
+    EDGE_PRIOR_SE2 i x y theta I11 I12 I13 I22 I23 I33       measured pose; that of the first pose is its prior
     EDGE_SE2 i j dx dy dtheta I11 I12 I13 I22 I23 I33        pose j in the frame of pose i
     EDGE_SE2_XY i l x y I11 I12 I22                landmark l in the frame of pose i
     EDGE_BEARING_SE2_XY i l bearing I              direction of landmark l from pose i
+
+Toro's VERTEX2 and EDGE2 are read, too; the latter's order is I11 I12 I22 I33 I13 I23.
 
 I: information matrix, upper triangle row by row. Poses and landmarks share one set of ids. The error of an EDGE_SE2 is
 that of the relative pose seen from its measured end, (R(dtheta)' (t - t_measured), theta - theta_measured); errors of
@@ -16,28 +19,39 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from data import se2
 from data.digest import source_file
-from data.errors import LARGEST, DataError, UsageError
+from data.errors import LARGEST, DataError
 from data.formats.bearings import PARALLAX, triangulate
-from data.formats.csv_table import bytes_of, is_number, read_table, symmetric
+from data.formats.csv_table import bytes_of, is_number, symmetric
+from data.formats.graph_file import TORO
 from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
 from data.se2 import Array, inverse, wrap_angle
-from data.sensors import RANGE_BEARING, RangeBearing, RelativePoint, Sensor
+from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Relations, Truth
 
 POSE, POINT, FIX = "VERTEX_SE2", "VERTEX_XY", "FIX"
 MOTION, OBSERVATION, BEARING = "EDGE_SE2", "EDGE_SE2_XY", "EDGE_BEARING_SE2_XY"
-NUMBERS = {POSE: (1, 3, 0), POINT: (1, 2, 0), MOTION: (2, 3, 6), OBSERVATION: (2, 2, 3), BEARING: (2, 1, 1)}
+PRIOR = "EDGE_PRIOR_SE2"
+TORO_VERTEX, TORO_EDGE = "VERTEX2", "EDGE2"
+NUMBERS = {
+    POSE: (1, 3, 0),
+    POINT: (1, 2, 0),
+    MOTION: (2, 3, 6),
+    OBSERVATION: (2, 2, 3),
+    BEARING: (2, 1, 1),
+    PRIOR: (1, 3, 6),
+}
 """Numbers of ids, measured values, and entries of the information matrix after each tag."""
 SPATIAL = ("VERTEX_SE3:QUAT", "EDGE_SE3:QUAT", "VERTEX_SE3", "EDGE_SE3", "VERTEX_TRACKXYZ", "EDGE_SE3_TRACKXYZ")
 
@@ -64,6 +78,7 @@ class Graph:
         pose, point: vertices in file order: id (K,), value (K, 3) or (K, 2).
         fixed: ids of fixed vertices.
         motion, observation, bearing: edges.
+        prior: of poses, with both ends the same.
         other: numbers of lines with other tags.
     """
 
@@ -74,6 +89,7 @@ class Graph:
     motion: Edges
     observation: Edges
     bearing: Edges
+    prior: Edges
     other: dict[str, int]
 
 
@@ -89,6 +105,10 @@ def read_graph(path: Path) -> Graph:
     other: Counter[str] = Counter()
     for number, line in enumerate(text.splitlines(), start=1):
         tag, *fields = line.split("#")[0].split() or [""]
+        if tag in (TORO_VERTEX, TORO_EDGE):
+            tag = POSE if tag == TORO_VERTEX else MOTION
+            if tag == MOTION and len(fields) == sum(NUMBERS[MOTION]):
+                fields = [*fields[:5], *(fields[5 + k] for k in TORO)]
         if tag in NUMBERS:
             rows[tag].append((number, _numbers(path, number, tag, fields, sum(NUMBERS[tag]), NUMBERS[tag][0])))
         elif tag == FIX:
@@ -103,7 +123,8 @@ def read_graph(path: Path) -> Graph:
     if (times > 1).any():
         raise DataError.at(path, f"vertex {found[np.argmax(times > 1)]} is repeated; ids must be unique")
     motion, observation, bearing = (_edges(path, rows[tag], tag) for tag in (MOTION, OBSERVATION, BEARING))
-    return Graph(path, pose, point, np.array(fixed, np.int64), motion, observation, bearing, dict(other))
+    prior = _edges(path, [(n, [v[0], *v]) for n, v in rows[PRIOR]], PRIOR)
+    return Graph(path, pose, point, np.array(fixed, np.int64), motion, observation, bearing, prior, dict(other))
 
 
 def _numbers(path: Path, line: int, tag: str, fields: Sequence[str], count: int, ids: int | None = None) -> list[float]:
@@ -129,7 +150,7 @@ def _vertices(rows: Sequence[tuple[int, list[float]]]) -> tuple[IntArray, Array]
 
 def _edges(path: Path, rows: Sequence[tuple[int, list[float]]], tag: str) -> Edges:
     _, d, _ = NUMBERS[tag]
-    values = np.array([v for _, v in rows]).reshape(-1, sum(NUMBERS[tag]))
+    values = np.array([v for _, v in rows]).reshape(-1, 2 + sum(NUMBERS[tag][1:]))
     line = np.array([n for n, _ in rows], np.int64)
     information = symmetric(values[:, 2 + d :])
     bad = np.linalg.eigvalsh(information)[:, 0] <= 0.0 if len(values) else np.zeros(0, bool)
@@ -140,36 +161,10 @@ def _edges(path: Path, rows: Sequence[tuple[int, list[float]]], tag: str) -> Edg
     return Edges(values[:, :2].astype(np.int64), values[:, 2 : 2 + d], covariance, line)
 
 
-def written(
-    poses: tuple[Sequence[int], Array],
-    points: tuple[Sequence[int], Array],
-    fixed: Iterable[int],
-    edges: Iterable[tuple[str, int, int, Array, Array]],
-) -> str:
-    """Text of a graph from poses and points by id, fixed ids, and edges (tag, id, id, measured (d,), covariance (d,
-    d)).
-
-    The covariance of an EDGE_SE2 is that of the additive error in the frame of its start.
-    """
-    lines = [_line(POSE, [i], p) for i, p in zip(*poses, strict=True)]
-    lines += [_line(POINT, [i], p) for i, p in zip(*points, strict=True)]
-    for tag, a, b, measured, covariance in edges:
-        P = np.atleast_2d(covariance)
-        if tag == MOTION:  # g2o's error is in the frame of the edge's end
-            P = se2.covariances_in_body(measured[None, 2], P[None])[0]
-        information = np.linalg.inv(P)
-        lines.append(_line(tag, [a, b], [*np.ravel(measured), *information[np.triu_indices(len(P))]]))
-    # last, because gtsam's reader stops there
-    lines += [f"{FIX} {i}" for i in fixed]
-    return "\n".join(lines) + "\n"
-
-
-def _line(tag: str, ids: Sequence[int], values: Iterable[float]) -> str:
-    return " ".join([tag, *map(str, ids), *(repr(float(v)) for v in values)])
-
-
 SHOWN = 5  # landmarks without a place that are named
 CONTRADICTED = 0.3  # rad between a bearing and its vertices, beyond which these are no estimates
+POSE_IDS = "pose_ids"
+"""Key of a log's source: ids of the vertices of its frames, where these are not 0 to N - 1."""
 UNSEEN = 100.0
 """Standard deviation of an unmeasured range over the range from the vertices."""
 
@@ -197,7 +192,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
         order = np.argsort(graph.point[0])
         landmarks = LandmarkMap(graph.point[0][order], graph.point[1][order])
     inputs = Inputs(
-        prior=Prior(start, np.zeros((3, 3))),
+        prior=_prior(graph, ids, start, notes),
         time=np.arange(len(ids), dtype=float),
         increments=Increments(mean, covariance),
         observations=Observations(frame, z, R),
@@ -210,7 +205,9 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     truth = Truth(
         pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None, relations=relations
     )
-    source = {"kind": "g2o", **source_file(graph.path)}
+    source: dict[str, object] = {"kind": "g2o", **source_file(graph.path)}
+    if ids.tolist() != list(range(len(ids))):
+        source[POSE_IDS] = ids.tolist()
     return Log(name, inputs, truth, label=label if len(label) and not true else None, source=source, notes=tuple(notes))
 
 
@@ -224,7 +221,28 @@ def _frames(graph: Graph) -> IntArray:
         for i in np.setdiff1d(edges.ends[:, :columns], ids):
             line = int(edges.line[(edges.ends == i).any(axis=1)][0])
             raise DataError.at(graph.path, f"no VERTEX_SE2 {i}; this edge ends there", line=line)
+    joined = {(a, b) for pair in graph.motion.ends.tolist() for a, b in (pair, pair[::-1])}
+    ordered = np.sort(ids)
+    if not _in_a_row(ids, joined) and _in_a_row(ordered, joined):  # vertices out of order
+        return ordered
     return ids
+
+
+def _in_a_row(ids: IntArray, joined: set[tuple[int, int]]) -> bool:
+    """Whether each two successive poses have an edge."""
+    return all(pair in joined for pair in pairwise(ids.tolist()))
+
+
+def _prior(graph: Graph, ids: IntArray, start: Array, notes: list[str]) -> Prior:
+    """Of the first pose: its EDGE_PRIOR_SE2 unless it is fixed, else exact."""
+    own = np.flatnonzero(graph.prior.ends[:, 0] == ids[0])
+    used = bool(len(own)) and int(ids[0]) not in graph.fixed.tolist()
+    if len(graph.prior) > used:
+        notes.append(f"{len(graph.prior) - used} {PRIOR} left out")
+    if not used:
+        return Prior(start, np.zeros((3, 3)))
+    mean, P = graph.prior.measured[own[0]], graph.prior.covariance[own[:1]]
+    return Prior(mean, se2.covariances_in_world(mean[None, 2], P)[0])
 
 
 def _estimates(vertices: tuple[IntArray, Array], ids: IntArray) -> Array:
@@ -325,7 +343,10 @@ def _placed(graph: Graph, at: dict[int, int], path: Array, notes: list[str]) -> 
         lost = np.unique(rays.ends[~known, 1])
         shown = ", ".join(f"{i} ({np.degrees(found.parallax[i]):.2g} deg)" for i in lost[:SHOWN].tolist())
         missing = f"{len(lost)} landmarks have no place (no VERTEX_XY): {shown}{', ...' if len(lost) > SHOWN else ''}"
-        needed = f"their bearings need {np.degrees(PARALLAX):.0f} deg of parallax, or a VERTEX_XY near the truth"
+        needed = (
+            f"rays that cross ahead of the robot at {np.degrees(PARALLAX):.0f} deg, or a VERTEX_XY near the truth, are "
+            "needed"
+        )
         if not known.any() and not len(graph.observation):
             raise DataError.at(graph.path, f"{BEARING}: {missing}; {needed}", line=int(rays.line[0]))
         notes.append(f"{missing}; {needed}; {int((~known).sum())} bearings are left out")
@@ -348,7 +369,8 @@ def _relations(edges: Edges, ids: IntArray, used: IntArray) -> Relations | None:
         return None
     at = {int(i): k for k, i in enumerate(ids)}
     rows = np.array([[at[int(a)], at[int(b)]] for a, b in edges.ends[rest]], np.int64)
-    return Relations(rows[:, 0], rows[:, 1], edges.measured[rest])
+    covariance = se2.covariances_in_world(edges.measured[rest, 2], edges.covariance[rest])
+    return Relations(rows[:, 0], rows[:, 1], edges.measured[rest], covariance=covariance)
 
 
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
@@ -358,107 +380,9 @@ def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
     if loops:
         notes.append(
             f"{loops} {MOTION} outside the chain of poses (loop closures) became reference relations for scoring; no "
-            "estimator sees them"
+            f"estimator sees them, and slamref audit {graph.path.name} optimizes the graph"
         )
     if len(graph.fixed) and graph.fixed.tolist() != [int(ids[0])]:
         notes.append(f"FIX {' '.join(map(str, graph.fixed.tolist()[:5]))}: the first pose is fixed instead")
     notes += [f"{count} {tag} left out" for tag, count in graph.other.items()]
     return notes
-
-
-BLIND = 10.0
-"""Sigma over range from which an observation is written as a bearing alone."""
-Edge = tuple[str, int, int, Array, Array]
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """The vertices to write: pose (N, 3), landmark number `of` (M,) of each observation or -1, landmark by number."""
-
-    pose: Array
-    of: IntArray
-    landmark: dict[int, Array]
-    known: bool = False
-
-
-def labelled(log: Log) -> Estimate:
-    """Dead reckoning, pairings by label, and each landmark from its first observation; UsageError without labels."""
-    label, inputs = log.granted, log.recorded
-    if label is None and len(inputs.observations.frame):
-        raise UsageError(f"log {log.name!r} has no labels, so its landmarks are unknown; name a run with --run FOLDER")
-    label = np.zeros(0, np.int64) if label is None else label
-    pose = se2.dead_reckoned(inputs.prior.mean, inputs.increments.mean)
-    of = np.where(label >= 0, label, -1)
-    landmark: dict[int, Array] = {}
-    for i in np.flatnonzero(of >= 0).tolist():
-        if int(of[i]) not in landmark:
-            xy, _, _ = inputs.sensor.inverse(pose[inputs.observations.frame[i]], inputs.observations.z[i][None])
-            landmark[int(of[i])] = xy[0]
-    return Estimate(pose, of, landmark)
-
-
-def of_result(log: Log, folder: Path) -> Estimate:
-    """The last path, map and final decisions of a run's folder in a report; DataError if a file is missing or of
-    another log.
-    """
-    inputs = log.recorded
-    path = next((p for p in (folder / "final.csv", folder / "online.csv") if p.exists()), None)
-    if path is None:
-        raise DataError.at(folder, "neither final.csv nor online.csv; the folder of one run in a report is needed")
-    table = read_table(path, ("x", "y", "theta"), may_be_blank=("x", "y", "theta"))
-    if len(table) != len(inputs):
-        raise DataError.at(path, f"{len(table)} rows for the {len(inputs)} frames of log {log.name!r}; another log's?")
-    pose = table.stack(("x", "y", "theta"))
-    if not np.isfinite(pose).all():
-        raise DataError.at(path, "poses are missing; a run that finished is needed")
-    of = np.full(len(inputs.observations.frame), -1, np.int64)
-    if len(of):
-        file = folder / "decisions.csv"
-        decided = read_table(file, ("frame", "decision", "final_decision"), may_be_blank=("final_decision",))
-        if not np.array_equal(decided.columns["frame"], inputs.observations.frame):
-            raise DataError.at(file, f"its frames are not those of log {log.name!r}; another log's?")
-        online, final = (decided.columns[c].astype(np.int64) for c in ("decision", "final_decision"))
-        founded = np.where(online == -1, np.cumsum(online == -1) - 1, -1)
-        of = np.where(final >= 0, final, np.where(final == -1, founded, -1))
-    known = not (folder / "landmarks.csv").exists()
-    if known:
-        if inputs.map is None:
-            return Estimate(pose, np.full(len(of), -1), {})
-        landmark = {int(i): xy for i, xy in zip(inputs.map.id, inputs.map.xy, strict=True)}
-        of = decided.columns["final_decision"].astype(np.int64) if len(of) else of
-    else:
-        places = read_table(folder / "landmarks.csv", ("landmark", "x", "y"))
-        xy = places.stack(("x", "y"))
-        landmark = {int(i): p for i, p in zip(places.columns["landmark"], xy, strict=True)}
-    of = np.where(np.isin(of, list(landmark)), of, -1)
-    return Estimate(pose, of, landmark, known)
-
-
-def graph_text(inputs: Inputs, estimate: Estimate) -> str:
-    """The graph; poses have the ids 0 to N - 1, landmarks the following ones in the order of their numbers.
-
-    Observations become points in the body frame, to first order, or bearings where the range is nearly unknown. The
-    first pose is fixed, and so are landmarks of a known map. UsageError where landmarks are walls.
-    """
-    if not inputs.sensor.sees_points:
-        raise UsageError("the log's landmarks are walls, which g2o has no vertex for; a log of points is needed")
-    n, o = len(inputs), inputs.observations
-    numbers = sorted(set(estimate.of[estimate.of >= 0].tolist()))
-    vertex = {number: n + k for k, number in enumerate(numbers)}
-    edges: list[Edge] = [
-        (MOTION, k - 1, k, inputs.increments.mean[k], inputs.increments.covariance[k]) for k in range(1, n)
-    ]
-    points, spread = inputs.sensor.body_points(o.z, o.R) if len(o.frame) else (o.z, o.R)
-    blind = np.zeros(len(o.frame), bool)
-    if inputs.sensor.kind == RANGE_BEARING and not any(inputs.sensor.translation):
-        blind = np.sqrt(o.R[:, 0, 0]) > BLIND * o.z[:, 0]
-    for i in np.flatnonzero(estimate.of >= 0).tolist():
-        ends = int(o.frame[i]), vertex[int(estimate.of[i])]
-        if blind[i]:
-            bearing = o.z[i, 1] - inputs.sensor.rotation
-            edges.append((BEARING, *ends, np.array([bearing]), o.R[i, 1:, 1:]))
-        else:
-            edges.append((OBSERVATION, *ends, points[i], spread[i]))
-    places = np.array([estimate.landmark[number] for number in numbers]).reshape(-1, 2)
-    held = [0, *(vertex.values() if estimate.known else ())]
-    return written((range(n), estimate.pose), (list(vertex.values()), places), held, edges)

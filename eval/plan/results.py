@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -11,21 +12,23 @@ import numpy as np
 
 from data.errors import DataError, UsageError, did_you_mean
 from data.formats.results.bags import is_bag
-from data.formats.results.clock import DIGITS, STATED, Clock
-from data.formats.results.path import AXES, COV_ORDERS, FRAMES, GivenPath, Manner
+from data.formats.results.clock import DIGITS, ROWS, STATED, Clock
+from data.formats.results.path import AXES, COV_ORDERS, FRAMES, GivenPath, Manner, restamped
 from data.formats.results.reading import read_path
 from data.formats.results.tables import Companions, companions
 from data.inputs import IntArray
 from data.log import Log
-from data.notice import Notice
+from data.notice import Code, Notice, Severity, notice
 from data.se2 import Array
 from eval.plan.flags.table import Reading, Results
 from eval.referee.given_runs import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
-from eval.referee.pairing import Pair, about_file, about_pair, same_clock, same_frames
+from eval.referee.pairing import Pair, about_file, about_pair, called, same_clock, same_frames
 from eval.referee.score import Trial
+from eval.referee.time_offset import time_offset
 from eval.replay.flag import rows
 from eval.replay.settings import ESTIMATORS
 
+OFFSET, AUTO = "--time-offset", "auto"
 TRUTH = "truth"  # its name, as in `--times truth=FILE`
 PHASES = ("online", "final")
 PLAIN = Reading()
@@ -34,11 +37,12 @@ NAME = re.compile(r"[\w][\w.+-]*")
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A result: its paths by phase, and its map and decisions, if any."""
+    """A result: its paths by phase, its map and decisions, if any, and what is added to its stamps [s], or `AUTO`."""
 
     name: str
     paths: dict[str, GivenPath]
     companions: Companions
+    offset: float | str = 0.0
 
 
 def read_results(asked: Sequence[str], reading: Reading) -> tuple[Result, ...]:
@@ -55,7 +59,9 @@ def read_results(asked: Sequence[str], reading: Reading) -> tuple[Result, ...]:
         if name in named:
             raise UsageError(f"--result {text}: two results are named {name}; rename one")
         named[name] = file
-    return tuple(_result(name, file, manner_of(name, list(named), reading)) for name, file in named.items())
+    names = list(named)
+    read = (_result(name, file, manner_of(name, names, reading)) for name, file in named.items())
+    return tuple(replace(result, offset=offset_of(result.name, names, reading)) for result in read)
 
 
 def _result(name: str, file: str, manner: Manner) -> Result:
@@ -88,6 +94,22 @@ def manner_of(name: str, names: Sequence[str], reading: Reading) -> Manner:
     ]
     units = [_unit(reading.unit, kind, name, names) for kind in UNITS]
     return Manner(None if cov is None else Path(cov), None if times is None else Path(times), *chosen, *units)
+
+
+def offset_of(name: str, names: Sequence[str], reading: Reading) -> float | str:
+    """Seconds to add to the stamps of a result, or `AUTO`; UsageError for anything else."""
+    if _of(OFFSET, [v for v in reading.time_offset if v.startswith(f"{TRUTH}=")], TRUTH, (), alone=True) is not None:
+        raise UsageError(f"{OFFSET} {TRUTH}=...: the truth's clock counts; move the result by the negative")
+    value = _of(OFFSET, reading.time_offset, name, names, alone=False)
+    if value is None or value == AUTO:
+        return value or 0.0
+    try:
+        seconds = float(value)
+    except ValueError:
+        seconds = math.nan
+    if not math.isfinite(seconds):
+        raise UsageError(f"{OFFSET} {value}: a number of seconds or {AUTO} is needed")
+    return seconds
 
 
 def _one_of(flag: str, value: str | None, known: Sequence[str]) -> str | None:
@@ -151,7 +173,7 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
     observations.
     """
     kept = _kept(result, log)
-    paths, truth, asked = _comparable(result.paths, log, truth, reading)
+    paths, truth, asked = _comparable(result, log, truth, reading)
     groups = [paths]
     listed = list(paths.items())
     if len(listed) > 1 and not np.array_equal(listed[0][1].time, listed[1][1].time):
@@ -177,25 +199,46 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
             scored = replace(last, pose=run.trajectory(phase).pose)
             notes += about_pair(Pair(scored, truth.path, run.match.truth, run.space.get(phase)))
             notes += () if truth.path is None else about_file(truth.path)
+        named = {} if truth is None or truth.path is None else {truth.path.file: TRUTH}
+        notes = called(notes, named | {last.file: result.name})
         yield replace(run, notes=(*run.notes, *notes))
 
 
 def _comparable(
-    paths: dict[str, GivenPath], log: Log, truth: TruePath | None, reading: Reading
+    result: Result, log: Log, truth: TruePath | None, reading: Reading
 ) -> tuple[dict[str, GivenPath], TruePath | None, list[Notice]]:
-    """Paths and truth in one unit of stamps, and in one pair of frames; questions where it is not known."""
+    """Paths and truth on one clock, and in one pair of frames; questions where it is not known."""
+    paths = result.paths
     if truth is None or log.recorded.time_is_index or not len(truth.time):
+        if result.offset:
+            why = "there is no truth" if truth is None else "the log has no stamps"
+            raise UsageError(f"{OFFSET} {result.offset}: {why}")
         return paths, truth, []
     other = truth.path or GivenPath(f"log {log.name!r}", "", truth.time, truth.pose, clock=Clock("s", STATED))
     made: dict[str, GivenPath] = {}
     for phase, path in paths.items():
         made[phase], other = same_clock(path, other)
+    made, moved = _moved(made, other, result.offset)
     if truth.path is None:
-        return made, truth, []
+        return made, truth, moved
     asked: list[Notice] = []
     for phase, path in made.items():
         made[phase], asked = same_frames(path, other, reading.align)
-    return made, TruePath.of(other), asked
+    return made, TruePath.of(other), [*moved, *asked]
+
+
+def _moved(
+    paths: dict[str, GivenPath], truth: GivenPath, offset: float | str
+) -> tuple[dict[str, GivenPath], list[Notice]]:
+    """Paths with stamps moved by an offset, that of the last phase if it is `AUTO`, and a notice of it."""
+    if not offset:
+        return paths, []
+    seconds, error = (offset, None) if isinstance(offset, float) else (0.0, None)
+    if isinstance(offset, str):
+        last = paths.get("final", next(iter(paths.values())))
+        seconds, error = time_offset(last.file, last.time, last.pose, truth.time, truth.pose)
+    moved = {phase: restamped(path, path.time + seconds, path.clock) for phase, path in paths.items()}
+    return moved, [notice(Code.TIME_OFFSET, Severity.INFO, seconds=seconds, error=error)]
 
 
 def unmatched(path: GivenPath, truth: TruePath) -> str:
@@ -203,7 +246,8 @@ def unmatched(path: GivenPath, truth: TruePath) -> str:
     known = truth.time[np.isfinite(truth.pose).all(axis=1)]
     of = f"truth is known from {_span(known)}" if len(known) else "no true pose is known"
     found = f"{path.file}: none of its {len(path)} stamps, {_span(path.time)}, has a truth: {of}"
-    return f"{found}; both need the same clock (no offset is estimated), and true poses at most --truth-gap apart"
+    right = "one clock (`--time-offset auto` estimates an offset), and true poses at most --truth-gap apart"
+    return f"{found}; both need {right}"
 
 
 def _span(time: Array) -> str:
@@ -249,7 +293,11 @@ class Asked:
         truth = truth_of(log, self.file)
         if self.file is None:
             return log, replace(self, truth=truth)
-        changed, found = with_truth(log, self.file, self.reading.truth_gap)
+        file = self.file
+        if file.clock.by == ROWS and len(file) == len(log.recorded):  # a pose for each frame
+            file = restamped(file, log.recorded.time, Clock("s", STATED))
+            truth = TruePath.of(file)
+        changed, found = with_truth(log, file, self.reading.truth_gap)
         if not found.matched:
             own = GivenPath(f"log {log.name!r}", "", log.recorded.time, log.recorded.increments.mean)
             raise DataError(unmatched(own, TruePath(self.file.time, self.file.pose)))

@@ -329,8 +329,11 @@ def _removed(kept: Kept, task: str, created: IntArray) -> list[Notice]:
 
 
 def created_by(decisions: IntArray, final: IntArray, task: str) -> IntArray:
-    """Number (M,) of the landmark that each observation initialized, in order of creation; -1: none."""
-    new = (decisions == NEW) | (final == NEW)
+    """Number (M,) of the landmark that each observation initialized, in order of creation; -1: none.
+
+    A landmark may begin anew with another observation in the final decisions, which creates none.
+    """
+    new = decisions == NEW if (decisions == NEW).any() else final == NEW
     if task == "localization":
         new[:] = False
     return np.where(new, np.cumsum(new) - 1, -1)

@@ -6,17 +6,17 @@ A question is a notice with the numbers that raise it; the numbers of the result
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from data import se2, se3
 from data.errors import DataError
-from data.formats.results.clock import ASSUMED, DIGITS, RATE, Clock
+from data.formats.results.clock import ASSUMED, DIGITS, RATE, ROWS, Clock
 from data.formats.results.frames import Tree, bare, in_frame
 from data.formats.results.matrices import translation_first
-from data.formats.results.path import GivenPath
+from data.formats.results.path import LEFT, LOCAL, ROTATION, WORLD, GivenPath, Spatial, restamped
 from data.formats.results.space import flattened
 from data.notice import Code, Notice, Severity, Value, notice
 from data.questions import FASTEST, SHARE, changes, per_second
@@ -35,8 +35,11 @@ FEW = 5
 def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
     """Both with stamps in s; a unit inferred by rate gives way where the plain numbers fit the other file better.
 
-    DataError where the spans of both and their steps differ by the same power of a thousand.
+    Files without stamps get those of the other. DataError where the spans of both and their steps differ by the same
+    power of a thousand, or where two files, of which one has no stamps, have unequal numbers of poses.
     """
+    if ROWS in (a.clock.by, b.clock.by):
+        return _row_by_row(a, b)
     a, b = _plain_if_better(a, b), _plain_if_better(b, a)
     (span_a, step_a), (span_b, step_b) = _span(a), _span(b)
     sure = {a.clock.by, b.clock.by} & {ASSUMED, RATE}
@@ -54,6 +57,15 @@ def same_clock(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
     return a, b
 
 
+def _row_by_row(a: GivenPath, b: GivenPath) -> tuple[GivenPath, GivenPath]:
+    bare, other = (a, b) if a.clock.by == ROWS else (b, a)
+    if len(bare) != len(other):
+        what = f"{len(bare)} poses without stamps, and {len(other)} of {other.file}: which belong together?"
+        raise DataError.at(bare.file, f"{what} As many in both are needed, or --times NAME=FILE, a stamp [s] a line")
+    stamped = restamped(bare, other.time, other.clock)
+    return (stamped, b) if bare is a else (a, stamped)
+
+
 def _span(path: GivenPath) -> tuple[float, float]:
     """Span and median step of the stamps [s]."""
     if len(path) < 2:
@@ -68,10 +80,7 @@ def _plain_if_better(path: GivenPath, other: GivenPath) -> GivenPath:
     plain = path.time * 10.0 ** DIGITS[path.clock.unit]
     if _overlap(plain, other.time) <= 2.0 * _overlap(path.time, other.time):
         return path
-    clock = Clock("s", ASSUMED)
-    kind = path.kind.replace(path.clock.words, clock.words)
-    space = None if path.space is None else replace(path.space, time=plain, clock=clock, kind=kind)
-    return replace(path, time=plain, clock=clock, kind=kind, space=space)
+    return restamped(path, plain, Clock("s", ASSUMED))
 
 
 def _overlap(time: Array, other: Array) -> float:
@@ -99,6 +108,22 @@ def same_frames(path: GivenPath, truth: GivenPath, align: str) -> tuple[GivenPat
         elif align == NONE or of == "body":
             asked.append(_ask(Code.FRAMES_DIFFER, of=of, estimate=bare(own), truth=bare(other)))
     return path, asked
+
+
+def called(questions: Iterable[Notice], names: Mapping[str, str]) -> list[Notice]:
+    """The questions with the names by which flags call their files (`names` by file)."""
+    made = []
+    for q in questions:
+        values = q.named
+        if NAME in values:
+            file = str(values.get("file", values.get("estimate")))
+            q = replace(q, values=tuple(sorted({**values, NAME: names.get(file, "NAME")}.items())))
+        made.append(q)
+    return made
+
+
+NAME = "name"
+"""Value of a question whose flag takes the name of its file."""
 
 
 def _ask(code: Code, **values: Value) -> Notice:
@@ -134,10 +159,19 @@ def _axes(path: GivenPath) -> Iterator[Notice]:
         return
     x, y, z = np.ptp(s.position, axis=0)
     if y <= x and y < FLAT * z and z > STEEP * x and not s.stated.axes:
-        yield _ask(Code.PATH_AXES, file=path.file, wanted="camera", flattest="y", extent=(float(x), float(y), float(z)))
+        yield _ask(
+            Code.PATH_AXES,
+            file=path.file,
+            wanted="camera",
+            flattest="y",
+            extent=(float(x), float(y), float(z)),
+            name="",
+        )
     if s.stated.axes and x <= y and x < FLAT * z and z > STEEP * y:
         # in the file's own axes x is -y, y is -z, and z is x of the robot's
-        yield _ask(Code.PATH_AXES, file=path.file, wanted="robot", flattest="z", extent=(float(y), float(z), float(x)))
+        yield _ask(
+            Code.PATH_AXES, file=path.file, wanted="robot", flattest="z", extent=(float(y), float(z), float(x)), name=""
+        )
 
 
 def _turn_rate(path: GivenPath) -> Iterator[Notice]:
@@ -151,7 +185,7 @@ def _turn_rate(path: GivenPath) -> Iterator[Notice]:
     largest = float(np.nanmax(np.abs(raw), initial=0.0))
     follows = largest > 2.0 * np.pi and deg > 0.95 and rad < 0.6
     if fast > max(2.0, SHARE * np.count_nonzero(rate)) or follows:
-        yield _ask(Code.PATH_TURNS, file=path.file, fast=fast, seconds=len(rate), largest=largest)
+        yield _ask(Code.PATH_TURNS, file=path.file, fast=fast, seconds=len(rate), largest=largest, name="")
 
 
 def _against_course(xy: Array, heading: Array, unit: float) -> float:
@@ -215,7 +249,9 @@ def _degrees(pair: Pair, known: BoolArray) -> Iterator[Notice]:
         raw = path.headings if own else _raw_at(path, pair.estimate.time)
         as_degrees = _apart(np.pi / 180.0 * raw[known] - other)
         if plain > TURNED and plain > CLOSER * as_degrees:
-            yield _ask(Code.PATH_DEGREES, file=path.file, rad=math.degrees(plain), deg=math.degrees(as_degrees))
+            yield _ask(
+                Code.PATH_DEGREES, file=path.file, rad=math.degrees(plain), deg=math.degrees(as_degrees), name=""
+            )
             return
 
 
@@ -239,32 +275,40 @@ def _apart(difference: Array) -> float:
 
 
 WORSE, POOR, FAIR = 4.0, 12.0, 30.0
-"""Ratio of mean pose NEES in both orders, least NEES as read, and largest in the other order, for a question."""
+"""Ratio of mean pose NEES as read and read otherwise, least as read, and largest otherwise, for a question."""
 
 
 def _order(pair: Pair, known: BoolArray) -> Iterator[Notice]:
-    """6x6 covariances whose order is not stated, and that fit the errors in the other order."""
+    """Covariances whose order or frame is not stated, and that fit the errors in another one."""
     s = pair.estimate.space if pair.space is None else pair.space.estimate
-    if s is None or s.covariance is None or s.stated.order or known.sum() < 3:
+    if s is None or s.covariance is None or known.sum() < 3:
         return
-    swapped = replace(s, covariance=translation_first(s.covariance))
+    others = (
+        {} if s.stated.order else {f"--cov-order {ROTATION}": replace(s, covariance=translation_first(s.covariance))}
+    )
+    if not s.stated.convention:
+        others |= {f"--cov-frame {f}": replace(s, frame=f) for f in (WORLD, LOCAL, LEFT) if f != s.frame}
+    as_read, best = _mean_nees(s, pair.at), (math.inf, "")
+    for flag, other in others.items():
+        best = min(best, (_mean_nees(other, pair.at), flag))
+    if as_read > POOR and as_read > WORSE * best[0] and best[0] < FAIR:
+        yield _ask(Code.PATH_ORDER, file=s.file, nees=as_read, other=best[0], flag=best[1], read_as=s.frame)
+
+
+def _mean_nees(s: Spatial, truth: Array) -> float:
+    """Mean pose NEES in the plane; infinite where it has none."""
     try:
-        mean = [_mean_nees(flattened(path), pair.at) for path in (s, swapped)]
-    except DataError:  # the other order is no covariance in the plane
-        return
-    if mean[0] > POOR and mean[0] > WORSE * mean[1] and mean[1] < FAIR:
-        yield _ask(Code.PATH_ORDER, file=s.file, nees=mean[0], swapped=mean[1])
-
-
-def _mean_nees(path: GivenPath, truth: Array) -> float:
-    if path.covariance is None:
-        return math.nan
+        path = flattened(s)
+    except DataError:  # as read this way it is no covariance in the plane
+        return math.inf
+    assert path.covariance is not None  # it has one in space
     values = nees(path.pose, path.covariance, truth, "pose")
     values = values[np.isfinite(values)]
-    return float(values.mean()) if len(values) else math.nan
+    return float(values.mean()) if len(values) else math.inf
 
 
 RATIOS = (1000.0, 100.0, 0.001, 0.01, 0.3048, 1.0 / 0.3048)
+METRIC = {1000.0: "mm", 100.0: "cm"}
 NEAR, FITS = 0.02, 0.05
 """Largest deviation from a ratio of units, and largest RMS error of the scaled fit as a share of the path's size."""
 
@@ -283,7 +327,11 @@ def _scale(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     turn = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
     off = a @ se2.rotation(turn).T / ratio - b
     if math.sqrt(float(np.mean(np.sum(off**2, axis=1)))) < FITS * size_b:
-        yield _ask(Code.PATH_SCALE, estimate=pair.estimate.file, ratio=ratio)
+        metric = METRIC.get(unit if unit > 1.0 else 1.0 / unit, "")
+        other = unit < 1.0 and pair.truth is not None
+        file = pair.truth.file if other and pair.truth is not None else pair.estimate.file
+        stated = metric if unit > 1.0 or other else ""
+        yield _ask(Code.PATH_SCALE, file=file, estimate=pair.estimate.file, ratio=ratio, unit=stated, name="")
 
 
 TILTED = SAME_VERTICAL
@@ -308,7 +356,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     same_world = _spread(worlds) <= _spread(bodies)
     first = _same_vertical(ours, theirs) and _w_first(ours.rotation, theirs.rotation)
     which = "quaternion" if first else "world" if same_world else "body"
-    yield _ask(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which)
+    yield _ask(Code.PATH_TILT, estimate=path.file, truth=truth.file, tilt=math.degrees(tilt), which=which, name="")
 
 
 REFLECTED = 0.2

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from association.scans.constraints import SCAN, LaserRun, Loops
 from association.scans.occupancy import MOST_CELLS, Grid, occupancy_grid
-from data.formats.g2o import MOTION, written
+from data.formats.g2o import MOTION
+from data.formats.g2o_out import written
 from data.log import Log, folder_name
 from data.result import Run
 from data.se2 import Array

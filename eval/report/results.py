@@ -21,7 +21,7 @@ from data.notice import QUESTIONS, Code, notice
 from data.se2 import Array
 from data.words import sentence
 from eval.plan.flags.table import Output, Reading
-from eval.plan.results import TRUTH, Result, manner_of, phase_of, runs_of, true_path, truth_of
+from eval.plan.results import TRUTH, Result, manner_of, offset_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
 from eval.referee.given_runs import GivenRun, TruePath, truth_log
@@ -109,7 +109,8 @@ def scored(file: str, truth: str, reading: Reading) -> Scored:
         raise DataError.at(truth, "has no true poses (truth.csv)")
     phase = phase_of(Path(file))
     estimate = read_path(file, manner_of(ESTIMATE, [ESTIMATE], reading))
-    (run,) = runs_of(Result(ESTIMATE, {phase: estimate}, Companions()), log, "slam", asked, reading)
+    result = Result(ESTIMATE, {phase: estimate}, Companions(), offset_of(ESTIMATE, [ESTIMATE], reading))
+    (run,) = runs_of(result, log, "slam", asked, reading)
     said = [] if given is None else [f"truth {truth}: {n}" for n in (f"read as {given.kind}", *given.notes) if n]
     both = {ESTIMATE: estimate} | ({} if given is None else {TRUTH: given})
     projected = {name: what for name, p in both.items() if (what := ignored(p))}

@@ -81,7 +81,13 @@ def graph_at_end(trial: Trial, run: Run) -> Replayed:
 
 
 def runs_of(trial: Trial) -> list[Run]:
-    """The batch smoothers of a trial that reached their end, one an association."""
+    """The batch smoothers of a trial that reached their end, one an association.
+
+    None where increments are singular: a published smoother was given a floor under them that the filters were not.
+    """
+    motion = trial.log.recorded.increments.covariance[1:]
+    if len(motion) and np.linalg.eigvalsh(motion).min() <= 0.0:
+        return []
     return [r for r in trial.runs if r.estimator == "batch" and not r.handed_in and r.flaw is None and _ended(r)]
 
 

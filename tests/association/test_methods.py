@@ -234,7 +234,7 @@ def test_a_gate_that_is_no_probability_is_an_error(method, gate):
 
 
 def test_an_unknown_method_is_an_error_that_names_those_there_are():
-    with pytest.raises(UsageError, match="'icp'; there are nn, ml"):
+    with pytest.raises(UsageError, match="'icp': unknown; known: nn, ml"):
         decide("icp", on_a_line([0.0], [0.0]), 0.99, 0.99)
 
 

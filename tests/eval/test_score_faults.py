@@ -193,11 +193,30 @@ def test_kitti_is_in_a_cameras_axes(scored, tmp_path):
     assert not asked
 
 
+@pytest.mark.parametrize("stamped", ["neither", "truth", "estimate"])
+def test_kitti_without_stamps_is_matched_row_by_row(stamped, scored):
+    height = [(x, z + 1.0) for x, z in PLACES]
+    of_robot = [(z, -x) for x, z in PLACES]
+    estimate = tum([(z, -x) for x, z in height]) if stamped == "estimate" else kitti(height)
+    values, asked, said = scored(estimate, tum(of_robot) if stamped == "truth" else kitti(PLACES))
+    assert values["rmse_position_m"] == pytest.approx(1.0)
+    assert values["matched"] == len(PLACES)
+    assert not asked
+    assert "without stamps" in said or stamped == "truth"
+
+
+def test_kitti_of_another_length_is_refused(scored):
+    error = scored(kitti(PLACES[:-1]), kitti(PLACES), status=2)
+    assert "4 poses without stamps, and 5 of" in error
+    assert "--times NAME=FILE" in error
+    assert error.count("\n") == 1
+
+
 def test_kitti_whose_z_is_flat_is_asked_about(scored, tmp_path):
     (tmp_path / "times.txt").write_text("".join(f"{k}\n" for k in range(5)))
     robot = lines((1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, 0) for x, y in PLACES)
     _, asked, _ = scored(robot, robot, "--times", "DIR/times.txt")
-    assert any("--axes NAME=robot" in a for a in asked)
+    assert any("--axes estimate=robot" in a for a in asked)
     _, asked, _ = scored(robot, robot, "--times", "DIR/times.txt", "--axes", "robot")
     assert not asked
 
@@ -234,7 +253,7 @@ def test_axes_are_given_for_each_file(scored):
     assert values["rmse_position_m"] == pytest.approx(0.0, abs=1e-9)
     assert not asked
     _, asked, _ = scored(lines(rows), tum(CURVE))
-    assert any("--axes NAME=camera" in a for a in asked)
+    assert any("--axes estimate=camera" in a for a in asked)
 
 
 def test_quaternions_that_begin_with_w_are_asked_about(scored):
@@ -262,10 +281,34 @@ def test_degrees_in_one_of_two_files_are_asked_about(which, scored):
     values, asked, _ = scored(*files)
     assert values["rmse_heading_deg"] > 60.0
     assert len(asked) == 1
-    assert "--unit NAME=deg" in asked[0]
+    assert f"--unit {which}=deg" in asked[0]
     values, asked, _ = scored(*files, "--unit", f"{which}=deg")
     assert values["rmse_heading_deg"] == pytest.approx(2.3)
     assert not asked
+
+
+ROBOT = lines((1, 0, 0, x, 0, 1, 0, y, 0, 0, 1, 0) for x, y in PLACES)
+AHEAD = [(x, 0.02 * k**2) for k, (x, _) in enumerate(CURVE)]
+ASKED = {
+    "an estimate in mm": (tum([(1000 * x, 1000 * y) for x, y in CURVE]), tum(CURVE)),
+    "an estimate in cm": (tum([(100 * x, 100 * y) for x, y in CURVE]), tum(CURVE)),
+    "a truth in mm": (tum(CURVE), tum([(1000 * x, 1000 * y) for x, y in CURVE])),
+    "an estimate in feet": (tum([(x / 0.3048, y / 0.3048) for x, y in CURVE]), tum(CURVE)),
+    "an estimate in degrees": (headed(np.degrees(np.linspace(0, 3, 40))), headed(np.linspace(0, 3, 40))),
+    "a truth in degrees": (headed(np.linspace(0, 3, 40)), headed(np.degrees(np.linspace(0, 3, 40)))),
+    "both in a robot's axes": (ROBOT, ROBOT),
+    "a camera's axes": (lines((k, -y, 0, x, 0, 0, 0, 1) for k, (x, y) in enumerate(AHEAD)), tum(AHEAD)),
+}
+
+
+@pytest.mark.parametrize("fault", ASKED)
+def test_the_flags_that_are_asked_for_end_the_questions_as_typed(fault, scored):
+    values, asked, _ = scored(*ASKED[fault])
+    assert asked
+    flags = [word for text in asked for word in re.findall(r"`(--.*?)`", text)[0].split()]
+    better, again, _ = scored(*ASKED[fault], *flags)
+    assert not again
+    assert better["rmse_position_m"] <= values["rmse_position_m"]
 
 
 def test_degrees_in_both_files_are_asked_about(scored):
@@ -355,6 +398,26 @@ def test_the_order_of_a_tangent_is_obeyed_wherever_it_stands_or_asked_for(scored
     assert "--cov-order" in asked[0]
 
 
+def test_the_frame_of_covariances_is_said_and_asked_for_where_another_fits(scored):
+    """Certain along the world's x, on a way that turns: in the body's axes it would be certain along the way."""
+    rng = np.random.default_rng(2)
+    rows, truth = [], []
+    for k in range(60):
+        a = 0.1 * k
+        x, y, h = 10.0 * math.sin(a), 10.0 * math.cos(a), -a
+        q = (0.0, 0.0, math.sin(h / 2), math.cos(h / 2))
+        truth.append((k, x, y, 0.0, *q))
+        rows.append((k, x + rng.normal(0.0, 0.01), y + rng.normal(0.0, 0.5), 0.0, *q))
+    C = np.diag([0.01, 0.5, 0.1, 0.1, 0.1, 0.1]) ** 2
+    values, asked, said = scored(lines(wide(rows, C)), lines(truth))
+    assert values["nees_pose"] > 100.0
+    assert "covariances are read as local ones" in said
+    assert any("--cov-frame world" in a for a in asked)
+    values, asked, _ = scored(lines(wide(rows, C)), lines(truth), "--cov-frame", "world")
+    assert 1.0 < values["nees_position"] < 3.0
+    assert not asked
+
+
 def test_rows_with_nan_are_left_out_counted_and_said(scored):
     rows = [list(map(float, row.split())) for row in tum(CURVE).splitlines()]
     rows[3][1] = rows[7][5] = math.nan
@@ -417,7 +480,7 @@ def test_yaw_of_three_angles_in_degrees_is_asked_about(scored):
     truth = [(k, x, y, 0, 0, 0, math.sin(a / 2), math.cos(a / 2)) for k, ((x, y), a) in enumerate(zip(CURVE, h))]
     header = "t,x,y,z,roll,pitch,yaw"
     _, asked, _ = scored(commas(rows, header), lines(truth))
-    assert any("--unit NAME=deg" in a for a in asked)
+    assert any("--unit estimate=deg" in a for a in asked)
     for text, flags in ((commas(rows, header), ("--unit", "estimate=deg")), (commas(rows, header + "_deg"), ())):
         values, asked, _ = scored(text, lines(truth), *flags)
         assert values["rmse_rotation_3d_deg"] == pytest.approx(0.0, abs=1e-5)

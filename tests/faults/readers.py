@@ -203,7 +203,7 @@ TABLES = {
 
 def read_tables(folder: Path) -> Any:
     words = argparse.Namespace(source=folder / "robot.toml", out=folder / "out")
-    return table.convert(words)
+    return table.convert(words).log
 
 
 def stored_runs() -> list[Files]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import gtsam
@@ -11,13 +13,18 @@ import pytest
 from data import se2
 from data.convert.__main__ import main
 from data.errors import DataError
-from data.formats.g2o import graph_text, labelled, log_of, read_graph
+from data.formats.g2o import log_of, read_graph
+from data.formats.g2o_out import graph_text, labelled
 from data.formats.open_log.reader import load_folder
+from data.formats.open_log.writer import write_folder
 from data.log import Log
+from data.truth import Relations
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import compare
 
 WORLD = Arena(frames=30, landmarks=8)
+POSES = range(8, 38)
+"""Ids of the poses, above those of the landmarks."""
 
 
 def numbers(line: str) -> list[float]:
@@ -82,7 +89,7 @@ def arena_graph(tmp_path: Path) -> Path:
 def test_our_batch_finds_the_minimum_that_gtsam_finds_in_the_file(arena_graph):
     log = log_of("arena", read_graph(arena_graph))
     run, expected = batch_of(log), minimum(arena_graph)
-    theirs = np.array([[p.x(), p.y(), p.theta()] for p in (expected.atPose2(k) for k in range(WORLD.frames))])
+    theirs = np.array([[p.x(), p.y(), p.theta()] for p in (expected.atPose2(k) for k in POSES)])
     assert np.abs(se2.pose_error(run.final.pose, theirs)).max() < 1e-6
     label = log.granted
     founders = np.flatnonzero(run.created >= 0)
@@ -104,7 +111,7 @@ def test_bearings_alone_give_the_minimum_of_bearing_factors(arena_graph, tmp_pat
     log = log_of("bearings", read_graph(path))
     assert "bearings without a range" in log.notes[0]
     run, expected = batch_of(log), minimum(path)
-    theirs = np.array([[p.x(), p.y(), p.theta()] for p in (expected.atPose2(k) for k in range(WORLD.frames))])
+    theirs = np.array([[p.x(), p.y(), p.theta()] for p in (expected.atPose2(k) for k in POSES)])
     # the ranges have a ten-thousandth of the information of one known to its own length
     assert np.abs(se2.pose_error(run.final.pose, theirs)).max() < 2e-3
     again = tmp_path / "again.g2o"
@@ -122,6 +129,37 @@ def test_a_graph_comes_back_as_it_was(arena_graph, tmp_path):
     assert two.observation.measured == pytest.approx(one.observation.measured)
     assert two.observation.covariance == pytest.approx(one.observation.covariance)
     assert two.observation.ends.tolist() == one.observation.ends.tolist()
+
+
+def test_landmarks_keep_their_ids_and_loop_closures_their_information(arena_graph, tmp_path, capsys):
+    """Of three closures one joins neighbours again; their information differs by direction."""
+    closures = ("37 8 0.5 0.3 2.0 50 3 2 40 1 90", "10 30 1 2 -1 60 0 5 60 0 80", "12 13 1 0 0 9 0 0 9 0 9")
+    with arena_graph.open("a") as file:
+        file.writelines(f"EDGE_SE2 {edge}\n" for edge in closures)
+    assert main(["g2o", str(arena_graph), str(tmp_path / "log")]) == 0
+    assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "back.g2o")]) == 0
+    assert ", 3 loop closures" in capsys.readouterr().out
+    one, two = read_graph(arena_graph), read_graph(tmp_path / "back.g2o")
+    assert two.point[0].tolist() == one.point[0].tolist()
+    assert two.pose[0].tolist() == list(POSES)
+    assert two.motion.ends.tolist() == one.motion.ends.tolist()
+    assert two.motion.measured == pytest.approx(one.motion.measured)
+    assert two.motion.covariance == pytest.approx(one.motion.covariance, rel=1e-9, abs=1e-12)
+    assert two.observation.ends.tolist() == one.observation.ends.tolist()
+
+
+def test_ids_that_would_coincide_move_the_poses_and_relations_without_covariance_are_left_out(tmp_path, capsys):
+    log = simulate(WORLD, 3)
+    related = Relations(np.array([0]), np.array([9]), np.array([[1.0, 2.0, 0.5]]))
+    write_folder(replace(log, truth=replace(log.truth, relations=related)), tmp_path / "log")
+    assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "out.g2o")]) == 0
+    said = capsys.readouterr().out
+    assert "poses have the ids 8 to 37, as landmarks keep theirs" in said
+    assert "1 reference relations without covariance omitted" in said
+    graph = read_graph(tmp_path / "out.g2o")
+    assert len(graph.motion) == WORLD.frames - 1
+    seen = log.truth.landmark_of
+    assert [landmark for _, landmark in graph.observation.ends.tolist()] == seen[seen >= 0].tolist()
 
 
 def test_edges_written_from_the_later_pose_mean_the_same_motion(arena_graph, tmp_path):
@@ -183,7 +221,6 @@ def test_vertices_that_are_the_truth_score_the_log(arena_graph, tmp_path):
 
 
 def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
-    from data.formats.open_log.writer import write_folder
     from eval.run_all import main as run
 
     write_folder(simulate(WORLD, 4), tmp_path / "log")
@@ -219,3 +256,42 @@ def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):
         log_of("bad", read_graph(path))
     assert said in str(caught.value)
     assert str(caught.value).startswith(str(path))
+
+
+def test_a_graph_of_toro_is_read_in_its_own_order_of_information(tmp_path):
+    """The same graph, written in g2o's order by hand."""
+    (tmp_path / "a.graph").write_text(
+        "VERTEX2 0 0 0 0\nVERTEX2 1 1 0 0\nVERTEX2 2 2 0 0\n"
+        "EDGE2 0 1 1 0 0.1 50 3 40 90 2 1\nEDGE2 1 2 1 0 0.2 60 0 60 80 0 0\n"
+    )
+    (tmp_path / "a.g2o").write_text(
+        "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nVERTEX_SE2 2 2 0 0\n"
+        "EDGE_SE2 0 1 1 0 0.1 50 3 2 40 1 90\nEDGE_SE2 1 2 1 0 0.2 60 0 0 60 0 80\n"
+    )
+    toro, g2o = (log_of("a", read_graph(tmp_path / name)).recorded.increments for name in ("a.graph", "a.g2o"))
+    assert toro.mean.tolist() == g2o.mean.tolist()
+    assert toro.covariance.tolist() == g2o.covariance.tolist()
+
+
+def test_vertices_out_of_order_and_with_gaps_keep_their_ids(tmp_path):
+    (tmp_path / "a.g2o").write_text(
+        "VERTEX_SE2 30 2 0 0\nVERTEX_SE2 10 0 0 0\nVERTEX_SE2 20 1 0 0\nVERTEX_XY 7 1 1\n"
+        "EDGE_SE2 10 20 1 0 0 9 0 0 9 0 9\nEDGE_SE2 20 30 1 0 0 9 0 0 9 0 9\nEDGE_SE2_XY 20 7 0 1 9 0 9\n"
+    )
+    log = log_of("a", read_graph(tmp_path / "a.g2o"))
+    assert log.source["pose_ids"] == [10, 20, 30]
+    again = graph_text(log.recorded, labelled(log), log.source["pose_ids"])
+    assert [line.split()[:2] for line in again.splitlines()[:4]] == [
+        ["VERTEX_SE2", "10"], ["VERTEX_SE2", "20"], ["VERTEX_SE2", "30"], ["VERTEX_XY", "7"]
+    ]  # fmt: skip
+    assert "EDGE_SE2_XY 20 7" in again
+
+
+def test_the_measured_pose_of_the_first_vertex_is_the_prior(tmp_path):
+    text = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
+    (tmp_path / "a.g2o").write_text(f"{text}EDGE_PRIOR_SE2 0 5 6 {math.pi / 2} 100 0 0 25 0 400\n")
+    prior = log_of("a", read_graph(tmp_path / "a.g2o")).recorded.prior
+    assert prior.mean == pytest.approx([5.0, 6.0, math.pi / 2])
+    assert prior.covariance == pytest.approx(np.diag([0.04, 0.01, 0.0025]), abs=1e-12)
+    (tmp_path / "a.g2o").write_text(f"{text}EDGE_PRIOR_SE2 0 5 6 0 100 0 0 25 0 400\nFIX 0\n")
+    assert not log_of("a", read_graph(tmp_path / "a.g2o")).recorded.prior.covariance.any()

@@ -7,7 +7,7 @@
     truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
     landmarks.csv       id,x,y[,sx,sy]                                      optional
     scans.npz           range scans (see `scans`); then observations.csv and [sensor] may be missing
-    relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2]         optional
+    relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt]         optional
 
 Columns may have any order; unknown ones are ignored. frames.csv of a log with relations may have a column stamp: the
 recorded stamps, which need not increase. true_id: -1 false alarm, blank unknown. label: the sensor's, where it may
@@ -70,7 +70,7 @@ EXACT = "exact"
 
 def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) -> Relations:
     """Relations between the frames of a log of so many; `frame_stamp` (N,): its recorded stamps."""
-    table = read_table(path, ("row1", "row2", *RELATIVE), (EXACT, *STAMPS))
+    table = read_table(path, ("row1", "row2", *RELATIVE), (EXACT, *STAMPS, *COVARIANCE))
     for name in ("row1", "row2"):
         table.integers(name, 0)
         there = table.columns[name] < frames
@@ -81,14 +81,21 @@ def read_relations(path: Path, frames: int, frame_stamp: Array | None = None) ->
         values = table.columns[EXACT]
         table.require((values == 0.0) | (values == 1.0), EXACT, "{} is neither 0 nor 1")
         exact = values.astype(np.int64)
-    if any(name in table for name in STAMPS):
-        for name in STAMPS:
-            if name not in table:
-                raise table.error(-1, name, "no such column; stamp1 and stamp2 come together")
+    for names in (STAMPS, COVARIANCE):
+        missing = [name for name in names if name not in table]
+        if 0 < len(missing) < len(names):
+            together = "stamp1 and stamp2" if names == STAMPS else ",".join(names)
+            raise table.error(-1, missing[0], f"no such column; {together} come together")
+    if STAMPS[0] in table:
         table.require_finite(STAMPS)
         stamp = table.stack(STAMPS)
+    covariance = None
+    if COVARIANCE[0] in table:
+        table.require_finite(COVARIANCE)
+        covariance = table.symmetric(COVARIANCE)
+        _require_semidefinite(table, covariance)
     row1, row2 = (table.columns[name].astype(np.int64) for name in ("row1", "row2"))
-    return Relations(row1, row2, table.stack(RELATIVE), exact, stamp, frame_stamp)
+    return Relations(row1, row2, table.stack(RELATIVE), exact, stamp, frame_stamp, covariance)
 
 
 def relations_columns(relations: Relations) -> tuple[list[str], list[list[object]]]:
@@ -103,6 +110,9 @@ def relations_columns(relations: Relations) -> tuple[list[str], list[list[object
         columns[EXACT] = r.exact.tolist()
     if r.stamp is not None:
         columns |= dict(zip(STAMPS, r.stamp.T.tolist(), strict=True))
+    if r.covariance is not None:
+        upper = np.triu_indices(3)
+        columns |= dict(zip(COVARIANCE, r.covariance[:, upper[0], upper[1]].T.tolist(), strict=True))
     return list(columns), [list(row) for row in zip(*columns.values(), strict=True)]
 
 

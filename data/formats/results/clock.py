@@ -15,7 +15,7 @@ from data.errors import DataError
 from data.se2 import Array
 
 DIGITS = {"s": 0, "ms": 3, "us": 6, "ns": 9}
-STATED, SIZE, RATE, ASSUMED = "stated", "size", "rate", "assumed"
+STATED, SIZE, RATE, ASSUMED, ROWS = "stated", "size", "rate", "assumed", "rows"
 EPOCH = (1e8, 4.2e9)
 """s since 1970 of years 1973 to 2103."""
 STEPS = (1e-4, 5.0)
@@ -26,7 +26,9 @@ SLOWEST, ABSURD = 600.0, 1e-5
 
 @dataclass(frozen=True)
 class Clock:
-    """Unit of stamps, and how it is known: `STATED`, by `SIZE`, by `RATE`, or `ASSUMED`."""
+    """Unit of stamps, and how it is known: `STATED`, by `SIZE`, by `RATE`, or `ASSUMED`; `ROWS`: none, a row's
+    number is its stamp.
+    """
 
     unit: str = "s"
     by: str = ASSUMED
@@ -34,6 +36,8 @@ class Clock:
     @property
     def words(self) -> str:
         """For the kind of a file."""
+        if self.by == ROWS:
+            return "without stamps"
         how = {SIZE: " by their size", RATE: " by their rate"}.get(self.by, "")
         return f"stamps in {self.unit}{how}"
 

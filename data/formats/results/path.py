@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -129,6 +129,13 @@ class GivenPath(Locked):
         if self.covariance is not None:
             digest.update(self.covariance.tobytes())
         return digest.hexdigest()
+
+
+def restamped(path: GivenPath, time: Array, clock: Clock) -> GivenPath:
+    """The trajectory at other stamps (n,) [s]."""
+    kind = path.kind.replace(path.clock.words, clock.words)
+    space = None if path.space is None else replace(path.space, time=time, clock=clock, kind=kind)
+    return replace(path, time=time, clock=clock, kind=kind, space=space)
 
 
 @dataclass(frozen=True)

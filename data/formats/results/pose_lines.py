@@ -14,7 +14,7 @@ import numpy as np
 
 from data.errors import DataError, UsageError
 from data.formats.csv_table import symmetric
-from data.formats.results.clock import STATED, Clock, clock_of, seconds
+from data.formats.results.clock import ROWS, STATED, Clock, clock_of, seconds
 from data.formats.results.matrices import full, known_only, translation_first
 from data.formats.results.path import LOCAL, MIXED, ROTATION, SILENT, GivenPath, Manner, Spatial, Stated
 from data.formats.results.space import UNIT, on_plane, rotations
@@ -154,6 +154,10 @@ def path_of(
         )
         C, more = known_only(C)
         notes += more
+        if C is not None and not stated.convention and manner.frame is None:
+            notes += (
+                f"covariances are read as {frame} ones with the translation first, unless --cov-frame names another",
+            )
     file, R = str(text.path), rotations(rows[:, 4:8], text.place)
     kind = f"{kind}, {clock.words}"
     spatial = Spatial(file, kind, time, rows[:, 1:4], R, C, frame, text.place, stated, notes, clock)
@@ -164,16 +168,20 @@ ENTRIES = tuple(f"r{i}{j}" if j < 4 else f"t{i}" for i in (1, 2, 3) for j in (1,
 
 
 def read_kitti(text: Text, manner: Manner) -> GivenPath:
-    """Poses in a camera's axes at the stamps of `manner.times`, one per line."""
-    if manner.times is None:
-        raise UsageError(f"{text.path}: KITTI poses have no stamps; --times FILE is needed, a stamp [s] a line")
+    """Poses in a camera's axes at the stamps of `manner.times`, one per line; without these at the numbers of rows."""
     rows = numbers(text, ENTRIES).reshape(-1, 3, 4)
-    stamps = read_text(manner.times)
-    raw = numbers(stamps, ("t",), huge=("t",))[:, 0]
-    if len(raw) != len(rows):
-        what = f"{len(raw)} stamps for the {len(rows)} poses of {text.path}; one each is needed"
-        raise DataError.at(manner.times, what)
-    time, clock = times_of(stamps, raw, manner)
+    if manner.times is None:
+        if manner.stamps is not None:
+            what = f"{text.path} has no stamps (KITTI poses); --times FILE names them"
+            raise UsageError(f"--unit {manner.stamps}: {what}")
+        time, clock = np.arange(len(rows), dtype=float), Clock("s", ROWS)
+    else:
+        stamps = read_text(manner.times)
+        raw = numbers(stamps, ("t",), huge=("t",))[:, 0]
+        if len(raw) != len(rows):
+            what = f"{len(raw)} stamps for the {len(rows)} poses of {text.path}; one each is needed"
+            raise DataError.at(manner.times, what)
+        time, clock = times_of(stamps, raw, manner)
     file, R = str(text.path), rows[:, :, :3]
     off = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2))
     bad = np.flatnonzero((off > UNIT) | (np.linalg.det(R) < 0.0))

@@ -18,7 +18,7 @@ from data.formats.tables.files import TextTable, headings, read_text, shared
 from data.formats.tables.flags import Wanted
 from data.formats.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
 from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior
-from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, Log
+from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
@@ -170,6 +170,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     if kind == "velocities" and len(odometry.time) > 1:
         more |= {ODOMETRY_PERIOD: float(np.median(np.diff(odometry.time))), INTEGRATION: wanted.model}
     more |= {"hold": "backward"} if wanted.backward else {}
+    more |= {TRUTH_POSE: wanted.truth_pose.tolist()} if wanted.truth_pose.any() else {}
     more |= {"time_offset": dict(columns.offsets)} if columns.offsets else {}
     log = Log(
         name,

@@ -164,6 +164,7 @@ examples:
   {PROG} my_log --result mine=est.tum --cov est.cov      another program's result beside ours
   {PROG} my_log --result a=a.tum --result b=bag:/odom --align se2 --cov-frame b=world
   {PROG} --truth gt.tum --truth-gap 0.2 --result a=a.csv     results alone, against a truth
+  {PROG} --truth gt.tum --result a=a.csv --time-offset auto    of another clock
   {PROG} --truth gt.txt --result a=kitti.txt --times times.txt --axes truth=robot    KITTI poses, a truth with z up
   {PROG} --truth gt.csv --result a=vio.txt --align yaw --pairs openvins    in 3-D, as OpenVINS pairs poses
   {PROG} --truth gt.csv --result a=a.tum --cov-order rotation-first --unit truth=deg    what files do not state

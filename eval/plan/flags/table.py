@@ -173,6 +173,10 @@ class Reading:
         "unit of a file: of stamps s, ms, us, ns (default: as stated, else inferred), of headings rad, deg, of "
         "positions m, cm, mm (repeatable)",
     )
+    time_offset: tuple[str, ...] = several(
+        "[NAME=]S",
+        "seconds added to the stamps of a result, or auto: by its speeds and turn rates and the truth's (repeatable)",
+    )
     align: str = choice(
         "none",
         ("first", "se2", "se3", "sim3", "yaw"),

@@ -69,11 +69,12 @@ PERSISTENCE_LEAVING = 0.001  # probability that a real landmark leaves before an
 PERSISTENCE_LATER_LEAST = 0.35  # smallest probability that a transient landmark vanishes before an opportunity
 FOLDED_SHARE = 0.5  # share of a map's landmarks that left, above which the map is folded
 PERSISTENCE_ROUNDS = 20  # rounds of expectation maximization
-PERSISTENT_FEWEST = 0.05  # share of persistent landmarks (fewest observations) ignored in the required number
+PERSISTENT_FEWEST = 0.05  # share of the observations, of landmarks with the fewest, ignored in the required number
 REASSOCIATION_GATE = 0.999  # gate of the final re-association
 REASSOCIATION_QUANTILE = 0.9  # quantile of squared distances that gives the variance scale; a median ignores tails
 REASSOCIATION_OBSERVATIONS = 4  # observations of a landmark that counts for this scale
 
+PLAIN_MOST = 2  # landmarks of `jcbb` over those initialized in hindsight, above which it is not followed to its end
 PLAIN_ODDS = 10.0  # log odds from which the final decisions are those of `jcbb`
 
 # --- A frame without a prediction (placement.py) --------------------------------------------------------------------

@@ -178,7 +178,8 @@ class HindsightMapper:
             self.ledger.records, self.filter.landmarks(), self.ledger.view, self.restated, errors
         )
         if found is not None:
-            found = self.whole.plain(self.setup, self.restated, errors) or found
+            most = constants.PLAIN_MOST * self.ledger.created
+            found = self.whole.plain(self.setup, most, self.restated, errors) or found
         unobserved = self._remove(self.ledger.reassociate(found)) if found is not None else np.empty(0, np.int64)
         transient = self.ledger.transient(self.whole.opportunities)
         if found is not None:

@@ -25,6 +25,7 @@ UNUSUAL = 0.1  # of cost above that of the scan before: from then on a match is 
 SEARCHED, FARTHEST = 90, 10.0  # points of a search, and their distance [m]
 LEAST_CORRELATION = 0.4  # score of a search
 WIDEST = np.array([2.0, 2.0, 0.5 * math.pi])  # m, m, rad of a search to either side
+FEWEST_POINTS, SURE = 50, 0.7  # points of a scan, and share that fits, of a match that contradicts odometry
 POINTS = 150
 """Points of a scan that are evidence, at most: neighbouring beams have one surface in common."""
 
@@ -81,7 +82,9 @@ class Tracker:
             if found is not None:
                 tried.append(self._match(points, found, prior))
         if any(self._chi2(m, prior) > SURPRISE for m in tried):
-            tried.append(self._match(points, self.pose, prior, FIRM))
+            held = self._match(points, self.pose, prior, FIRM)
+            sure = [m for m in tried if self._chi2(m, prior) <= SURPRISE or self._is_sure(m, points)]
+            tried = [*sure, held]
         evidence = min(len(points.xy), POINTS)
         best = min(tried, key=lambda m: evidence * m.cost + self._penalty(m, prior, slip, going_on))
         if best.share < self.parameters.least_share:
@@ -105,6 +108,12 @@ class Tracker:
     def _penalty(self, found: Match, prior: MotionPrior, slip: Array, going_on: Array | None) -> float:
         further = None if going_on is None else _apart(found.pose, going_on)
         return least_penalty(self._chi2(found, prior), _apart(found.pose, prior.mean), slip, further)
+
+    def _is_sure(self, found: Match, points: Points) -> bool:
+        """Whether a match that contradicts odometry fits on its own: where little is seen, or the reference ends, a few
+        points fit anywhere.
+        """
+        return len(points.xy) >= FEWEST_POINTS and found.share >= SURE
 
     def _searched(self, points: Points, slip: Array) -> Array | None:
         """The pose around odometry, as far as the wheels may slip, where the scan fits the reference best."""

@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.convert.__main__ import _flags_of, main, mended, parser
+from data.convert.__main__ import main, parser
+from data.convert.again import flags_of, mended
 from data.convert.mrclam import CALIBRATION
 from data.errors import DataError
 from data.formats.mrclam.calibration import FROZEN, Calibration
@@ -292,6 +293,9 @@ def test_each_flag_of_a_lab_recording_says_how_its_camera_is_read(monkeypatch, t
     ("table a b", ["--unit bearing=deg"], "table a b --unit bearing=deg"),
     ("table a b --unit time=ms", ["--unit bearing=deg"], "table a b --unit time=ms,bearing=deg"),
     ("table a b --unit=time=ms", ["--unit bearing=deg"], "table a b --unit=time=ms,bearing=deg"),
+    ("table a b --unit bearing=deg,time=ms", ["--unit bearing=-deg"], "table a b --unit time=ms,bearing=-deg"),
+    ("table a b --columns x=e,t=ms", ["--columns x=n"], "table a b --columns t=ms,x=n"),
+    ("carmen a b", ["--clockwise", "--laser-turned 180"], "carmen a b --clockwise --laser-turned 180"),
     ("table a b --max-range 4", ["--max-range 7"], "table a b --max-range 7"),
     ("table a b", ["--view=-60deg,60deg"], "table a b --view=-60deg,60deg"),
     ("mrclam a b --exclude-truth 1:2", ["--exclude-truth 755:836", "--max-range 7"],
@@ -300,7 +304,7 @@ def test_each_flag_of_a_lab_recording_says_how_its_camera_is_read(monkeypatch, t
 ])  # fmt: skip
 def test_the_converter_prints_the_command_that_mends_what_it_found(given, flags, again):
     kind = given.split()[0]
-    assert mended(given.split(), flags, _flags_of(parser(), kind)) == again.split()
+    assert mended(given.split(), flags, flags_of(parser(), kind)) == again.split()
 
 
 def test_the_command_that_it_prints_mends_the_log(tmp_path, capsys):

@@ -55,7 +55,7 @@ def test_a_bare_name_says_the_defaults(world):
     ("-1", "the seed is a whole number, as in {world}:0"),
     ("1.5:frames=40", "the seed is a whole number, as in {world}:0"),
     ("0:", "'' is not known"),
-    ("0:colour=red", "'colour=red' is not known; known: "),
+    ("0:colour=red", "'colour=red' is not known"),
     ("0:frames=9+", "'' is not known"),
     ("0:frames", "frames needs a value, as in frames=1; known: "),
     ("0:no-frames", "frames needs a value, as in frames=1; known: "),
@@ -73,9 +73,9 @@ def test_a_name_that_makes_no_sense_is_refused_in_one_line(world, rest, wrong):
 
 @pytest.mark.parametrize(("name", "wrong"), [
     ("arena:0:sigma_v=fast", "arena:0:sigma_v=fast: sigma_v=fast: a number is needed"),
-    ("arena:0:sensor=sonar", "arena: sensor = 'sonar'; known: range_bearing, relative_point"),
+    ("arena:0:sensor=sonar", "arena: sensor = 'sonar': unknown; known: range_bearing, relative_point"),
     ("circle:0:speed=nan", "circle:0:speed=nan: speed=nan: a number is needed"),
-    ("circle:0:layout=star", "circle: layout = 'star'; known: ring, scatter"),
+    ("circle:0:layout=star", "circle: layout = 'star': unknown; known: ring, scatter"),
     ("corridor:0:people=20", "people=20: on or off is needed; their number is crowd=N"),
     ("linear:0:spacing=-1", "linear: spacing = -1.0; a positive number is needed"),
 ])  # fmt: skip

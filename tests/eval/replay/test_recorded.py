@@ -24,7 +24,9 @@ def front(**changed):
     estimator = SimpleNamespace(smooths=False, estimate=lambda: (np.arange(3.0), 2.0 * np.eye(3)))
     given = {"k": 1, "estimator": estimator, "state_size": 7, "map_management": None, "association": "jcbb"}
     given["can"] = SimpleNamespace(calibrating=None)
-    return SimpleNamespace(**{**given, "events": lambda: (), "notes": list, "gated_final": None, **changed})
+    return SimpleNamespace(
+        **{**given, "events": lambda: (), "notes": list, "gated_final": None, "left": None, **changed}
+    )
 
 
 def ran(recorder, front, finished=NOTHING, failure=None):

@@ -11,8 +11,6 @@ EQUIVALENT = {
     ("eval/replay/hindsight/relocalize.py", "break", "pass"),
     # a fixed point is iterated on to the last round instead of to its last digit
     ("association/scans/uncertainty.py", "new - scale", "(new + scale)"),
-    # which landmark was initialized: a decision made online or in hindsight, whichever comes first
-    ("eval/referee/given_runs.py", "created_by(decisions, final, task)", "(created_by(final, decisions, task))"),
     # room that grows when it is full
     ("ekf/pose_chain.py", "64", "65"),
     # one stream of random numbers is as good as another

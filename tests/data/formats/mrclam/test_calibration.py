@@ -147,7 +147,7 @@ class TestLandmarks:
         assert log.recorded.map is not None
         assert log.recorded.map.id.tolist() == [6, 7]
         assert log.recorded.map.xy.tolist() == [[1.0, 2.0], [3.0, 4.0]]
-        assert log.source["landmarks"] == str(other)
+        assert log.source["landmarks"] == other.name
 
     def test_exchanged_rows_are_noticed_and_named(self, files: Texts, load: Callable[..., Log]) -> None:
         assert misplaced(load(files)) == ()

@@ -103,7 +103,7 @@ def test_a_log_prints_a_few_lines():
         "  frames: 200 (99.5 s)",
         "  observations: 1627",
         "  sensor: range_bearing",
-        "  map: 30 landmarks",
+        "  map: 25 landmarks",
         "  truth: in 200 frames",
         "  labels: yes",
     ]

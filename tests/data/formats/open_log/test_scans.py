@@ -158,7 +158,8 @@ def test_a_laser_log_comes_back_bit_for_bit(folder, tmp_path, full):
     given = load_folder(folder())
     scanner = Scanner(-1.0, 1 / 3, 30.0, 0.02, 0.1, (0.2, -1 / 7))
     scans = Scans(scanner, np.array([1, 4]), rng.uniform(0.0, 30.0, (2, 7)))
-    relations = Relations(np.array([0, 3]), np.array([4, 1]), rng.normal(size=(2, 3)))
+    P = np.array([[0.5, 0.1, 0.0], [0.1, 0.4, 0.02], [0.0, 0.02, 0.3]]) * np.array([1.0, 2.0])[:, None, None]
+    relations = Relations(np.array([0, 3]), np.array([4, 1]), rng.normal(size=(2, 3)), covariance=P)
     if full:
         relations = dataclasses.replace(
             relations,

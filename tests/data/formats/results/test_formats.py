@@ -133,8 +133,8 @@ def test_what_is_wrong_is_named_with_its_line(fault, tmp_path):
 
 def test_what_a_file_does_not_say_must_be_said_and_nothing_else(tmp_path):
     name, _ = kitti(tmp_path)
-    with pytest.raises(UsageError, match="--times FILE is needed"):
-        read_path(str(tmp_path / name))
+    with pytest.raises(UsageError, match="--times FILE names them"):
+        read_path(str(tmp_path / name), Manner(stamps="ns"))
     name, _ = tum(tmp_path)
     for manner, wanted in (
         (Manner(times=tmp_path / "times.txt"), "KITTI poses are needed"),

@@ -40,7 +40,8 @@ VALUES = {
     "relations": PATHS,
     "exclude_truth": st.sampled_from(("1:2", "-3:0.5", "755:836")),
     "config": st.sampled_from(("tutorial-step1", "tutorial-step3")),
-    **dict.fromkeys(("result", "truth", "cov", "times", "cov_frame", "cov_order", "axes", "unit"), PATHS),
+    **dict.fromkeys(("result", "truth", "cov", "times", "time_offset"), PATHS),
+    **dict.fromkeys(("cov_frame", "cov_order", "axes", "unit"), PATHS),
     "align": st.sampled_from(("none", "first", "se2", "se3", "sim3", "yaw")),
     "pairs": st.sampled_from(("evo", "rpg", "openvins")), "truth_gap": SPANS,
     "calibrate": st.one_of(st.just("auto"), some(("scale", "curvature=0.02", "left", "drift=1e-3", "bearing"))),
@@ -55,7 +56,7 @@ CHANGED = {
     "corner_noise": "depth", "relations": "a b", "exclude_truth": "3:4.5", "config": "tutorial-step1",
     "result": "a=a b", "truth": "a b", "cov": "a=b", "times": "a b", "cov_frame": "local", "axes": "camera",
     "cov_order": "rotation-first", "unit": "ns", "pairs": "rpg",
-    "align": "se2", "truth_gap": "0.2", "calibrate": "curvature=0.02,scale",
+    "align": "se2", "truth_gap": "0.2", "time_offset": "auto", "calibrate": "curvature=0.02,scale",
 }  # fmt: skip
 """For each of them one that is not the default."""
 NUMBERS = [row.name for row in TABLE.values() if row.numbers]

@@ -31,8 +31,8 @@ def test_ambiguous_landmarks_are_reported_written_and_marked(trial, tmp_path):
     write_run(tmp_path, trial, trial.runs[0])
     (path,) = tmp_path.rglob("landmarks.csv")
     head, *rows = [line.split(",") for line in path.read_text().splitlines()]
-    named = {row[0]: row[-1] for row in rows if row[-1]}
-    assert head[-1] == "ambiguous"
+    named = {row[0]: row[-2] for row in rows if row[-2]}
+    assert head[-2:] == ["ambiguous", "until"]
     assert len(named) == 2
     assert all(named[other] == number for number, other in named.items())
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -52,9 +54,10 @@ def recorded(
     glass: Array | None = None,
     noise: float = 0.01,
     stamp: Array | None = None,
+    exact_ranges: Array | None = None,
 ) -> Log:
     """A log of a path (N, 3) with odometry whose increments are `told` (N, 3), those of the path by default, plus
-    noise with the travel as of real wheels. One of `thin` frames has a scan.
+    noise with the travel as of real wheels. One of `thin` frames has a scan, of the walls or as given.
     """
     exact = np.zeros_like(truth)
     exact[1:] = between(truth[:-1], truth[1:])
@@ -64,7 +67,7 @@ def recorded(
     odometry = told + np.stack([along, along, about], axis=1) * rng.standard_normal(truth.shape)
     pose = dead_reckoned(truth[0], odometry)
     frame = np.arange(0, len(truth), thin)
-    ranges = scan_ranges(truth[frame], scanner, BEAMS, walls, glass=glass)
+    ranges = scan_ranges(truth[frame], scanner, BEAMS, walls, glass=glass) if exact_ranges is None else exact_ranges
     ranges = np.maximum(ranges + noise * rng.standard_normal(ranges.shape), 1e-3)
     ranges[ranges >= scanner.max_range] = 0.0
     times = period * np.arange(len(truth), dtype=float) if stamp is None else stamp
@@ -126,3 +129,56 @@ def symmetric_room(seed: int, *, thin: int = 5) -> Log:
     truth = np.array(path)
     truth[:, 2] = (truth[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
     return recorded(truth, walls, rng, thin=thin)
+
+
+def halls(
+    seed: int, *, panes: float = 0.3, frames: int = 2500, reach: float = 30.0, thin: int = 1, bias: float = 0.0
+) -> Log:
+    """Wide halls with rows of equal parallel walls, some of glass: every row looks like the next. `bias` of the
+    odometry's heading [rad per m].
+    """
+    rng = np.random.default_rng(seed)
+    width, depth, rows = 36.0, 20.0, 9
+    walls = [[0, 0, width, 0], [width, 0, width, depth], [width, depth, 0, depth], [0, depth, 0, 0]]
+    spacing = width / (rows + 1)
+    walls += [[spacing * (k + 1), 3.0, spacing * (k + 1), depth - 3.0] for k in range(rows)]
+    cut = []
+    for x0, y0, x1, y1 in walls:
+        n = max(int(math.hypot(x1 - x0, y1 - y0) / 1.5), 1)
+        ends = np.linspace([x0, y0], [x1, y1], n + 1)
+        cut += [[*a, *b] for a, b in pairwise(ends)]
+    lines = np.array(cut, float)
+    glass = rng.random(len(lines)) < panes
+    # up one row and down another, at random
+    points, x = [np.array([0.5 * spacing, 1.5])], 0
+    while len(points) < 60:
+        following = int(np.clip(x + rng.integers(-3, 4), 0, rows))
+        y = 1.5 if points[-1][1] < 0.5 * depth else depth - 1.5
+        for to in ((spacing * (following + 0.5), y), (spacing * (following + 0.5), depth - y)):
+            points.append(np.array(to) + rng.uniform(-0.2, 0.2, 2))
+        x = following
+    truth = through(points, frames)
+    told = np.zeros_like(truth)
+    told[1:] = between(truth[:-1], truth[1:])
+    told[:, 2] = (told[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
+    told[:, 2] += bias * np.hypot(told[:, 0], told[:, 1])
+    scanner = replace(SICK, max_range=reach)
+    return recorded(truth, lines, rng, glass=glass, thin=thin, told=told, scanner=scanner)
+
+
+def through(points: list[Array], frames: int, step: float = 0.12, turn: float = 0.15) -> Array:
+    """Poses (N, 3) straight from point to point, turned in place."""
+    path = [np.array([*points[0], 0.0])]
+    for to in points[1:]:
+        away = to - path[-1][:2]
+        heading = math.atan2(away[1], away[0])
+        left = (heading - path[-1][2] + math.pi) % (2.0 * math.pi) - math.pi
+        for _ in range(math.ceil(abs(left) / turn)):
+            last = path[-1]
+            path.append(np.array([last[0], last[1], last[2] + left / math.ceil(abs(left) / turn)]))
+        n = math.ceil(float(np.hypot(*away)) / step)
+        start = path[-1]
+        path += [np.array([*(start[:2] + away * (k + 1) / n), start[2]]) for k in range(n)]
+    truth = np.array(path[:frames])
+    truth[:, 2] = (truth[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
+    return truth

@@ -9,10 +9,16 @@ import pytest
 
 from data.formats.open_log.reader import load_folder
 from data.formats.recordings.carmen import load_carmen
+from data.notice import Code
 from data.se2 import between, compose, dead_reckoned, wrap_angle
-from eval.replay.laser.comparison import run_front_end
+from eval.referee import laser_faults
+from eval.referee.errors import aligned_rmse
+from eval.referee.laser import right_closures
+from eval.referee.score import Trial
+from eval.replay.laser.comparison import compare_laser, run_front_end
 from eval.replay.laser.parameters import LaserParameters
-from tests.eval.replay.laser.field import reporting_forward, slipping_at_rest, symmetric_room
+from eval.replay.settings import Setup
+from tests.eval.replay.laser.field import halls, reporting_forward, slipping_at_rest, symmetric_room
 
 GIVEN = next((p / "shared" / "data" / "laser_field" for p in Path(__file__).parents if (p / "shared").is_dir()), None)
 given = pytest.mark.skipif(GIVEN is None, reason="the recorded logs are not here")
@@ -54,6 +60,27 @@ def test_a_robot_that_backs_while_it_reports_forward_is_followed_where_more_than
     """Wheels alone are 0.2 m off in a fifth of the steps; along bare corridors no scan knows better."""
     wrong = [np.hypot(*steps(log, matched(log)).T[:2]) > 0.05 for log in map(reporting_forward, range(4))]
     assert float(np.mean(np.concatenate(wrong))) < 0.02
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("panes", [0.0, 0.5])
+def test_in_halls_of_equal_rows_no_loop_closure_is_wrong(panes):
+    log = halls(0, panes=panes)
+    (run,) = compare_laser(log.recorded, ["isam2"], Setup())
+    believed = run.loops.believed >= 0
+    assert believed.sum() > 100
+    assert right_closures(run.loops, log.truth.pose[run.chain.frame])[believed].all()
+    assert aligned_rmse(run.last, log.truth.pose) < 0.03
+    assert not laser_faults.of_run(run, Trial(log, "slam", (run,)))
+
+
+@pytest.mark.slow
+def test_where_a_short_reach_between_equal_rows_leads_astray_the_walls_are_doubled():
+    """4 m, half of the walls of glass, odometry that turns: nothing contradicts the wheels, the map does."""
+    log = halls(0, panes=0.5, reach=4.0, thin=5, bias=0.1)
+    (run,) = compare_laser(log.recorded, ["isam2"], Setup())
+    assert aligned_rmse(run.last, log.truth.pose) > 1.0
+    assert Code.DOUBLED_WALLS in {n.code for n in laser_faults.of_run(run, Trial(log, "slam", (run,)))}
 
 
 @given

@@ -1,0 +1,153 @@
+"""The command printed under warnings about a log, pasted as it stands, makes a log that raises none of them."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import slamref
+from data.convert.__main__ import main
+from data.formats.open_log.reader import load_folder
+from data.formats.open_log.writer import write_folder
+from data.notice import Code
+from data.questions import ask
+from data.se2 import dead_reckoned
+from data.words import sentence
+from data.worlds.arena import Arena, simulate
+from tests.data.formats.recordings.test_wrong_lasers import RAW, WRONG, text
+from tests.data.formats.tables.foreign import FLAGS, export
+
+TABLES = {
+    "bearings in degrees": (("angle=deg,", "theta=deg,"), Code.BEARING_UNIT),
+    "odometry in degrees": (("angle=deg,", "bearing=deg,truth.theta=deg,"), Code.TURN_RATES),
+    "truth in degrees": (("angle=deg,", "bearing=deg,odometry.theta=deg,"), Code.TURN_RATES),
+    "bearings to the other side": (("angle=deg,", "angle=deg,bearing=-deg,"), Code.MIRRORED),
+    "bearings of this file to the other side": (("angle=deg,", "angle=deg,observations.bearing=-deg,"), Code.MIRRORED),
+    "a short reach": (("--max-range 8", "--max-range 4"), Code.MAX_RANGE),
+    "a narrow view": (("--max-range 8", "--max-range 8 --view=-20deg,20deg"), Code.FIELD_OF_VIEW),
+    "a prior elsewhere": (("--prior truth", "--prior 40,0,0"), Code.PRIOR),
+    "a truth elsewhere": (("--prior truth", "--prior 0,0,0 --truth-transform 30,0,1"), Code.TRUTH_FRAME),
+}
+
+QUICK = ("bearings in degrees", "bearings of this file to the other side", "a short reach", "a prior elsewhere")
+
+
+@pytest.fixture
+def convert(capsys):
+    """`convert(words)`: codes of the warnings by title, and the command printed under them."""
+
+    def run(words):
+        assert main(words, "slamref convert") == 0
+        said = capsys.readouterr().out.splitlines()
+        commands = [line.removeprefix("if so: ") for line in said if line.startswith("if so: ")]
+        assert len(commands) < 2
+        return {
+            c for c in Code for line in said if line.startswith("warning") and line.endswith(f"({c.replace('-', ' ')})")
+        }, commands
+
+    return run
+
+
+def pasted(command):
+    program, verb, *words = shlex.split(command)
+    assert (program, verb) == ("slamref", "convert")
+    return words
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robot")
+    return export(simulate(Arena(frames=200, landmarks=30), 0), folder)
+
+
+def test_a_right_table_is_asked_nothing(robot, convert, tmp_path):
+    assert convert(["table", *robot, str(tmp_path / "log"), *FLAGS]) == (set(), [])
+
+
+@pytest.mark.parametrize("fault", [pytest.param(f, marks=[] if f in QUICK else pytest.mark.slow) for f in TABLES])
+def test_what_is_printed_about_a_table_mends_it(fault, robot, convert, tmp_path):
+    (right, wrong), code = TABLES[fault]
+    flags = " ".join(shlex.quote(w) for w in FLAGS).replace(right, wrong)
+    found, (command,) = convert(["table", *robot, str(tmp_path / "log"), *shlex.split(flags)])
+    assert code in found
+    assert convert(pasted(command)) == (set(), [])
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        pytest.param(name, marks=[] if name == "beams from left to right" else pytest.mark.slow)
+        for name, (_, _, mending) in WRONG.items()
+        if mending is not None
+    ],
+)
+def test_what_is_printed_about_a_laser_log_mends_it(fault, convert, tmp_path, capsys):
+    inputs = RAW.recorded
+    pose = dead_reckoned(inputs.prior.mean, inputs.increments.mean)
+    spoil, code, _ = WRONG[fault]
+    ranges = np.where(inputs.scans.ranges > 0.0, inputs.scans.ranges, 81.83)
+    (tmp_path / "made.log").write_text("\n".join(text(*spoil(pose, 100.0 + inputs.time, ranges))))
+    found, (command,) = convert(["carmen", str(tmp_path / "made.log"), str(tmp_path / "log")])
+    assert found == {code}
+    assert slamref.main(["inspect", str(tmp_path / "made.log")]) == 0
+    (direct,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("if so")]
+    assert pasted(direct.split(None, 2)[2])[3:] == pasted(command)[3:]
+    assert convert(pasted(command)) == (set(), [])
+
+
+ROOT = Path(__file__).parents[3]
+PROGRAM = re.compile(r"`slamref ([^`]*)`")
+
+
+def written_commands():
+    """Commands of the product's texts, by place."""
+    for package in ("data", "association", "ekf", "graph", "eval"):
+        for path in sorted((ROOT / package).rglob("*")):
+            if path.suffix in (".j2", ".py"):
+                for words in PROGRAM.findall(re.sub(r"\{\{.*?\}\}|\{\w+\}", "NAME", path.read_text())):
+                    yield path.name, words.split()
+
+
+def test_commands_in_texts_have_their_verb_and_flags_and_leave_nothing_out(capsys):
+    """Capitals are for the reader to replace."""
+    helped = {}
+    found = list(written_commands())
+    assert len(found) > 30
+    for place, (verb, *words) in found:
+        assert verb in slamref.COMMANDS or verb == "--help", (place, verb)
+        assert not any(w == "..." for w in words), (place, words)
+        flags = [w for w in words if w.startswith("--")]
+        if flags and verb not in helped:
+            kind = words[:1] if verb == "convert" else []
+            with pytest.raises(SystemExit):
+                slamref.main([verb, *kind, "--help-all" if verb == "run" else "--help"])
+            helped[verb] = capsys.readouterr().out
+        assert all(flag in helped[verb] for flag in flags), (place, flags)
+
+
+@pytest.mark.slow
+def test_the_flag_named_for_a_bad_truth_leaves_it_out(tmp_path, capsys):
+    log = simulate(Arena(frames=60), 1)
+    pose = log.truth.pose.copy()
+    pose[30:34, 2] += 2.0
+    write_folder(replace(log, truth=replace(log.truth, pose=pose)), tmp_path / "log")
+    (asked,) = [question for question in ask(load_folder(tmp_path / "log")) if question.code == Code.BAD_TRUTH]
+    named = re.search(r"By hand: `(.*?)` of `slamref run`", sentence(asked))[1]
+    words = [
+        "run",
+        str(tmp_path / "log"),
+        "--estimator",
+        "dead-reckoning",
+        "--no-plots",
+        "--out",
+        str(tmp_path / "out"),
+    ]
+    assert slamref.main([*words, "--keep-truth"]) == 0
+    assert "bad truth" in capsys.readouterr().out
+    assert slamref.main([*words, *shlex.split(named)]) == 0
+    assert "bad truth" not in capsys.readouterr().out
