@@ -77,7 +77,8 @@ class Parser(argparse.ArgumentParser):
             parsers = [self, *(p for choices in below for p in choices.values())]
             flags = [flag for p in parsers for flag in p._option_string_actions if flag.startswith("--")]
             word = next((w for w in left if w.startswith("-")), left[0])
-            hint = did_you_mean(word.partition("=")[0], flags) if word.startswith("--") else ""
+            flag = f"--{word.partition('=')[0].lstrip('-')}"
+            hint = did_you_mean(flag, flags) if word.startswith("-") else ""
             what = "unknown flag" if word.startswith("-") else "a word too many"
             self.error(f"{word}: {what}{hint}")
 

@@ -8,7 +8,8 @@ threshold: a wrong one is e^T times as likely as the right one with probability 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -16,7 +17,7 @@ import numpy as np
 from data.inputs import Increments, Inputs
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, Log
 from data.motion.velocity import compose_in_place
-from data.se2 import Array, between, rotation
+from data.se2 import Array, between, dead_reckoned, rotation, wrap_angle
 from data.sensors import RANGE_BEARING, RELATIVE_POINT
 
 ARC, TURN_FIRST, DRIVE_FIRST = "arc", "turn-first", "drive-first"
@@ -37,6 +38,8 @@ NEAR = 0.3
 ROBUST = 16.0  # squared distance beyond which an observation counts as one of something else
 TURNED, LONGEST, PAIRS = 0.25, 60, 150  # rad and frames between the frames of a pair; most pairs
 TINY = 1e-12  # sigmas; a shorter difference of two conventions is none
+SPANS = (1, 4, 16)
+"""Frames between compared true poses: over more of them the order shows through noisy or rarely known ones."""
 REGULAR = 1e-9  # of the trace of a covariance, added to its variances before it is inverted
 FEWEST = 30  # observations, or steps with a true one, for a question
 
@@ -80,19 +83,27 @@ def order_by_truth(log: Log) -> Verdict | None:
     if pose is None or len(pose) < 2 or not _may_be_reordered(log):
         return None
     steps = _steps(log)
-    true = between(pose[:-1], pose[1:])
-    rows = np.flatnonzero(np.isfinite(true).all(axis=1) & (np.abs(u.mean[1:, 2]) > 0.0) & u.mean[1:, :2].any(axis=1))
+    orders = {name: reordered(u, share, steps) for name, share in ORDERS.items()}
+    found = [_order_over(span, pose, orders) for span in SPANS]
+    return max((v for v in found if v is not None), key=lambda v: v.gain, default=None)
+
+
+def _order_over(span: int, pose: Array, orders: Mapping[str, Increments]) -> Verdict | None:
+    """The order by true poses (N, 3) that are so many frames apart."""
+    true = between(pose[:-span:span], pose[span::span])
+    mean, covariance = _over(span, orders[ARC])
+    rows = np.flatnonzero(np.isfinite(true).all(axis=1) & (np.abs(mean[:, 2]) > 0.0) & mean[:, :2].any(axis=1))
     if len(rows) < FEWEST:
         return None
-    P = u.covariance[1:][rows][:, :2, :2]  # singular where odometry is exact in one direction
+    P = covariance[rows, :2, :2]  # singular where odometry is exact in one direction
     weight = np.linalg.inv(P + (REGULAR * np.trace(P, axis1=1, axis2=2)[:, None, None] + TINY) * np.eye(2))
-    stated = u.mean[1:][rows, :2]
+    stated = mean[rows, :2]
     r = true[rows, :2] - stated
     cost, off = {}, {}
-    for name, share in ORDERS.items():
+    for name, increments in orders.items():
         if name == ARC:
             continue
-        d = reordered(u, share, steps).mean[1:][rows, :2] - stated
+        d = _over(span, increments)[0][rows, :2] - stated
         length = np.sqrt(np.einsum("ni,nij,nj->n", d, weight, d))
         # the residual in the direction in which the two conventions differ, in sigmas
         along = np.einsum("ni,nij,nj->n", d, weight, r) / np.maximum(length, TINY)
@@ -105,6 +116,20 @@ def order_by_truth(log: Log) -> Verdict | None:
     size = float(length @ along / (length @ length))
     gain = 0.5 * (as_stated - cost[best]) / max(cost[best] / len(rows), 1.0)
     return Verdict(best, gain) if gain > CLEAR and abs(size - 1.0) < NEAR else Verdict(ARC, 0.0)
+
+
+def _over(span: int, increments: Increments) -> tuple[Array, Array]:
+    """Increments (K, 3) over so many frames, and their covariances (K, 3, 3)."""
+    if span == 1:
+        return increments.mean[1:], increments.covariance[1:]
+    path = dead_reckoned(np.zeros(3), increments.mean)
+    mean = between(path[:-span:span], path[span::span])
+    covariance = np.zeros((len(mean), 3, 3))
+    for k, P in enumerate(covariance):
+        motion = np.zeros(3)
+        for i in range(k * span + 1, (k + 1) * span + 1):
+            compose_in_place(motion, P, increments.mean[i], increments.covariance[i], motion, P)
+    return mean, covariance
 
 
 class _Pair(NamedTuple):
@@ -148,27 +173,33 @@ def _pairs(inputs: Inputs, increments: Increments, ends: Sequence[tuple[int, int
     return found
 
 
-REFLECTIONS = {
-    AS_STATED: np.eye(2),
-    MIRRORED: np.diag([1.0, -1.0]),
-    SWAPPED: np.array([[0.0, 1.0], [1.0, 0.0]]),
-}
-"""By name: what is observed, in the body, as of the other convention."""
+REFLECTIONS = {MIRRORED: np.diag([1.0, -1.0]), SWAPPED: np.array([[0.0, 1.0], [1.0, 0.0]])}
+"""By name: points in the sensor's frame, as of the other convention."""
 
 
-def _fit(pairs: list[_Pair], M: Array) -> tuple[float, int]:
+def _reflected(inputs: Inputs, name: str) -> Inputs:
+    """The inputs as of the other convention; the sensor's mounting stays."""
+    o, M = inputs.observations, REFLECTIONS[name]
+    if inputs.sensor.kind == RELATIVE_POINT:
+        return replace(inputs, observations=replace(o, z=o.z @ M.T, R=M @ o.R @ M.T))
+    bearing = (0.5 * np.pi if name == SWAPPED else 0.0) - o.z[:, 1]
+    z = np.stack([o.z[:, 0], np.asarray(wrap_angle(bearing))], axis=1)
+    sign = np.diag([1.0, -1.0])
+    return replace(inputs, observations=replace(o, z=z, R=sign @ o.R @ sign))
+
+
+def _fit(pairs: list[_Pair]) -> tuple[float, int]:
     """Sum over observations of their squared distance to the nearest one of the other frame, and their number."""
     total, count = 0.0, 0
     for p in pairs:
         back = rotation(-float(p.motion[2]))
-        here = (p.before @ M.T - p.motion[:2]) @ back.T
+        here = (p.before - p.motion[:2]) @ back.T
         # to the motion: (x, y) by -R', the heading by the turned point
         J = np.zeros((len(here), 2, 3))
         J[:, :, :2] = -back
         J[:, 0, 2], J[:, 1, 2] = here[:, 1], -here[:, 0]
-        own = M @ p.spread_before @ M.T
-        S = (back @ own @ back.T + J @ p.covariance @ J.transpose(0, 2, 1))[:, None] + (M @ p.spread_after @ M.T)[None]
-        nu = here[:, None] - (p.after @ M.T)[None]
+        S = (back @ p.spread_before @ back.T + J @ p.covariance @ J.transpose(0, 2, 1))[:, None] + p.spread_after[None]
+        nu = here[:, None] - p.after[None]
         d2 = np.einsum("mki,mki->mk", nu, np.linalg.solve(S, nu[..., None])[..., 0])
         total += float(np.minimum(d2.min(axis=1), ROBUST).sum())
         count += len(here)
@@ -179,11 +210,9 @@ def side_of_bearings(inputs: Inputs) -> Verdict | None:
     """The side of bearings (or of y) under which what is observed moves as odometry turns; None: too little to tell."""
     if not inputs.sensor.sees_points or inputs.sensor.kind not in (RELATIVE_POINT, RANGE_BEARING):
         return None
-    # a mounting is part of the sensor's model; the reflection is of what the sensor states
-    if inputs.sensor.rotation or any(inputs.sensor.translation):
-        return None
-    pairs = _pairs(inputs, inputs.increments, _ends(inputs))
-    fit = {name: _fit(pairs, M) for name, M in REFLECTIONS.items()}
+    ends = _ends(inputs)
+    read = {AS_STATED: inputs, **{name: _reflected(inputs, name) for name in REFLECTIONS}}
+    fit = {name: _fit(_pairs(one, one.increments, ends)) for name, one in read.items()}
     count = fit[AS_STATED][1]
     if count < FEWEST:
         return None
@@ -199,10 +228,16 @@ def order_by_observations(log: Log) -> Verdict | None:
     if not inputs.sensor.sees_points or not _may_be_reordered(log):
         return None
     ends, steps = _ends(inputs), _steps(log)
-    fit = {name: _fit(_pairs(inputs, reordered(u, share, steps), ends), np.eye(2)) for name, share in ORDERS.items()}
-    count = fit[ARC][1]
+
+    def fit(share: float) -> tuple[float, int]:
+        return _fit(_pairs(inputs, reordered(u, share, steps), ends))
+
+    fits = {name: fit(share) for name, share in ORDERS.items()}
+    count = fits[ARC][1]
     if count < FEWEST:
         return None
-    best = min(fit, key=lambda name: fit[name][0])
-    gain = 0.5 * (fit[ARC][0] - fit[best][0]) / max(0.5 * fit[best][0] / count, 1.0)
-    return Verdict(best, gain) if gain > CLEAR_UNSEEN else Verdict(ARC, 0.0)
+    best = min(fits, key=lambda name: fits[name][0])
+    gain = 0.5 * (fits[ARC][0] - fits[best][0]) / max(0.5 * fits[best][0] / count, 1.0)
+    if gain <= CLEAR_UNSEEN or fit(2.0 * ORDERS[best])[0] < fits[best][0]:  # else another cause, as a wrong mounting
+        return Verdict(ARC, 0.0)
+    return Verdict(best, gain)

@@ -100,7 +100,7 @@ def is_world(name: str) -> bool:
 
 def unknown_world(name: str) -> str:
     """The hint of a message about a name that is neither a file nor a world."""
-    return meant(name, ["victoria-park", *registry.SIMULATORS])
+    return meant(name, ["victoria-park", *registry.SIMULATORS, *(f"{world}:0" for world in registry.SIMULATORS)])
 
 
 def _open_file(path: Path, reading: Reading) -> Log:

@@ -213,9 +213,11 @@ def prior(log: Log) -> list[Notice]:
     if inputs.map is None or len(inputs.map.id) == 0:
         return []
     hit = explained(inputs)
-    if len(hit) < FEWEST or hit.mean() >= EXPLAINED:
+    if len(hit) < FEWEST or hit.mean() >= EXPLAINED or side(log):
         return []
     first = None if log.truth.pose is None else log.truth.pose[0]
+    if first is not None and as_pose(first) == as_pose(inputs.prior.mean):
+        first = None  # as stated
     low, high = inputs.map.xy.min(axis=0).tolist(), inputs.map.xy.max(axis=0).tolist()
     known = first is not None and bool(np.isfinite(first).all())
     mends = False
@@ -351,7 +353,9 @@ def side(log: Log) -> list[Notice]:
         key = "observations.bearing" if "observations.bearing" in given else "bearing"
         unit = str(given.get(key, given.get("angle", "rad")))
         other = unit.removeprefix("-") if unit.startswith("-") else f"-{unit}"
-        flags = (f"--unit {key}={other}", *(("--sensor-pose=0,0,90deg",) if found.name == SWAPPED else ()))
+        sensor = log.recorded.sensor
+        turned = inverse(np.array([*sensor.translation, sensor.rotation])) + np.array([0.0, 0.0, 0.5 * np.pi])
+        flags = (f"--unit {key}={other}", *((f"--sensor-pose={as_pose(turned)}",) if found.name == SWAPPED else ()))
     elif found.name == SWAPPED:
         x, y = (_name(log, q) for q in ("x", "y"))
         flags = (f"--columns observations.x={y},observations.y={x}",)

@@ -24,6 +24,8 @@ RANGE_BEARING = 0
 RELATIVE_POINT = 1
 LINE = 2
 
+BLIND = 10.0
+"""Sigma of a range over the range, from which an observation is a bearing alone."""
 MIN_RANGE = 1e-6
 """m. A nearer landmark has no direction: its Jacobians are zero, so it carries no information."""
 
@@ -272,6 +274,12 @@ class Sensor:
         if self.kind != RELATIVE_POINT:
             return z
         return np.stack([np.hypot(z[..., 0], z[..., 1]), np.arctan2(z[..., 1], z[..., 0])], axis=-1)
+
+    def bearings_alone(self, z: Array, R: Array) -> BoolArray:
+        """Which observations (M, 2) with covariances (M, 2, 2) measure no range."""
+        if self.kind != RANGE_BEARING:
+            return np.zeros(len(z), bool)
+        return np.asarray(np.sqrt(R[:, 0, 0]) > BLIND * z[:, 0])
 
     def in_view(self, z: Array, *, margin_range: Array | float = 0.0, margin_angle: Array | float = 0.0) -> BoolArray:
         """Whether measurements (m, 2) lie in the field of view, widened by the margins [m, rad]."""

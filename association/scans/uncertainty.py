@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import heapq
 import math
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import numba
 import numpy as np
@@ -32,6 +32,7 @@ class PoseEdges:
         self._covariance = np.zeros((64, 3, 3))
         self._next = np.zeros((64, 2), np.int64)
         self._head = np.full(64, -1, np.int64)
+        self._work = _work(64)
 
     def add(self, key1: int, key2: int, relative: Array, covariance: Array) -> None:
         """Pose (3,) of key2 in the frame of key1, covariance (3, 3) of its additive error."""
@@ -47,16 +48,36 @@ class PoseEdges:
         self._head[key1] = self._head[key2] = e
         self._count += 1
 
-    def project(self, root: int, keys: int, wanted: IntArray | None = None) -> Array:
-        """Covariances (keys, 3, 3) of each key's pose in the frame of `root`, infinite where there is no path.
-
-        With `wanted` keys it ends when these are known; the others may be infinite, too.
+    def project(self, root: int, wanted: IntArray) -> Array:
+        """Covariances (W, 3, 3) of the poses of `wanted` keys (W,) in the frame of `root`, infinite where there is no
+        path. It ends when these are known: what others cost is not paid.
 
         Each is propagated along the path of least summed variance (Dijkstra 1959): an upper bound of the covariance by
         all paths together.
         """
-        ends = np.arange(keys) if wanted is None else np.unique(wanted)
-        return _project(root, keys, ends, self._head, self._next, self._keys, self._relative, self._covariance)
+        keys = len(self._head)
+        if keys > len(self._work.cost):
+            self._work = _work(keys)
+        edges = (self._head, self._next, self._keys, self._relative, self._covariance)
+        return _project(root, wanted, *edges, self._work)
+
+
+class Work(NamedTuple):
+    """Arrays by key that every search finds clean, and leaves clean: their size is no cost of a search."""
+
+    result: Array
+    pose: Array
+    done: BoolArray
+    cost: Array
+    edge: IntArray
+    asked: BoolArray
+
+
+def _work(keys: int) -> Work:
+    return Work(
+        np.full((keys, 3, 3), np.inf), np.zeros((keys, 3)), np.zeros(keys, np.bool_), np.full(keys, np.inf),
+        np.full(keys, -1, np.int64), np.zeros(keys, np.bool_),
+    )  # fmt: skip
 
 
 def compose_covariances(pose: Array, covariance: Array, motion: Array, motion_covariance: Array) -> Array:
@@ -82,24 +103,22 @@ def _doubled(array: AnyArray) -> AnyArray:
 @numba.njit(cache=True)
 def _project(
     root: int,
-    keys: int,
     wanted: IntArray,
     head: IntArray,
     following: IntArray,
     ends: IntArray,
     relative: Array,
     covariance: Array,
+    work: Work,
 ) -> Array:
-    result, pose = np.empty((keys, 3, 3)), np.zeros((keys, 3))
-    done, cost, edge = np.zeros(keys, np.bool_), np.empty(keys), np.empty(keys, np.int64)
-    for k in range(keys):
-        result[k], cost[k], edge[k] = np.inf, np.inf, -1
+    result, pose, done, cost, edge, asked = work
     cost[root] = 0.0
     heap = [(0.0, root)]
-    asked = np.zeros(keys, np.bool_)
+    touched = [root]
+    left = 0
     for k in wanted:
+        left += not asked[k]
         asked[k] = True
-    left = len(wanted)
     z = np.zeros(3)
     C = np.zeros((3, 3))
     while len(heap) > 0:
@@ -125,15 +144,23 @@ def _project(
         while e >= 0:
             side = 0 if ends[e, 0] == a else 1
             b = ends[e, 1 - side]
-            if b < keys and not done[b]:
+            if not done[b]:
                 V = covariance[e]
                 total = so_far + V[0, 0] + V[1, 1] + LEVER * LEVER * V[2, 2]
                 if total < cost[b]:
+                    if edge[b] < 0:
+                        touched.append(b)
                     cost[b] = total
                     edge[b] = e
                     heapq.heappush(heap, (total, b))
             e = following[e, side]
-    return result
+    found = np.empty((len(wanted), 3, 3))
+    for i in range(len(wanted)):
+        found[i] = result[wanted[i]]
+        asked[wanted[i]] = False
+    for k in touched:
+        result[k], pose[k], done[k], cost[k], edge[k] = np.inf, 0.0, False, np.inf, -1
+    return found
 
 
 @numba.njit(cache=True)
@@ -150,14 +177,15 @@ def _invert(pose: Array, covariance: Array, z: Array, C: Array) -> None:
             C[i, j] = u0 * J[j][0] + u1 * J[j][1] + u2 * J[j][2]
 
 
-def nearest_first(distance: Array, apart: int, most: int) -> IntArray:
-    """Numbers of the smallest finite distances (K,), at most `most`, no two of them within `apart` of each other."""
+def nearest_first(keys: IntArray, distance: Array, apart: int, most: int) -> IntArray:
+    """Of ascending keys (K,) those of the smallest finite distances (K,): at most `most`, no two within `apart`."""
     chosen: list[int] = []
-    for k in np.argsort(distance, kind="stable"):
-        if len(chosen) == most or not np.isfinite(distance[k]):
+    for i in np.argsort(distance, kind="stable"):
+        key = int(keys[i])
+        if len(chosen) == most or not np.isfinite(distance[i]):
             break
-        if all(abs(int(k) - c) >= apart for c in chosen):
-            chosen.append(int(k))
+        if all(abs(key - c) >= apart for c in chosen):
+            chosen.append(key)
     return np.array(chosen, np.int64)
 
 

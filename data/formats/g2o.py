@@ -343,7 +343,10 @@ def _placed(graph: Graph, at: dict[int, int], path: Array, notes: list[str]) -> 
         lost = np.unique(rays.ends[~known, 1])
         shown = ", ".join(f"{i} ({np.degrees(found.parallax[i]):.2g} deg)" for i in lost[:SHOWN].tolist())
         missing = f"{len(lost)} landmarks have no place (no VERTEX_XY): {shown}{', ...' if len(lost) > SHOWN else ''}"
-        needed = f"their bearings need {np.degrees(PARALLAX):.0f} deg of parallax, or a VERTEX_XY near the truth"
+        needed = (
+            f"rays that cross ahead of the robot at {np.degrees(PARALLAX):.0f} deg, or a VERTEX_XY near the truth, are "
+            "needed"
+        )
         if not known.any() and not len(graph.observation):
             raise DataError.at(graph.path, f"{BEARING}: {missing}; {needed}", line=int(rays.line[0]))
         notes.append(f"{missing}; {needed}; {int((~known).sum())} bearings are left out")
@@ -377,7 +380,7 @@ def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
     if loops:
         notes.append(
             f"{loops} {MOTION} outside the chain of poses (loop closures) became reference relations for scoring; no "
-            "estimator sees them, and slamref audit optimizes the graph"
+            f"estimator sees them, and slamref audit {graph.path.name} optimizes the graph"
         )
     if len(graph.fixed) and graph.fixed.tolist() != [int(ids[0])]:
         notes.append(f"FIX {' '.join(map(str, graph.fixed.tolist()[:5]))}: the first pose is fixed instead")

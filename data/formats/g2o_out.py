@@ -15,7 +15,6 @@ from data.formats.g2o import BEARING, FIX, MOTION, OBSERVATION, POINT, POSE
 from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.se2 import Array
-from data.sensors import RANGE_BEARING
 from data.truth import Relations
 
 
@@ -47,8 +46,6 @@ def _line(tag: str, ids: Sequence[int], values: Iterable[float]) -> str:
     return " ".join([tag, *map(str, ids), *(repr(float(v)) for v in values)])
 
 
-BLIND = 10.0
-"""Sigma over range from which an observation is written as a bearing alone."""
 Edge = tuple[str, int, int, Array, Array]
 
 
@@ -147,9 +144,7 @@ def graph_text(
         measured = zip(rows, closures.relative, closures.covariance, strict=True)
         edges += [(MOTION, own[i], own[j], relative, P) for (i, j), relative, P in measured]
     points, spread = inputs.sensor.body_points(o.z, o.R) if len(o.frame) else (o.z, o.R)
-    blind = np.zeros(len(o.frame), bool)
-    if inputs.sensor.kind == RANGE_BEARING and not any(inputs.sensor.translation):
-        blind = np.sqrt(o.R[:, 0, 0]) > BLIND * o.z[:, 0]
+    blind = inputs.sensor.bearings_alone(o.z, o.R) & (not any(inputs.sensor.translation))
     for i in np.flatnonzero(estimate.of >= 0).tolist():
         ends = own[int(o.frame[i])], vertex[int(estimate.of[i])]
         if blind[i]:

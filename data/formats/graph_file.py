@@ -1,4 +1,4 @@
-"""Files of factor graphs, in the plane and in space: g2o and Toro. Lines are kept, so that a graph can be written back.
+"""Files of factor graphs, in the plane and in space: g2o, Toro, iSAM. Lines are kept for writing.
 
     VERTEX_SE2 | VERTEX2 id x y theta                              VERTEX_XY id x y
     VERTEX_SE3:QUAT id x y z qx qy qz qw                           VERTEX_TRACKXYZ id x y z
@@ -8,10 +8,11 @@
     BR i l bearing range sigma sigma                               PARAMS_SE3OFFSET id x y z qx qy qz qw
     EDGE_SE3:QUAT i j x y z qx qy qz qw I (21)                     EDGE3 i j x y z roll pitch yaw I (21)
     EDGE_SE3_TRACKXYZ i l parameter x y z I (6)
+    ODOMETRY i j x y theta P11 P12 P13 P22 P23 P33                 LANDMARK i l x y P11 P12 P22
 
-I: information, upper triangle row by row; in space translation first. As gtsam's reader, and unlike g2o, the rotation's
-information is of the angle, not of the quaternion's half angle. Poses and points have ids of their own. An edge
-without information has the identity. An EDGE2 that is not definite in Toro's order is read as an EDGE_SE2.
+I: information, P: covariance, upper triangle row by row; in space translation first. As gtsam's reader, and unlike g2o,
+the rotation's information is of the angle, not of the quaternion's half angle. Poses and points have ids of their own.
+An edge without information has the identity. An EDGE2 that is not definite in Toro's order is read as an EDGE_SE2.
 """
 
 from __future__ import annotations
@@ -36,9 +37,11 @@ VERTICES = {
 EDGES = {
     "EDGE_SE2": (3, 3, POSE2, POSE2), "EDGE2": (3, 3, POSE2, POSE2), "EDGE_SE2_XY": (2, 2, POSE2, POINT2),
     "LANDMARK2": (2, 2, POSE2, POINT2), "EDGE_BEARING_SE2_XY": (1, 1, POSE2, POINT2), "BR": (2, 2, POSE2, POINT2),
+    "ODOMETRY": (3, 3, POSE2, POSE2), "LANDMARK": (2, 2, POSE2, POINT2),
     "EDGE_SE3:QUAT": (7, 6, POSE3, POSE3), "EDGE3": (6, 6, POSE3, POSE3), "EDGE_SE3_TRACKXYZ": (3, 3, POSE3, POINT3),
 }  # fmt: skip
 """Measured values, residuals, and the kinds of both ends."""
+COVARIANCES = ("ODOMETRY", "LANDMARK")  # tags of text of iSAM that state covariances, as gtsam reads them
 TORO = [0, 1, 4, 2, 5, 3]  # places of I11 I12 I13 I22 I23 I33 among the six of an EDGE2
 UNIT = 1e-3  # largest difference of a quaternion's norm from 1
 
@@ -158,9 +161,12 @@ def _edge(path: Path, line: int, tag: str, fields: list[str]) -> Edge:
         information = _symmetric(stated[TORO] if tag == "EDGE2" and toro else stated, d)
         if not _definite(information):
             value = float(np.linalg.eigvalsh(information)[0])
-            what = f"{tag}: its information matrix is not positive definite (least eigenvalue {value:.3g})"
+            matrix = "covariance" if tag in COVARIANCES else "information matrix"
+            what = f"{tag}: its {matrix} is not positive definite (least eigenvalue {value:.3g})"
             hint = "; it would be in Toro's order I11 I12 I22 I33 I13 I23, as of an EDGE2" if toro else ""
             raise DataError.at(path, what + hint, line=line)
+        if tag in COVARIANCES:
+            information = np.asarray(np.linalg.inv(information), float)
     return Edge(tag, (keys[0], keys[1]), _pose(path, line, tag, values[:measured]), information, line, *keys[2:])
 
 
@@ -202,7 +208,8 @@ def with_information(graph: GraphFile, information: dict[int, Array], left_out: 
             measured, d, *_ = EDGES[edge.tag]
             words = lines[edge.line - 1].split("#")[0].split()
             keep = words[: 1 + (3 if edge.tag == "EDGE_SE3_TRACKXYZ" else 2) + measured]
-            entries = information[k][np.triu_indices(d)]
+            stated = np.linalg.inv(information[k]) if edge.tag in COVARIANCES else information[k]
+            entries = stated[np.triu_indices(d)]
             if edge.tag == "BR":
                 entries = 1.0 / np.sqrt(np.diagonal(information[k]))
             elif edge.tag == "EDGE2":

@@ -30,7 +30,7 @@ def door(name: str) -> list[str] | None:
 KINDS = {
     **dict.fromkeys((".bag", ".mcap", ".db3"), "a ROS bag; type slamref convert rosbag {file} LOG"),
     **dict.fromkeys(
-        (".g2o", ".graph", ".toro"), "a pose graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
+        (".g2o", ".graph", ".toro"), "a graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
     ),
     **dict.fromkeys(
         (".csv", ".tsv", ".txt"), "a table; type slamref convert table {file} LOG (--help names its flags)"
@@ -41,6 +41,8 @@ KINDS = {
     ".py": "a Python file; type slamref run LOG --estimator {file}:CLASS",
 }
 """By suffix: what a file is that is no log, and the command that takes it."""
+
+GRAPHS = (".g2o", ".graph", ".toro", ".txt")  # suffixes of files of graphs
 
 
 def what_to_type(path: Path) -> str:
@@ -58,7 +60,23 @@ def what_to_type(path: Path) -> str:
         return f"a ROS bag; type slamref convert rosbag {file} LOG" * (path / "metadata.yaml").is_file()
     if path.suffix.lower() == ".mat":
         return f"a MATLAB file; type slamref inspect {file}"
-    return KINDS.get(path.suffix.lower(), "").format(file=file)
+    relations, landmarks = _edges_of(path)
+    if relations and not landmarks:
+        return f"a pose graph without observations; slamref audit {file} optimizes it"
+    kind = path.suffix.lower()
+    return KINDS.get(".g2o" if landmarks and kind == ".txt" else kind, "").format(file=file)
+
+
+def _edges_of(path: Path) -> tuple[int, int]:
+    """Numbers of relations of poses and of observations of landmarks in a file of a graph; zeros for any other."""
+    from data.formats.graph_file import EDGES
+
+    if path.suffix.lower() not in GRAPHS or not path.is_file():
+        return 0, 0
+    with path.open(errors="replace") as lines:
+        ends = [EDGES[tag][2:] for tag in (line.split(maxsplit=1)[0] for line in lines if line.strip()) if tag in EDGES]
+    relations = sum(first == second for first, second in ends)
+    return relations, len(ends) - relations
 
 
 def _logs_of(results: Path) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -20,12 +20,12 @@ LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
 LOWER = 1e-6  # relative difference of cost by which a lower minimum is another one
 
 
-def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None = None) -> Run:
+def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> Run:
     """A batch smoother over the final decisions of `front`, started at its path.
 
-    If this finds no minimum, or a suspiciously high one, it also starts from the path of `other`, a run with the same
-    landmark numbers. The lower minimum counts. `gnc` discards rejected pairings, and landmarks without any observation
-    left.
+    If this finds no minimum, or a suspiciously high one, it also starts from the paths of `others` in turn, runs with
+    the same landmark numbers or without a map. The lowest minimum counts. `gnc` discards rejected pairings, and
+    landmarks without any observation left.
     """
     begin = time.perf_counter()
 
@@ -52,7 +52,7 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
             notes.append(notice(Code.OBSERVATIONS_REJECTED, Severity.INFO, observations=rejected))
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
-            result = _lowest(inputs, final, initialized, start, LOSSES[name], other)
+            result = _lowest(inputs, final, initialized, start, LOSSES[name], others)
     except UnderConstrained as stop:
         return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
@@ -69,15 +69,22 @@ def batch(name: str, inputs: Inputs, front: Run, other: Callable[[], Run] | None
 
 
 def _lowest(
-    inputs: Inputs, final: IntArray, initialized: IntArray, start: Start, loss: str, other: Callable[[], Run] | None
+    inputs: Inputs,
+    final: IntArray,
+    initialized: IntArray,
+    start: Start,
+    loss: str,
+    others: Sequence[Callable[[], Run]],
 ) -> Smoothed:
-    """The minimum from `start`, or a lower one from the path of another run."""
+    """The minimum from `start`, or the lowest of those from the paths of other runs, as long as it is suspicious."""
     result, stop = None, None
     try:
         result = smooth(inputs, final, initialized, start, loss=loss)
     except NotConvergedError as fault:
         stop = fault
-    if other is not None and (result is None or result.suspect):
+    for other in others:
+        if result is not None and not result.suspect:
+            break
         run = other()
         if run.failure is None and run.online is not None:
             try:

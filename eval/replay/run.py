@@ -346,10 +346,10 @@ class _Comparison:
 
     def _batch(self, name: str) -> Run:
         if self.association != "known":
-            first = batch(name, self.inputs, self._ahead("isam2" if "isam2" in self.estimators else "ekf"), None)
+            first = batch(name, self.inputs, self._ahead("isam2" if "isam2" in self.estimators else "ekf"))
             if first.failure is None or "isam2" not in self.estimators:
                 return first
-            second = batch(name, self.inputs, self._ahead("ekf"), None)
+            second = batch(name, self.inputs, self._ahead("ekf"))
             return second if second.failure is None else first
         # also where isam2 was asked for; the iterated filter's path is better where the plain one gets lost
         fronts = (self._ahead(front) for front in ("ekf", "ekf-iterated", "isam2"))
@@ -357,7 +357,9 @@ class _Comparison:
         if not self.setup.gate_smoothers:
             decisions, created = known_decisions(self.inputs)
             front = replace(front, decisions=decisions, final_decisions=decisions, created=created, begun=None)
-        return batch(name, self.inputs, front, lambda: self._ahead("ekf-iterated"))
+        return batch(
+            name, self.inputs, front, lambda: self._ahead("ekf-iterated"), lambda: self._ahead("dead-reckoning")
+        )
 
 
 MOST_WORK = 3e7

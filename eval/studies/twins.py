@@ -140,6 +140,8 @@ def twin(source: Source, seed: int) -> Log:
         if r.sensor.kind != RELATIVE_POINT:
             z[seen, 0] = np.abs(z[seen, 0])  # a range is not negative
             z[seen, 1] = se2.wrap_angle(z[seen, 1])
+        alone = r.sensor.bearings_alone(o.z, o.R)
+        z[alone, 0] = o.z[alone, 0]  # not measured, so not drawn: a place to linearize at
     recorded = replace(
         r if source.task == "localization" else r.without_map(),
         prior=Prior(mean, r.prior.covariance),

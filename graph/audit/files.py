@@ -94,7 +94,7 @@ def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
         edge.information[np.ix_(LAST_FIRST, LAST_FIRST)] if spatial else edge.information
     )
     model = N.Robust.Create(N.mEstimator.Cauchy.Create(CAUCHY), model) if robust else model
-    if edge.tag in ("EDGE_SE2", "EDGE2"):
+    if edge.tag in ("EDGE_SE2", "EDGE2", "ODOMETRY"):
         return gtsam.BetweenFactorPose2(i, j, pose2(z), model)
     if spatial:
         return gtsam.BetweenFactorPose3(i, j, pose3(z), model)

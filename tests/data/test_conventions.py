@@ -38,7 +38,7 @@ def rows(table):
 def converted(tmp_path):
     """A robot on a circle with exact readings, at 10 Hz; `converted(order, *flags)` is its log."""
 
-    def run(order, *flags, truth=True, sign=1.0, swing=False, steps=300):
+    def run(order, *flags, truth=True, sign=1.0, swing=False, steps=300, blur=0.0, every=1, known=False):
         landmarks = np.random.default_rng(0).uniform(-15.0, 15.0, (30, 2)) + [0.0, 10.0]
         pose, poses, readings, seen = np.zeros(3), [np.zeros(4)], [], []
         for k in range(steps):
@@ -53,7 +53,9 @@ def converted(tmp_path):
         readings.append((steps * PERIOD, SPEED, TURN))
         (tmp_path / "odo.csv").write_text("t,v,omega\n" + rows(readings))
         (tmp_path / "seen.csv").write_text("t,range,bearing\n" + rows(seen))
-        (tmp_path / "truth.csv").write_text("t,x,y,theta\n" + rows(poses))
+        noise = np.random.default_rng(1).normal(size=(len(poses), 4)) * [0.0, blur, blur, 0.3 * blur]
+        (tmp_path / "truth.csv").write_text("t,x,y,theta\n" + rows((np.array(poses) + noise)[::every]))
+        (tmp_path / "map.csv").write_text("x,y\n" + rows(landmarks))
         words = [
             "table",
             str(tmp_path / "odo.csv"),
@@ -62,6 +64,7 @@ def converted(tmp_path):
             str(tmp_path / "seen.csv"),
         ]
         words += ["--truth", str(tmp_path / "truth.csv"), "--prior", "truth"] if truth else []
+        words += ["--map", str(tmp_path / "map.csv")] if known else []
         assert main([*words, *SIGMAS, "--prior-sigma", ".01,.01,.3deg", *flags]) == 0
         return load_folder(tmp_path / "log")
 
@@ -82,6 +85,21 @@ def test_the_order_of_turning_and_driving_is_named_and_its_flag_makes_the_log_ex
     assert asked(mended) == {}
     path = slamref.compare(mended.inputs(), "slam", ["dead-reckoning"], "nn")[0].trajectory("online").pose
     assert np.abs(path[:, :2] - mended.truth.pose[:, :2]).max() < 1e-6
+
+
+@pytest.mark.parametrize("order", ["turn-first", "drive-first"])
+@pytest.mark.parametrize("truth", [{"blur": 0.015}, {"every": 5}])
+def test_noisy_or_rare_true_poses_tell_over_several_frames(order, truth, converted):
+    """Seen, with a map: NEES 64 with noise of 2 cm, 92 with every fifth pose, and no question."""
+    found = asked(converted(order, **truth))[Code.INTEGRATION]
+    assert (found["order"], found["by_truth"]) == (order, True)
+    assert asked(converted("arc", **truth)) == {}
+
+
+def test_a_wrong_mounting_is_not_taken_for_another_order(converted):
+    """Seen: a sensor stated 0.2 m farther ahead was called drive-first. Its sideways slip has another size."""
+    for forward in ("0.35,0,0", "-0.35,0,0"):
+        assert Code.INTEGRATION not in asked(converted("arc", "--sensor-pose", forward, truth=False))
 
 
 @pytest.mark.parametrize("order", ["turn-first", "drive-first"])
@@ -154,6 +172,26 @@ def test_the_flag_of_clockwise_bearings_mends_them(converted):
     (flag,) = asked(log)[Code.MIRRORED]["flags"]
     assert flag == "--unit bearing=-rad"
     assert asked(converted("arc", *flag.split(), truth=False, sign=-1.0, swing=True)) == {}
+
+
+def test_clockwise_bearings_of_a_mounted_sensor_are_named_and_its_pose_stays(converted):
+    """Seen: no question of a sensor with a pose of its own."""
+    log = converted("arc", truth=False, sign=-1.0, swing=True)
+    sensor = replace(log.recorded.sensor, translation=(-0.2, 0.0))
+    mounted = replace(log, recorded=replace(log.recorded, sensor=sensor))
+    assert asked(mounted)[Code.MIRRORED]["flags"] == ("--unit bearing=-rad",)
+    o = mounted.recorded.observations
+    z = np.column_stack([o.z[:, 0], (0.5 * np.pi + o.z[:, 1] + np.pi) % (2.0 * np.pi) - np.pi])
+    swapped = replace(mounted.recorded, observations=replace(o, z=z))
+    flags = asked(replace(mounted, recorded=swapped))[Code.MIRRORED]["flags"]
+    assert flags == ("--unit bearing=-rad", "--sensor-pose=0.2,0,90deg")
+
+
+def test_a_prior_is_not_blamed_for_clockwise_bearings(converted):
+    """Seen: asked to state the prior that was stated, `--prior=0,0,0deg`."""
+    found = {q.code for q in ask(converted("arc", sign=-1.0, swing=True, known=True))}
+    assert Code.MIRRORED in found
+    assert Code.PRIOR not in found
 
 
 @pytest.mark.parametrize(

@@ -247,7 +247,9 @@ def factor(dimension: str, text: str, where: str) -> float:
     if over not in units or bool(slash) != bool(per) or (per and under not in TIME):
         example = f"{next(iter(units))}/s" if per else ", ".join([*units, ISO] if kind == "time" else units)
         what = f"of {', '.join(units)} per {', '.join(TIME)}, as in {example}," if per else f"one of {example}"
-        raise UsageError(f"{where}: unknown unit {text!r}{did_you_mean(over, units)}; {what} is needed")
+        known = [f"{unit}/{time}" for time in TIME for unit in units] if per else units
+        hint = f" (did you mean {over}/s?)" if per and unit in units else did_you_mean(unit, known)
+        raise UsageError(f"{where}: unknown unit {text!r}{hint}; {what} is needed")
     return sign * units[over] / (TIME[under] if per else 1.0)
 
 

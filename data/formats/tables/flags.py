@@ -159,7 +159,7 @@ def settle(given: Given) -> Wanted:
         files=files,
         columns=columns,
         kind=kind,
-        wheels=_wheels(given) if kind == "ticks" else None,
+        wheels=_wheels(given, kind),
         noise=_noise(given, kind),
         model=_model(given, kind),
         sigma=_observation_sigma(given, polar=polar),
@@ -201,7 +201,12 @@ def _one_of(given: Given, flag: str, known: Sequence[str]) -> str:
     return value
 
 
-def _wheels(given: Given) -> Wheels:
+def _wheels(given: Given, kind: str) -> Wheels | None:
+    if kind != "ticks":
+        for flag in ("track-width", "metres-per-tick", "tick-wrap", "ticks"):
+            if flag in given:
+                raise UsageError(f"--{flag} {given[flag]}: of wheel ticks; the odometry has {kind}")
+        return None
     if "track-width" not in given or "metres-per-tick" not in given:
         raise UsageError("wheel ticks: --track-width M and --metres-per-tick M (or LEFT,RIGHT) are needed")
     width = float(numbers(given["track-width"], ("length",), "track-width", "the distance between the wheels")[0])

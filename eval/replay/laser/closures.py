@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import takewhile
 
@@ -13,7 +15,7 @@ from association.scans.matching import MotionPrior, NearestGrid, Pyramid, best_p
 from association.scans.occupancy import contradiction
 from association.scans.points import Points
 from association.scans.uncertainty import PoseEdges, compose_covariances, inverse_covariance, nearest_first
-from data.inputs import Scanner
+from data.inputs import IntArray, Scanner
 from data.se2 import Array, between, compose, inverse, transform_points, wrap_angle
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.tracker import rotated
@@ -44,6 +46,42 @@ class Closure:
     refused: bool = False
 
 
+class Places:
+    """Points in the plane by their cells, so that those around one are found whatever the number of all."""
+
+    def __init__(self, reach: float) -> None:
+        """`reach` [m]: how far `around` looks, and the size of a cell."""
+        self.reach = reach
+        self._xy: list[list[float]] = []
+        self._cells: dict[tuple[int, int], list[int]] = defaultdict(list)
+
+    def __len__(self) -> int:
+        return len(self._xy)
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._xy.clear()
+        self._cells.clear()
+
+    def add(self, xy: Array) -> None:
+        """Points (n, 2) [m], numbered on."""
+        cells = np.floor(xy / self.reach).astype(int).tolist()
+        for k, (i, j) in enumerate(cells, start=len(self._xy)):
+            self._cells[i, j].append(k)
+        self._xy += xy.tolist()
+
+    def around(self, centre: int, last: int) -> tuple[IntArray, Array]:
+        """Numbers (n,) up to `last`, ascending, of points within reach of one, and their distances (n,)."""
+        x, y = self._xy[centre]
+        i, j = math.floor(x / self.reach), math.floor(y / self.reach)
+        cells = [self._cells.get((i + di, j + dj), []) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
+        near = sorted(k for cell in cells for k in cell if k <= last)
+        off = np.array([self._xy[k] for k in near]).reshape(-1, 2) - (x, y)
+        apart = np.hypot(off[:, 0], off[:, 1])
+        within = apart <= self.reach
+        return np.array(near, np.int64)[within], apart[within]
+
+
 class LoopCloser:
     """Finds loop closures of each new key pose, and accepts them."""
 
@@ -57,7 +95,7 @@ class LoopCloser:
         self._grid = NearestGrid(parameters.max_range + 2.0, 0.3)
         self._pyramids: dict[int, Pyramid] = {}
         self._poses = np.zeros((0, 3))
-        self.centres = np.zeros((0, 2))
+        self._places = Places(parameters.loop_distance + 2.0 * parameters.widest)
 
     def add_key(self, ranges: Array, points: Points, motion: Array, covariance: Array) -> None:
         """Add a key pose: its scan, and the motion from the key pose before (unused for the first)."""
@@ -68,32 +106,42 @@ class LoopCloser:
         centre = points.xy[near].mean(axis=0) if near.any() else np.zeros(2)
         self._keys.append(KeyScan(ranges, points, centre))
         self._motion.append(motion)
-        self.centres = np.concatenate([self.centres, centre[None]])
+
+    def moved(self, poses: Array) -> None:
+        """All key poses (K, 3) are estimated anew."""
+        self._places.clear()
+        self._place(poses)
+
+    def _place(self, poses: Array) -> None:
+        """Enter the centres of scans that are not yet among the places."""
+        centres = np.array([k.centre for k in self._keys[len(self._places) :]])
+        self._places.add(transform_points(poses[len(self._places) :], centres))
 
     def find(self, poses: Array) -> list[Closure]:
-        """Loop closures accepted now, given all key poses (K, 3)."""
+        """Loop closures accepted now, given all key poses (K, 3); after a new estimate `moved` comes first."""
         p = self.parameters
         self._poses = poses
+        self._place(poses)
         newest = len(self._keys) - 1
         last = newest - p.loop_gap
         if last < 0 or len(self._keys[newest].points.xy) < 10:
             return []
-        world = transform_points(poses, self.centres[: newest + 1])
-        apart = np.hypot(*(world[: last + 1] - world[newest]).T)
+        old, apart = self._places.around(newest, last)
         # candidates, whatever their uncertainty: the nearest, if these are enough; others follow from it
-        chosen = nearest_first(np.where(apart <= p.loop_distance, apart, np.inf), p.loop_apart, p.loops_per_key)
+        chosen = nearest_first(old, np.where(apart <= p.loop_distance, apart, np.inf), p.loop_apart, p.loops_per_key)
         recent = np.arange(max(newest - p.wait, 0), newest + 1)
         enough = len(chosen) == p.loops_per_key
-        near = chosen if enough else np.flatnonzero(apart <= p.loop_distance + 2.0 * p.widest)
-        covariance = self.edges.project(newest, newest + 1, np.concatenate([near, recent]))
+        near = chosen if enough else old
+        wanted = np.concatenate([near, recent])
+        known = self.edges.project(newest, wanted)
         if not enough:
-            spread = np.sqrt(covariance[: last + 1, 0, 0] + covariance[: last + 1, 1, 1])
-            distance = np.full(last + 1, np.inf)
-            distance[near] = np.where(apart[near] <= p.loop_distance + 2.0 * spread[near], apart[near], np.inf)
-            chosen = nearest_first(distance, p.loop_apart, p.loops_per_key)
+            spread = np.sqrt(known[: len(old), 0, 0] + known[: len(old), 1, 1])
+            distance = np.where(apart <= p.loop_distance + 2.0 * spread, apart, np.inf)
+            chosen = nearest_first(old, distance, p.loop_apart, p.loops_per_key)
+        covariance = dict(zip(wanted.tolist(), known, strict=True))
         found: list[Closure] = []
         for key in chosen:
-            closure = self._close(int(key), newest, poses, covariance[key])
+            closure = self._close(int(key), newest, poses, covariance[int(key)])
             (self.candidates if closure.refused else found).append(closure)
         return self._believe(found, covariance)
 
@@ -144,7 +192,7 @@ class LoopCloser:
                 normal.append(rotated(float(pose[2]), self._keys[k].points.normal))
         return Points(np.concatenate(xy), np.concatenate(normal))
 
-    def _believe(self, found: list[Closure], from_newest: Array) -> list[Closure]:
+    def _believe(self, found: list[Closure], from_newest: Mapping[int, Array]) -> list[Closure]:
         """Accept new and waiting closures that agree in pairs (Olson 2009)."""
         p = self.parameters
         newest = len(self._keys) - 1
@@ -158,7 +206,8 @@ class LoopCloser:
                     continue
                 if from_key1 is None:
                     late = takewhile(lambda c: newest - c.key2 <= p.wait, reversed(self.candidates))
-                    from_key1 = self.edges.project(new.key1, newest + 1, np.array([c.key1 for c in late]))
+                    first = np.unique([c.key1 for c in late])
+                    from_key1 = dict(zip(first.tolist(), self.edges.project(new.key1, first), strict=True))
                 if self._disagreement(new, old, from_key1[old.key1], from_newest[old.key2]) < p.pair_gate:
                     for c in (old, new):
                         if c.believed < 0:

@@ -98,6 +98,7 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
             if waiting and frames[-1] and len(frames) % (1 + len(frames) // AMORTIZED) == 0:
                 graph.update()
                 poses, waiting = graph.poses(), 0
+                closer.moved(poses)
         key[frame] = len(frames) - 1
         since[frame], since_covariance[frame] = tracker.pose, tracker.covariance
         online[frame] = compose(poses[-1], tracker.pose)

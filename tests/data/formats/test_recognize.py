@@ -10,7 +10,7 @@ import pytest
 from scipy.io import savemat
 
 from data.convert.__main__ import main as convert
-from data.formats.recognize import door
+from data.formats.recognize import door, what_to_type
 from eval.inspect import main
 from tests.data.formats.mrclam import world
 
@@ -66,3 +66,14 @@ def test_anything_else_is_left_to_those_who_know(tmp_path: Path) -> None:
     assert door("arena:0") is None
     assert door(str(tmp_path)) is None
     assert door(str(tmp_path / "nothing.mat")) is None
+
+
+def test_a_pose_graph_without_observations_is_sent_to_the_command_that_optimizes_it(tmp_path: Path) -> None:
+    for name, tag in (("a.g2o", "EDGE_SE2"), ("b.graph", "EDGE2"), ("c.txt", "ODOMETRY")):
+        (tmp_path / name).write_text(f"{tag} 0 1 1 0 0 1 0 0 1 0 1\n\n{tag} 0 1 1 0 0 1 0 0 1 0 1\n")
+        said = what_to_type(tmp_path / name)
+        assert said == f"a pose graph without observations; slamref audit {tmp_path / name} optimizes it"
+    (tmp_path / "d.g2o").write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2_XY 0 7 1 1 1 0 1\n")
+    assert "slamref convert g2o" in what_to_type(tmp_path / "d.g2o")
+    (tmp_path / "table.txt").write_text("time x y\n0 1 2\n")
+    assert "slamref convert table" in what_to_type(tmp_path / "table.txt")

@@ -190,6 +190,35 @@ def test_written_with_other_information(written):
     )
 
 
+def gtsams_minimum(path):
+    """Twice the error of gtsam's own reader and optimizer; the first pose is held where it is."""
+    graph, values = gtsam.load2D(str(path))
+    held = gtsam.NonlinearFactorGraph(graph)
+    held.add(gtsam.PriorFactorPose2(0, values.atPose2(0), gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)))
+    return 2.0 * graph.error(gtsam.LevenbergMarquardtOptimizer(held, values).optimize())
+
+
+@pytest.mark.parametrize("name", ["noisyToyGraph.txt", "w100_30.g2o", "w100.graph"])
+def test_pose_graphs_that_gtsam_ships_reach_the_minimum_of_gtsams_own_optimizer(name):
+    path = gtsam.findExampleDataFile(name)
+    graph, values, _ = build(read_graph_file(pathlib.Path(path)))
+    assert 2.0 * graph.error(optimized(graph, values)) == pytest.approx(gtsams_minimum(path), rel=1e-6)
+
+
+def test_text_of_isam_states_covariances_as_gtsam_reads_it(written):
+    known = grid().splitlines()
+    ends = [" ".join(line.split()[1:6]) for line in known if line.startswith("EDGE")]
+    path = written("".join(f"ODOMETRY {e} 0.01 0 0 0.01 0 0.0004\n" for e in ends), "graph.txt")
+    file = read_graph_file(pathlib.Path(path))
+    graph, values, _ = build(file)
+    assert 2.0 * graph.error(optimized(graph, values)) == pytest.approx(gtsams_minimum(path), rel=1e-6)
+    again = written(with_information(file, {0: np.diag([4.0, 5.0, 8.0])}, set()), "again.txt")
+    assert np.allclose(read_graph_file(pathlib.Path(again)).edges[0].information, np.diag([4.0, 5.0, 8.0]))
+    seen = written("ODOMETRY 0 1 1 0 0 1 0 0 1 0 1\nLANDMARK 0 7 2 1 0.04 0 0.25\nLANDMARK 1 7 1 1 0.04 0 0.25\n")
+    edge = read_graph_file(pathlib.Path(seen)).edges[1]
+    assert np.allclose(edge.information, np.diag([25.0, 4.0]))
+
+
 def test_values_without_vertices_follow_the_edges(written):
     text = "".join(line + "\n" for line in grid().splitlines() if line.startswith("EDGE"))
     a, b = opened(written(text), None, draws=0), opened(written(grid()), None, draws=0)

@@ -54,9 +54,10 @@ def recorded(
     glass: Array | None = None,
     noise: float = 0.01,
     stamp: Array | None = None,
+    exact_ranges: Array | None = None,
 ) -> Log:
     """A log of a path (N, 3) with odometry whose increments are `told` (N, 3), those of the path by default, plus
-    noise with the travel as of real wheels. One of `thin` frames has a scan.
+    noise with the travel as of real wheels. One of `thin` frames has a scan, of the walls or as given.
     """
     exact = np.zeros_like(truth)
     exact[1:] = between(truth[:-1], truth[1:])
@@ -66,7 +67,7 @@ def recorded(
     odometry = told + np.stack([along, along, about], axis=1) * rng.standard_normal(truth.shape)
     pose = dead_reckoned(truth[0], odometry)
     frame = np.arange(0, len(truth), thin)
-    ranges = scan_ranges(truth[frame], scanner, BEAMS, walls, glass=glass)
+    ranges = scan_ranges(truth[frame], scanner, BEAMS, walls, glass=glass) if exact_ranges is None else exact_ranges
     ranges = np.maximum(ranges + noise * rng.standard_normal(ranges.shape), 1e-3)
     ranges[ranges >= scanner.max_range] = 0.0
     times = period * np.arange(len(truth), dtype=float) if stamp is None else stamp
@@ -156,7 +157,7 @@ def halls(
         for to in ((spacing * (following + 0.5), y), (spacing * (following + 0.5), depth - y)):
             points.append(np.array(to) + rng.uniform(-0.2, 0.2, 2))
         x = following
-    truth = _through(points, frames)
+    truth = through(points, frames)
     told = np.zeros_like(truth)
     told[1:] = between(truth[:-1], truth[1:])
     told[:, 2] = (told[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
@@ -165,7 +166,7 @@ def halls(
     return recorded(truth, lines, rng, glass=glass, thin=thin, told=told, scanner=scanner)
 
 
-def _through(points: list[Array], frames: int, step: float = 0.12, turn: float = 0.15) -> Array:
+def through(points: list[Array], frames: int, step: float = 0.12, turn: float = 0.15) -> Array:
     """Poses (N, 3) straight from point to point, turned in place."""
     path = [np.array([*points[0], 0.0])]
     for to in points[1:]:

@@ -8,7 +8,7 @@ import pytest
 from association.scans.points import Points, beams_of, scan_points
 from association.scans.uncertainty import PoseEdges
 from data.se2 import between, dead_reckoned
-from eval.replay.laser.closures import Closure, LoopCloser
+from eval.replay.laser.closures import Closure, LoopCloser, Places
 from eval.replay.laser.parameters import LaserParameters
 from tests.association.scans.rooms import ROOM, SCANNER, scan
 
@@ -35,7 +35,7 @@ def closure(found, key1, key2):
 
 def believe(found, *closures):
     newest = len(found._keys) - 1
-    return found._believe(list(closures), found.edges.project(newest, newest + 1))
+    return found._believe(list(closures), dict(enumerate(found.edges.project(newest, np.arange(newest + 1)))))
 
 
 def test_two_of_the_same_key_pose_are_not_believed_though_they_agree():
@@ -162,7 +162,18 @@ def test_uncertainty_of_wanted_key_poses_is_that_of_all_of_them():
     for _ in range(8):
         a, b = sorted(rng.choice(61, 2, replace=False).tolist())
         edges.add(a, b, rng.normal(0.0, 0.3, 3), np.diag(rng.uniform(1e-4, 1e-2, 3)))
-    every, wanted = edges.project(60, 61), np.array([3, 3, 40])
-    some = edges.project(60, 61, wanted)
-    assert some[wanted].tolist() == every[wanted].tolist()
-    assert np.isinf(some).any(), "it ends before the others are known"
+    every = edges.project(60, np.arange(61))
+    for wanted in (np.array([3, 3, 40]), np.array([60]), np.array([0, 59, 7])):
+        assert edges.project(60, wanted).tolist() == every[wanted].tolist(), "one search leaves nothing to the next"
+
+
+def test_points_around_one_are_those_of_a_search_over_all():
+    rng = np.random.default_rng(6)
+    places, xy = Places(3.0), rng.uniform(-10.0, 10.0, (200, 2))
+    for part in (xy[:150], xy[150:]):
+        places.add(part)
+    for centre in range(150, 200):
+        near, apart = places.around(centre, 140)
+        away = np.hypot(*(xy[:141] - xy[centre]).T)
+        assert near.tolist() == np.flatnonzero(away <= 3.0).tolist()
+        np.testing.assert_allclose(apart, away[near])
