@@ -5,7 +5,7 @@ like those in hindsight, in the same graph. The likelihood of a set of decisions
 included, and of the odometry, at the optimum. An observation of no landmark has the density of clutter, uniform in the
 field of view. A landmark with n observations has an unknown position, which is integrated out (Laplace), and the
 likelihood of its detections and missed detections: a duplicate is missed where the landmark is. Where a landmark is
-less likely than n observations of clutter, it counts as these.
+less likely than n observations of clutter, it counts as these. So does one that would not stay in the map.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from data.sensors import RELATIVE_POINT, Sensor
 from ekf.slam import EkfSlam
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.final_association import Reassociation
-from eval.replay.hindsight.persistence import evidence
+from eval.replay.hindsight.persistence import Kept, evidence, kept_at_end
 from eval.replay.settings import Given, Setup
 
 
@@ -52,6 +52,22 @@ class Smoothed(NamedTuple):
     share: float
     motion: float
     opportunities: dict[int, bytes]
+
+    @property
+    def times(self) -> tuple[IntArray, IntArray]:
+        """Numbers (n,) of the observed landmarks, and of their observations."""
+        return np.unique(self.found.number[self.found.number >= 0], return_counts=True)
+
+    @property
+    def kept(self) -> Kept:
+        """Which of the observed landmarks (n,) stay in the map."""
+        numbers, times = self.times
+        return kept_at_end([self.opportunities[n] for n in numbers.tolist()], times)
+
+    @property
+    def consistent(self) -> bool:
+        """Whether all often observed landmarks stay in the map: what bends it makes some be missed."""
+        return not ((self.times[1] >= constants.CONFIRMED) & ~self.kept.stays).any()
 
 
 def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> Plain | None:
@@ -88,7 +104,8 @@ def log_likelihood(s: Smoothed, share: float, view: Sensor) -> float:
 
     share: variance of observations over the noise of `seen`; view: sensor with the field of view of all observations.
     """
-    clutter, number = math.log(_clutter_density(view)), observed_again(s.found.number)
+    clutter, kept = math.log(_clutter_density(view)), s.times[0][s.kept.stays]
+    number = observed_again(np.where(np.isin(s.found.number, kept), s.found.number, DISCARD))
     rows = np.flatnonzero(number >= 0)
     R = share * s.seen.R[rows]
     z_hat = s.sensor.predict(s.pose[s.seen.frame[rows]], s.known.positions(number[rows]))

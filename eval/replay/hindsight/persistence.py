@@ -88,17 +88,18 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray) -> Kept:
 
     To drop a landmark unpairs all its observations; to keep a transient one keeps as many wrong pairings. So the
     expected cost is least where landmarks stay that are real with a probability above one half. A landmark observed
-    twice among often observed ones is a person who came by at the end. Where more than `FOLDED_SHARE` would stay as
-    landmarks that left, the map is folded: these were initialized again elsewhere, and are dropped.
+    twice among often observed ones is a person who came by at the end: fewer than `CONFIRMED` observations are not
+    enough where all such landmarks together have a small share of the observations. Where more than `FOLDED_SHARE`
+    would stay as landmarks that left, the map is folded: these were initialized again elsewhere, and are dropped.
 
     observations (n,): number of each landmark.
     """
     found = kinds(opportunities, persistence(opportunities))
     keep: BoolArray = (found.transient < 0.5) & (observations >= constants.CONFIRMED_AT_LEAST)
     if keep.any():
-        keep &= observations >= min(
-            constants.CONFIRMED, float(np.quantile(observations[keep], constants.PERSISTENT_FEWEST))
-        )
+        times = np.sort(observations[keep])
+        fewer = np.cumsum(times) > constants.PERSISTENT_FEWEST * times.sum()
+        keep &= observations >= min(constants.CONFIRMED, int(times[fewer.argmax()]))
     left = keep & (found.left > found.persistent)
     folded = bool(left.sum() > constants.FOLDED_SHARE * keep.sum())
     return Kept(keep & ~left if folded else keep, left, folded)

@@ -87,9 +87,12 @@ class WholeLog:
     def plain(self, setup: Setup, most: int, restated: Restated, systematic: Systematic | None) -> Reassociation | None:
         """The decisions of `jcbb` with the numbers of recorded landmarks, where these are likelier.
 
+        They are not asked for where the map does not contradict itself: every often observed landmark stays.
         After `reassociate`, with arguments as of it; `most`: as of `floor.plain`.
         """
         assert self.smoothed is not None
+        if self.smoothed.consistent:
+            return None
         try:
             found = plain(self._given, setup, self._frames, most)
             if found is None or not ((number := observed_again(found.number)) >= 0).any():
@@ -97,6 +100,8 @@ class WholeLog:
             other = self._smooth(number, found.path, found.known, restated, systematic)
         except (DataError, UnderConstrained, FilterDivergedError, SingularInnovationError):
             return None  # it comes to no end
+        if other.kept.folded:  # no better: no world explains it
+            return None
         self.odds = likelier(self.smoothed, other, self._view)
         if self.odds < constants.PLAIN_ODDS:
             return None

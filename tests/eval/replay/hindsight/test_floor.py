@@ -23,6 +23,8 @@ from eval.replay.settings import Setup
 
 VIEW = RelativePoint(max_range=10.0, min_angle=-1.0, max_angle=1.0)
 SIGMA = 0.1
+SEEN = b"\3\3"
+"""Detected twice from familiar viewpoints, after the first time."""
 
 
 def decided(number, z, xy, looks=None, motion=0.0, share=1.0):
@@ -33,7 +35,7 @@ def decided(number, z, xy, looks=None, motion=0.0, share=1.0):
     found = Reassociation(number, np.ones(m, np.bool_))
     known = LandmarkMap(ids, np.asarray(xy, float))
     return Smoothed(
-        VIEW, np.zeros((m, 3)), known, seen, found, share, motion, looks or dict.fromkeys(ids.tolist(), b"")
+        VIEW, np.zeros((m, 3)), known, seen, found, share, motion, looks or dict.fromkeys(ids.tolist(), SEEN)
     )
 
 
@@ -48,7 +50,7 @@ def test_the_likelihood_is_that_of_observations_with_the_position_integrated_out
     at = np.stack(np.meshgrid(5.0 + grid, grid), axis=-1)
     product = np.prod([multivariate_normal(z, SIGMA**2 * np.eye(2)).pdf(at) for z in Z[:3]], axis=0)
     integrated = clutter * product.sum() * 0.01**2
-    expected = math.log(integrated) - 3.0 * math.log(clutter) + evidence([b""])[0]
+    expected = math.log(integrated) - 3.0 * math.log(clutter) + evidence([SEEN])[0]
     assert log_likelihood(s, 1.0, VIEW) == pytest.approx(expected, abs=1e-3)
 
 
@@ -73,6 +75,21 @@ def test_two_sets_are_compared_under_the_smaller_noise():
     odds = log_likelihood(theirs, 1.0, VIEW) - log_likelihood(ours, 1.0, VIEW)
     assert likelier(ours, theirs, VIEW) == pytest.approx(odds)
     assert odds < 0.0
+
+
+def test_jcbb_is_asked_where_an_often_observed_landmark_would_not_stay():
+    z, number = [[5.0, 0.0], [7.0, 2.0]] * 5, [0, 1] * 5
+    xy, seen = [[5.0, 0.0], [7.0, 2.0]], b"\3" * 8
+    assert decided(number, z, xy, looks={0: seen, 1: seen}).consistent
+    assert not decided(number, z, xy, looks={0: seen, 1: b"\2" * 8}).consistent
+
+
+def test_a_landmark_that_would_not_stay_counts_as_clutter():
+    z, number = [[5.0, 0.0], [7.0, 2.0]] * 5, [0, 1] * 5
+    looks = {0: b"\3" * 8, 1: b"\2" * 8}
+    both = decided(number, z, [[5.0, 0.0], [7.0, 2.0]], looks=looks)
+    one = decided([0, -1] * 5, z, [[5.0, 0.0], [7.0, 2.0]], looks=looks)
+    assert log_likelihood(both, 1.0, VIEW) == pytest.approx(log_likelihood(one, 1.0, VIEW))
 
 
 def test_landmarks_get_the_numbers_of_those_with_most_observations_in_common():
@@ -103,6 +120,7 @@ def test_where_they_are_likelier_the_decisions_of_jcbb_are_the_final_ones_and_it
     usual = step_by_step("ekf", inputs, "slam", "jcbb-hindsight")
     assert Code.PLAIN_LIKELIER not in [n.code for n in usual.notes]
     monkeypatch.setattr(whole_log, "likelier", lambda *_: 2.0 * constants.PLAIN_ODDS)
+    monkeypatch.setattr(Smoothed, "consistent", False)
     run = step_by_step("ekf", inputs, "slam", "jcbb-hindsight")
     (note,) = [n for n in run.notes if n.code is Code.PLAIN_LIKELIER]
     assert note.named == {"odds": 2.0 * constants.PLAIN_ODDS}

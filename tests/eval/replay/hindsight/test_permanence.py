@@ -169,4 +169,10 @@ def test_where_most_are_read_often_two_sightings_are_too_few(others, needed):
 def test_the_fewest_of_those_that_stay_do_not_tell_how_many_sightings_are_needed():
     opportunities = [SEEN * 10] * 40
     assert kept_at_end(opportunities, np.array([2] + [9] * 39)).stays.tolist() == [False] + [True] * 39
-    assert kept_at_end(opportunities, np.array([2] * 4 + [9] * 36)).stays.all()
+    assert kept_at_end(opportunities, np.array([2] * 9 + [9] * 31)).stays.all()
+
+
+def test_people_who_came_by_at_the_end_do_not_vouch_for_each_other():
+    """Every tenth landmark, but one observation in fifty."""
+    keep = kept_at_end([SEEN * 10] * 36 + [SEEN] * 4, np.array([11] * 36 + [2] * 4))
+    assert keep.stays.tolist() == [True] * 36 + [False] * 4
