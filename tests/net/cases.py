@@ -12,7 +12,8 @@ from tests.net.digest import CLOSE, RUNS
 GIVEN = Path(__file__).parent / "given"
 """Files that some runs read, named {given} in their words."""
 LOST = 1e-2
-"""How close, where an estimate is lost: another order of additions in the library below moves it by half of that."""
+"""How close, where another order of additions in the library below moves a number: an estimate that is lost by half of
+that, iSAM2 among walls, which linearizes anew beyond a threshold, by a tenth."""
 LOOSE = 1e-4
 """How close, where a graph is known badly from the log and its optimizer stops at once: errors are off by 1e-5."""
 ALWAYS = ("--no-plots", "--formats", "csv", "--jobs", "1", "--out", "out", "--quiet")
@@ -148,6 +149,7 @@ CASES: dict[str, Case] = {
         "--log walls:0:frames=150 --estimator ekf,ekf-fej,isam2,batch --association known,jcbb",
         "walls as landmarks",
         short=True,
+        close=LOST,
     ),
     "laser": Case(
         "--log in --relations {given}/relations.csv --estimator dead-reckoning,ekf,isam2,batch",

@@ -60,9 +60,12 @@ def persistence(opportunities: Opportunities) -> Persistence:
     return Persistence(*fitted.tolist())
 
 
-def kinds(opportunities: Opportunities, p: Persistence) -> Kinds:
-    """The probability of each kind, of landmarks (n)."""
-    return Kinds(*_probabilities(*_packed(opportunities), np.array(p), _fixed()))
+def kinds(opportunities: Opportunities, p: Persistence, leaving: float | None = None) -> Kinds:
+    """The probability of each kind, of landmarks (n); `leaving`: before an opportunity, None: `PERSISTENCE_LEAVING`."""
+    fixed = _fixed()
+    if leaving is not None:
+        fixed[2] = leaving
+    return Kinds(*_probabilities(*_packed(opportunities), np.array(p), fixed))
 
 
 def evidence(opportunities: Opportunities) -> Array:
@@ -94,7 +97,8 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray) -> Kept:
 
     observations (n,): number of each landmark.
     """
-    found = kinds(opportunities, persistence(opportunities))
+    p = persistence(opportunities)
+    found = kinds(opportunities, p)
     keep: BoolArray = (found.transient < 0.5) & (observations >= constants.CONFIRMED_AT_LEAST)
     if keep.any():
         times = np.sort(observations[keep])
@@ -102,6 +106,10 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray) -> Kept:
         keep &= observations >= min(constants.CONFIRMED, int(times[fewer.argmax()]))
     left = keep & (found.left > found.persistent)
     folded = bool(left.sum() > constants.FOLDED_SHARE * keep.sum())
+    if folded:  # leaving is no longer rare
+        often = float(left.sum()) / sum(len(s) for s in opportunities)
+        found = kinds(opportunities, p, often)
+        left = keep & (found.left > found.persistent)
     return Kept(keep & ~left if folded else keep, left, folded)
 
 

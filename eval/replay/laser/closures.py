@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import takewhile
@@ -26,11 +25,10 @@ NO_PRIOR = np.diag([1.0, 1.0, 1.0])
 
 @dataclass
 class KeyScan:
-    """A key pose's scan: ranges (B,), points, and centre (2,) of its points, body frame."""
+    """A key pose's scan: ranges (B,) and points, body frame."""
 
     ranges: Array
     points: Points
-    centre: Array
 
 
 @dataclass
@@ -47,39 +45,37 @@ class Closure:
 
 
 class Places:
-    """Points in the plane by their cells, so that those around one are found whatever the number of all."""
+    """Points in the plane, and those of them around one: a pass over all, which costs 0.1 ms for 36 000, is cheaper
+    than cells to be filled anew with each estimate.
+    """
 
     def __init__(self, reach: float) -> None:
-        """`reach` [m]: how far `around` looks, and the size of a cell."""
-        self.reach = reach
-        self._xy: list[list[float]] = []
-        self._cells: dict[tuple[int, int], list[int]] = defaultdict(list)
+        """`reach` [m]: how far `around` looks."""
+        self.reach, self._count = reach, 0
+        self._xy = np.zeros((64, 2))
 
     def __len__(self) -> int:
-        return len(self._xy)
+        return self._count
 
     def clear(self) -> None:
         """Forget all."""
-        self._xy.clear()
-        self._cells.clear()
+        self._count = 0
 
     def add(self, xy: Array) -> None:
         """Points (n, 2) [m], numbered on."""
-        cells = np.floor(xy / self.reach).astype(int).tolist()
-        for k, (i, j) in enumerate(cells, start=len(self._xy)):
-            self._cells[i, j].append(k)
-        self._xy += xy.tolist()
+        count = self._count + len(xy)
+        if count > len(self._xy):
+            self._xy = np.concatenate([self._xy[: self._count], np.zeros((count, 2))])
+        self._xy[self._count : count] = xy
+        self._count = count
 
     def around(self, centre: int, last: int) -> tuple[IntArray, Array]:
         """Numbers (n,) up to `last`, ascending, of points within reach of one, and their distances (n,)."""
-        x, y = self._xy[centre]
-        i, j = math.floor(x / self.reach), math.floor(y / self.reach)
-        cells = [self._cells.get((i + di, j + dj), []) for di in (-1, 0, 1) for dj in (-1, 0, 1)]
-        near = sorted(k for cell in cells for k in cell if k <= last)
-        off = np.array([self._xy[k] for k in near]).reshape(-1, 2) - (x, y)
-        apart = np.hypot(off[:, 0], off[:, 1])
+        off = self._xy[: last + 1] - self._xy[centre]
+        near = np.flatnonzero(np.einsum("ki,ki->k", off, off) <= (self.reach * (1.0 + 1e-9)) ** 2)
+        apart = np.hypot(off[near, 0], off[near, 1])
         within = apart <= self.reach
-        return np.array(near, np.int64)[within], apart[within]
+        return near[within], apart[within]
 
 
 class LoopCloser:
@@ -95,6 +91,7 @@ class LoopCloser:
         self._grid = NearestGrid(parameters.max_range + 2.0, 0.3)
         self._pyramids: dict[int, Pyramid] = {}
         self._poses = np.zeros((0, 3))
+        self._centres = np.zeros((64, 2))  # of each key scan's points, body frame
         self._places = Places(parameters.loop_distance + 2.0 * parameters.widest)
 
     def add_key(self, ranges: Array, points: Points, motion: Array, covariance: Array) -> None:
@@ -104,7 +101,10 @@ class LoopCloser:
             self.edges.add(new - 1, new, motion, covariance)
         near = np.hypot(points.xy[:, 0], points.xy[:, 1]) < 5.0
         centre = points.xy[near].mean(axis=0) if near.any() else np.zeros(2)
-        self._keys.append(KeyScan(ranges, points, centre))
+        if new == len(self._centres):
+            self._centres = np.concatenate([self._centres, np.zeros_like(self._centres)])
+        self._centres[new] = centre
+        self._keys.append(KeyScan(ranges, points))
         self._motion.append(motion)
 
     def moved(self, poses: Array) -> None:
@@ -114,8 +114,8 @@ class LoopCloser:
 
     def _place(self, poses: Array) -> None:
         """Enter the centres of scans that are not yet among the places."""
-        centres = np.array([k.centre for k in self._keys[len(self._places) :]])
-        self._places.add(transform_points(poses[len(self._places) :], centres))
+        known, keys = len(self._places), len(self._keys)
+        self._places.add(transform_points(poses[known:keys], self._centres[known:keys]))
 
     def find(self, poses: Array) -> list[Closure]:
         """Loop closures accepted now, given all key poses (K, 3); after a new estimate `moved` comes first."""

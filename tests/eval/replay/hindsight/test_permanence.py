@@ -176,3 +176,14 @@ def test_people_who_came_by_at_the_end_do_not_vouch_for_each_other():
     """Every tenth landmark, but one observation in fifty."""
     keep = kept_at_end([SEEN * 10] * 36 + [SEEN] * 4, np.array([11] * 36 + [2] * 4))
     assert keep.stays.tolist() == [True] * 36 + [False] * 4
+
+
+def test_in_a_folded_map_leaving_is_no_longer_rare():
+    """A miss at the end tells nothing where landmarks stay, and much where most leave."""
+    short = SEEN * 6 + MISSED
+    stay = kept_at_end([*[SEEN * 10] * 20, short], np.full(21, 9))
+    assert stay.stays[-1]
+    assert not stay.left[-1]
+    folded = kept_at_end([*[SEEN * 10] * 5, *[SEEN * 20 + MISSED * 20] * 20, short], np.full(26, 9))
+    assert folded.folded
+    assert folded.stays.tolist() == [True] * 5 + [False] * 21
