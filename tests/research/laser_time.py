@@ -9,7 +9,6 @@ into the street that it has driven least, so that each is driven three times on 
 
 from __future__ import annotations
 
-import argparse
 import cProfile
 import math
 import pstats
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from association.scans.uncertainty import PoseEdges
+from data.command import Parser
 from data.log import Log
 from data.se2 import Array
 from data.worlds.floorplan.world import scan_ranges
@@ -88,7 +88,7 @@ def _block(rng: np.random.Generator, x: float, y: float) -> Array:
 
 def main() -> None:
     """Print the curve of one run as it goes."""
-    p = argparse.ArgumentParser()
+    p = Parser(prog="python -m tests.research.laser_time", description="Time of the laser front end.")
     p.add_argument("scans", type=int)
     p.add_argument("--profile", action="store_true")
     args = p.parse_args()
