@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import chi2
 from threadpoolctl import threadpool_limits
 
 from data.inputs import IntArray
@@ -117,6 +118,8 @@ class AuditFacts:
     zero: tuple[str, ...]
     far: bool
     most: bool
+    beside: int
+    explained: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,6 +297,8 @@ def _facts(report: AuditReport) -> AuditFacts:
     wrong = factors[factors["p_family"] < FAMILY]
     order = factors.dropna(subset="p").sort_values(["p", "deleted"], ascending=[True, False], kind="stable")
     least = _one(order.iloc[0]) if len(order) else One(-1, "", "", np.nan, 0, np.nan)
+    first = order[order.index.isin(a.wrong)].head(1)
+    worst = _one(first.iloc[0]) if len(first) and first["p_family"].iloc[0] < FAMILY else None
     scales = [_scale(row["kind"] + ", " + row["axis"], row) for _, row in report.components.iterrows()]
     scales += [_scale(str(k), row) for k, row in kinds.iterrows() if not (report.components["kind"] == k).any()]
     tested = [each for each in scales if each is not None]
@@ -308,27 +313,35 @@ def _facts(report: AuditReport) -> AuditFacts:
     if len(seen) and seen["missed_m"].max() > 0.0:
         i = int(seen["missed_m"].idxmax())
         hidden = Hidden(i, _keys(factors, i), float(factors["minimal_error"][i]), float(factors["missed_m"][i]))
+    # rejected at the stated noise, and not at the one that the residuals ask for
+    wide = max([1.0, *(s.value for s in [*scales, *pooled] if s is not None)])
+    tests = max(int(np.isfinite(a.factors.p).sum()), 1)
+    explained = bool(np.all(chi2.sf(wrong["deleted"] / wide, wrong["rank"]) * tests > FAMILY)) and wide > 1.0
+    together = _cluster(report, wide)
     loose = [f"{name(a.f.system.keys[v])} ({n} direction{'s' * (n > 1)})" for v, n in a.condition.loose[:SHOWN]]
     if len(a.condition.loose) > SHOWN:
         loose.append(f"{len(a.condition.loose) - SHOWN} more")
     return AuditFacts(
-        int(factors["chi2"].notna().sum()), a.freedom, float(factors["chi2"].sum()), a.rejected, len(wrong),
-        tuple(scaled), component, least if least.p < FAMILY else None, _cluster(report), least, len(unchecked),
+        int(factors["chi2"].notna().sum()), a.freedom, float(factors["chi2"].sum()), a.rejected, len(a.wrong),
+        tuple(scaled), component, None if explained else worst, together, least,
+        len(unchecked),
         tuple(f"{n} of {int(kinds.loc[k, 'n'])} {k}" for k, n in counts.items()),
         hidden, a.decrement, a.gained, report.minima, report.questions,
         a.curvature, a.condition.gauge, tuple(loose), a.condition.parts,
         tuple(f"{i} and {j}" for i, j in a.condition.duplicates), int((factors["weight"] < 1.0).sum()), report.unread,
         tuple(str(k) for k, zero in zip(kinds.index, a.by_kind.zero, strict=True) if zero),
         a.gained > max(FAR, FAR_SHARE * a.freedom), len(wrong) > 0.5 * len(order),
+        len(set(wrong.index) - set(a.wrong.tolist())), len(wrong) * explained,
     )  # fmt: skip
 
 
-def _cluster(report: AuditReport) -> Together | None:
-    """The worst rejected cluster."""
+def _cluster(report: AuditReport, wide: float) -> Together | None:
+    """The worst rejected cluster that variances `wide` times as large do not explain."""
     some = report.clusters[report.clusters["p_family"] < FAMILY]
-    if not len(some):
+    rows = [r for _, r in some.iterrows() if chi2.sf(r["deleted"] / wide, r["rank"]) * len(report.clusters) < FAMILY]
+    if not rows:
         return None
-    row = some.iloc[0]
+    row = rows[0]
     names = ", ".join(map(str, row["factors"][:TEN])) + ", ..." * (len(row["factors"]) > TEN)
     return Together(len(row["factors"]), names, row["deleted"], row["rank"], row["p_family"], row["influence_m"])
 

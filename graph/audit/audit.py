@@ -11,7 +11,7 @@ import numpy as np
 from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
-from graph.audit.clusters import Cluster, clusters
+from graph.audit.clusters import Cluster, beside, clusters
 from graph.audit.components import Components, Estimator
 from graph.audit.condition import Condition, condition, curvature
 from graph.audit.draws import family, independent, smallest_p
@@ -53,6 +53,7 @@ class Statistics:
         clusters, p_cluster: loops that agree with each other, tested together; Holm's, in the same family.
         freedom: degrees of freedom.
         f: the factored system.
+        wrong: factors without which no other is rejected, if they are few; else all that are rejected.
     """
 
     keys: Sequence[tuple[int, ...]]
@@ -69,6 +70,7 @@ class Statistics:
     p_cluster: Array
     freedom: int
     f: Factored
+    wrong: IntArray
 
     @property
     def rejected(self) -> bool:
@@ -158,8 +160,9 @@ def statistics(
     drawn = np.zeros(0) if draws is None else draws(f, seen)
     tests = int(np.isfinite(t.p).sum())
     alone = min(independent(drawn), tests) if len(drawn) and tests else tests
-    found = []
-    for rest, left in snooped(f, order, t, PARTS[0] * FAMILY / max(alone, 1)):
+    together, all_ = clusters(f, seen, t, np.flatnonzero(of.loops).tolist(), metres)
+    found, systems = [], snooped(f, order, t, PARTS[0] * FAMILY / max(alone, 1), together)
+    for rest, left in systems:
         used = [np.where(np.isin(g.factor, left)[:, None], -1, r) for g, r in zip(system.groups, rows, strict=True)]
         estimator = Estimator(rest, order, used, axis[:, 0], rng)
         found.append((estimator.by_kind(), estimator.by_axis()))
@@ -168,8 +171,11 @@ def statistics(
         by_kind, by_axis = replace(by_kind, without=of_kind.p), replace(by_axis, without=of_axis.p)
     whole_rows, every = np.concatenate([each.ravel() for each in rows]), [row_redundancies(s).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
-    together, all_ = clusters(f, seen, t, np.flatnonzero(of.loops).tolist(), metres)
-    p_cluster = np.concatenate([[c.p for c in together], np.ones(all_ - len(together))])
+    p_of = [c.p for c in together]
+    if len(systems) > 1:
+        rest, left = systems[-1]
+        p_of = beside(rest, directions(rest, BRIEF), together, left)
+    p_cluster = np.concatenate([p_of, np.ones(all_ - len(together))])
     of_components = np.concatenate([by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan)])
     classes = (t.p, of_components, p_cluster)
     weight = [np.full(len(p), part / max(np.isfinite(p).sum(), 1)) for p, part in zip(classes, PARTS, strict=True)]
@@ -177,21 +183,27 @@ def statistics(
     share[: len(t.p)] = alone / max(tests, 1)
     adjusted = holm(np.concatenate(classes), np.concatenate(weight), share)
     n, k = len(t.p), len(of.names)
+    wrong = np.flatnonzero(adjusted[:n] < FAMILY)
+    if len(systems) > 1 and len(wrong):  # others are rejected beside these
+        wrong = np.sort(systems[-1][1])
     p_drawn = family(t.p, drawn) if len(drawn) else np.full(n, np.nan)
     return Statistics(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
-        system.rows - f.rank, f,
+        system.rows - f.rank, f, wrong,
     )  # fmt: skip
 
 
-def snooped(f: Factored, order: IntArray, t: Tested, level: float) -> list[tuple[Factored, IntArray]]:
+def snooped(
+    f: Factored, order: IntArray, t: Tested, level: float, together: Sequence[Cluster]
+) -> list[tuple[Factored, IntArray]]:
     """The system in least squares, and the factors it lacks; then without those that are wrong on their own, if any.
 
     What a few wrong factors do to the residuals of others would else be put down to the noise of their kind, as would
     the weights of a robust noise, which all are 1 here. Its rejected factors are left out in both systems. In the
     second the worst of all is, too, and the rest solved again, until none has a p value below `level` (data snooping:
-    Baarda 1968); where they are many there is no second system.
+    Baarda 1968); where they are many there is no second system. A cluster of less p than any factor is left out first:
+    its factors vouch for each other, and right ones seem wrong beside it.
     """
     robust, p = t.weight < 1.0, t.p.copy()
     left = np.flatnonzero(robust & (p < level))
@@ -204,7 +216,10 @@ def snooped(f: Factored, order: IntArray, t: Tested, level: float) -> list[tuple
         p[left] = np.nan
         if not np.nanmin(p, initial=1.0) < level:
             return [*whole, (rest, left)] if turn else whole
-        left = np.append(left, np.nanargmin(p))
+        worst: Sequence[int] = (int(np.nanargmin(p)),)
+        if not turn and together and (best := min(together, key=lambda c: c.p)).p < p[worst[0]]:
+            worst = best.factors
+        left = np.append(left, np.setdiff1d(worst, left))
         rest = _without(f, left, order)
     return whole
 

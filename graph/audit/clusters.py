@@ -68,6 +68,23 @@ def clusters(
     return made, len(members)
 
 
+def beside(f: Factored, seen: Sequence[Directions], some: Sequence[Cluster], wrong: IntArray) -> list[float]:
+    """P values of clusters, of their other factors in a system without wrong ones if that is larger.
+
+    One wrong factor with its neighbours is no cluster, nor are factors that it disturbs from afar.
+    """
+    where = {int(i): (k, n) for k, g in enumerate(f.system.groups) for n, i in enumerate(g.factor)}
+    out = []
+    for c in some:
+        others = [i for i in c.factors if i not in wrong]
+        p = c.p
+        if len(c.factors) - len(others) <= 1 and len(wrong):
+            _, T, rank, _ = _tested(f, seen, [where[i] for i in others])
+            p = max(p, float(chi2.sf(T, rank)) if rank else 1.0)
+        out.append(p)
+    return out
+
+
 def _tested(
     f: Factored, seen: Sequence[Directions], some: Sequence[tuple[int, int]]
 ) -> tuple[tuple[int, ...], float, int, Array]:

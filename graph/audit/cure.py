@@ -81,7 +81,7 @@ def known(values: gtsam.Values, wanted: gtsam.Values) -> gtsam.Values:
 def rejected_factors(a: Audit, size: int) -> set[int]:
     """Rejected edges; if a cluster is, its factors alone: others are rejected because of it."""
     together = {i for c, p in zip(a.clusters, a.p_cluster, strict=True) if p < FAMILY for i in c.factors}
-    alone = set(np.flatnonzero(a.p_family < FAMILY).tolist())
+    alone = set(a.wrong.tolist())
     if together:
         best = int(np.nanargmin(a.p_cluster))
         if not len(alone) or a.p_cluster[best] < np.nanmin(a.p_family):

@@ -267,3 +267,34 @@ def test_a_wrong_loop_is_not_put_down_to_the_noise_of_loops(loss):
 def test_the_noise_of_clean_graphs_is_not_rejected_whatever_the_loss(loss):
     p = [np.nanmin(solved(*circle(seed, loss=LOSSES[loss])).audit.p_kind) for seed in range(4)]
     assert min(p) > 0.05
+
+
+def far_off():
+    """A circle with many loops of which one is 30 sigmas off: its neighbours are rejected beside it."""
+    graph, values = circle(seed=4, loops=60)
+    a, b = graph.at(60).keys()
+    z = graph.at(60).measured().compose(gtsam.Pose2(3, 0, 0))
+    graph.replace(60, gtsam.BetweenFactorPose2(a, b, z, N.Diagonal.Sigmas(SIGMA)))
+    return graph, values
+
+
+def test_the_neighbours_of_a_wrong_loop_are_not_blamed():
+    report = solved(*far_off())
+    assert (report.factors["p_family"] < 0.05).sum() > 1
+    assert list(report.audit.wrong) == [60]
+    assert report.words().startswith(
+        "All but 1 factor of 90 agree with the stated noise; leave out or examine it first"
+    )
+    assert report.facts.cluster is None
+
+
+def test_factors_that_a_wrong_noise_explains_are_not_blamed():
+    graph, values = circle(seed=1, loops=60)
+    rng = np.random.default_rng(2)
+    for i in range(29):
+        (a, b), z = graph.at(i).keys(), graph.at(i).measured().retract(1.5 * rng.normal(0, SIGMA))
+        graph.replace(i, gtsam.BetweenFactorPose2(a, b, z, N.Diagonal.Sigmas(SIGMA)))
+    report = solved(graph, values)
+    assert (report.factors["p_family"] < 0.05).any()
+    assert report.words().startswith("The stated noise of odometry is rejected, and explains why")
+    assert report.facts.worst is None
