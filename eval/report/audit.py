@@ -130,6 +130,7 @@ class AuditReport:
         factors: a row each, index: number in the graph. keys, kind, dim; chi2 of the whitened residual; redundancy,
             unchecked; deleted (T), rank, p, p_family (Holm); minimal_error [sigma]; influence_m [m]; p_drawn (draws of
             the graph's own noise); missed_m [m], motion of its own ends by a just missed error; weight (robust); cost;
+            wrong: without these, if they are few, no other is rejected;
             resolved_m, resolved_cost: motion and decrease of the graph solved again, NaN where it was not.
         kinds: a row each: n, dim, chi2, redundancy, component, se, sigma_factor, unchecked, p, p_family.
         components: a row for each axis of a kind with diagonal noise.
@@ -187,9 +188,9 @@ class AuditReport:
         ends = np.array([(place[self.audit.keys[i][0]], place[self.audit.keys[i][-1]]) for i in some], np.int64)
         ends = ends.reshape(-1, 2)
         t = self.audit.factors
-        rejected = [n for n, i in enumerate(some) if self.audit.p_family[i] < FAMILY]
+        wrong = np.flatnonzero(np.isin(some, self.audit.wrong)).tolist()
         share = (t.redundancy[some] / np.maximum(t.dim[some], 1)).clip(0.0, 1.0)
-        return audit_figure(self.audit.place, ends, t.p[some], share, rejected)
+        return audit_figure(self.audit.place, ends, t.p[some], share, wrong)
 
 
 def audit(
@@ -258,6 +259,7 @@ def tables(a: Statistics) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
             "chi2": t.chi2, "redundancy": t.redundancy, "unchecked": unchecked, "deleted": t.deleted, "rank": t.rank,
             "p": t.p, "p_family": a.p_family, "minimal_error": t.minimal_error, "influence_m": t.moved,
             "p_drawn": a.p_drawn, "missed_m": t.missed, "weight": t.weight, "cost": t.cost,
+            "wrong": np.isin(np.arange(len(t.dim)), a.wrong),
         }
     )  # fmt: skip
     factors.index.name = "factor"
