@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
     from eval.replay.settings import Setup
-    from eval.report.audit import audit
+    from eval.report.audit.audit import audit
     from eval.report.calls import Diagnosis, Study, score_files, study, twins
 
     __version__: str
@@ -86,7 +86,7 @@ __all__ = [
 HOMES = {
     "open_log": "data.logs",
     "Log": "data.log",
-    "audit": "eval.report.audit",
+    "audit": "eval.report.audit.audit",
     "compare": "eval.compare",
     "Setup": "eval.replay.settings",
     "study": "eval.report.calls",

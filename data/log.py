@@ -39,7 +39,7 @@ class Log:
         source: provenance; free keys.
         notes: what a reader should know (spans skipped, observations dropped), one sentence each.
         evidence: of a log made from images, its detections.
-        asked: questions to its author that only the recording raises (`data.questions` has the others).
+        asked: questions to its author that only the recording raises (`data.questions.asked` has the others).
 
     Example:
         >>> print(log)

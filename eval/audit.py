@@ -52,8 +52,8 @@ def _count(text: str) -> int:
 
 def _audit(options: argparse.Namespace, prog: str) -> int:
     """Read, optimize, examine, print, write; returns the exit status."""
-    from eval.report.audit import shown, write_audit
-    from eval.report.audited import cured, opened
+    from eval.report.audit.audit import shown, write_audit
+    from eval.report.audit.page import cured, opened
 
     optimize = options.optimize if options.optimize or options.as_given else None
     found = opened(options.graph, optimize, options.draws, options.seed, full=options.full, resolve=20)

@@ -44,7 +44,7 @@ def _inspect(log: str, plot: Path | None) -> None:
     from data.convert.__main__ import mending
     from data.formats.recognize import door
     from data.logs import open_log
-    from data.questions import ask
+    from data.questions.asked import ask
     from data.summary import summarize
     from data.words import sentence, title
 

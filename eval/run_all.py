@@ -156,7 +156,7 @@ def staged(out: Path) -> Iterator[Path]:
 
 
 def _run(options: Options, console: Console, folder: Path, command: Sequence[str], check: Callable[[], None]) -> int:
-    from data.questions import ask
+    from data.questions.asked import ask
     from eval.figures.figure_style import figure_style
     from eval.plan.appearance import figure_style_of, require_latex
     from eval.plan.execute import execute

@@ -107,7 +107,7 @@ def _convert(argv: Sequence[str] | None, prog: str) -> None:
         print(made)
         return
     from data.formats.open_log.writer import Recording, write_folder
-    from data.questions import ask
+    from data.questions.asked import ask
     from data.words import sentence, title
 
     made, samples = made if isinstance(made, Recording) else Recording(made)

@@ -34,7 +34,7 @@ from eval.figures.error import (
 from eval.figures.paper import page_width
 from eval.figures.style import BAND, DASHED, LONG_HANDLE, SOLID, TRUTH_COLOUR, Line, Style, drawing, series, style_of
 from eval.referee.consistency import anees_band, mean_or_nan, nees, nis_bounds
-from eval.referee.given_runs import log_of
+from eval.referee.given.runs import log_of
 from eval.referee.trust import Difference, difference
 
 WINDOWS = 40  # stretches that a log is cut into for its NIS; each has the same number of degrees of freedom, or nearly

@@ -19,7 +19,7 @@ from data.result import Run, Trajectory
 from data.se2 import Array, pose_error
 from eval.figures.paper import across, page_width, points
 from eval.figures.style import Series, drawing, series
-from eval.referee.given_runs import log_of, match
+from eval.referee.given.runs import log_of, match
 
 MOST_PANELS = 4
 MOST_BINS = 600  # stretches of time in a panel; more than paper or screen can show

@@ -22,7 +22,7 @@ from eval.figures import plane
 from eval.figures.paper import page_width, points
 from eval.figures.style import DOTTED, SOLID, STYLES, TRUTH_COLOUR, Series, drawing, series, settle
 from eval.referee.ambiguity import ambiguous
-from eval.referee.given_runs import is_truth_alone
+from eval.referee.given.runs import is_truth_alone
 
 MOST_IDS = 30
 LONG_LABEL = 24

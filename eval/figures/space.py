@@ -12,7 +12,7 @@ from data.result import Run
 from data.se2 import Array
 from eval.figures.paper import page_width
 from eval.figures.style import SOLID, TRUTH_COLOUR, Line, drawing, series
-from eval.referee.given_runs import GivenRun
+from eval.referee.given.runs import GivenRun
 
 VIEWS = ((0, 1, "y"), (0, 2, "z"))
 LEAST = 0.25

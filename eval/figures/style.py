@@ -22,7 +22,7 @@ from data.result import Run, Trajectory
 from eval.figures import redrawn
 from eval.figures.figure_style import current
 from eval.figures.paper import refit, translate, untitle
-from eval.referee.given_runs import GivenRun
+from eval.referee.given.runs import GivenRun
 from eval.replay.external.spec import place
 
 SINGLE = 3.4  # in. Width of one column of a two-column paper

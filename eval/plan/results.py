@@ -21,10 +21,10 @@ from data.log import Log
 from data.notice import Code, Notice, Severity, notice
 from data.se2 import Array
 from eval.plan.flags.table import Reading, Results
-from eval.referee.given_runs import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
-from eval.referee.pairing import Pair, about_file, about_pair, called, same_clock, same_frames
+from eval.referee.given.pairing import Pair, about_file, about_pair, called, same_clock, same_frames
+from eval.referee.given.runs import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
+from eval.referee.given.time_offset import time_offset
 from eval.referee.score import Trial
-from eval.referee.time_offset import time_offset
 from eval.replay.flag import rows
 from eval.replay.settings import ESTIMATORS
 

@@ -16,7 +16,7 @@ from typing import Any
 from data.log import folder_name
 from eval.player.pack import text_of
 from eval.player.scene import scene
-from eval.referee.given_runs import is_truth_alone
+from eval.referee.given.runs import is_truth_alone
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
 

@@ -25,7 +25,7 @@ from eval.figures.style import Line, series, style_of
 from eval.player.pack import ANGLE, FURTHEST, RHO, TIME, Pack
 from eval.player.watch import Watched, quantum_of, spread
 from eval.referee.errors import along
-from eval.referee.given_runs import log_of
+from eval.referee.given.runs import log_of
 from eval.referee.laser import right_closures
 from eval.referee.score import Trial, confusion_of
 from eval.replay.settings import Setup

@@ -20,7 +20,7 @@ from data import se2
 from data.inputs import Inputs, IntArray
 from data.motion.systematic import corrected_inputs
 from data.notice import Code, Notice, Severity, Value, notice
-from data.questions import ask
+from data.questions.asked import ask
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing

@@ -18,7 +18,7 @@ from data.result import Run
 from data.se2 import Array
 from eval.referee.consistency import LEVEL
 from eval.referee.errors import Along, align
-from eval.referee.given_runs import log_of
+from eval.referee.given.runs import log_of
 
 REPLICATES = 1000
 """Bootstrap replicates: the 2.5 % point has a standard error of 0.5 % in level, and p is at least 1/1001."""

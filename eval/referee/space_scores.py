@@ -19,7 +19,7 @@ from data.formats.results.path import LEFT, LOCAL, MIXED, WORLD
 from data.formats.results.space import in_world
 from data.se2 import Array
 from eval.referee.consistency import mean_or_nan, squared_distance
-from eval.referee.in_space import (
+from eval.referee.given.in_space import (
     InSpace,
     absolute_columns,
     aligned_columns,

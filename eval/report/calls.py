@@ -131,11 +131,11 @@ def study(
         >>> found = slamref.study(lambda seed: slamref.open_log(f"arena:{seed}:frames=30"), ["ekf"], runs=2)
         >>> found.runs[["seed", "estimator", "rmse_position_m", "nees_pose"]]
     """
-    logs = list(world) if isinstance(world, Sequence) and not isinstance(world, str) else None
-    maker = text_of(_first_of(logs) if logs is not None else world, "world")  # type: ignore[arg-type]
-    seeds = range(len(logs)) if logs is not None else range(seed, seed + runs)
+    logs = None if callable(world) or isinstance(world, str) else list(world)
+    seeds = range(seed, seed + runs) if logs is None else range(len(logs))
     if not seeds:
         raise UsageError("a study needs at least one log")
+    maker = text_of(world if logs is None else _always(logs[0]), "world")  # type: ignore[arg-type]
     members = tuple(Member(text_of(e, "estimator")) for e in estimators)
     methods = tuple(text_of(a, "association") for a in associations)
     texts = (*(m.name for m in members), *methods)
@@ -150,10 +150,6 @@ def study(
     done = dict(work([Job(s, _one, (own[s], scenario, s)) for s in seeds], Execution(jobs=jobs)))
     adopt(own[seeds[0]])
     return Study(study_of(scenario, list(seeds), [done[s] for s in seeds]))
-
-
-def _first_of(logs: Sequence[Log]) -> Maker:
-    return _always(logs[0]) if logs else _always(None)  # type: ignore[arg-type]
 
 
 def _always(log: Log) -> Maker:

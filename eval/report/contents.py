@@ -19,7 +19,7 @@ from eval.plan.unfinished import Unfinished
 from eval.referee import result_files
 from eval.referee.consistency import CONSISTENT, MIN_RUNS
 from eval.referee.diagnostics import notices, notices_table, origin
-from eval.referee.given_runs import GivenRun
+from eval.referee.given.runs import GivenRun
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import Setup
 from eval.report.answer import gate_sentence

@@ -25,7 +25,7 @@ from eval.figures.style import save
 from eval.plan.flags.table import Output
 from eval.referee import laser
 from eval.referee.errors import position_distance, rms
-from eval.referee.given_runs import GivenRun
+from eval.referee.given.runs import GivenRun
 from eval.referee.result_files import LOOPS
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded

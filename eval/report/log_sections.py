@@ -12,10 +12,11 @@ from data.words import sentence
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee.diagnostics import ambiguity_of, disputed, minima, naming, unused
-from eval.referee.given_runs import is_truth_alone
+from eval.referee.given.runs import is_truth_alone
 from eval.referee.metrics import heads
 from eval.referee.score import Scores, Trial
 from eval.report.answer import AnswerFacts, answer, answer_facts
+from eval.report.audit.worst_factors import worst_factors_section
 from eval.report.comparison import (
     association_table,
     comparison_table,
@@ -37,7 +38,6 @@ from eval.report.systematic import systematic_section
 from eval.report.trust import first_page_words, trust_section
 from eval.report.tutorials import variant_note
 from eval.report.words import fine_print, of_runs, paragraph, say
-from eval.report.worst_factors import worst_factors_section
 from eval.studies.trusted import Trust
 
 IN_FULL, WHY_MISSING = "The comparison in words", "Why intervals are missing"

@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from data import questions
 from data.notice import Notice
+from data.questions import asked
 from eval.referee import laser_faults
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.diagnostics import unused
@@ -189,12 +189,12 @@ def log_facts(
         aligned = [filtered.aligned, smoothed.aligned]
         compared = aligned if all(map(math.isfinite, aligned)) else errors
     preference = Preference(compared[0], compared[1], p)
-    map_rows = None if slam else next(iter(questions.map_rows(trial.log)), None)
+    map_rows = None if slam else next(iter(asked.map_rows(trial.log)), None)
     blame = None if trust is None else trust.blame
     rejected = blame.p if blame is not None and blame.objected else math.nan
     decided_by = headline(a, b, preference, measured=measured, caused=trust is not None, rejected=rejected)
     terms = terms_of(trial.log.recorded)
-    conventions = (*questions.conventions(trial.log), *laser_faults.serious(trial))
+    conventions = (*asked.conventions(trial.log), *laser_faults.serious(trial))
     return LogFacts(
         log=log,
         task=trial.task,

@@ -20,7 +20,7 @@ from eval.figures.map import map_figure
 from eval.figures.plane import SIGMAS, longest_axis
 from eval.figures.space import space_figure
 from eval.figures.style import save
-from eval.referee.given_runs import GivenRun
+from eval.referee.given.runs import GivenRun
 from eval.referee.score import Trial, confusion_of
 from eval.referee.trust import SHARE
 from eval.report import shown_runs
@@ -226,10 +226,7 @@ KINDS: Mapping[str, Kind] = {
     "state": Kind(state_is_informative, lambda trial, variants: (state_figure(trial, variants), {})),
     "association": Kind(
         has_outcomes,
-        lambda trial, variants: (
-            confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)),
-            {},
-        ),
+        _association,
         in_quick=True,
     ),
 }  # by name, in the order of the report

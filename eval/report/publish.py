@@ -26,7 +26,7 @@ from eval.referee import result_files
 from eval.referee.ambiguity import ambiguous
 from eval.referee.confusion import OUTCOMES
 from eval.referee.errors import landmark_true_ids, named
-from eval.referee.given_runs import log_of
+from eval.referee.given.runs import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.replay.settings import Setup
 from eval.report.laser import write_laser_files

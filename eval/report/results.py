@@ -24,8 +24,8 @@ from eval.plan.flags.table import Output, Reading
 from eval.plan.results import TRUTH, Result, manner_of, offset_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
-from eval.referee.given_runs import GivenRun, TruePath, truth_log
-from eval.referee.in_space import NONE
+from eval.referee.given.in_space import NONE
+from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.score import Trial, metrics_row
 from eval.referee.space_scores import CONVENTIONS, columns_in_space

@@ -10,7 +10,7 @@ import numpy as np
 from data.result import Run
 from eval.figures.error import MOST_PANELS
 from eval.referee.errors import position_distance, rms
-from eval.referee.given_runs import log_of
+from eval.referee.given.runs import log_of
 from eval.referee.score import Trial
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, FILTERS, HINDSIGHT
 from eval.report.words import paragraph

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import slamref
-from data.conventions import ORDERS, order_by_observations, order_by_truth, side_of_bearings
 from data.convert.__main__ import main
 from data.formats.open_log.reader import load_folder
 from data.motion.velocity import MODELS, VelocityModel, VelocityNoise, preintegrate
 from data.notice import Code
-from data.questions import ask
+from data.questions.asked import ask
+from data.questions.conventions import ORDERS, order_by_observations, order_by_truth, side_of_bearings
 from data.sensors import RelativePoint
 from eval.report.overview import trust_mark
 from eval.report.overview_facts import facts_of

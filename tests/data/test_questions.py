@@ -13,7 +13,7 @@ from data.inputs import Increments, LandmarkMap, Observations, Prior
 from data.log import Log, shortened
 from data.logs import find_logs, open_log
 from data.notice import Code, Value
-from data.questions import CHECKS, ask, turn_rates
+from data.questions.asked import CHECKS, ask, turn_rates
 from data.se2 import compose
 from data.worlds.arena import Arena, simulate
 

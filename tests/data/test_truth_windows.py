@@ -13,7 +13,7 @@ from data.inputs import LandmarkMap
 from data.log import Log
 from data.logs import open_log
 from data.notice import Code
-from data.questions import ask
+from data.questions.asked import ask
 from data.se2 import Array
 from data.truth import BadTruth, TruthFault
 from data.truth_windows import bad_truth, misplaced, without, without_bad_truth

@@ -1,11 +1,11 @@
-"""Two paths in space made by formulas, and what evo 1.38.1 says of them when called as `test_evo_space.py` does."""
+"""Two paths in space made by formulas, and what evo 1.38.1 says of them when called as `test_evo.py` does."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from tests.oracle.evo_numbers import Said
 
 ALONG = np.arange(240)
 TIME = 0.1 * ALONG
@@ -35,15 +35,6 @@ def files(folder):
     ):
         table = np.column_stack([time, p, R.as_quat()])[rows]
         np.savetxt(folder / f"{name}.tum", table, fmt="%.17g")
-
-
-class Said(NamedTuple):
-    """A call of evo on the truth and an estimate; what columns in space have to be, with an alignment."""
-
-    call: str
-    estimate: str
-    align: str
-    numbers: dict[str, float]
 
 
 SAID = (

@@ -15,7 +15,7 @@ import zipfile
 import pytest
 
 from data.formats.results.reading import read_path
-from eval.referee.given_runs import TruePath, given_run, truth_log
+from eval.referee.given.runs import TruePath, given_run, truth_log
 from eval.referee.space_scores import columns_in_space
 from eval.score import main as score
 from tests.oracle import evo_space

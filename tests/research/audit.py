@@ -16,7 +16,7 @@ import gtsam
 import numpy as np
 import pandas as pd
 
-from eval.report.audit import AuditReport, audit
+from eval.report.audit.audit import AuditReport, audit
 from graph.audit.files import optimized
 
 N = gtsam.noiseModel

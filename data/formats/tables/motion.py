@@ -14,7 +14,7 @@ from data.formats.recordings.laser import TravelNoise, increments_of
 from data.formats.tables.files import QUATERNION, Columns, TextTable, headings
 from data.inputs import Increments
 from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, preintegrate
-from data.questions import FASTEST, SHARE
+from data.questions.asked import FASTEST, SHARE
 from data.se2 import Array
 
 KINDS = {

@@ -15,7 +15,7 @@ from data.convert.__main__ import main
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.notice import Code
-from data.questions import ask
+from data.questions.asked import ask
 from data.se2 import dead_reckoned
 from data.words import sentence
 from data.worlds.arena import Arena, simulate

@@ -11,13 +11,13 @@ import slamref
 from data.errors import DataError, UsageError
 from data.formats.graph_file import read_graph_file, with_information
 from eval.audit import main
-from eval.report import audited
+from eval.report.audit import page
 from graph.audit.files import build, optimized
 from tests.graph.audit import graphs
 
 
 def opened(*arguments, **how):
-    return audited.opened(*arguments, **how).report
+    return page.opened(*arguments, **how).report
 
 
 COLUMNS = ["keys", "kind", "dim", "chi2", "redundancy", "unchecked", "deleted", "rank", "p", "p_family",
@@ -256,7 +256,7 @@ def test_a_cure_is_applied_and_proved(written, tmp_path, capsys):
     out = tmp_path / "better.g2o"
     assert main([path, "--draws", "0", "--rescale", str(out)]) == 1
     assert "coverage_90" in capsys.readouterr().out
-    table = audited.cured(audited.opened(path, None, draws=0), out, draws=0)
+    table = page.cured(page.opened(path, None, draws=0), out, draws=0)
     before, after, robust = table.to_dict("records")
     assert after["left_out"] >= 1
     assert out.read_text().count("# left out: EDGE_SE2") == after["left_out"]
@@ -268,8 +268,8 @@ def test_a_cure_is_applied_and_proved(written, tmp_path, capsys):
     assert robust["left_out"] == 0
     assert robust["factors"] == 140
     assert robust["coverage_90"] >= 0.5
-    audited.cured(audited.opened(path, None, draws=0), out, draws=0, rejected="robust")
-    kept = audited.opened(str(out), None, draws=0)
+    page.cured(page.opened(path, None, draws=0), out, draws=0, rejected="robust")
+    kept = page.opened(str(out), None, draws=0)
     assert "left out" not in out.read_text()
     assert kept.file.edges[100].information[0, 0] < 0.3 * kept.file.edges[101].information[0, 0]
 
@@ -279,7 +279,7 @@ def test_only_a_file_can_be_cured(written, tmp_path):
                     "    v.insert(0, gtsam.Pose2())\n    g.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(),"
                     " gtsam.noiseModel.Unit.Create(3)))\n    return g, v\n", "m.py")  # fmt: skip
     with pytest.raises(UsageError, match="only a graph file"):
-        audited.cured(audited.opened(f"{place}:build", None, draws=0), tmp_path / "x.g2o")
+        page.cured(page.opened(f"{place}:build", None, draws=0), tmp_path / "x.g2o")
 
 
 def test_another_minimum_is_named(written):

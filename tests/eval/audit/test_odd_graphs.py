@@ -8,7 +8,7 @@ from gtsam.symbol_shorthand import L, P, X
 import slamref
 from data.errors import DataError
 from data.formats.graph_file import graph_file_of
-from eval.report import audited
+from eval.report.audit import page
 from graph.audit.files import build, optimized
 from tests.graph.audit.oracle import deleted, rows
 
@@ -64,7 +64,7 @@ def plain():
 def test_ids_of_a_file_may_be_keys_of_gtsam(plain, base, tmp_path):
     path = tmp_path / "g.g2o"
     path.write_text("\n".join([*lines_of(*plain, base), f"VERTEX_XY {base + 50} 1 1"]))
-    found = audited.opened(str(path), False, 0).report
+    found = page.opened(str(path), False, 0).report
     assert found.factors["keys"][3] == (base + 3, base + 4)
     assert found.factors["chi2"].to_numpy() == pytest.approx(slamref.audit(*plain, draws=0).factors["chi2"].to_numpy())
 
@@ -87,13 +87,13 @@ def test_a_mark_of_byte_order_and_odd_spaces_are_read(plain, tmp_path):
     path = tmp_path / "g.g2o"
     text = "\r\n".join(["", *("  " + line.replace(" ", "\t ") + "  # why" for line in lines_of(*plain)), "FIX 0", ""])
     path.write_bytes(b"\xef\xbb\xbf" + text.lstrip().encode())
-    assert not audited.opened(str(path), False, 0).report.facts.unread
+    assert not page.opened(str(path), False, 0).report.facts.unread
 
 
 def test_lines_that_are_not_read_are_told(plain, tmp_path):
     path = tmp_path / "g.g2o"
     path.write_text("\n".join([*lines_of(*plain), "EDGE_SIM3 0 1 2", "EDGE_SIM3 1 2 2"]))
-    assert "Not read, as their tags are unknown: 2 EDGE_SIM3." in audited.opened(str(path), False, 0).report.words()
+    assert "Not read, as their tags are unknown: 2 EDGE_SIM3." in page.opened(str(path), False, 0).report.words()
 
 
 def astray(key):
@@ -109,7 +109,7 @@ def test_vertices_far_from_the_optimum_blame_no_factor(plain, tmp_path):
     graph, start = plain[0], astray(int)
     path = tmp_path / "g.g2o"
     path.write_text("\n".join(lines_of(graph, start)))
-    found = audited.opened(str(path), None, 0)
+    found = page.opened(str(path), None, 0)
     assert graph.error(optimized(graph, start)) > 100.0 * graph.error(found.values)
     assert not found.report.rejected
     assert "From the vertices the optimizer ends in another minimum" in found.report.words()

@@ -10,7 +10,7 @@ import pytest
 
 from data.result import DISCARD, NEW, Innovations, Systematics
 from data.worlds.registry import named_log
-from eval.referee.given_runs import begun_by, created_by
+from eval.referee.given.runs import begun_by, created_by
 from eval.referee.score import Trial
 from eval.replay.run import step_by_step
 from eval.report.publish import trajectory_table, write_run, write_truths, write_tum

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from data.formats.graph_file import read_graph_file
-from eval.report import audited
+from eval.report.audit import page
 from graph.audit.chordal import chordal
 
 ROTATION, TRANSLATION = 0.02, 0.1
@@ -48,7 +48,7 @@ RIGHT = np.repeat([TRANSLATION**-2, ROTATION**-2], 3)
     ],
 )
 def test_the_convention_that_the_residuals_speak_for_is_asked(tmp_path, stated, convention):
-    report = audited.opened(str(written(tmp_path, stated)[0]), None, draws=0).report
+    report = page.opened(str(written(tmp_path, stated)[0]), None, draws=0).report
     assert {q.convention for q in report.questions} == convention
     assert report.words().count("?") == len(report.questions)
 

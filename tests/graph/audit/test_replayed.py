@@ -9,7 +9,7 @@ from data.inputs import Systematic
 from data.worlds.registry import named_log
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.worst_factors import end_of, graph_at_end
+from eval.report.audit.worst_factors import end_of, graph_at_end
 from graph.audit.audit import examined
 from graph.batch import build, start_values
 

@@ -15,12 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from data.inputs import CLUTTER, Increments, IntArray, LandmarkMap, Observations
+from data.inputs import CLUTTER, IntArray
 from data.log import Log
-from data.motion.velocity import floor_covariances
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
-from data.truth import Truth
 from data.worlds.registry import named_log
 from tests.research.variety import worlds as variety
 from tests.research.variety.worlds import (
@@ -30,10 +28,9 @@ from tests.research.variety.worlds import (
     Drawn,
     Misstated,
     Readings,
+    as_stated,
     crowded,
     sensor_sigma,
-    stated_readings,
-    stated_sensor,
 )
 
 WORLDS = 80
@@ -145,26 +142,10 @@ def log_of(hidden: Hidden) -> Log:
                               map_rng, sensor_rng)  # fmt: skip
     who[who >= len(xy)] = CLUTTER
     parts = [(frame, polar, who), variety._clutter(r.sensor, len(r), len(frame), drawn.readings.clutter, clutter_rng)]
-    frame, polar, who = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-    order = np.argsort(frame, kind="stable")
-    z, R = stated_readings(r.sensor, polar[order], drawn.readings, drawn.misstated)
-    covariance, floored = floor_covariances(drawn.misstated.odometry**2 * r.increments.covariance, r.covariance_floor)
-    sensor = stated_sensor(r.sensor, drawn.misstated)
-    known = LandmarkMap(np.arange(len(xy)), xy)
-    recorded = replace(
-        r,
-        increments=Increments(r.increments.mean, covariance),
-        observations=Observations(frame[order], z, R),
-        sensor=replace(sensor, max_range=sensor.max_range * hiding.optimistic),
-        map=known,
-        floored=floored,
-    )
-    return Log(
-        f"hiding-{hidden.index:03d}",
-        recorded,
-        Truth(truth.pose, known, who[order], errors=truth.errors),
-        source={"kind": "hiding", "index": hidden.index, "of": drawn.name},
-    )
+    made = as_stated(f"hiding-{hidden.index:03d}", drawn, r, truth, xy, parts)
+    sensor = made.recorded.sensor
+    wider = replace(sensor, max_range=sensor.max_range * hiding.optimistic)
+    return replace(made, recorded=replace(made.recorded, sensor=wider))
 
 
 def world_of(index: int) -> tuple[Log, str]:

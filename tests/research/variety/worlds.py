@@ -11,11 +11,12 @@ Landmarks, readings and clutter come from independent streams of the index. What
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from data.inputs import CLUTTER, Increments, IntArray, LandmarkMap, Observations
+from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations
 from data.log import Log
 from data.motion.velocity import floor_covariances
 from data.se2 import Array, wrap_angle
@@ -218,6 +219,16 @@ def log_of(drawn: Drawn) -> Log:
         (r.observations.frame[people], r.sensor.polar(r.observations.z[people]), truth.landmark_of[people]),
         _clutter(r.sensor, len(r), len(frame), drawn.readings.clutter, clutter_rng),
     ]
+    return as_stated(f"variety-{drawn.index:03d}", drawn, r, truth, xy, parts)
+
+
+def as_stated(
+    name: str, drawn: Drawn, r: Inputs, truth: Truth, xy: Array, parts: Sequence[tuple[IntArray, Array, IntArray]]
+) -> Log:
+    """The log of these parts (frames (m,), polar readings (m, 2), true ids (m,)), its noise and view as misstated.
+
+    `xy` (L, 2): all landmarks. The part of the name before the hyphen is its kind.
+    """
     frame, polar, who = (np.concatenate(columns) for columns in zip(*parts, strict=True))
     order = np.argsort(frame, kind="stable")
     z, R = stated_readings(r.sensor, polar[order], drawn.readings, drawn.misstated)
@@ -232,12 +243,9 @@ def log_of(drawn: Drawn) -> Log:
         map=known,
         floored=floored,
     )
-    return Log(
-        f"variety-{drawn.index:03d}",
-        recorded,
-        Truth(truth.pose, known, who[order], errors=truth.errors),
-        source={"kind": "variety", "index": drawn.index, "of": drawn.name},
-    )
+    kind, _, index = name.partition("-")
+    source = {"kind": kind, "index": int(index), "of": drawn.name}
+    return Log(name, recorded, Truth(truth.pose, known, who[order], errors=truth.errors), source=source)
 
 
 def sensor_sigma(readings: Readings, sensor: Sensor) -> float:

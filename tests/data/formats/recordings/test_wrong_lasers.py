@@ -17,7 +17,7 @@ from data.formats.recordings.mending import Mending, range_noise, without_jumps
 from data.inputs import Scanner
 from data.logs import open_log
 from data.notice import Code
-from data.questions import ask
+from data.questions.asked import ask
 from data.se2 import between, dead_reckoned
 from data.words import sentence
 from data.worlds.registry import named_log

@@ -8,7 +8,7 @@ import pytest
 from data import se2
 from data.result import MapEstimate, Trajectory
 from eval.referee.consistency import nees
-from eval.referee.given_runs import alignment, moved, moved_map, moved_walls
+from eval.referee.given.runs import alignment, moved, moved_map, moved_walls
 
 RNG = np.random.default_rng(2)
 TRUTH = np.column_stack([np.cumsum(RNG.uniform(0.1, 1.0, 40)), np.sin(np.arange(40)), RNG.uniform(-3, 3, 40)])

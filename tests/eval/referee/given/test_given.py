@@ -8,7 +8,7 @@ import pytest
 from data.formats.results.path import GivenPath
 from data.logs import open_log
 from data.result import DISCARD, NEW
-from eval.referee.given_runs import TruePath, begun_by, created_by, given_run, log_of
+from eval.referee.given.runs import TruePath, begun_by, created_by, given_run, log_of
 from eval.replay.run import compare
 
 

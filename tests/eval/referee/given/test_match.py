@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from eval.referee.given_runs import match
+from eval.referee.given.runs import match
 
 TIME = np.array([0.0, 0.5, 1.0, 3.0, 3.5, 4.0, 4.5])
 TRUTH = np.array([

@@ -12,7 +12,7 @@ from smfeval.se3.lie import se3_exp, se3_log
 
 from data.formats.results.path import LEFT, LOCAL, MIXED, WORLD, Spatial, Stated
 from data.formats.results.space import moved
-from eval.referee.in_space import InSpace, Poses, aligning, poses, relative_columns
+from eval.referee.given.in_space import InSpace, Poses, aligning, poses, relative_columns
 from eval.referee.proper_scores import energy_score_in_space
 from eval.referee.space_scores import columns_in_space, errors_of
 from tests.oracle.evo_space import poses as recorded

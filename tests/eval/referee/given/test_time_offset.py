@@ -7,7 +7,7 @@ import pytest
 
 from data import se2
 from data.errors import DataError
-from eval.referee.time_offset import time_offset
+from eval.referee.given.time_offset import time_offset
 from eval.score import main as score
 
 DRIVEN = 60.0

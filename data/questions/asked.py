@@ -12,12 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from data import laser_questions
-from data.conventions import ARC, AS_STATED, SWAPPED, order_by_observations, order_by_truth, side_of_bearings
 from data.inputs import Inputs
 from data.log import ODOMETRY_KIND, TRUTH_POSE, Log
 from data.motion.velocity import carried
 from data.notice import Code, Notice, notice
+from data.questions import laser
+from data.questions.conventions import ARC, AS_STATED, SWAPPED, order_by_observations, order_by_truth, side_of_bearings
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
 from data.sensors import RELATIVE_POINT, RangeBearing
 from data.timeline import MAX_GAP
@@ -373,7 +373,7 @@ def _name(log: Log, quantity: str) -> str:
 
 def conventions(log: Log) -> list[Notice]:
     """Conventions of the log that are not those stated."""
-    return [*side(log), *order(log), *(question for check in laser_questions.CHECKS for question in check(log))]
+    return [*side(log), *order(log), *(question for check in laser.CHECKS for question in check(log))]
 
 
 CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (

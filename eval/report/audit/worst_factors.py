@@ -14,7 +14,7 @@ from association.scans.constraints import LaserRun
 from data.result import Run
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
-from eval.report.audit import TEN, tables
+from eval.report.audit.audit import TEN, tables
 from eval.report.page.blocks import Block, FinePrint, Section
 from eval.report.page.files import written_table
 from eval.report.page.tables import number

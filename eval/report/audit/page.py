@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from data.errors import UsageError
 from data.formats.graph_file import GraphFile, graph_file_of, read_graph_file, with_information
-from eval.report.audit import AuditReport, Second, reported
+from eval.report.audit.audit import AuditReport, Second, reported
 from graph.audit.audit import DRAWS, examined, places
 from graph.audit.cure import LEVELS, Cure, coverage, cure, known
 from graph.audit.files import EDGES, build, built_by, callbacks, optimized, other_starts

@@ -26,7 +26,7 @@ from data.sensors import RangeBearing
 from data.truth import Truth
 from data.words import sentence
 from eval.referee.errors import align
-from eval.referee.in_space import EVO, FIRST, NONE, SIM3, InSpace, Poses, aligning, poses
+from eval.referee.given.in_space import EVO, FIRST, NONE, SIM3, InSpace, Poses, aligning, poses
 
 
 def alignment(pose: Array, truth: Array, how: str) -> Array | None:

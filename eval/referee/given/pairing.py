@@ -19,11 +19,11 @@ from data.formats.results.matrices import translation_first
 from data.formats.results.path import LEFT, LOCAL, ROTATION, WORLD, GivenPath, Spatial, restamped
 from data.formats.results.space import flattened
 from data.notice import Code, Notice, Severity, Value, notice
-from data.questions import FASTEST, SHARE, changes, per_second
+from data.questions.asked import FASTEST, SHARE, changes, per_second
 from data.se2 import Array, BoolArray, wrap_angle
 from eval.referee.consistency import nees
 from eval.referee.errors import align, rms
-from eval.referee.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
+from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
 
 FEW = 5
 """Least number of matched poses for a question about both files."""

@@ -16,7 +16,7 @@ import scipy
 from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
-from eval.referee.given_runs import GAP
+from eval.referee.given.runs import GAP
 
 HALF = 0.25
 """s either side of an instant for its rates, or one and a half steps of the slower path if longer."""
