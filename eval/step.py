@@ -71,7 +71,11 @@ def parser(prog: str = PROG) -> Command:
     add("--save", metavar="DIR", type=Path, help="write figures and text of all steps to DIR")
     add("--run-through", action="store_true", help="do not pause (never without a terminal)")
     add("--frames", metavar="N", help="only the first N frames")
-    add("--lab-text", action="store_true", help="steps in the format of the lab's program; text and figures count from 1")
+    add(
+        "--lab-text",
+        action="store_true",
+        help="steps in the format of the lab's program; text and figures count from 1",
+    )
     return p
 
 
