@@ -74,7 +74,7 @@ def parser(prog: str = PROG) -> Command:
     add(
         "--lab-text",
         action="store_true",
-        help="steps in the format of the lab's program; text and figures count from 1",
+        help="steps in the format of the lab's program, counted from 1",
     )
     return p
 

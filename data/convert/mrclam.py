@@ -104,7 +104,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 
 def convert(args: argparse.Namespace) -> Log:
-    """The log of the robot asked for, with the corrected landmarks that lie beside the dataset unless others are given."""
+    """The log of the robot asked for; corrected landmarks beside the dataset are taken unless others are given."""
     from data.formats.mrclam.calibration import FROZEN, Calibration
     from data.formats.mrclam.load import Grid, Treatment, corrected_landmarks, load_mrclam
 
