@@ -47,7 +47,7 @@ def test_a_step_is_said_word_for_word():
 
 
 def test_the_worked_example_has_counts_4_1_1_1():
-    """Seven observations: four right pairings, a new landmark, a neighbour's landmark, a known landmark taken for new."""
+    """Four right pairings, a new landmark, a neighbour's landmark, and a known landmark that is taken for new."""
     truth = TruthRow(np.array([0, 1, 2, 3, -1, 4, 5]), _outcomes("tp", "tp", "tp", "tp", "tn", "fp", "fn"))
     text = lab_block(Step(1, truth, np.array([0, 1, 2, 3, -1, 5, -1]), np.array([-1, -1, -1, -1, 8, -1, 9])))
     assert text.split("\n") == [
