@@ -66,20 +66,22 @@ class PoseRecords:
 
     def __init__(self, fixes: Fixes | None, closures: Closures | None) -> None:
         kinds = [] if fixes is None else fixes.kind.tolist()
+        self._gate: float | None = None
         self._fixes = PoseRecord([len(MEASURED[FixKind(kind)]) for kind in kinds])
         self._closures = PoseRecord([3] * (0 if closures is None else len(closures)))
 
     def enter(self, frame: Frame, poses: PoseMeasurements) -> None:
         """Those of a frame."""
+        self._gate = poses.gate
         if frame.fixes is not None and poses.fixed is not None:
             first = frame.fixes.first
             self._fixes.enter(slice(first, first + len(frame.fixes.kind)), poses.fixed)
         if frame.closures is not None and poses.closed is not None:
             self._closures.enter(_rows(frame.closures), poses.closed)
 
-    def innovations(self, gate: float | None) -> tuple[PoseInnovations | None, PoseInnovations | None]:
+    def innovations(self) -> tuple[PoseInnovations | None, PoseInnovations | None]:
         """Of fixes and of closures."""
-        return self._fixes.innovations(gate), self._closures.innovations(gate)
+        return self._fixes.innovations(self._gate), self._closures.innovations(self._gate)
 
 
 def _rows(closures: FrameClosures) -> slice:

@@ -6,16 +6,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
-from data.pose_measurements import Closures, Fixes, FixKind, FixSource, FrameFixes
-from data.se2 import compose, inverse, wrap_angle
+from data.inputs import Increment, LandmarkMap, Prior
+from data.pose_measurements import Closures, Fixes, FixKind, FixSource
+from data.se2 import wrap_angle
 from data.sensors import RelativePoint
-from ekf.filter import FilterDivergedError, FilterOptions
+from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
-from ekf.slam import EkfSlam
 
 VARIANTS = {
     "plain": FilterOptions(),
