@@ -58,6 +58,8 @@ class Code(StrEnum):
     NIS_UNCHECKED = "nis-unchecked"
     FILTER_ONLY = "filter-only"
     PARKED = "parked"
+    NOT_PARKED = "not-parked"
+    POSES_UNUSED = "poses-unused"
     REMOVED = "removed"
     OBSERVATIONS_REJECTED = "observations-rejected"
     AGAINST_WHEELS = "against-wheels"
@@ -112,6 +114,9 @@ class Code(StrEnum):
     TWO_MINIMA = "two-minima"
     DISPUTED = "disputed"
     NAMING = "naming"
+    SOURCE_UNUSED = "source-unused"
+    SOURCE_NIS = "source-nis"
+    SOURCE_REJECTED = "source-rejected"
     # implausible, and where it began
     NIS = "nis"
     PATH_TOO_FAR = "path-too-far"
