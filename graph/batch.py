@@ -11,7 +11,7 @@ from data.errors import UsageError
 from data.inputs import Inputs, IntArray, LandmarkMap
 from data.motion.systematic import sensor_frame
 from data.se2 import Array
-from graph.factors import LOSSES, between_factors, known_landmark_factors, landmark_factors
+from graph.factors import LOSSES, ObservationFactors, between_factors, known_landmark_factors, landmark_factors
 from graph.optimum import Smoothed, optimize
 from graph.problem import Problem
 from graph.systematic import Calibrated
@@ -62,6 +62,8 @@ def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "g
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     o = inputs.observations
+    if o.sensor is not None:
+        return Problem(inputs.prior, motion, _of_several(inputs, used, number, loss), inputs.map is not None)
     seen = (sensor, o.z[used], o.R[used], o.frame[used], number[used])
     at = None if inputs.map is None else inputs.map.xy[_rows_of(inputs.map, number[used])]
     if not sensor.sees_points:
@@ -70,6 +72,26 @@ def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "g
         return Problem(inputs.prior, motion, factors, at is not None, calibrated, about)
     factors = landmark_factors(*seen, loss) if at is None else known_landmark_factors(*seen, at, 0, loss)
     return Problem(inputs.prior, motion, factors, at is not None, calibrated)
+
+
+def _of_several(inputs: Inputs, used: IntArray, number: IntArray, loss: str) -> list[ObservationFactors]:
+    """The observations `used` (m,) of a log with several sensors, of landmarks `number` (M,), by ascending frame.
+
+    Raises UsageError where systematic errors are to be estimated, or a sensor observes walls.
+    """
+    o, found = inputs.observations, list[ObservationFactors]()
+    assert o.sensor is not None
+    if inputs.systematic is not None or not all(s.sees_points for s in inputs.sensors):
+        raise UsageError("a log with several sensors: they must observe points, without systematic errors to estimate")
+    for i, sensor in enumerate(inputs.sensors):
+        rows = used[o.sensor[used] == i]
+        seen = (sensor, o.z[rows], o.R[rows], o.frame[rows], number[rows])
+        if inputs.map is None:
+            found += landmark_factors(*seen, loss)
+        else:
+            at = inputs.map.xy[_rows_of(inputs.map, number[rows])]
+            found += known_landmark_factors(*seen, at, len(found), loss)
+    return sorted(found, key=lambda s: s.frame)
 
 
 def _rows_of(known: LandmarkMap, ids: IntArray) -> IntArray:

@@ -117,7 +117,7 @@ def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
     o = inputs.observations
     for i in np.flatnonzero(initialized >= 0):
         pose = front.online.pose[o.frame[i]]
-        places[initialized[i]] = inputs.sensor.inverse(pose, o.z[i : i + 1])[0][0]
+        places[initialized[i]] = inputs.sensor_of(np.array([i])).inverse(pose, o.z[i : i + 1])[0][0]
     if front.map is not None:
         held = front.map.number < len(places)
         places[front.map.number[held]] = front.map.xy[held]

@@ -156,6 +156,10 @@ class Given(Protocol):
     def systematic(self) -> Systematic | None:
         """Systematic errors to estimate, or None."""
 
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """All sensors where there are several, of which `sensor` is the first; else empty."""
+
 
 class Beginning(NamedTuple):
     """The same without a log."""
@@ -164,3 +168,4 @@ class Beginning(NamedTuple):
     sensor: Sensor
     map: LandmarkMap | None = None
     systematic: Systematic | None = None
+    sensors: tuple[Sensor, ...] = ()
