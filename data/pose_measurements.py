@@ -81,6 +81,11 @@ class Fixes(Locked):
         a, b = np.searchsorted(self.frame, (frame, frame + 1)).tolist()
         return None if a == b else FrameFixes(self.kind[a:b], self.source[a:b], self.z[a:b], self.covariance[a:b], a)
 
+    def before(self, frame: int) -> Fixes:
+        """Those of earlier frames."""
+        k = slice(int(np.searchsorted(self.frame, frame)))
+        return Fixes(self.frame[k], self.kind[k], self.source[k], self.z[k], self.covariance[k], self.sources)
+
 
 def expected_fix(pose: Array, kind: int, source: FixSource) -> tuple[Array, Array]:
     """What a fix of this kind measures of a pose (3,): its entries (d,), and their Jacobian (d, 3) to the pose."""
@@ -145,6 +150,13 @@ class Closures(Locked):
             return None
         return FrameClosures(
             self.frame1[rows], self.frame2[rows], self.relative[rows], self.covariance[rows], self.source[rows], number
+        )
+
+    def before(self, frame: int) -> Closures:
+        """Those known before a frame."""
+        k = slice(int(np.searchsorted(self.later, frame)))
+        return Closures(
+            self.frame1[k], self.frame2[k], self.relative[k], self.covariance[k], self.source[k], self.sources
         )
 
     def last_use(self) -> dict[int, int]:
