@@ -28,6 +28,7 @@ from eval.replay.external.load import load
 from eval.replay.external.make import Method, locked
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.map_management import AutomaticParking, MapManagement, Parking, automatic_parking
+from eval.replay.poses import PoseMeasurements
 from eval.replay.settings import HINDSIGHT, Beginning, Given, Setup
 
 
@@ -75,7 +76,7 @@ class Pairing(NamedTuple):
 
 
 class FrontEnd:
-    """Steps of a frame, in this order: move, associate, update, tidy; after the last one close."""
+    """Steps of a frame, in this order: move, use_poses, associate, update, tidy; after the last one close."""
 
     revises_map = False  # whether landmarks leave the map for other reasons than map management's
     asks_for_innovations = False  # whether the estimator must form its innovations
@@ -92,7 +93,10 @@ class FrontEnd:
         """
         if association == HINDSIGHT and not given.sensor.sees_points:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)
-        self.given, self.setup = Beginning(given.prior, given.sensor, given.map, given.systematic, given.sensors), setup
+        self.given = Beginning(
+            given.prior, given.sensor, given.map, given.systematic, given.fixes, given.closures, given.sensors
+        )  # fmt: skip
+        self.setup = setup
         self.sensor = given.sensor  # that of the observations at hand
         self.association = name_of(association)  # `known` (labels decide) or a method's name
         self._method = Method(load(association)) if is_foreign(association) else association
@@ -110,11 +114,12 @@ class FrontEnd:
         self.parking: Parking | AutomaticParking | None = None
         if self.slam and (kept.manages_map or self.revises_map):
             self.map_management = MapManagement(kept)  # which landmarks leave the map; None where all stay
-            if kept.deactivate_after is not None:
+            if kept.deactivate_after is not None and given.closures is None:
                 self.parking = Parking(self.estimator, self.can, self.map_management, given.sensor, within)
             if kept.maintain or kept.forget_after is not None:
                 needed(self.can.removable, "`remove`", "--maintain" if kept.maintain else "--forget-after")
-        self.parking = self.parking or automatic_parking(self.estimator, association, setup)
+        if self.parking is None and given.closures is None:
+            self.parking = automatic_parking(self.estimator, association, setup)
         self.faces = Faces(given.sensor) if self.slam and not given.sensor.sees_points else None
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
@@ -128,6 +133,7 @@ class FrontEnd:
         """Give the decisions to this estimator, before its first frame."""
         self.estimator, self.can = estimator, capabilities(estimator)  # gets the decisions; its capabilities
         self.foreign = estimator if isinstance(estimator, Adapter) else None  # if it is foreign
+        self.poses = PoseMeasurements(self.given, self.can, self.setup.gate_poses)  # its fixes and closures
         self.own: OwnInnovations | None = None  # its innovations
         if self.foreign is not None:
             expect = self.foreign.expect if self.foreign.has("expect") else None
@@ -152,6 +158,10 @@ class FrontEnd:
         needed(self.can.looking, "`look`", "a log with several sensors").look(sensor)
         self.sensor = sensor
         self._threshold = gate_threshold(self._label_gate, len(sensor.measures))
+
+    def use_poses(self, frame: Frame) -> None:
+        """Update with the frame's fixes and closures."""
+        self.poses.use(frame)
 
     def associate(self, frame: Frame) -> Pairing:
         """Decide about (a part of) this frame's observations."""
@@ -288,6 +298,9 @@ class FrontEnd:
         notes, s = [], self.setup
         notes += [] if self.foreign is None else self.foreign.notes()
         notes += [] if self.own is None else self.own.notes()
+        notes += self.poses.notes()
+        if self.slam and not self.estimator.smooths and s.deactivate_after is not None and self.parking is None:
+            notes.append(notice(Code.NOT_PARKED, Severity.INFO))
         if self.incomplete:
             notes.append(notice(Code.OUT_OF_NODES, method=self.association, nodes=BUDGET, frames=self.incomplete))
         if self.slam and self.estimator.smooths and (s.forget_after is not None or s.deactivate_after is not None):

@@ -166,12 +166,15 @@ def driven(
 ) -> Run:
     """Run a front end over a whole log; arguments as of `step_by_step`."""
     begin = time.perf_counter()
-    record = Recorder(len(inputs), len(inputs.observations.frame), inputs.systematic)
+    counts = len(inputs), len(inputs.observations.frame)
+    record = Recorder(*counts, inputs.systematic, inputs.fixes, inputs.closures)
     failure, finished = None, Finished(None, None)
     observer = observer if observer is NULL_OBSERVER else Apart(observer)
     try:
         for k in range(len(inputs)):
-            through(front, inputs.frame(k), record.update, each=each, observer=observer)
+            frame = inputs.frame(k)
+            through(front, frame, record.update, each=each, observer=observer)
+            record.poses.enter(frame, front.poses)
             observer.updated(front, record.decisions, record.created)
             record.estimate(front)
         if finish:
@@ -198,6 +201,7 @@ def through(
     """
     front.move(frame)  # predict
     observer.moved(front)
+    front.use_poses(frame)  # update with fixes and closures
     for part in _parts(frame, each):
         front.look(part)  # through its sensor
         pairing = front.associate(part)  # expect and decide
@@ -342,6 +346,8 @@ class _Comparison:
         if name not in FILTERS or self.association != "known" or managed:
             return None
         if self.inputs.observations.sensor is not None or not self.inputs.sensor.locates:
+            return None
+        if self.inputs.fixes is not None or self.inputs.closures is not None:
             return None
         if lack_with_sensor(name, self.task, self.association, self.inputs) is not None:
             return None
