@@ -171,6 +171,7 @@ class Given(Protocol):
     def sensors(self) -> tuple[Sensor, ...]:
         """All sensors where there are several, of which `sensor` is the first; else empty."""
 
+    @property
     def fixes(self) -> Fixes | None:
         """Absolute measurements of the pose, or None."""
 
