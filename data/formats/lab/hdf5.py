@@ -32,7 +32,7 @@ class Variable73(NamedTuple):
     name: str
     kind: str
     fields: tuple[str, ...]
-    count: int
+    elements: int
 
 
 @contextmanager
@@ -80,7 +80,7 @@ class Hdf5Log:
             raise DataError.at(self.path, f"{variable.name} is of kind {variable.kind}; {right}")
 
     def __len__(self) -> int:
-        return self._variable.count
+        return self._variable.elements
 
     def place(self, frame: int, field: str) -> str:
         """Counting from 1."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ LOG = "log"
 BROKEN = (pickle.UnpicklingError, EOFError, ImportError, AttributeError, ValueError, IndexError, TypeError, KeyError)
 """Errors of a pickle that cannot be loaded; OSError aside."""
 Record = Mapping[str, Any]
+T = TypeVar("T")
 
 
 def load_objects(path: Path) -> object:
@@ -67,8 +68,9 @@ class ObjectLog:
     def __init__(self, path: Path, content: object, fields: Sequence[str]) -> None:
         """`fields`: those of a frame. Raises DataError for another shape."""
         self.path = path
-        self._columns = isinstance(content, Mapping) and self._is_columns(content, fields)
-        self._records = self._rows(content, fields) if self._columns else self._items(content)
+        columns = content if isinstance(content, Mapping) and self._is_columns(content, fields) else None
+        self._columns = columns is not None
+        self._records = self._items(content) if columns is None else self._rows(columns, fields)
         self.fields = tuple(self._records[0]) if self._records else ()
 
     @staticmethod
@@ -77,16 +79,18 @@ class ObjectLog:
         times = content.get(fields[0])
         return times is not None and np.ndim(times) > 0
 
-    def _rows(self, content: Any, fields: Sequence[str]) -> list[Record]:
+    def _rows(self, content: Mapping[str, Any], fields: Sequence[str]) -> list[Record]:
         """Frames of a dict of arrays or lists."""
-        columns = {name: flat_column(content[name]) for name in fields if name in content}
+        columns: dict[str, Sequence[Any] | NDArray[Any]] = {}
+        for name in (f for f in fields if f in content):
+            found = flat_column(content[name])
+            if not isinstance(found, Sequence | np.ndarray):
+                what = f"{name}: a {type(found).__name__}; an array with a row per frame is needed"
+                raise DataError.at(self.path, what)
+            columns[name] = found
         times = columns[fields[0]]
         if isinstance(times, np.ndarray) and times.ndim == 2 and len(times) == 1:  # MATLAB's row
             columns[fields[0]] = times.ravel()
-        for name, column in columns.items():
-            if not isinstance(column, Sequence | np.ndarray):
-                what = f"{name}: a {type(column).__name__}; an array with a row per frame is needed"
-                raise DataError.at(self.path, what)
         if len({len(column) for column in columns.values()}) > 1:
             counts = ", ".join(f"{name} {len(column)}" for name, column in columns.items())
             raise DataError.at(self.path, f"rows: {counts}; as many rows as frames are needed in each")
@@ -121,10 +125,11 @@ class ObjectLog:
             yield {name: plain(self.path, self.place(i, name), value) for name, value in item.items()}
 
 
-def flat_column(value: object) -> object:
+def flat_column(value: T) -> T | NDArray[Any]:
     """A column with a row per frame: object arrays (N, 1) and (1, N) are laid flat."""
-    flat = isinstance(value, np.ndarray) and value.dtype.hasobject and value.ndim == 2 and 1 in value.shape
-    return value.ravel() if flat and isinstance(value, np.ndarray) else value
+    if isinstance(value, np.ndarray) and value.dtype.hasobject and value.ndim == 2 and 1 in value.shape:
+        return value.ravel()
+    return value
 
 
 def plain(path: Path, place: str, value: object) -> NDArray[Any] | Record:

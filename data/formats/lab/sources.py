@@ -71,7 +71,7 @@ class Sources:
         if parts:
             self.configurations[path.name] = Known(
                 path,
-                lambda: {v.name: struct_of(path, v.name, read73(path, v.name), v.kind, str(v.count)) for v in parts},
+                lambda: {v.name: struct_of(path, v.name, read73(path, v.name), v.kind, str(v.elements)) for v in parts},
             )
         for variable in inside:
             if variable.name == LOG_VARIABLE or {"rgb", "xyz"} <= set(variable.fields):
