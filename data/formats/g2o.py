@@ -36,9 +36,10 @@ from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
+from data.pose_measurements import Closures
 from data.se2 import Array, inverse, wrap_angle
 from data.sensors import RangeBearing, RelativePoint, Sensor
-from data.truth import Relations, Truth
+from data.truth import Truth
 
 POSE, POINT, FIX = "VERTEX_SE2", "VERTEX_XY", "FIX"
 MOTION, OBSERVATION, BEARING = "EDGE_SE2", "EDGE_SE2_XY", "EDGE_BEARING_SE2_XY"
@@ -173,10 +174,10 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     """The log of a graph; `true`: its vertices are the true values.
 
     Frames are the poses in the order of their vertices (by id without any). The first EDGE_SE2 between neighbours, in
-    either direction, is the motion; every other one becomes a reference relation for scoring. Labels are landmark ids.
+    either direction, is the motion; every other one becomes a closure. Labels are landmark ids.
     A bearing becomes an observation with nearly unknown range. The first pose is fixed at its vertex.
 
-    Raises DataError for neighbours without an edge, an edge without its vertex, or no pose.
+    Raises DataError for neighbours without an edge, an edge without its vertex or of a vertex with itself, or no pose.
     """
     ids = _frames(graph)
     notes: list[str] = []
@@ -186,7 +187,6 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     start = vertex[0] if np.isfinite(vertex[0]).all() else np.zeros(3)
     frame, label, z, R, sensor = _observations(graph, ids, notes, se2.dead_reckoned(start, mean))
     notes += _changes(graph, ids, used)
-    relations = _relations(graph.motion, ids, used)
     landmarks = None
     if true and len(graph.point[0]):
         order = np.argsort(graph.point[0])
@@ -201,10 +201,9 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
         time_is_index=True,
         covariance_floor=FLOOR,
         floored=floored,
+        closures=_closures(graph.motion, ids, used),
     )
-    truth = Truth(
-        pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None, relations=relations
-    )
+    truth = Truth(pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None)
     source: dict[str, object] = {"kind": "g2o", **source_file(graph.path)}
     if ids.tolist() != list(range(len(ids))):
         source[POSE_IDS] = ids.tolist()
@@ -221,6 +220,11 @@ def _frames(graph: Graph) -> IntArray:
         for i in np.setdiff1d(edges.ends[:, :columns], ids):
             line = int(edges.line[(edges.ends == i).any(axis=1)][0])
             raise DataError.at(graph.path, f"no VERTEX_SE2 {i}; this edge ends there", line=line)
+    itself = graph.motion.ends[:, 0] == graph.motion.ends[:, 1]
+    if itself.any():
+        k = int(np.argmax(itself))
+        what = f"{MOTION}: both ends are {graph.motion.ends[k, 0]}; two poses are needed"
+        raise DataError.at(graph.path, what, line=int(graph.motion.line[k]))
     joined = {(a, b) for pair in graph.motion.ends.tolist() for a, b in (pair, pair[::-1])}
     ordered = np.sort(ids)
     if not _in_a_row(ids, joined) and _in_a_row(ordered, joined):  # vertices out of order
@@ -362,15 +366,21 @@ def _of_vertices(graph: Graph, rays: Edges) -> Array:
     return np.asarray(np.where(aside < CONTRADICTED, np.hypot(*off.T), np.nan))
 
 
-def _relations(edges: Edges, ids: IntArray, used: IntArray) -> Relations | None:
-    """EDGE_SE2 outside the chain."""
+def _closures(edges: Edges, ids: IntArray, used: IntArray) -> Closures | None:
+    """EDGE_SE2 outside the chain, by their later frame."""
     rest = np.setdiff1d(np.arange(len(edges)), used)
     if not len(rest):
         return None
     at = {int(i): k for k, i in enumerate(ids)}
-    rows = np.array([[at[int(a)], at[int(b)]] for a, b in edges.ends[rest]], np.int64)
+    frame = np.array([[at[int(a)], at[int(b)]] for a, b in edges.ends[rest]], np.int64)
+    order = np.argsort(frame.max(axis=1), kind="stable")
+    rest, frame = rest[order], frame[order]
+    # the edge's error is seen from its measured end
     covariance = se2.covariances_in_world(edges.measured[rest, 2], edges.covariance[rest])
-    return Relations(rows[:, 0], rows[:, 1], edges.measured[rest], covariance=covariance)
+    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    return Closures(
+        frame[:, 0], frame[:, 1], edges.measured[rest], covariance, np.zeros(len(rest), np.int64), (MOTION,)
+    )
 
 
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
@@ -378,10 +388,7 @@ def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
     notes = []
     loops = len(graph.motion) - len(used)
     if loops:
-        notes.append(
-            f"{loops} {MOTION} outside the chain of poses (loop closures) became reference relations for scoring; no "
-            f"estimator sees them, and slamref audit {graph.path.name} optimizes the graph"
-        )
+        notes.append(f"{loops} {MOTION} outside the chain of poses are its closures")
     if len(graph.fixed) and graph.fixed.tolist() != [int(ids[0])]:
         notes.append(f"FIX {' '.join(map(str, graph.fixed.tolist()[:5]))}: the first pose is fixed instead")
     notes += [f"{count} {tag} left out" for tag, count in graph.other.items()]

@@ -15,7 +15,6 @@ from data.formats.g2o import BEARING, FIX, MOTION, OBSERVATION, POINT, POSE
 from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.se2 import Array
-from data.truth import Relations
 
 
 def written(
@@ -119,10 +118,8 @@ def pose_ids(frames: int, estimate: Estimate) -> range:
     return range(first, first + frames)
 
 
-def graph_text(
-    inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = None, closures: Relations | None = None
-) -> str:
-    """The graph of poses `ids` (default: `pose_ids`), landmarks under their numbers, and relations with covariances.
+def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = None) -> str:
+    """The graph of poses `ids` (default: `pose_ids`), landmarks under their numbers, and closures.
 
     Landmarks whose numbers are among the given ids follow these instead. Observations become points in the body frame,
     to first order, or bearings where the range is nearly unknown. The first pose is fixed, and so are landmarks of a
@@ -139,9 +136,10 @@ def graph_text(
     edges: list[Edge] = [
         (MOTION, own[k - 1], own[k], inputs.increments.mean[k], inputs.increments.covariance[k]) for k in range(1, n)
     ]
-    if closures is not None and closures.covariance is not None:
-        rows = zip(closures.row1.tolist(), closures.row2.tolist(), strict=True)
-        measured = zip(rows, closures.relative, closures.covariance, strict=True)
+    if inputs.closures is not None:
+        c = inputs.closures
+        rows = zip(c.frame1.tolist(), c.frame2.tolist(), strict=True)
+        measured = zip(rows, c.relative, c.covariance, strict=True)
         edges += [(MOTION, own[i], own[j], relative, P) for (i, j), relative, P in measured]
     points, spread = inputs.sensor.body_points(o.z, o.R) if len(o.frame) else (o.z, o.R)
     blind = inputs.sensor.bearings_alone(o.z, o.R) & (not any(inputs.sensor.translation))
