@@ -40,7 +40,7 @@ def _is_exact(inputs: Inputs) -> bool:
 
 
 STRIDE, SPEED = 3.0, 10.0
-"""m between two scans, and m/s (90th percentiles of those that move), from which on a unit is doubted."""
+"""m between two scans, and m/s (90th percentiles of those that move), from which on another unit is tried."""
 SURELY = 20.0
 """m between two scans, from which on no robot drives: its scans would not overlap."""
 UNITS = {"cm": 0.01, "mm": 0.001}

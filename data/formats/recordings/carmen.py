@@ -35,6 +35,7 @@ from data.formats.recordings.carmen_lines import (
 from data.formats.recordings.laser import laser_inputs, without_odometry
 from data.formats.recordings.mending import (
     AS_STATED,
+    NEXT,
     Mending,
     beam_angles,
     heading_unit,
@@ -199,7 +200,7 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
     asked += [*heading_unit(pose), *mixed]
     asked += [notice(Code.STAMPS_BROKEN, broken=broken, stamps=len(stamp))] if broken else []
     recorded = laser_inputs(pose, clock, taken)
-    still = len(clock) > 1 and not mixed and float((np.diff(clock) <= 0.0).mean()) > STILL
+    still = len(clock) > NEXT and not mixed and float((np.diff(clock) <= 0.0).mean()) > STILL
     if still:
         recorded = replace(recorded, time=np.arange(len(pose), dtype=float), time_is_index=True)
     if not mending.odometry:
