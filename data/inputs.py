@@ -6,40 +6,23 @@ All arrays are float64 (ids int64), read-only, in SI units and radians. Nothing 
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from data.locked import IntArray as IntArray
+from data.locked import Locked, read_only
+from data.pose_measurements import Closures, Fixes, FrameClosures, FrameFixes
 from data.se2 import Array, inverse
 from data.sensors import Sensor
 
-IntArray = NDArray[np.int64]
 T = TypeVar("T")
 
 CLUTTER = -1
 """Label or true id of a false alarm."""
 UNLABELLED = -2
 """Label of an observation whose label is blank, that is unknown."""
-
-
-def read_only(obj: object) -> None:
-    """Lock every array of a frozen dataclass, since the same inputs feed every estimator."""
-    for f in fields(obj):  # type: ignore[arg-type]
-        value = getattr(obj, f.name)
-        if isinstance(value, np.ndarray):
-            dtype = np.int64 if value.dtype.kind in "iu" else np.float64
-            locked = np.array(value, dtype=dtype, order="C")
-            locked.setflags(write=False)
-            object.__setattr__(obj, f.name, locked)
-
-
-class Locked:
-    """Base of a frozen dataclass that locks its arrays."""
-
-    def __post_init__(self) -> None:
-        read_only(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +140,8 @@ class Frame(NamedTuple):
         increment: motion from the frame before; None in the first frame.
         label: (m,) as in `LabelledObservations`, or None if not granted.
         first: number of earlier observations: observation i of this frame is number first + i of the log.
+        fixes: absolute measurements of its pose, or None.
+        closures: measured relative poses of which it is the later frame, or None.
     """
 
     number: int
@@ -165,6 +150,8 @@ class Frame(NamedTuple):
     observations: FrameObservations
     label: IntArray | None
     first: int
+    fixes: FrameFixes | None = None
+    closures: FrameClosures | None = None
 
     @property
     def sightings(self) -> FrameObservations:
@@ -262,6 +249,8 @@ class Inputs:
         floored: number of increments raised to the floor.
         scans: of a laser log.
         systematic: systematic errors to estimate (None: none).
+        fixes: absolute measurements of the pose, such as GPS (None: none).
+        closures: measured relative poses between frames (None: none).
         start: (N + 1,) offsets; the observations of frame k are rows start[k]:start[k + 1].
     """
 
@@ -276,6 +265,8 @@ class Inputs:
     floored: int = 0
     scans: Scans | None = None
     systematic: Systematic | None = None
+    fixes: Fixes | None = None
+    closures: Closures | None = None
     start: IntArray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -304,7 +295,10 @@ class Inputs:
         o, first = self.observations, int(self.start[number])
         label = o.label[first : self.start[number + 1]] if isinstance(o, LabelledObservations) else None
         increment = self.increment(number) if number else None
-        return Frame(number, float(self.time[number]), increment, self.frame_observations(number), label, first)
+        fixes = None if self.fixes is None else self.fixes.of(number)
+        closures = None if self.closures is None else self.closures.of(number)
+        observations = self.frame_observations(number)
+        return Frame(number, float(self.time[number]), increment, observations, label, first, fixes, closures)
 
     @property
     def labels_are_sensed(self) -> bool:

@@ -99,7 +99,10 @@ class Log:
                 (None: frames without stamps); or odometry (K, 3): t, v, omega, with motion: the keys of [motion].
                 R (M, 2, 2) or (2, 2) instead of the sensor's sigma. landmarks (L, 3): id, x, y. truth (N, 3), NaN where
                 unknown (with odometry (K, 4): t, x, y, theta). true_id (M,): -1 false alarm, NaN unknown. label (M,),
-                NaN unknown. labels_are_sensed: bool.
+                NaN unknown. labels_are_sensed: bool. fixes, closures: columns of fixes.csv or closures.csv by name,
+                each (K,) or one value for all rows, NaN blank, and sources, tables as [[fix]] or [[closure]], as in
+                `{"frame": [0, 9], "kind": "position", "x": [0.0, 4.1], "y": [0.1, 3.9], "sources": [{"name": "gps",
+                "sigma": [0.5, 0.5]}]}`.
 
         Raises:
             DataError: a wrong shape or value.
@@ -121,9 +124,15 @@ class Log:
     def _facts(self) -> list[tuple[str, str]]:
         r, truth = self.recorded, self.truth
         span = "no stamps" if r.time_is_index else f"{r.time[-1] - r.time[0]:.1f} s"
+        measured = []
+        if r.fixes is not None:
+            measured.append(("fixes", f"{len(r.fixes)} ({', '.join(s.name for s in r.fixes.sources)})"))
+        if r.closures is not None:
+            measured.append(("closures", f"{len(r.closures)} ({', '.join(r.closures.sources)})"))
         return [
             ("frames", f"{len(r)} ({span})"),
             ("observations", str(len(r.observations.frame))),
+            *measured,
             ("sensor", r.sensor.name),
             ("map", "none" if r.map is None else f"{len(r.map.id)} landmarks"),
             ("truth", f"in {truth.known_poses} frames" if truth.known_poses else "none"),
@@ -165,6 +174,9 @@ def shortened(log: Log, n: int) -> Log:
         k = int(np.searchsorted(r.scans.frame, n))
         scans = replace(r.scans, frame=r.scans.frame[:k], ranges=r.scans.ranges[:k])
         recorded = replace(recorded, scans=scans)
+    fixes = None if r.fixes is None else r.fixes.before(n)
+    closures = None if r.closures is None else r.closures.before(n)
+    recorded = replace(recorded, fixes=fixes, closures=closures)
     t = log.truth
     truth = replace(
         t,
@@ -173,6 +185,8 @@ def shortened(log: Log, n: int) -> Log:
         relations=None if t.relations is None else _first_relations(t.relations, n),
         errors=None if t.errors is None else t.errors._replace(mean=t.errors.mean[:n], sigma=t.errors.sigma[:n]),
         left_out=tuple(w for w in t.left_out if w.first < n),
+        fix_inlier=None if fixes is None else _rows(t.fix_inlier, slice(len(fixes))),
+        closure_inlier=None if closures is None else _rows(t.closure_inlier, slice(len(closures))),
     )
     notes = (*log.notes, f"Only the first {n} frames (quick).")
     return replace(log, recorded=recorded, truth=truth, label=_rows(log.label, slice(m)), notes=notes)

@@ -113,6 +113,9 @@ class Code(StrEnum):
     TWO_MINIMA = "two-minima"
     DISPUTED = "disputed"
     NAMING = "naming"
+    SOURCE_UNUSED = "source-unused"
+    SOURCE_NIS = "source-nis"
+    SOURCE_REJECTED = "source-rejected"
     # implausible, and where it began
     NIS = "nis"
     PATH_TOO_FAR = "path-too-far"

@@ -9,6 +9,7 @@ import scipy
 
 from data.inputs import CLUTTER, UNLABELLED, IntArray, Scanner
 from data.log import Log
+from data.pose_measurements import MEASURED, FixKind
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
 from data.terminal import counted
@@ -32,6 +33,8 @@ def summarize(log: Log) -> list[Line]:
         *_frames(log),
         *_increments(log),
         *_observations(log),
+        *_fixes(log),
+        *_closures(log),
         *_scans(log),
         *_labels(log),
         *_truth(log),
@@ -134,6 +137,53 @@ def _observations(log: Log) -> list[Line]:
         *lines,
         ("measured", f"{text}; {_share(len(_out_of_view(log)), m)} outside the stated range or field of view"),
     ]
+
+
+def _fixes(log: Log) -> list[Line]:
+    """A line for each source and kind."""
+    fixes = log.recorded.fixes
+    if fixes is None:
+        return []
+    lines = []
+    for k, source in enumerate(fixes.sources):
+        for kind in FixKind:
+            rows = np.flatnonzero((fixes.source == k) & (fixes.kind == kind))
+            if not len(rows):
+                continue
+            text = f"{source.name}, {kind.name.lower()}: {len(rows)}"
+            text += f" in {_share(len(np.unique(fixes.frame[rows])), len(log.recorded))} frames"
+            sigma = np.sqrt(np.median(np.diagonal(fixes.covariance[rows], axis1=1, axis2=2), axis=0))
+            measured = MEASURED[kind]
+            if 0 in measured:
+                text += f"; median σ {sigma[0]:.3g} m, {sigma[1]:.3g} m"
+                text += f"; lever ({source.lever[0]:g}, {source.lever[1]:g}) m" if any(source.lever) else ""
+            if 2 in measured:
+                text += f"; heading σ {np.degrees(sigma[2]):.3g} deg"
+                text += f", rotation {np.degrees(source.rotation):.4g} deg" if source.rotation else ""
+            lines.append(("fixes", text + _outliers(log.truth.fix_inlier, rows)))
+    return lines or [("fixes", "none")]
+
+
+def _closures(log: Log) -> list[Line]:
+    """A line for each source."""
+    closures = log.recorded.closures
+    if closures is None:
+        return []
+    lines = []
+    for k, name in enumerate(closures.sources):
+        rows = np.flatnonzero(closures.source == k)
+        if not len(rows):
+            continue
+        sigma = np.sqrt(np.median(np.diagonal(closures.covariance[rows], axis1=1, axis2=2), axis=0))
+        apart = (closures.later - closures.earlier)[rows]
+        text = f"{name}: {len(rows)}, over {apart.min()} to {counted(int(apart.max()), 'frame')}, median "
+        text += f"{np.median(apart):g}; median σ {sigma[0]:.3g} m, {sigma[1]:.3g} m, {np.degrees(sigma[2]):.3g} deg"
+        lines.append(("closures", text + _outliers(log.truth.closure_inlier, rows)))
+    return lines or [("closures", "none")]
+
+
+def _outliers(inlier: IntArray | None, rows: IntArray) -> str:
+    return "" if inlier is None else f"; {counted(int((inlier[rows] == 0).sum()), 'outlier')} by the truth"
 
 
 def _scans(log: Log) -> list[Line]:

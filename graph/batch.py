@@ -9,13 +9,20 @@ import numpy as np
 
 from data.errors import UsageError
 from data.inputs import Inputs, IntArray, LandmarkMap
-from data.motion.systematic import sensor_frame
-from data.se2 import Array
+from data.motion.systematic import SensorFrame, sensor_frame
+from data.pose_measurements import FrameClosures, FrameFixes
+from data.se2 import Array, BoolArray
 from graph.factors import LOSSES, between_factors, known_landmark_factors, landmark_factors
 from graph.optimum import Smoothed, optimize
+from graph.pose_factors import PoseFactor, closure_factors, fix_factors
 from graph.problem import Problem
 from graph.systematic import Calibrated
 from graph.walls import line_factors, refuse
+
+NO_SENSOR_ERRORS = (
+    "systematic errors of range or bearing are not estimated beside fixes or closures: those of odometry are "
+    "(--calibrate scale,curvature,left,right,drift)"
+)
 
 
 class Start(NamedTuple):
@@ -26,17 +33,35 @@ class Start(NamedTuple):
     errors: Array | None = None  # (N, p) systematic errors by frame, where some are estimated; None: zero
 
 
-def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, loss: str = "gaussian") -> Smoothed:
+class Rejected(NamedTuple):
+    """Fixes (F,) and closures (K,) that take no part; None: all do."""
+
+    fixes: BoolArray | None = None
+    closures: BoolArray | None = None
+
+
+NONE_REJECTED = Rejected()
+
+
+def smooth(
+    inputs: Inputs,
+    decisions: IntArray,
+    created: IntArray,
+    start: Start,
+    *,
+    loss: str = "gaussian",
+    rejected: Rejected = NONE_REJECTED,
+) -> Smoothed:
     """Maximum a posteriori path (and map): a minimum reached from `start`.
 
     Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`. Without: SLAM, decisions are landmark
     numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of the landmark an observation initialized (-1: none).
-    `loss`: gaussian, huber or cauchy, on measurements only. Raises `UnderConstrained` (`NotConvergedError` if no
-    minimum was reached), and DataError for a singular increment or measurement covariance.
+    `loss`: gaussian, huber or cauchy, on measurements only; fixes and closures are such. Raises `UnderConstrained`
+    (`NotConvergedError` if no minimum was reached), and DataError for a singular covariance.
     """
     if loss not in LOSSES:
         raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
-    problem = build(inputs, decisions, created, loss)
+    problem = build(inputs, decisions, created, loss, rejected)
     return optimize(problem, start_values(problem, start), loss=loss)
 
 
@@ -49,7 +74,13 @@ def start_values(problem: Problem, start: Start) -> gtsam.Values:
     return problem.values(start.pose, {int(n): start.landmark[n] for n in problem.numbers}, start.errors)
 
 
-def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian") -> Problem:
+def build(
+    inputs: Inputs,
+    decisions: IntArray,
+    created: IntArray,
+    loss: str = "gaussian",
+    rejected: Rejected = NONE_REJECTED,
+) -> Problem:
     """The factors of a log under given decisions."""
     calibrated, sensor = None, inputs.sensor
     refuse(inputs.systematic, sensor)
@@ -58,7 +89,9 @@ def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "g
     else:
         frame = sensor_frame(inputs.systematic, inputs.sensor, inputs.prior)
         calibrated, sensor = Calibrated(inputs.systematic, frame, inputs.increments), frame.sensor(inputs.sensor)
+        refuse_pose_measurements(inputs, calibrated.frame)
         motion = calibrated.motion()
+    of_poses = _of_poses(inputs, loss, rejected)
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     o = inputs.observations
@@ -67,9 +100,33 @@ def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "g
     if not sensor.sees_points:
         about = inputs.prior.mean[:2]
         factors = line_factors(*seen, about, loss, at)
-        return Problem(inputs.prior, motion, factors, at is not None, calibrated, about)
+        return Problem(inputs.prior, motion, factors, at is not None, calibrated, about, of_poses)
     factors = landmark_factors(*seen, loss) if at is None else known_landmark_factors(*seen, at, 0, loss)
-    return Problem(inputs.prior, motion, factors, at is not None, calibrated)
+    return Problem(inputs.prior, motion, factors, at is not None, calibrated, None, of_poses)
+
+
+def _of_poses(inputs: Inputs, loss: str, rejected: Rejected) -> list[PoseFactor]:
+    """Fixes and closures as factors."""
+    found = list[PoseFactor]()
+    if (f := inputs.fixes) is not None:
+        every = FrameFixes(f.kind, f.source, f.z, f.covariance, 0)
+        found += _without(fix_factors(f.frame.tolist(), every, f.sources, loss), rejected.fixes)
+    if (c := inputs.closures) is not None:
+        whole = FrameClosures(c.frame1, c.frame2, c.relative, c.covariance, c.source, np.arange(len(c)))
+        found += _without(closure_factors(whole, c.sources, loss), rejected.closures)
+    return found
+
+
+def _without(factors: list[PoseFactor], rejected: BoolArray | None) -> list[PoseFactor]:
+    if rejected is None:
+        return factors
+    return [p.left_out() if out else p for p, out in zip(factors, rejected.tolist(), strict=True)]
+
+
+def refuse_pose_measurements(inputs: Inputs, frame: SensorFrame) -> None:
+    """Raise UsageError for fixes or closures beside errors of the sensor, whose frame is not the world."""
+    if (inputs.fixes is not None or inputs.closures is not None) and not frame.same:
+        raise UsageError(NO_SENSOR_ERRORS)
 
 
 def _rows_of(known: LandmarkMap, ids: IntArray) -> IntArray:

@@ -16,7 +16,6 @@ types_slam2d).
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -44,9 +43,10 @@ from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
+from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, inverse, wrap_angle
 from data.sensors import RangeBearing, RelativePoint, Sensor
-from data.truth import Relations, Truth
+from data.truth import Truth
 
 POSE, POINT, FIX = "VERTEX_SE2", "VERTEX_XY", "FIX"
 MOTION, OBSERVATION, BEARING = "EDGE_SE2", "EDGE_SE2_XY", "EDGE_BEARING_SE2_XY"
@@ -75,7 +75,7 @@ class Graph:
         pose, point: vertices in file order: id (K,), value (K, 3) or (K, 2).
         fixed: ids of fixed vertices.
         motion, observation, bearing, polar: edges; measured by `polar` are range and bearing.
-        prior: of poses, with both ends the same.
+        prior, position: measured poses and their positions, with both ends the same.
         other: numbers of lines with other tags.
         noise: what the noise of text was taken for; "": there is no text.
     """
@@ -89,6 +89,7 @@ class Graph:
     bearing: Edges
     polar: Edges
     prior: Edges
+    position: Edges
     other: dict[str, int]
     noise: str = ""
 
@@ -111,15 +112,13 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
         kind: [e for e in file.edges if file.kind(e)[1] == kind and e.tag not in (RANGED, BEARING)]
         for kind in (POSE2, POINT2)
     }
-    other = Counter(file.other)
-    priors = [p for p in file.priors if len(p.measured) == 3]
-    if len(priors) < len(file.priors):
-        other[POSITION] += len(file.priors) - len(priors)
-    measured = [Edge(PRIOR, (p.pose, p.pose), p.measured, p.information, p.line) for p in priors]
+    priors = [Edge(PRIOR, (p.pose, p.pose), p.measured, p.information, p.line) for p in file.priors]
     return Graph(
         path, _vertices(file.poses, 3), _vertices(file.points, 2), np.array(file.fixed, np.int64),
         _edges(pairs[POSE2], 3), _edges(pairs[POINT2], 2), _edges([e for e in file.edges if e.tag == BEARING], 1),
-        polar, _edges(measured, 3), dict(other), file.noise,
+        polar, _edges([e for e in priors if e.measured.size == 3], 3),
+        _edges([e for e in priors if e.measured.size == 2], 2),
+        file.other, file.noise,
     )  # fmt: skip
 
 
@@ -149,9 +148,8 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     """The log of a graph; `true`: its vertices are the true values.
 
     Frames are the poses by id, or in the order of vertices if only these have edges from each to the next. The first
-    EDGE_SE2 between neighbours, in either direction, is the motion; every other one becomes a reference relation for
-    scoring. Labels are landmark ids. A bearing becomes an observation with nearly unknown range. The first pose is
-    fixed at its vertex.
+    EDGE_SE2 between neighbours, in either direction, is the motion; every other one becomes a closure. Labels are
+    landmark ids. A bearing becomes an observation with nearly unknown range. The first pose is fixed at its vertex.
 
     Raises DataError for neighbours without an edge, an edge without its vertex, or no pose.
     """
@@ -163,7 +161,6 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     start = vertex[0] if np.isfinite(vertex[0]).all() else np.zeros(3)
     frame, label, z, R, sensor = _observations(graph, ids, notes, se2.dead_reckoned(start, mean))
     notes += _changes(graph, ids, used)
-    relations = _relations(graph.motion, ids, used)
     landmarks = None
     if true and len(graph.point[0]):
         order = np.argsort(graph.point[0])
@@ -178,10 +175,10 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
         time_is_index=True,
         covariance_floor=FLOOR,
         floored=floored,
+        closures=_closures(graph.motion, ids, used),
+        fixes=_fixes(graph, ids),
     )
-    truth = Truth(
-        pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None, relations=relations
-    )
+    truth = Truth(pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None)
     source: dict[str, object] = {"kind": "g2o", **source_file(graph.path)}
     if ids.tolist() != list(range(len(ids))):
         source[POSE_IDS] = ids.tolist()
@@ -208,16 +205,46 @@ def _in_a_row(ids: IntArray, joined: set[tuple[int, int]]) -> bool:
     return all(pair in joined for pair in pairwise(ids.tolist()))
 
 
+VAGUE = (10.0, 10.0, 0.5)
+"""m, m, rad: standard deviations of the first pose where measured poses tell the place."""
+
+
 def _prior(graph: Graph, ids: IntArray, start: Array, notes: list[str]) -> Prior:
-    """Of the first pose: its EDGE_PRIOR_SE2 unless it is fixed, else exact."""
-    own = np.flatnonzero(graph.prior.ends[:, 0] == ids[0])
-    used = bool(len(own)) and int(ids[0]) not in graph.fixed.tolist()
-    if len(graph.prior) > used:
-        notes.append(f"{len(graph.prior) - used} {PRIOR} left out")
-    if not used:
+    """Of the first pose: its EDGE_PRIOR_SE2 unless it is fixed; vague where others are measured; else exact."""
+    own = _own_prior(graph, ids)
+    if own is not None:
+        mean, P = graph.prior.measured[own], graph.prior.covariance[own : own + 1]
+        return Prior(mean, se2.covariances_in_world(mean[None, 2], P)[0])
+    if int(ids[0]) in graph.fixed.tolist() or not len(graph.prior) + len(graph.position):
         return Prior(start, np.zeros((3, 3)))
-    mean, P = graph.prior.measured[own[0]], graph.prior.covariance[own[:1]]
-    return Prior(mean, se2.covariances_in_world(mean[None, 2], P)[0])
+    notes.append(f"The first pose is known by {VAGUE[0]:g} m and {VAGUE[2]:g} rad: measured poses tell the place")
+    return Prior(start, np.diag(np.square(VAGUE)))
+
+
+def _own_prior(graph: Graph, ids: IntArray) -> int | None:
+    """Row of the measured pose that is the prior of the first one."""
+    own = np.flatnonzero(graph.prior.ends[:, 0] == ids[0])
+    return int(own[0]) if len(own) and int(ids[0]) not in graph.fixed.tolist() else None
+
+
+def _fixes(graph: Graph, ids: IntArray) -> Fixes | None:
+    """Measured poses and positions besides the prior."""
+    at = {int(i): k for k, i in enumerate(ids)}
+    pose = np.delete(np.arange(len(graph.prior)), [] if (own := _own_prior(graph, ids)) is None else own)
+    count, z = len(pose) + len(graph.position), np.zeros((len(pose) + len(graph.position), 3))
+    if not count:
+        return None
+    P = np.zeros((count, 3, 3))
+    z[: len(pose)], z[len(pose) :, :2] = graph.prior.measured[pose], graph.position.measured
+    P[: len(pose)] = se2.covariances_in_world(z[: len(pose), 2], graph.prior.covariance[pose])
+    P[len(pose) :, :2, :2] = graph.position.covariance
+    frame = np.array([at[i] for e in (graph.prior.ends[pose, 0], graph.position.ends[:, 0]) for i in e.tolist()])
+    kind = np.repeat([int(FixKind.POSE), int(FixKind.POSITION)], [len(pose), len(graph.position)])
+    order = np.argsort(frame, kind="stable")
+    P = 0.5 * (P + P.transpose(0, 2, 1))
+    sources = (FixSource(PRIOR), FixSource(POSITION))
+    source = (kind == FixKind.POSITION).astype(np.int64)
+    return Fixes(frame[order], kind[order], source[order], z[order], P[order], sources)
 
 
 def _estimates(vertices: tuple[IntArray, Array], ids: IntArray) -> Array:
@@ -340,15 +367,21 @@ def _of_vertices(graph: Graph, rays: Edges) -> Array:
     return np.asarray(np.where(aside < CONTRADICTED, np.hypot(*off.T), np.nan))
 
 
-def _relations(edges: Edges, ids: IntArray, used: IntArray) -> Relations | None:
-    """EDGE_SE2 outside the chain."""
+def _closures(edges: Edges, ids: IntArray, used: IntArray) -> Closures | None:
+    """EDGE_SE2 outside the chain, by their later frame."""
     rest = np.setdiff1d(np.arange(len(edges)), used)
     if not len(rest):
         return None
     at = {int(i): k for k, i in enumerate(ids)}
-    rows = np.array([[at[int(a)], at[int(b)]] for a, b in edges.ends[rest]], np.int64)
+    frame = np.array([[at[int(a)], at[int(b)]] for a, b in edges.ends[rest]], np.int64)
+    order = np.argsort(frame.max(axis=1), kind="stable")
+    rest, frame = rest[order], frame[order]
+    # the edge's error is seen from its measured end
     covariance = se2.covariances_in_world(edges.measured[rest, 2], edges.covariance[rest])
-    return Relations(rows[:, 0], rows[:, 1], edges.measured[rest], covariance=covariance)
+    covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    return Closures(
+        frame[:, 0], frame[:, 1], edges.measured[rest], covariance, np.zeros(len(rest), np.int64), (MOTION,)
+    )
 
 
 WORDS = {INFORMATION: "information", COVARIANCE: "covariance (gtsam)", ROOT: "root of the information (iSAM)"}
@@ -359,10 +392,7 @@ def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
     notes = []
     loops = len(graph.motion) - len(used)
     if loops:
-        notes.append(
-            f"{loops} {MOTION} outside the chain of poses (loop closures) became reference relations for scoring; no "
-            f"estimator sees them, and slamref audit {graph.path.name} optimizes the graph"
-        )
+        notes.append(f"{loops} {MOTION} outside the chain of poses are its closures")
     if len(graph.fixed) and graph.fixed.tolist() != [int(ids[0])]:
         notes.append(f"FIX {' '.join(map(str, graph.fixed.tolist()[:5]))}: the first pose is fixed instead")
     if graph.noise:

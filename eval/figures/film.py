@@ -18,7 +18,8 @@ import cv2
 import numpy as np
 
 from data.errors import SlamrefError
-from data.inputs import Inputs, IntArray, read_only
+from data.inputs import Inputs, IntArray
+from data.locked import read_only
 from data.log import Log
 from data.result import NEW, Run
 from data.se2 import Array, BoolArray, transform_points

@@ -9,6 +9,7 @@ import numpy as np
 from association.expectation import Expectation
 from data.errors import UsageError, did_you_mean
 from data.inputs import FrameObservations, Increment, IntArray
+from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
 from data.result import Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array
 from ekf.filter import DEFAULT, FilterOptions, lack
@@ -160,6 +161,28 @@ class Resettable(Protocol):
         """Restart at a pose (3,) with covariance (3, 3)."""
 
 
+@runtime_checkable
+class Fixable(Protocol):
+    """It can use absolute measurements of the pose."""
+
+    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+        """Update with those inside the gate (a chi-square probability, None: all), one after another.
+
+        Called between `predict` (with `stamp`) and `expect`, before the closures.
+        """
+
+
+@runtime_checkable
+class Closable(Protocol):
+    """It can use measured relative poses of two frames; frames count from 0, and each `predict` begins one."""
+
+    def keep(self, last_use: dict[int, int]) -> None:
+        """Before the first frame: the frames that later closures name, each with the frame of its last use."""
+
+    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+        """Update with those inside the gate, one after another; not used: those of a frame that is no longer known."""
+
+
 class Capabilities(NamedTuple):
     """An estimator as each of its capabilities; None for those it lacks."""
 
@@ -172,11 +195,13 @@ class Capabilities(NamedTuple):
     amendable: Amendable | None
     inflatable: Inflatable | None
     resettable: Resettable | None
+    fixable: Fixable | None
+    closable: Closable | None
 
 
 CAPABILITIES: tuple[Any, ...] = (
     *(Timed, Stateful, Calibrating, Parkable, Removable),
-    *(Revisable, Amendable, Inflatable, Resettable),
+    *(Revisable, Amendable, Inflatable, Resettable, Fixable, Closable),
 )
 """In the order of the fields of `Capabilities`."""
 

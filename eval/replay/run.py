@@ -345,6 +345,8 @@ class _Comparison:
         return filter_known(self.inputs, self.task, name=name, threshold=gate_threshold(self.setup.label_gate))
 
     def _batch(self, name: str) -> Run:
+        if self.inputs.closures is not None and not len(self.inputs.observations.frame):
+            return batch(name, self.inputs, replace(self._ahead("dead-reckoning"), association=self.association))
         if self.association != "known":
             first = batch(name, self.inputs, self._ahead("isam2" if "isam2" in self.estimators else "ekf"))
             if first.failure is None or "isam2" not in self.estimators:

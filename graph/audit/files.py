@@ -19,7 +19,7 @@ from data.errors import DataError, UsageError
 from data.formats.graph_file import POINT2, POINT3, POSE2, POSE3, Edge, GraphFile
 from data.inputs import IntArray
 from data.se2 import Array
-from graph.audit.chordal import chordal
+from graph.audit.chordal import chordal_start
 from graph.audit.fronts import factorize, ordering, step
 from graph.audit.linear import System, linearize
 
@@ -211,7 +211,7 @@ def other_starts(file: GraphFile, values: gtsam.Values) -> dict[str, gtsam.Value
     """Starts by name, shifted onto the first pose of `values`: along the edges, if there are vertices, and chordal."""
     out = {}
     first = min(edge.ends[0] for edge in file.edges)  # a pose, of every kind of edge
-    for name, poses in ((EDGES, {}), (CHORDAL, chordal(file))):
+    for name, poses in ((EDGES, {}), (CHORDAL, chordal_start(file))):
         if (name == EDGES and not file.poses) or (name == CHORDAL and not poses):
             continue
         start = gtsam.Values()

@@ -31,6 +31,7 @@ from eval.studies.validation import load_validation
 from tests.data.conftest import small_files
 from tests.data.formats.lab.handmade import lab
 from tests.data.formats.mrclam import world
+from tests.data.formats.open_log.measured import measured_files
 from tests.data.formats.open_log.test_corruption import assert_sound
 from tests.data.formats.open_log.test_scans import GOOD
 from tests.data.formats.recordings.carmen_text import SMALL
@@ -89,7 +90,8 @@ def open_logs() -> list[Files]:
     kinds = [(source, sensor) for source in ("frames", "odometry") for sensor in ("range_bearing", "relative_point")]
     line = small_files("frames", "range_bearing")
     line["log.toml"] = line["log.toml"].replace("range_bearing", "line")
-    return [*(encoded(small_files(*kind)) for kind in kinds), encoded(line), dict(GOOD)]
+    measured = [encoded(measured_files(source)) for source in ("frames", "odometry")]
+    return [*(encoded(small_files(*kind)) for kind in kinds), encoded(line), dict(GOOD), *measured]
 
 
 def datasets() -> list[Files]:

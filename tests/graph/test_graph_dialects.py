@@ -11,8 +11,10 @@ import pytest
 from data.convert.__main__ import main
 from data.errors import DataError
 from data.formats.g2o import POSE_IDS, log_of, read_graph
+from data.formats.g2o_out import graph_text, labelled
 from data.formats.graph_file import read_graph_file, with_information
 from data.formats.open_log.reader import load_folder
+from data.pose_measurements import FixKind
 from data.se2 import compose, inverse
 from graph.audit.files import build
 
@@ -85,7 +87,17 @@ def test_priors_are_factors_of_an_audit_and_that_of_the_first_pose_is_the_logs(w
     log = log_of("fixed", read_graph(path))
     assert log.recorded.prior.mean == pytest.approx([0.1, 0.2, 0.05])
     assert log.recorded.prior.covariance[2, 2] == pytest.approx(1 / 25)
-    assert any("EDGE_PRIOR_SE2 left out" in n for n in log.notes)
+    fixes = log.recorded.fixes
+    assert (fixes.frame.tolist(), fixes.kind.tolist()) == ([2, 3], [FixKind.POSE, FixKind.POSITION])
+    assert fixes.z[1].tolist() == [3.5, 0.1, 0.0]
+    assert np.diagonal(fixes.covariance[1])[:2] == pytest.approx([1 / 4, 1 / 16])
+    back = written(graph_text(log.recorded, labelled(log)), "back.g2o")
+    again = log_of("again", read_graph(back)).recorded
+    assert again.prior.covariance == pytest.approx(log.recorded.prior.covariance)
+    assert again.fixes.z == pytest.approx(fixes.z)
+    assert again.fixes.covariance == pytest.approx(fixes.covariance)
+    alone = log_of("alone", read_graph(written(POSES + EDGES + pose.splitlines()[1], "alone.g2o"))).recorded
+    assert alone.prior.covariance[0, 0] == 100.0
     with pytest.raises(DataError, match="prior of 7: no pose"):
         read_graph_file(written(POSES + EDGES + "EDGE_PRIOR_SE2 7 0 0 0 1 0 0 1 0 1\n"))
 

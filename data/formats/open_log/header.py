@@ -1,8 +1,8 @@
 """`log.toml` of an open log folder, checked key by key.
 
-Format 1. Keys, with their defaults where they may be left out:
+Formats 1 and 2. Keys, with their defaults where they may be left out:
 
-    format = 1
+    format = 1                          2 with [[fix]], [[closure]], fixes.csv or closures.csv
     name = "..."                        unique in a run; it becomes part of file names
     time_is_index = false               t is a frame number, there are no stamps
     covariance_floor = 1e-10            smallest eigenvalue of an increment's covariance; 0 for none
@@ -28,7 +28,12 @@ Format 1. Keys, with their defaults where they may be left out:
               [rad] per frame, or prior = "constant_velocity" with velocity, velocity_sigma, lateral_sigma [m/s],
               turn_rate and turn_rate_sigma [rad/s]; frames.csv then has the column t alone (see
               data.motion.motion_prior)
+    [[fix]]   of each source of fixes.csv (see `fixes`), in format 2: name, lever = [0, 0] [m], rotation = 0 [rad],
+              sigma = [x, y, theta], [x, y] or [theta]
+    [[closure]] of each source of closures.csv (see `closures`), in format 2: name, sigma = [x, y, theta]
     [source]  anything: how the log was made
+
+In format 2 [sensor] may be left out where there is no observations.csv.
 """
 
 from __future__ import annotations
@@ -42,6 +47,7 @@ from typing import Any
 import numpy as np
 
 from data.errors import DataError
+from data.formats.open_log import closures, fixes
 from data.formats.open_log.scans import KEYS, mounting, read_scanner
 from data.inputs import Prior, Scanner
 from data.motion.motion_prior import PRIORS, MotionPrior
@@ -50,11 +56,14 @@ from data.se2 import Array
 from data.sensors import Line, RangeBearing, RelativePoint, Sensor
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative, positive
 
-FORMAT = 1
+FORMAT, LATEST = 1, 2
+"""A log without parts of format 2 is written as format 1."""
+LATER = (fixes.TABLE, closures.TABLE)
+"""Tables of format 2."""
 KNOWN = {
     "": (
         *("format", "name", "time_is_index", "covariance_floor", "floored", "labels_are_sensed", "notes"),
-        *("prior", "sensor", "scanner", "motion", "source"),
+        *("prior", "sensor", "scanner", "motion", "source", *LATER),
     ),
     "prior": ("mean", "sigma", "covariance"),
     "sensor": (
@@ -63,6 +72,8 @@ KNOWN = {
     ),
     "sensor.extrinsic": ("rotation", "translation"),
     "scanner": KEYS,
+    fixes.TABLE: fixes.KEYS,
+    closures.TABLE: closures.KEYS,
     "motion": (
         *("model", "noise", "sigma", "alphas"),
         *("prior", *dict.fromkeys(f.name for kind in PRIORS.values() for f in fields(kind))),
@@ -76,13 +87,15 @@ SENSORS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, R
 class Header:
     """Contents of `log.toml`.
 
-    `sigma` (2,): the sensor's default noise. `motion`: how odometry becomes increments. `motion_prior`: model instead
-    of odometry. `scanner`: of a laser log.
+    `sensor`: None where none is stated. `sigma` (2,): the sensor's default noise. `motion`: how odometry becomes
+    increments. `motion_prior`: model instead of odometry. `scanner`: of a laser log. `fixes`, `closures`: their
+    sources.
     """
 
     name: str
+    format: int
     prior: Prior
-    sensor: Sensor
+    sensor: Sensor | None
     sigma: Array | None
     motion: VelocityModel | None
     time_is_index: bool
@@ -93,6 +106,8 @@ class Header:
     source: Mapping[str, object]
     motion_prior: MotionPrior | None = None
     scanner: Scanner | None = None
+    fixes: tuple[fixes.Stated, ...] = ()
+    closures: tuple[closures.Stated, ...] = ()
 
 
 def _name(top: TomlTable) -> str:
@@ -198,17 +213,21 @@ def read_header(path: Path) -> Header:
 def header_of(table: dict[str, Any], fault: Fault) -> Header:
     """The header that the tables of a `log.toml` state."""
     number = table.get("format")
-    if isinstance(number, bool) or number != FORMAT:
+    if isinstance(number, bool) or number not in (FORMAT, LATEST):
         what = "no format number" if number is None else f"format = {number!r}: unknown format number"
-        raise fault(f"{what}; format = {FORMAT} is needed")
+        raise fault(f"{what}; format = {FORMAT} or {LATEST} is needed")
+    for name in LATER:
+        if name in table and number != LATEST:
+            raise fault(f"[[{name}]] in format {number}; format = {LATEST} is needed")
     top = TomlTable(fault, table, KNOWN)
     lasers = top.optional_table("scanner")
     scanner = None if lasers is None else read_scanner(lasers)
-    if scanner is not None and "sensor" not in top:
-        sensor: Sensor = RangeBearing(scanner.max_range)
-        sigma = None
-    else:
+    sensor: Sensor | None = None
+    sigma = None
+    if "sensor" in top or (scanner is None and number == FORMAT):
         sensor, sigma = _sensor(top.table_of("sensor"))
+    elif scanner is not None:
+        sensor = RangeBearing(scanner.max_range)
     motion = top.optional_table("motion")
     notes = table.get("notes", [])
     if not isinstance(notes, list) or not all(isinstance(n, str) for n in notes):
@@ -218,6 +237,7 @@ def header_of(table: dict[str, Any], fault: Fault) -> Header:
         raise top.error("source", "this must be a table")
     return Header(
         name=_name(top),
+        format=LATEST if number == LATEST else FORMAT,
         prior=_prior(top.table_of("prior")),
         sensor=sensor,
         sigma=sigma,
@@ -230,4 +250,6 @@ def header_of(table: dict[str, Any], fault: Fault) -> Header:
         source=source,
         motion_prior=_motion_prior(motion) if motion is not None and "prior" in motion else None,
         scanner=scanner,
+        fixes=fixes.stated(top.tables_of(fixes.TABLE)),
+        closures=closures.stated(top.tables_of(closures.TABLE)),
     )

@@ -1,4 +1,4 @@
-"""Open log folder, format 1: reader with strict checks.
+"""Open log folder, formats 1 and 2: reader with strict checks.
 
     log.toml            see `header`; a motion prior there replaces increments and odometry
     frames.csv          t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt        row 0: zero increment
@@ -8,17 +8,21 @@
     landmarks.csv       id,x,y[,sx,sy]                                      optional
     scans.npz           range scans (see `scans`); then observations.csv and [sensor] may be missing
     relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt]         optional
+    fixes.csv           absolute measurements of the pose (see `fixes`)     format 2; then observations.csv and
+    closures.csv        relative poses of two frames (see `closures`)       [sensor] may be missing
 
 Columns may have any order; unknown ones are ignored. frames.csv of a log with relations may have a column stamp: the
 recorded stamps, which need not increase. true_id: -1 false alarm, blank unknown. label: the sensor's, where it may
-differ from true_id. With odometry.csv the frames are the instants with observations, and keyframes where those are more
-than 1 s apart. relations.csv: reference relations for scoring without a true path. x,y,theta: pose of frame row2 in
-that of frame row1 [m, m, rad], rows from 0; exact: 1 where both rows are certain, else 0; stamps [s] of the reference.
+differ from true_id. With odometry.csv the frames are the instants with observations, fixes or ends of closures, and
+keyframes where those are more than 1 s apart. relations.csv: reference relations for scoring without a true path.
+x,y,theta: pose of frame row2 in that of frame row1 [m, m, rad], rows from 0; exact: 1 where both rows are certain, else
+0; stamps [s] of the reference.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -28,14 +32,19 @@ import numpy as np
 
 from data.errors import DataError
 from data.formats.csv_table import Table, read_table
-from data.formats.open_log.header import Header, read_header
+from data.formats.open_log import closures as closures_file
+from data.formats.open_log import fixes as fixes_file
+from data.formats.open_log.closures import ClosureTable, read_closures
+from data.formats.open_log.fixes import POSE, FixTable, read_fixes
+from data.formats.open_log.header import FORMAT, LATEST, Header, read_header
+from data.formats.open_log.named import COVARIANCE
 from data.formats.open_log.scans import read_scans
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations, Scans
 from data.log import Log
 from data.motion.motion_prior import MotionPrior, note_of
 from data.motion.velocity import VelocityModel, floor_covariances, preintegrate
 from data.se2 import Array
-from data.sensors import RelativePoint
+from data.sensors import RangeBearing, RelativePoint
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import CLUTTER, UNKNOWN_ID, Relations, Truth
@@ -120,14 +129,13 @@ HEADER = "log.toml"
 FRAMES, ODOMETRY, OBSERVATIONS = "frames.csv", "odometry.csv", "observations.csv"
 TRUTH, LANDMARKS = "truth.csv", "landmarks.csv"
 SCANS, RELATIONS = "scans.npz", "relations.csv"
-FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, SCANS, RELATIONS)
+FIXES, CLOSURES = fixes_file.FILE, closures_file.FILE
+FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, SCANS, RELATIONS, FIXES, CLOSURES)
 
 MEAN = ("dx", "dy", "dtheta")
-COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
 STAMP = "stamp"
 NOISE = ("r11", "r12", "r22")
 IDS = ("true_id", "label")
-POSE = ("x", "y", "theta")
 
 LONGEST = 1e6
 """s, longest odometry log; keyframes up to a broken stamp would fill the memory."""
@@ -155,25 +163,29 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
             raise DataError.at(folder / ODOMETRY, f"{HEADER} states a [motion] prior instead; remove one of them")
         if header.motion is None:
             raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
-        observations = _observations(folder / OBSERVATIONS, header, "t")
+    key = "t" if by_stamp else "frame"
+    measured = _measured(folder, header, key)
+    observations = _observations(folder / OBSERVATIONS, header, key, measured)
+    if by_stamp:
+        assert header.motion is not None
         samples = read_table(folder / ODOMETRY, ("t", "v", "omega"))
-        motion, frame, gaps = odometry_of(samples, header.motion, observations.table)
+        motion, gaps = odometry_of(samples, header.motion, instants(observations.table, measured))
         pose = stamped_truth(_truth_table(folder / TRUTH, ("t", *POSE)), motion.time)
     else:
-        observations = _observations(folder / OBSERVATIONS, header, "frame")
         motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
-        frame = frame_of(observations.table, len(motion.time))
         pose = truth_per_frame(_truth_table(folder / TRUTH, POSE), len(motion.time))
+    frame = frames_in(observations.table, key, motion.time)
     landmarks, survey = read_landmarks(folder / LANDMARKS)
     scans = _scans(folder, header, len(motion.time), by_stamp=by_stamp)
     reference = folder / RELATIONS if relations is None else relations
     related = None
     if relations is not None or reference.exists():
         related = read_relations(reference, len(motion.time), motion.stamp)
-    recorded = inputs_of(header, motion, frame, observations, landmarks)
-    table = observations.table
+    recorded, inliers = with_measured(inputs_of(header, motion, frame, observations, landmarks), measured, key)
     notes = list(header.notes) + ([note_of(header.motion_prior)] if header.motion_prior is not None else [])
-    notes += [f"{OBSERVATIONS}: unknown column {name!r} ignored" for name in table.unknown]
+    for name, part in ((OBSERVATIONS, observations), (FIXES, measured.fixes), (CLOSURES, measured.closures)):
+        if part is not None:
+            notes += [f"{name}: unknown column {column!r} ignored" for column in part.table.unknown]
     if gaps:
         many = counted(gaps, "gap")
         notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
@@ -182,7 +194,7 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     return Log(
         name=header.name,
         recorded=replace(recorded, scans=scans),
-        truth=Truth(pose, landmarks, observations.true_id, related),
+        truth=Truth(pose, landmarks, observations.true_id, related, fix_inlier=inliers[0], closure_inlier=inliers[1]),
         label=observations.label,
         labels_are_sensed=header.labels_are_sensed,
         source=header.source,
@@ -200,7 +212,7 @@ def inputs_of(
         time=motion.time,
         increments=Increments(motion.increments.mean, covariance),
         observations=Observations(frame, observations.table.stack(("z1", "z2")), observations.R),
-        sensor=header.sensor,
+        sensor=RangeBearing() if header.sensor is None else header.sensor,
         map=landmarks,
         time_is_index=header.time_is_index,
         covariance_floor=header.covariance_floor,
@@ -214,6 +226,59 @@ class Motion(NamedTuple):
     time: Array
     increments: Increments
     stamp: Array | None = None
+
+
+class Measured(NamedTuple):
+    """Fixes and closures without frames; None: there are none."""
+
+    fixes: FixTable | None = None
+    closures: ClosureTable | None = None
+
+    def __bool__(self) -> bool:
+        return self.fixes is not None or self.closures is not None
+
+
+def _measured(folder: Path, header: Header, key: str) -> Measured:
+    """fixes.csv and closures.csv, checked except for range and order of `key` (frame or t)."""
+    for name, table, sources in (
+        (FIXES, fixes_file.TABLE, header.fixes),
+        (CLOSURES, closures_file.TABLE, header.closures),
+    ):
+        there = (folder / name).exists()
+        if there and header.format == FORMAT:
+            what = f"in a folder of format {header.format}; format = {LATEST} in {HEADER} is needed"
+            raise DataError.at(folder / name, what)
+        if sources and not there:
+            raise DataError.at(folder / name, f"no such file; [[{table}]] of {HEADER} needs it")
+    return Measured(
+        read_fixes(folder / FIXES, header.fixes, key) if (folder / FIXES).exists() else None,
+        read_closures(folder / CLOSURES, header.closures, key) if (folder / CLOSURES).exists() else None,
+    )
+
+
+def instants(observations: Table, measured: Measured) -> list[tuple[Table, str]]:
+    """Tables and their columns of stamps, whose instants are frames of a log with odometry.csv."""
+    found = [(observations, "t")]
+    if measured.fixes is not None:
+        found.append((measured.fixes.table, "t"))
+    if measured.closures is not None:
+        found += [(measured.closures.table, end) for end in measured.closures.ends]
+    return found
+
+
+def with_measured(
+    inputs: Inputs, measured: Measured, key: str
+) -> tuple[Inputs, tuple[IntArray | None, IntArray | None]]:
+    """The inputs with fixes and closures, and the true inliers of both."""
+    fixes, closures, time = measured.fixes, measured.closures, inputs.time
+    inlier = None
+    if fixes is not None:
+        inputs = replace(inputs, fixes=fixes.at(frames_in(fixes.table, key, time)))
+    if closures is not None:
+        end1, end2 = (frames_in(closures.table, end, time, by_stamp=key == "t") for end in closures.ends)
+        between, inlier = closures.between(end1, end2)
+        inputs = replace(inputs, closures=between)
+    return inputs, (None if fixes is None else fixes.inlier, inlier)
 
 
 class FrameTable(NamedTuple):
@@ -267,9 +332,12 @@ def frames_of(table: Table, prior: MotionPrior | None = None) -> Motion:
     return Motion(table.columns["t"], Increments(table.stack(MEAN), covariance), stamp)
 
 
-def _observations(path: Path, header: Header, key: str) -> FrameTable:
+def _observations(path: Path, header: Header, key: str, measured: Measured) -> FrameTable:
     """observations.csv, checked except for range and order of `key` (frame or t)."""
-    if header.scanner is not None and not path.exists():
+    if header.sensor is None and (path.exists() or not measured):
+        needed = f"{OBSERVATIONS} needs one" if path.exists() else f"one, {FIXES} or {CLOSURES} is needed"
+        raise DataError.at(path.with_name(HEADER), f"no [sensor] table; {needed}")
+    if (header.scanner is not None or measured) and not path.exists():
         nothing = Table(path, dict.fromkeys((key, "z1", "z2"), np.zeros(0)))
         return FrameTable(nothing, np.zeros((0, 2, 2)), None, None)
     other = "t" if key == "frame" else "frame"
@@ -324,30 +392,38 @@ def _scans(folder: Path, header: Header, frames: int, *, by_stamp: bool) -> Scan
     return read_scans(path, header.scanner, frames)
 
 
-def frame_of(observations: Table, frames: int) -> IntArray:
-    """The frame (M,) of each observation of a log with so many."""
-    frame = observations.integers("frame", 0)
-    there = f"{{}} is out of range; there are frames 0 to {frames - 1}"
-    observations.require(frame < frames, "frame", there)
-    observations.require_ascending("frame", strictly=False)
+def frames_in(table: Table, key: str, time: Array, *, by_stamp: bool | None = None) -> IntArray:
+    """The frame (K,) of each row by a column: frame numbers or, of t, stamps among `time` (N,).
+
+    `by_stamp`: that of an end of closures, which need not ascend.
+    """
+    if by_stamp or (by_stamp is None and key == "t"):
+        return np.searchsorted(time, table.columns[key]).astype(np.int64)
+    frame = table.integers(key, 0)
+    table.require(frame < len(time), key, f"{{}} is out of range; there are frames 0 to {len(time) - 1}")
+    if by_stamp is None:
+        table.require_ascending(key, strictly=False)
     return frame
 
 
-def odometry_of(table: Table, model: VelocityModel, observations: Table) -> tuple[Motion, IntArray, int]:
-    """Odometry t, v, omega preintegrated between the frames; frame of each observation (M,); number of gaps."""
+def odometry_of(table: Table, model: VelocityModel, seen: Sequence[tuple[Table, str]]) -> tuple[Motion, int]:
+    """Odometry t, v, omega preintegrated between the frames, the stamps of other tables among them; number of gaps."""
     if len(table) == 0:
         raise DataError.at(table.path, "no rows; at least one sample is needed", line=1)
     table.require_finite(("t", "v", "omega"))
     table.require_ascending("t", strictly=True)
-    observations.require_ascending("t", strictly=False)
-    stamps, seen = table.columns["t"], observations.columns["t"]
+    for part, key in seen:
+        if key == "t":
+            part.require_ascending("t", strictly=False)
+    stamps = table.columns["t"]
     far = f"{{}} s is more than {LONGEST:g} s from the first odometry; stamps are in seconds"
-    for part in (table, observations):
-        part.require(np.abs(part.columns["t"] - stamps[0]) <= LONGEST, "t", far)
-    both = np.concatenate([stamps, seen])
-    time = frame_times(seen, both.min(), both.max())
+    for part, key in ((table, "t"), *seen):
+        part.require(np.abs(part.columns[key] - stamps[0]) <= LONGEST, key, far)
+    at = np.concatenate([part.columns[key] for part, key in seen])
+    both = np.concatenate([stamps, at])
+    time = frame_times(at, both.min(), both.max())
     increments, gaps = preintegrate(model, stamps, table.columns["v"], table.columns["omega"], time)
-    return Motion(time, increments), np.searchsorted(time, seen).astype(np.int64), gaps
+    return Motion(time, increments), gaps
 
 
 def _truth_table(path: Path, columns: tuple[str, ...]) -> Table | None:

@@ -1,4 +1,4 @@
-"""Write a log as an open log folder, format 1; every number loads again bit for bit."""
+"""Write a log as an open log folder, format 1 or, with fixes or closures, 2; every number loads again bit for bit."""
 
 from __future__ import annotations
 
@@ -13,10 +13,15 @@ import numpy as np
 import tomli_w
 
 from data.errors import DataError
-from data.formats.open_log.header import FORMAT
+from data.formats.open_log import closures as closures_file
+from data.formats.open_log import fixes as fixes_file
+from data.formats.open_log.fixes import POSE
+from data.formats.open_log.header import FORMAT, LATEST
+from data.formats.open_log.named import COVARIANCE
 from data.formats.open_log.reader import (
-    COVARIANCE,
+    CLOSURES,
     FILES,
+    FIXES,
     FRAMES,
     HEADER,
     LANDMARKS,
@@ -24,7 +29,6 @@ from data.formats.open_log.reader import (
     NOISE,
     OBSERVATIONS,
     ODOMETRY,
-    POSE,
     RELATIONS,
     SCANS,
     STAMP,
@@ -74,7 +78,7 @@ def write_folder(log: Log, path: str | PathLike[str], samples: Samples | None = 
     returned is what was read. landmarks.csv is map and truth in one, so a log with true landmarks but without a map
     gets them as its map.
 
-    Raises DataError if `path` holds something else, cannot be written, or format 1 cannot hold the log.
+    Raises DataError if `path` holds something else, cannot be written, or the format cannot hold the log.
     """
     target = Path(os.path.abspath(path))
     _require_replaceable(target)
@@ -123,8 +127,19 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         columns["true_id"] = _or_blank(truth.landmark_of, UNKNOWN_ID)
     if log.label is not None:
         columns["label"] = _or_blank(log.label, UNLABELLED)
-    if inputs.scans is None or len(observations.frame) or len(columns) > 3 + len(NOISE):
+    nothing_else = inputs.scans is None and inputs.fixes is None and inputs.closures is None
+    if nothing_else or len(observations.frame) or len(columns) > 3 + len(NOISE):
         files[OBSERVATIONS] = _csv(columns, zip(*columns.values(), strict=True))
+    key = "frame" if samples is None else "t"
+    at = np.arange(len(inputs)) if samples is None else inputs.time
+    if inputs.fixes is not None:
+        when = at[inputs.fixes.frame].tolist()
+        fixes = fixes_file.fixes_columns(inputs.fixes, truth.fix_inlier, key, when)
+        files[FIXES] = _csv(fixes, zip(*fixes.values(), strict=True))
+    if inputs.closures is not None:
+        ends = at[inputs.closures.frame1].tolist(), at[inputs.closures.frame2].tolist()
+        closures = closures_file.closures_columns(inputs.closures, truth.closure_inlier, key, ends)
+        files[CLOSURES] = _csv(closures, zip(*closures.values(), strict=True))
     if samples is not None and samples.truth is not None:
         files[TRUTH] = _csv(("t", *POSE), np.column_stack(samples.truth).tolist())
     elif truth.pose is not None:
@@ -163,8 +178,8 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
     """Contents of log.toml."""
     inputs = log.recorded
     sensor = inputs.sensor
-    plain = {
-        "format": FORMAT,
+    plain: dict[str, object] = {
+        "format": FORMAT if inputs.fixes is None and inputs.closures is None else LATEST,
         "name": name,
         "time_is_index": inputs.time_is_index,
         "covariance_floor": inputs.covariance_floor,
@@ -184,6 +199,10 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
     }
     if inputs.scans is not None:
         plain["scanner"] = asdict(inputs.scans.scanner)
+    if inputs.fixes is not None:
+        plain[fixes_file.TABLE] = fixes_file.tables_to_write(inputs.fixes)
+    if inputs.closures is not None:
+        plain[closures_file.TABLE] = closures_file.tables_to_write(inputs.closures)
     if samples is not None:
         noise = samples.model.noise
         numbers = {"alphas": noise.alphas} if noise.kind in WITH_ALPHAS else {"sigma": noise.sigma}

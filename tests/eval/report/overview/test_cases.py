@@ -86,11 +86,11 @@ def test_a_kidnapped_filter_takes_the_smoother_of_its_pairings_with_it():
 
 
 def test_copies_of_dead_reckoning_are_not_equally_good_estimates(tmp_path):
-    ring = [f"VERTEX_SE2 {k} {k} 0 0" for k in range(30)]
-    ring += [f"EDGE_SE2 {k} {k + 1} 1 0 0 100 0 0 100 0 400" for k in range(29)]
-    (tmp_path / "loop.g2o").write_text("\n".join([*ring, "EDGE_SE2 29 0 0 0 0 100 0 0 100 0 400"]) + "\n")
-    assert slamref.main(["convert", "g2o", str(tmp_path / "loop.g2o"), str(tmp_path / "loop")]) == 0
-    _, mark = first_screen(open_log(tmp_path / "loop"), "slam", "jcbb")
+    chain = [f"VERTEX_SE2 {k} {k} 0 0" for k in range(30)]
+    chain += [f"EDGE_SE2 {k} {k + 1} 1 0 0 100 0 0 100 0 400" for k in range(29)]
+    (tmp_path / "chain.g2o").write_text("\n".join(chain) + "\n")
+    assert slamref.main(["convert", "g2o", str(tmp_path / "chain.g2o"), str(tmp_path / "chain")]) == 0
+    _, mark = first_screen(open_log(tmp_path / "chain"), "slam", "jcbb")
     assert (mark.word, mark.tone) == ("neither", "bad")
 
 
