@@ -59,6 +59,8 @@ class Code(StrEnum):
     NIS_UNCHECKED = "nis-unchecked"
     FILTER_ONLY = "filter-only"
     PARKED = "parked"
+    NOT_PARKED = "not-parked"
+    POSES_UNUSED = "poses-unused"
     REMOVED = "removed"
     OBSERVATIONS_REJECTED = "observations-rejected"
     AGAINST_WHEELS = "against-wheels"

@@ -97,12 +97,14 @@ class EkfSlam(Filter):
         A new epoch begins when the carried part has grown too long, or with `begin_epoch`.
 
         Raises ValueError for a landmark that is parked already or not in the map, in the invariant filter, which moves
-        every landmark, and with first estimates, which a parked landmark would lose.
+        every landmark, with first estimates, which a parked landmark would lose, and beside kept poses (`keep`).
         """
         if self.options.invariant:
             raise ValueError("the invariant filter moves all landmarks together; none can be parked")
         if self.options.first_estimates:
             raise ValueError("a parked landmark would lose its first estimate; none can be parked")
+        if self._clones.expected:
+            raise ValueError("poses of earlier frames are kept for closures; no landmark can be parked beside them")
         away = np.unique(np.asarray(numbers, np.int64))
         for n in away.tolist():
             if n not in self._offset:

@@ -101,7 +101,6 @@ def _mrclam(path: Path) -> list[str]:
         corrected = corrected_landmarks(path)
     except DataError:  # the conversion reports it
         corrected = None
-    landmarks = "" if corrected is None else f" --landmarks {shlex.quote(str(corrected))}"
     who = f"robot{'s' * (len(robots) > 1)} {', '.join(map(str, robots))}"
     out = files.name.lower().replace("_dataset", "")
     source = shlex.quote(str(path))
@@ -116,7 +115,7 @@ def _mrclam(path: Path) -> list[str]:
     logs = {n: shlex.quote(f"logs/{out}-robot{n}") for n in robots}
     return [
         f"{name_of(path)} is a UTIAS MRCLAM dataset, {who}. Convert a robot's data to a log:",
-        *(f"  slamref convert mrclam {source} {log} --robot {n}{landmarks}{excluded(n)}" for n, log in logs.items()),
+        *(f"  slamref convert mrclam {source} {log} --robot {n}{excluded(n)}" for n, log in logs.items()),
     ]
 
 
