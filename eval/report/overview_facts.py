@@ -13,6 +13,7 @@ from data.questions import asked
 from eval.referee import laser_faults
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.diagnostics import unused
+from eval.referee.errors import position_distance, rms
 from eval.referee.headline import Claim, Headline, Objected, Objection, Preference, Verdict, headline, usable
 from eval.referee.score import Scores, Trial
 from eval.referee.source_residuals import source_in
@@ -175,6 +176,8 @@ def log_facts(
     apart = math.nan if trust is None or filtered is None else trust.real.apart.get(filtered.estimator, math.nan)
     if filtered is not None and not math.isfinite(apart):
         apart = filtered.from_batch
+    if not math.isfinite(apart) and filtered is not None and smoothed is not None:
+        apart = _apart(trial, filtered, smoothed)
     measured, slam = truth.known_poses > 0 or truth.relations is not None, trial.task == "slam"
 
     def claim(row: Scored | None) -> Claim | None:
@@ -234,6 +237,18 @@ def log_facts(
         gauge=_gauge(filtered, smoothed) if trial.task == "slam" else None,
         conventions=conventions,
     )
+
+
+def _apart(trial: Trial, filtered: Scored, smoothed: Scored) -> float:
+    """RMS distance [m] of the filter's path from the smoother's; NaN where a run has none."""
+    runs = {(r.estimator, r.association): r for r in trial.runs}
+    found = [runs.get((row.estimator, row.association)) for row in (filtered, smoothed)]
+    if any(r is None or r.failure is not None for r in found):
+        return math.nan
+    one, other = (
+        r.trajectory(row.phase).pose for r, row in zip(found, (filtered, smoothed), strict=True) if r is not None
+    )
+    return rms(position_distance(one, other))
 
 
 def _of_map(rows: Notice | None) -> tuple[Objected, ...]:
