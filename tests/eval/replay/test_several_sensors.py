@@ -94,8 +94,8 @@ class TestEachSensor:
 def test_localization_is_consistent(sensors: tuple[Sensor, ...], name: str) -> None:
     """The NIS has as many degrees of freedom as numbers were measured, and errors fit their covariance."""
     nis, dof, nees = 0.0, 0, []
-    for seed in range(3):
-        log = drive(seed, sensors)
+    for seed in range(2):
+        log = drive(seed, sensors, frames=40)
         inputs = log.inputs(labels=True)
         (run,) = compare(inputs, "localization", [name], "known")
         assert run.failure is None
@@ -118,8 +118,9 @@ def test_filter_and_smoother_agree_at_the_last_pose() -> None:
     assert (np.abs(isam2.final.pose[-1] - batch.final.pose[-1]) < 1e-3 * sigma).all()
 
 
-@pytest.mark.parametrize("name", ["ekf", "isam2"])
-@pytest.mark.parametrize("method", ["nn", "ml", "jcbb", "gnn", "singles"])
+@pytest.mark.parametrize(
+    ("name", "method"), [*(("ekf", m) for m in ("nn", "ml", "jcbb", "gnn", "singles")), ("isam2", "jcbb")]
+)
 def test_landmarks_of_another_kind_are_no_candidates(name: str, method: str) -> None:
     log = drive(2, ALL)
     run = step_by_step(name, log.inputs().without_labels(), "localization", method)
@@ -164,7 +165,7 @@ def test_one_sensor_listed_alone_changes_nothing() -> None:
 @pytest.mark.parametrize("name", ["ekf-fej", "ekf-invariant", "isam2", "batch"])
 def test_slam_begins_landmarks_once_their_observations_locate_them(sensors: tuple[Sensor, ...], name: str) -> None:
     """All observations of a landmark are used, also those before it began; the path is consistent."""
-    log = drive(1, sensors, frames=150)
+    log = drive(1, sensors, frames=100)
     inputs = log.inputs(labels=True)
     (run,) = compare(inputs, "slam", [name], "known")
     assert run.failure is None
