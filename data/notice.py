@@ -42,6 +42,7 @@ class Code(StrEnum):
     # about a laser log, for its author
     NO_ODOMETRY = "no-odometry"
     ODOMETRY_UNIT = "odometry-unit"
+    HEADING_UNIT = "heading-unit"
     RANGE_UNIT = "range-unit"
     FEW_RETURNS = "few-returns"
     MOUNTING = "mounting"
@@ -58,6 +59,8 @@ class Code(StrEnum):
     NIS_UNCHECKED = "nis-unchecked"
     FILTER_ONLY = "filter-only"
     PARKED = "parked"
+    NOT_PARKED = "not-parked"
+    POSES_UNUSED = "poses-unused"
     REMOVED = "removed"
     OBSERVATIONS_REJECTED = "observations-rejected"
     AGAINST_WHEELS = "against-wheels"
@@ -112,6 +115,9 @@ class Code(StrEnum):
     TWO_MINIMA = "two-minima"
     DISPUTED = "disputed"
     NAMING = "naming"
+    SOURCE_UNUSED = "source-unused"
+    SOURCE_NIS = "source-nis"
+    SOURCE_REJECTED = "source-rejected"
     # implausible, and where it began
     NIS = "nis"
     PATH_TOO_FAR = "path-too-far"

@@ -9,8 +9,10 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data.inputs import IntArray, Locked
+from data.inputs import IntArray
+from data.locked import Locked
 from data.notice import Notice
+from data.pose_measurements import PoseInnovations
 from data.se2 import Array
 
 NEW = -1
@@ -61,7 +63,10 @@ class Systematics(NamedTuple):
 
 
 class Finished(NamedTuple):
-    """The end of a run: final trajectory (None for a filter), last map (None in localization); others as of `Run`."""
+    """The end of a run: final trajectory (None for a filter), last map (None in localization); others as of `Run`.
+
+    fixes, closures: `fixes_final` and `closures_final` there.
+    """
 
     final: Trajectory | None
     map: MapState | None
@@ -69,6 +74,8 @@ class Finished(NamedTuple):
     iterations: int | None = None
     last_step_sigma: float | None = None
     systematic: Systematics | None = None
+    fixes: PoseInnovations | None = None
+    closures: PoseInnovations | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,6 +215,8 @@ class Run(Locked):
         begun: (M,) as `created`, by the final decisions, where these changed it (else None).
         gated_final: as `gated`, of the final decisions, where all were revised (else None).
         left: (l,) numbers of landmarks in the map that left the world before the end (None: not known).
+        fixes, closures: what became of the log's fixes and closures online (None: it has none, or they were not used).
+        fixes_final, closures_final: the same after all data, where that differs (`gnc`, or a smoother's residuals).
     """
 
     estimator: str
@@ -238,6 +247,10 @@ class Run(Locked):
     begun: IntArray | None = None
     gated_final: tuple[float, float] | None = None
     left: IntArray | None = None
+    fixes: PoseInnovations | None = None
+    closures: PoseInnovations | None = None
+    fixes_final: PoseInnovations | None = None
+    closures_final: PoseInnovations | None = None
     handed_in: ClassVar[bool] = False
     """Whether it is another program's result."""
 

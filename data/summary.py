@@ -9,6 +9,7 @@ import scipy
 
 from data.inputs import CLUTTER, UNLABELLED, IntArray, Scanner
 from data.log import Log
+from data.pose_measurements import MEASURED, FixKind
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
 from data.terminal import counted
@@ -32,6 +33,8 @@ def summarize(log: Log) -> list[Line]:
         *_frames(log),
         *_increments(log),
         *_observations(log),
+        *_fixes(log),
+        *_closures(log),
         *_scans(log),
         *_labels(log),
         *_truth(log),
@@ -110,11 +113,14 @@ def _mounted(point: str, sensor: Sensor | Scanner) -> str:
 
 
 def _observations(log: Log) -> list[Line]:
-    inputs = log.recorded
-    sensor, o = inputs.sensor, inputs.observations
-    low, high = np.degrees([sensor.min_angle, sensor.max_angle])
-    reach = f"up to {sensor.max_range:g} m" if np.isfinite(sensor.max_range) else "any range"
-    lines = [("sensor", f"{sensor.name}, {reach}, {low:.4g} to {high:.4g} deg{_mounted('p_sensor', sensor)}")]
+    inputs, o = log.recorded, log.recorded.observations
+    lines = []
+    for sensor in inputs.sensors or (inputs.sensor,):
+        low, high = np.degrees([sensor.min_angle, sensor.max_angle])
+        reach = f"up to {sensor.max_range:g} m" if np.isfinite(sensor.max_range) else "any range"
+        text = f"{sensor.label}: {sensor.name}" if sensor.label else sensor.name
+        text += f", {reach}, {low:.4g} to {high:.4g} deg{_mounted('p_sensor', sensor)}"
+        lines.append(("sensor", text + (f"; sees each {sensor.sees}" if sensor.sees else "")))
     m, per_frame = len(o.frame), np.diff(inputs.start)
     if m == 0:
         return [*lines, ("observations", "none")]
@@ -126,14 +132,72 @@ def _observations(log: Log) -> list[Line]:
     without = _share(int((per_frame == 0).sum()), len(per_frame))
     where = f"; longest stretch {counted(blind, 'frame')} from frame {first}" if blind else ""
     lines.append(("blind frames", f"{without} without observation{where}"))
-    polar = sensor.polar(o.z)
+    outside = np.isin(np.arange(m), _out_of_view(log))
+    for i, sensor in enumerate(inputs.sensors or (inputs.sensor,)):
+        rows = np.arange(m) if o.sensor is None else np.flatnonzero(o.sensor == i)
+        if len(rows):
+            lines.append(("measured", _measured(sensor, o.z[rows], int(outside[rows].sum()))))
+    return lines
+
+
+def _measured(sensor: Sensor, z: Array, outside: int) -> str:
+    """Spans of what a sensor measured (m, 2)."""
+    polar = sensor.polar(z)
     bearing = np.degrees(polar[:, 1])
-    text = f"range {polar[:, 0].min():.4g} to {polar[:, 0].max():.4g} m, "
-    text += f"bearing {bearing.min():.4g} to {bearing.max():.4g} deg"
-    return [
-        *lines,
-        ("measured", f"{text}; {_share(len(_out_of_view(log)), m)} outside the stated range or field of view"),
-    ]
+    spans = (
+        f"range {polar[:, 0].min():.4g} to {polar[:, 0].max():.4g} m",
+        f"bearing {bearing.min():.4g} to {bearing.max():.4g} deg",
+    )
+    name = f"{sensor.label}: {len(z)}, " if sensor.label else ""
+    text = name + ", ".join(spans[q] for q in sensor.measures)
+    return f"{text}; {_share(outside, len(z))} outside the stated range or field of view"
+
+
+def _fixes(log: Log) -> list[Line]:
+    """A line for each source and kind."""
+    fixes = log.recorded.fixes
+    if fixes is None:
+        return []
+    lines = []
+    for k, source in enumerate(fixes.sources):
+        for kind in FixKind:
+            rows = np.flatnonzero((fixes.source == k) & (fixes.kind == kind))
+            if not len(rows):
+                continue
+            text = f"{source.name}, {kind.name.lower()}: {len(rows)}"
+            text += f" in {_share(len(np.unique(fixes.frame[rows])), len(log.recorded))} frames"
+            sigma = np.sqrt(np.median(np.diagonal(fixes.covariance[rows], axis1=1, axis2=2), axis=0))
+            measured = MEASURED[kind]
+            if 0 in measured:
+                text += f"; median σ {sigma[0]:.3g} m, {sigma[1]:.3g} m"
+                text += f"; lever ({source.lever[0]:g}, {source.lever[1]:g}) m" if any(source.lever) else ""
+            if 2 in measured:
+                text += f"; heading σ {np.degrees(sigma[2]):.3g} deg"
+                text += f", rotation {np.degrees(source.rotation):.4g} deg" if source.rotation else ""
+            lines.append(("fixes", text + _outliers(log.truth.fix_inlier, rows)))
+    return lines or [("fixes", "none")]
+
+
+def _closures(log: Log) -> list[Line]:
+    """A line for each source."""
+    closures = log.recorded.closures
+    if closures is None:
+        return []
+    lines = []
+    for k, name in enumerate(closures.sources):
+        rows = np.flatnonzero(closures.source == k)
+        if not len(rows):
+            continue
+        sigma = np.sqrt(np.median(np.diagonal(closures.covariance[rows], axis1=1, axis2=2), axis=0))
+        apart = (closures.later - closures.earlier)[rows]
+        text = f"{name}: {len(rows)}, over {apart.min()} to {counted(int(apart.max()), 'frame')}, median "
+        text += f"{np.median(apart):g}; median σ {sigma[0]:.3g} m, {sigma[1]:.3g} m, {np.degrees(sigma[2]):.3g} deg"
+        lines.append(("closures", text + _outliers(log.truth.closure_inlier, rows)))
+    return lines or [("closures", "none")]
+
+
+def _outliers(inlier: IntArray | None, rows: IntArray) -> str:
+    return "" if inlier is None else f"; {counted(int((inlier[rows] == 0).sum()), 'outlier')} by the truth"
 
 
 def _scans(log: Log) -> list[Line]:
@@ -168,7 +232,7 @@ def _relations(log: Log) -> list[Line]:
 
 def _out_of_view(log: Log) -> IntArray:
     """Observations (indices) outside the sensor's stated range or angles."""
-    return np.flatnonzero(~log.recorded.sensor.in_view(log.recorded.observations.z))
+    return np.flatnonzero(~log.recorded.sensor_of().in_view(log.recorded.observations.z))
 
 
 def _labels(log: Log) -> list[Line]:

@@ -7,7 +7,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from data.inputs import CLUTTER, IntArray, LandmarkMap, Locked
+from data.inputs import CLUTTER, IntArray, LandmarkMap
+from data.locked import Locked
 from data.result import Systematics
 from data.se2 import Array
 
@@ -81,6 +82,8 @@ class Truth(Locked):
         relations: reference relations of a laser log.
         errors: true systematic errors of a simulated robot, by frame (sigma is zero).
         left_out: windows of bad ground truth, whose poses are NaN.
+        fix_inlier: (F,) 1 where a fix is right, 0 where it is an outlier, -1 unknown; None: not stated.
+        closure_inlier: (K,) the same of each closure.
     """
 
     pose: Array | None = None
@@ -89,6 +92,8 @@ class Truth(Locked):
     relations: Relations | None = None
     errors: Systematics | None = None
     left_out: tuple[BadTruth, ...] = ()
+    fix_inlier: IntArray | None = None
+    closure_inlier: IntArray | None = None
 
     @property
     def known_poses(self) -> int:

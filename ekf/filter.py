@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from association.expectation import Expectation
+from association.expectation import Expectation, gate_threshold
 from data.blocks import coordinates_from
 from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic
 from data.motion.systematic import SensorFrame, sensor_frame
+from data.pose_measurements import MEASURED, FixKind, FixSource, FrameClosures, FrameFixes, PoseUpdated
 from data.result import PoseEstimate, Updated
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
-from ekf import kernels, systematic, updates
+from ekf import kernels, pose_updates, systematic, updates
+from ekf.pose_updates import Clones, Measure, PoseRule
 from ekf.walls import WallFrame
 
 
@@ -78,8 +81,8 @@ def lack(options: FilterOptions, systematic: Systematic | None, *, slam: bool) -
 class Filter:
     """State mean and covariance in growing buffers; see `ekf.kernels` for the layout.
 
-    The state is the leading `size` entries. The `_carried` entries behind it are updated along with it (see
-    `ekf.parking`).
+    The state is the leading `size` entries. The `_carried` entries behind it are updated along with it: they are parked
+    landmarks (see `ekf.parking`), or poses of earlier frames (see `ekf.pose_updates`).
 
     Systematic errors are states behind the pose. With errors of the sensor, state and expectations are in the sensor's
     frame; in SLAM with walls, about the first pose (`ekf.walls`). Poses and maps go in and out in the world frame.
@@ -102,6 +105,7 @@ class Filter:
         self._mean[start], self._P[start, start] = systematic.begin(prior, errors, self._frame)
         self._first = self._mean.copy() if options.first_estimates else kernels.NEWEST
         self._carried = 0
+        self._clones = Clones()
         self._version = 0
 
     @property
@@ -120,9 +124,17 @@ class Filter:
             if len(self._first):
                 self._first = np.concatenate([self._first, np.zeros(capacity - old)])
 
+    def look(self, sensor: Sensor) -> None:
+        """Expect and use observations of this sensor from now on. ValueError beside errors of the sensor."""
+        if self._systematic is not None and self._systematic.of_sensor:
+            raise ValueError("systematic errors of range or bearing belong to one sensor; this log has several")
+        self.sensor = self._frame.sensor(sensor)
+        self._kind, self._extrinsic = self.sensor.kind, self.sensor.extrinsic
+
     def predict(self, increment: Increment) -> None:
-        """Predict with an increment."""
+        """Predict with an increment; the pose before it stays in the state if a later closure names its frame."""
         self._version += 1
+        self._end_frame()
         # copies: read-only arrays would compile the kernels once more
         motion, M = np.array(increment.mean), np.array(increment.covariance)
         state = self._mean, self._P, self._used, motion, M, self._first
@@ -130,6 +142,76 @@ class Filter:
             kernels.predict(*state)
         else:
             systematic.predict_with_errors(*state, self._errors)
+
+    def _end_frame(self) -> None:
+        """Poses leave the state after their last use; that of the present frame enters it if it is to be kept."""
+        clones = self._clones
+        for frame in clones.over():
+            place = clones.frames.index(frame)
+            at = self.size + 3 * place
+            pose_updates.replace_pose(self._mean, self._P, self._used, at, self._first)
+            clones.frames[place] = clones.frames[-1]
+            clones.frames.pop()
+            self._carried -= 3
+        if clones.wanted:
+            self._grow(2)
+            pose_updates.append_pose(self._mean, self._P, self._used, self._first)
+            clones.frames.append(clones.now)
+            self._carried += 3
+        clones.now += 1
+
+    def keep(self, last_use: dict[int, int]) -> None:
+        """Before the first frame: the frames that later closures name, each with the frame of its last use."""
+        self._clones.keep(last_use)
+
+    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+        """Update with absolute measurements of the pose, one after another; those outside the gate are not used."""
+        done = pose_updates.not_used([len(MEASURED[FixKind(kind)]) for kind in fixes.kind.tolist()])
+        for i, (kind, source) in enumerate(zip(fixes.kind.tolist(), fixes.source.tolist(), strict=True)):
+            rows = list(MEASURED[FixKind(kind)])
+            R = fixes.covariance[i][np.ix_(rows, rows)]
+            measure = pose_updates.measure_fix(self._frame, kind, sources[source], fixes.z[i, rows])
+            self._absorb(done, i, rows, np.arange(self.base), measure, R, gate)
+        return done
+
+    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+        """Update with relative poses, one after another; those outside the gate are not used.
+
+        Nor are those of a frame whose pose is not in the state.
+        """
+        done = pose_updates.not_used([3] * len(closures.frame1))
+        present, both = np.arange(self.base), (closures.frame1.tolist(), closures.frame2.tolist())
+        for i, (frame1, frame2) in enumerate(zip(*both, strict=True)):
+            earlier = frame1 if frame2 == self._clones.now else frame2
+            if self._clones.now not in (frame1, frame2) or earlier not in self._clones.frames:
+                continue
+            at = np.concatenate([present, self.size + 3 * self._clones.frames.index(earlier) + np.arange(3)])
+            measure = pose_updates.measure_closure(self._frame, closures.relative[i], forward=earlier == frame1)
+            self._absorb(done, i, [0, 1, 2], at, measure, closures.covariance[i], gate)
+        return done
+
+    def _absorb(
+        self, done: PoseUpdated, i: int, rows: list[int], at: IntArray, measure: Measure, R: Array, gate: float | None
+    ) -> None:
+        """Update with one measurement of the states `at`, whose entries are `rows` of (x, y, theta); enter the
+        outcome as number i.
+        """
+        self._version += 1
+        linearized = None
+        if len(self._first):
+            linearized = self._mean[at]
+            poses = (at < 3) | (at >= self.base)  # errors have no first estimates
+            linearized[poses] = self._first[at[poses]]
+        rule = PoseRule(gate_threshold(gate, len(rows)), *self._rule, *self._clone_range)
+        found = pose_updates.absorb(self._mean, self._P, self._used, at, measure, R, rule, linearized)
+        if found.status != kernels.OK:
+            raise FilterDivergedError(kernels.FAILURES[found.status])
+        done.used[i], done.nis[i], done.white[i, rows] = found.used, found.nis, found.white
+
+    @property
+    def _clone_range(self) -> tuple[int, int]:
+        """Offsets where the kept poses begin and end."""
+        return self.size, self.size + 3 * len(self._clones.frames)
 
     def inflate(self, covariance: Array) -> None:
         """Add covariance (3, 3), world frame, to the pose's after an unreliable motion."""
@@ -212,7 +294,7 @@ class Filter:
         frames = np.zeros(n, np.int64), np.zeros(m, np.int64)
         return Expectation(
             number, z_hat, blocks, frames[0], observations.z, observations.R, frames[1], self.sensor.residual, joint,
-            None if len(self._first) else elsewhere,
+            None if len(self._first) else elsewhere, len(self.sensor.measures),
         )  # fmt: skip
 
     def _predict_measurements(self, state: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array) -> None:
@@ -270,9 +352,19 @@ class Filter:
             start, each = self._mean, self.options.each
             if pose is not None and not len(self._first):
                 start, each = self._state_at(pose), False
-            how = updates.UpdateRule(threshold, *self._rule, each, self._first)
+            how = updates.UpdateRule(threshold, *self._rule, each, self._first, *self._clone_range)
             state = start, self._mean, self._P, self._used
             status = updates.update(self._kind, self._extrinsic, *state, seen, 0, len(rows), how, done)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
+            if not self.sensor.locates:
+                self._without_unmeasured(done)
         return done.keep, done.stats, done.white
+
+    def _without_unmeasured(self, done: updates.Outcome) -> None:
+        """Remove the numbers that are not measured from the statistics of an update, in place (`data.sensors`)."""
+        absent = 2 - len(self.sensor.measures)
+        count = int(done.keep.sum()) * absent
+        done.stats[1] += 0.5 * count * math.log(2.0 * math.pi)
+        done.stats[2] -= count
+        done.white[:, [q for q in range(2) if q not in self.sensor.measures]] = np.nan

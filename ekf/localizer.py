@@ -92,15 +92,18 @@ class EkfLocalizer(Filter):
         if self._errors.range_at >= 0:
             # temporary states of the update
             self._grow(len(paired))
-            hold_known(self._mean, self._P, self.base, known, 0, len(known), self._first, self._errors)
-            given, self._carried = self.base + 2 * np.arange(len(paired), dtype=np.int64), 2 * len(paired)
+            hold_known(self._mean, self._P, self._used, known, 0, len(known), self._first, self._errors)
+            given = self._used + 2 * np.arange(len(paired), dtype=np.int64)
+            self._carried += 2 * len(paired)
         updated = self._updated(observations, decisions, given, known, threshold, at)
-        self._carried = 0
+        self._carried = 3 * len(self._clones.frames)
         return updated
 
     def reset(self, mean: Array, covariance: Array) -> None:
-        """Set pose (3,) and covariance (3, 3), and keep the systematic errors."""
+        """Set pose (3,) and covariance (3, 3), and keep the systematic errors; earlier poses are no longer known."""
         self._version += 1
+        self._clones.frames.clear()
+        self._carried = 0
         b = self.base
         self._mean[:3] = self._frame.poses_in(mean[None], self._mean[None, 3:b])[0]
         self._P[:3, :3], self._P[:3, 3:b], self._P[3:b, :3] = covariance, 0.0, 0.0

@@ -30,6 +30,8 @@ class UpdateRule(NamedTuple):
     iterations: int  # largest number of linearizations
     each: bool  # one update per observation, each linearized after the previous one (as in the classic tutorials)
     first: Array  # see `ekf.kernels`; not together with iterations
+    clones: int = 0  # offsets where poses of earlier frames begin and end in the state (`ekf.pose_updates`)
+    clones_end: int = 0
 
 
 class Outcome(NamedTuple):
@@ -69,11 +71,12 @@ def forward(L: Array, rows: Array) -> None:
 
 
 @numba.njit(cache=True)
-def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, retraction: int) -> int:
+def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, how: UpdateRule) -> int:
     """The Kalman update: mean += K nu (or see `move`), P -= W W' with W = PHt L^-T, S = L L'. Adds NIS and
     log-likelihood to `stats` (2,). P stays symmetric to the bit. Returns a status.
     """
     nu, PHt, S = found
+    retraction = how.retraction
     n = len(nu)
     L, white = np.empty((n, n)), np.empty((1, n))
     if not cholesky(S, L, n):
@@ -94,7 +97,7 @@ def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, retr
             mean[r] += shift[r]
     subtract(P, d, PHt)
     if retraction != ADDITIVE:
-        move(mean, P, d, shift, retraction)
+        move(mean, P, d, shift, retraction, how.clones, how.clones_end)
     mean[2] = wrap_angle_jit(mean[2])
     stats[0] += nis
     stats[1] -= 0.5 * (nis + log_det + n * math.log(2.0 * math.pi))
@@ -139,37 +142,37 @@ def subtract(P: Array, d: int, W: Array) -> None:
 
 
 @numba.njit(cache=True)
-def move(mean: Array, P: Array, d: int, shift: Array, base: int) -> None:
+def move(mean: Array, P: Array, d: int, shift: Array, base: int, clones: int, clones_end: int) -> None:
     """Move pose and landmarks by exp(xi) for the additive correction `shift` (d,), and transform P.
 
     Landmarks begin at `base`; states between them and the pose are corrected additively. xi_theta = shift_theta; for
     every point x, rho = shift_x - J x xi_theta and x <- R(xi_theta) x + V(xi_theta) rho (Brossard, Barrau and Bonnabel,
     IEEE Sensors Journal 19(4), 2019). P is the additive covariance in the world frame before and after: P <- N P N'
-    with N = I + J (x+ - x-) e_theta' on the rows of each point.
+    with N = I + J (x+ - x-) e_theta' on the rows of each point. The states from `clones` before `clones_end` are poses
+    of other frames, each moved by an exponential of its own, with its own heading instead of theta.
     """
     angle = shift[2]
-    c, s = math.cos(angle), math.sin(angle)
-    if abs(angle) < 1e-4:  # series; (1 - c) / angle would lose digits
-        a, b = 1.0 - angle * angle / 6.0, 0.5 * angle
-    else:
-        a, b = s / angle, (1.0 - c) / angle
-    step, column = np.zeros(d), np.zeros(d)
+    step, column, heading = np.zeros(d), np.zeros(d), np.full(d, 2)
+    a, b = _exponential(angle)
     r = 0
     while r < d:
-        x, y = mean[r], mean[r + 1]
-        u, v = shift[r] + y * angle, shift[r + 1] - x * angle
-        step[r] = c * x - s * y + a * u - b * v - x
-        step[r + 1] = s * x + c * y + b * u + a * v - y
-        column[r], column[r + 1] = -step[r + 1], step[r]
-        r = base if r == 0 else r + 2
+        if clones <= r < clones_end:
+            own = shift[r + 2]
+            _step(mean, shift, r, own, *_exponential(own), step, column)
+            step[r + 2] = own
+            heading[r], heading[r + 1] = r + 2, r + 2
+            r += 3
+        else:
+            _step(mean, shift, r, angle, a, b, step, column)
+            r = base if r == 0 else r + 2
     for r in range(3, base):
         step[r] = shift[r]
     for i in range(d):
         for j in range(d):
-            P[i, j] += column[i] * P[2, j]
+            P[i, j] += column[i] * P[heading[i], j]
     for i in range(d):
         for j in range(d):
-            P[i, j] += P[i, 2] * column[j]
+            P[i, j] += P[i, heading[j]] * column[j]
     for i in range(d):
         for j in range(i):
             mid = 0.5 * (P[i, j] + P[j, i])
@@ -177,6 +180,25 @@ def move(mean: Array, P: Array, d: int, shift: Array, base: int) -> None:
     for i in range(d):
         mean[i] += step[i]
     mean[2] += angle
+
+
+@numba.njit(cache=True)
+def _exponential(angle: float) -> tuple[float, float]:
+    """a, b of V = [[a, -b], [b, a]], the integral of the rotations up to an angle."""
+    if abs(angle) < 1e-4:  # series; (1 - c) / angle would lose digits
+        return 1.0 - angle * angle / 6.0, 0.5 * angle
+    return math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle
+
+
+@numba.njit(cache=True)
+def _step(mean: Array, shift: Array, r: int, angle: float, a: float, b: float, step: Array, column: Array) -> None:
+    """The step of the point at offset r, and its column of N; see `move`."""
+    c, s = math.cos(angle), math.sin(angle)
+    x, y = mean[r], mean[r + 1]
+    u, v = shift[r] + y * angle, shift[r + 1] - x * angle
+    step[r] = c * x - s * y + a * u - b * v - x
+    step[r + 1] = s * x + c * y + b * u + a * v - y
+    column[r], column[r + 1] = -step[r + 1], step[r]
 
 
 @numba.njit(cache=True)
@@ -265,7 +287,7 @@ def update(
                 point[r] = start[r]
             iterate(kind, extrinsic, point, mean, P, d, used, found, how, stats)
             stats = np.zeros(3)  # the innovation is the one at `start`
-        status = correct(mean, P, d, found, stats, how.retraction)
+        status = correct(mean, P, d, found, stats, how)
         if status != OK:
             return status
     return OK

@@ -167,11 +167,13 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     from eval.referee.diagnostics import disputed, questions_of_run
     from eval.referee.headline import Verdict
     from eval.referee.score import score
+    from eval.referee.sources import source_notices
     from eval.report.contents import write_results
     from eval.report.headline import headlines, lines, trust_line
     from eval.report.overview import trust_mark
     from eval.report.overview_facts import facts_of
     from eval.report.page.latex import check_columns
+    from eval.report.sources import together_by_source
     from eval.report.words import asked, described, together
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
@@ -213,6 +215,9 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
         found_in_runs = (n for run in trial.runs for n in questions_of_run(run, trial.log.recorded))
         for question in together(n.about(log=trial.log.name, task=trial.task) for n in found_in_runs):
             warn(asked(question))
+        of_sources = (n for run in trial.runs for n in source_notices(run, trial.log.recorded))
+        for found in together_by_source(n.about(log=trial.log.name, task=trial.task) for n in of_sources):
+            warn(f"{trial.log.name}, {trial.task}: {found.estimator}: {sentence(found)}")
         for found in disputed(trial):
             warn(f"{trial.log.name}, {trial.task}: {found.estimator}: {sentence(found)}")
     for study in outcome.studies:

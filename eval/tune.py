@@ -213,7 +213,8 @@ def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fi
 def _truth_at(folder: Path, time: Array) -> Array:
     """Poses (N, 3) of truth.csv at other times (N,) [s]."""
     from data.formats.csv_table import read_table
-    from data.formats.open_log.reader import POSE, TRUTH
+    from data.formats.open_log.fixes import POSE
+    from data.formats.open_log.reader import TRUTH
     from data.timeline import truth_at
 
     table = read_table(folder / TRUTH, ("t", *POSE), may_be_blank=POSE)

@@ -10,11 +10,13 @@ import numpy as np
 from data.errors import UsageError
 from data.inputs import Inputs, IntArray, LandmarkMap
 from data.motion.systematic import sensor_frame
-from data.se2 import Array
-from graph.factors import LOSSES, between_factors, known_landmark_factors, landmark_factors
+from data.pose_measurements import FrameClosures, FrameFixes
+from data.se2 import Array, BoolArray
+from graph.factors import LOSSES, ObservationFactors, between_factors, known_landmark_factors, landmark_factors
 from graph.optimum import Smoothed, optimize
+from graph.pose_factors import PoseFactor, closure_factors, fix_factors
 from graph.problem import Problem
-from graph.systematic import Calibrated
+from graph.systematic import Calibrated, refuse_pose_measurements
 from graph.walls import line_factors, refuse
 
 
@@ -26,17 +28,35 @@ class Start(NamedTuple):
     errors: Array | None = None  # (N, p) systematic errors by frame, where some are estimated; None: zero
 
 
-def smooth(inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, loss: str = "gaussian") -> Smoothed:
+class Rejected(NamedTuple):
+    """Fixes (F,) and closures (K,) that take no part; None: all do."""
+
+    fixes: BoolArray | None = None
+    closures: BoolArray | None = None
+
+
+NONE_REJECTED = Rejected()
+
+
+def smooth(
+    inputs: Inputs,
+    decisions: IntArray,
+    created: IntArray,
+    start: Start,
+    *,
+    loss: str = "gaussian",
+    rejected: Rejected = NONE_REJECTED,
+) -> Smoothed:
     """Maximum a posteriori path (and map): a minimum reached from `start`.
 
     Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`. Without: SLAM, decisions are landmark
     numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of the landmark an observation initialized (-1: none).
-    `loss`: gaussian, huber or cauchy, on measurements only. Raises `UnderConstrained` (`NotConvergedError` if no
-    minimum was reached), and DataError for a singular increment or measurement covariance.
+    `loss`: gaussian, huber or cauchy, on measurements only; fixes and closures are such. Raises `UnderConstrained`
+    (`NotConvergedError` if no minimum was reached), and DataError for a singular covariance.
     """
     if loss not in LOSSES:
         raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
-    problem = build(inputs, decisions, created, loss)
+    problem = build(inputs, decisions, created, loss, rejected)
     return optimize(problem, start_values(problem, start), loss=loss)
 
 
@@ -49,27 +69,77 @@ def start_values(problem: Problem, start: Start) -> gtsam.Values:
     return problem.values(start.pose, {int(n): start.landmark[n] for n in problem.numbers}, start.errors)
 
 
-def build(inputs: Inputs, decisions: IntArray, created: IntArray, loss: str = "gaussian") -> Problem:
+def build(
+    inputs: Inputs,
+    decisions: IntArray,
+    created: IntArray,
+    loss: str = "gaussian",
+    rejected: Rejected = NONE_REJECTED,
+) -> Problem:
     """The factors of a log under given decisions."""
     calibrated, sensor = None, inputs.sensor
     refuse(inputs.systematic, sensor)
+    of_poses = _of_poses(inputs, loss, rejected)
     if inputs.systematic is None:
         motion, _ = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
     else:
         frame = sensor_frame(inputs.systematic, inputs.sensor, inputs.prior)
         calibrated, sensor = Calibrated(inputs.systematic, frame, inputs.increments), frame.sensor(inputs.sensor)
+        if of_poses:
+            refuse_pose_measurements(frame)
         motion = calibrated.motion()
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     o = inputs.observations
+    if o.sensor is not None:
+        several = _of_several(inputs, used, number, loss)
+        return Problem(inputs.prior, motion, several, inputs.map is not None, None, None, of_poses)
     seen = (sensor, o.z[used], o.R[used], o.frame[used], number[used])
     at = None if inputs.map is None else inputs.map.xy[_rows_of(inputs.map, number[used])]
     if not sensor.sees_points:
         about = inputs.prior.mean[:2]
         factors = line_factors(*seen, about, loss, at)
-        return Problem(inputs.prior, motion, factors, at is not None, calibrated, about)
+        return Problem(inputs.prior, motion, factors, at is not None, calibrated, about, of_poses)
     factors = landmark_factors(*seen, loss) if at is None else known_landmark_factors(*seen, at, 0, loss)
-    return Problem(inputs.prior, motion, factors, at is not None, calibrated)
+    return Problem(inputs.prior, motion, factors, at is not None, calibrated, None, of_poses)
+
+
+def _of_poses(inputs: Inputs, loss: str, rejected: Rejected) -> list[PoseFactor]:
+    """Fixes and closures as factors."""
+    found = list[PoseFactor]()
+    if (f := inputs.fixes) is not None:
+        every = FrameFixes(f.kind, f.source, f.z, f.covariance, 0)
+        found += _without(fix_factors(f.frame.tolist(), every, f.sources, loss), rejected.fixes)
+    if (c := inputs.closures) is not None:
+        whole = FrameClosures(c.frame1, c.frame2, c.relative, c.covariance, c.source, np.arange(len(c)))
+        found += _without(closure_factors(whole, c.sources, loss), rejected.closures)
+    return found
+
+
+def _without(factors: list[PoseFactor], rejected: BoolArray | None) -> list[PoseFactor]:
+    if rejected is None:
+        return factors
+    return [p.left_out() if out else p for p, out in zip(factors, rejected.tolist(), strict=True)]
+
+
+def _of_several(inputs: Inputs, used: IntArray, number: IntArray, loss: str) -> list[ObservationFactors]:
+    """The observations `used` (m,) of a log with several sensors, of landmarks `number` (M,), by ascending frame.
+
+    Raises UsageError where systematic errors are to be estimated, or a sensor observes walls.
+    """
+    o, found = inputs.observations, list[ObservationFactors]()
+    assert o.sensor is not None
+    if inputs.systematic is not None or not all(s.sees_points for s in inputs.sensors):
+        raise UsageError("a log with several sensors: they must observe points, without systematic errors to estimate")
+    for i, sensor in enumerate(inputs.sensors):
+        rows = used[o.sensor[used] == i]
+        seen = (sensor, o.z[rows], o.R[rows], o.frame[rows], number[rows])
+        if inputs.map is None:
+            found += landmark_factors(*seen, loss)
+        else:
+            at = inputs.map.xy[_rows_of(inputs.map, number[rows])]
+            found += known_landmark_factors(*seen, at, len(found), loss)
+    return sorted(found, key=lambda s: s.frame)
 
 
 def _rows_of(known: LandmarkMap, ids: IntArray) -> IntArray:

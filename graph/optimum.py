@@ -15,9 +15,11 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from data.pose_measurements import PoseInnovations
 from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array, covariances_in_world
 from graph.factors import UnderConstrained, pose_array
+from graph.leave_one_out import innovations, pairs_of
 from graph.problem import Problem
 from graph.qr.calibrated import results_in_world
 from graph.qr.elimination import Rows, Triangle, eliminate
@@ -60,6 +62,8 @@ class Smoothed:
     suspect: bool  # the cost is so high that there may be a lower minimum elsewhere
     robust: bool  # the cost is of a robust loss
     systematic: Systematics | None = None  # the systematic errors, if estimated
+    fixes: PoseInnovations | None = None  # of each by itself, against all other data; None: there are none
+    closures: PoseInnovations | None = None
 
     @property
     def total_nis(self) -> tuple[float, int] | None:
@@ -174,7 +178,9 @@ def _searched(problem: Problem, values: gtsam.Values, optimizer: Any, parameters
 def _smoothed(problem: Problem, linearizer: Linearizer, found: _Found, iterations: int, loss: str) -> Smoothed:
     """The end of a search with covariances. Raises `NotConvergedError` if it is no optimum."""
     n = linearizer.frames
-    covariance = covariances(found.rows, linearizer.structure, found.triangle, found.solution)
+    ties = pairs_of(problem.pose_factors)
+    covariance, across = covariances(found.rows, linearizer.structure, found.triangle, found.solution, ties)
+    fixes, closures = innovations(problem.pose_factors, found.rows, linearizer.of_poses, covariance, across, loss)
     root = linearizer.first(found.values)[2]
     covariance[0] = root @ covariance[0] @ root.T
     delta = linearizer.tangent(found.solution, found.values)
@@ -205,7 +211,7 @@ def _smoothed(problem: Problem, linearizer: Linearizer, found: _Found, iteration
     else:
         path, state, systematic = results_in_world(c, c.errors(found.values), found.solution, pose, covariance, state)
     effort = iterations, last_step, _suspect(found.error, problem), loss != "gaussian"
-    return Smoothed(path, state, 2.0 * found.error, problem.dof, *effort, systematic)
+    return Smoothed(path, state, 2.0 * found.error, problem.dof, *effort, systematic, fixes, closures)
 
 
 def _on_the_robot(problem: Problem, values: gtsam.Values) -> str:

@@ -11,7 +11,8 @@ from gtsam.symbol_shorthand import L, X
 
 from data.inputs import IntArray, Prior
 from data.se2 import Array
-from graph.factors import ObservationFactors, graph_of, noise, pose2, prior_factor, root_information
+from graph.factors import Factor, ObservationFactors, graph_of, noise, pose2, prior_factor, root_information
+from graph.pose_factors import PoseFactor
 from graph.systematic import Calibrated
 from graph.walls import about
 
@@ -26,10 +27,17 @@ class Problem:
     known_map: bool  # the landmarks are known, so that none is estimated
     calibrated: Calibrated | None = None  # systematic errors to estimate
     about: Array | None = None  # (2,) where the landmarks are walls: origin of their distances in the graph
+    pose_factors: Sequence[PoseFactor] = ()  # fixes and closures; with systematic errors in the world
 
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """The whole problem as a gtsam graph; systematic errors as zero."""
-        return graph_of([prior_factor(self.prior), *self.motion, *(f for s in self.observations for f in s.factors)])
+        seen = (f for s in self.observations for f in s.factors)
+        return graph_of([prior_factor(self.prior), *self.motion, *seen, *self.of_poses])
+
+    @property
+    def of_poses(self) -> list[Factor]:
+        """The factors of the fixes and closures in use."""
+        return [p.factor for p in self.pose_factors if p.used]
 
     @property
     def numbers(self) -> IntArray:
@@ -38,10 +46,11 @@ class Problem:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of the chi-square: two for each observation, minus two for each landmark. A systematic
-        error does not count: it has a residual of its own, that of its prior.
+        """Degrees of freedom of the chi-square: what is measured, minus two for each landmark, and those of fixes and
+        closures. A systematic error does not count: it has a residual of its own, that of its prior.
         """
-        return 2 * len(self.observations) - 2 * len(self.numbers)
+        own = sum(s.dims for s in self.observations) - 2 * len(self.numbers)
+        return own + sum(f.dim() for f in self.of_poses)
 
     def values(self, pose: Array, landmark: dict[int, Array], errors: Array | None = None) -> gtsam.Values:
         """Start values from poses (N, 3) and landmarks (2,) by number, of the robot in the world. `errors` (N, p):
@@ -93,7 +102,8 @@ class Problem:
         if self.known_map and c.frame.range_at >= 0:
             xy = c.frame.points_in(np.array([s.xy for s in observations]).reshape(-1, 2), errors[-1])[0]
             observations = [displaced(s, at) for s, at in zip(observations, xy, strict=True)]
-        return Problem(prior, c.motion(errors), observations, self.known_map, about=self.about)
+        motion = c.motion(errors)
+        return replace(self, prior=prior, motion=motion, observations=observations, calibrated=None)
 
 
 def displaced(observations: ObservationFactors, xy: Array) -> ObservationFactors:

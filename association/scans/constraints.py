@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from data.inputs import IntArray, read_only
+from data.inputs import IntArray
+from data.locked import read_only
 from data.result import Run
 from data.se2 import Array
 

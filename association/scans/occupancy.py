@@ -14,7 +14,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from data.inputs import Scanner, read_only
+from data.inputs import Scanner
+from data.locked import read_only
 from data.se2 import Array, compose, inverse
 
 HIT, MISS = 0.85, -0.41

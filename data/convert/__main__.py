@@ -26,6 +26,7 @@ EXAMPLES = """\
 examples:
   python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
   python -m data.convert victoria-park logs/victoria
+  python -m data.convert plaza 1 logs/plaza-1
   python -m data.convert carmen intel.log.gz logs/intel
   python -m data.convert rosbag robot.bag logs/robot --scan /scan --odom /odom
   python -m data.convert table robot.csv logs/robot --columns t=stamp,v=speed --unit angle=deg,time=ns  (and more)
@@ -82,6 +83,10 @@ def summary(log: Log) -> list[str]:
         "no known map" if inputs.map is None else f"a map of {counted(len(inputs.map.id), 'landmark')}",
         "no ground truth" if truth.pose is None else f"ground truth in {counted(truth.known_poses, 'frame')}",
     ]
+    if inputs.fixes is not None:
+        lines.append(counted(len(inputs.fixes), "fix", "fixes"))
+    if inputs.closures is not None:
+        lines.append(counted(len(inputs.closures), "closure"))
     if inputs.scans is not None:
         lines.append(f"{counted(len(inputs.scans.frame), 'scan')} of {counted(inputs.scans.ranges.shape[1], 'beam')}")
     if truth.relations is not None:

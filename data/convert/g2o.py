@@ -25,8 +25,8 @@ Both ways: a file {SUFFIX} as SOURCE becomes the log OUT; any log as SOURCE beco
 
 A graph's VERTEX_SE2 are the frames in their order, EDGE_SE2 between neighbours the odometry, EDGE_SE2_XY observations
 of a point, EDGE_BEARING_SE2_XY observations without a range, VERTEX_XY ids the labels. EDGE_SE2 between other poses
-(loop closures) become reference relations for scoring; no estimator sees them. The first pose is fixed. A log's graph
-has the ids and closures of the file that the log came from; else landmarks have their numbers as ids.
+(loop closures) become closures, which estimators see. The first pose is fixed. A log's graph has its closures, and the
+ids of the file that the log came from; else landmarks have their numbers as ids.
 """
 
 
@@ -34,10 +34,14 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parser of `g2o`; `parameters` is unused."""
     sub = add("g2o", help="a g2o graph as a log, or a log or run as a graph", description=TEXT, epilog=EXAMPLES)
     sub.add_argument(
-        "source", metavar="SOURCE", help=f"a {SUFFIX} file (Toro: {', '.join(TORO)}), or a log by path or name"
+        "source",
+        metavar="SOURCE",
+        help=f"a {SUFFIX} file (Toro: {', '.join(TORO)}; gtsam, iSAM: .txt), or a log by path or name",
     )
     sub.add_argument("out", metavar="OUT", type=Path, help=f"log folder to write, or {SUFFIX} file")
     sub.add_argument("--true", action="store_true", help="of a graph: its vertices are the true values")
+    text = "what the noise of text states (ODOMETRY, LANDMARK, EDGE2 in rows; default: as the numbers suggest)"
+    sub.add_argument("--noise", choices=("information", "covariance", "root"), help=text)
     run = "of a log: poses, map and pairings of this run in a report, runs/LOG/TASK-ESTIMATOR-ASSOCIATION"
     sub.add_argument("--run", metavar="FOLDER", type=Path, help=f"{run} (default: dead reckoning and labels)")
 
@@ -45,16 +49,18 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 def convert(args: argparse.Namespace) -> Log | str:
     """The log of the graph, or a sentence about the graph that was written."""
     from data.errors import DataError, UsageError
+    from data.formats.recognize import edges_of
 
-    if args.source.endswith((SUFFIX, *TORO)):
+    if args.source.endswith((SUFFIX, *TORO)) or any(edges_of(Path(args.source))):
         from data.formats.g2o import log_of, read_graph
 
         if args.run is not None:
             raise UsageError("--run: SOURCE is a graph already; a log is needed")
-        return log_of(args.out.absolute().name, read_graph(Path(args.source)), true=args.true)
+        return log_of(args.out.absolute().name, read_graph(Path(args.source), args.noise), true=args.true)
     from data.formats.g2o import POSE_IDS
     from data.formats.g2o_out import graph_text, labelled, of_result, pose_ids
     from data.logs import open_log
+    from data.terminal import counted
 
     if args.out.suffix != SUFFIX:
         raise UsageError(f"{args.out}: a log is written as a file {SUFFIX}; only a graph (SOURCE{SUFFIX}) as a log")
@@ -62,10 +68,10 @@ def convert(args: argparse.Namespace) -> Log | str:
         raise UsageError("--true: SOURCE is a log; a graph is needed")
     log = open_log(args.source)
     estimate = labelled(log) if args.run is None else of_result(log, args.run)
-    given, closures = log.source.get(POSE_IDS), log.truth.relations
+    given, closures, fixes = log.source.get(POSE_IDS), log.recorded.closures, log.recorded.fixes
     kept = isinstance(given, list) and len(given) == len(log.recorded)
     ids = given if isinstance(given, list) and kept else pose_ids(len(log.recorded), estimate)
-    text = graph_text(log.recorded, estimate, ids, closures)
+    text = graph_text(log.recorded, estimate, ids)
     try:
         args.out.write_text(text, encoding="utf-8", newline="")
     except OSError as error:
@@ -73,10 +79,12 @@ def convert(args: argparse.Namespace) -> Log | str:
     paired = int((estimate.of >= 0).sum())
     left = len(estimate.of) - paired
     sentence = f"{args.out}: {len(log.recorded)} poses, {len(estimate.landmark)} landmarks, {paired} observations"
-    if closures is not None and closures.covariance is not None:
-        sentence += f", {len(closures)} loop closures"
-    elif closures is not None:
-        sentence += f"; {len(closures)} reference relations without covariance omitted"
+    if closures is not None:
+        sentence += f", {counted(len(closures), 'closure')}"
+    if fixes is not None:
+        sentence += f"; {counted(len(fixes), 'fix', 'fixes')} omitted"
+    if log.truth.relations is not None:
+        sentence += f"; {counted(len(log.truth.relations), 'reference relation')} omitted"
     if not kept and ids[0]:
         sentence += f"; poses have the ids {ids[0]} to {ids[-1]}, as landmarks keep theirs"
     return sentence + (f"; {left} observations of no landmark omitted" if left else "")

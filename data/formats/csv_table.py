@@ -6,8 +6,8 @@ order mark, CRLF line ends and spaces around fields are accepted. Columns may ha
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
 
@@ -30,12 +30,14 @@ class Table:
         columns: by name.
         unknown: names of columns that were not requested.
         line: (K,) line of each row in the file; None: the rows follow a one-line header.
+        texts: columns of words, each (K,), empty where blank.
     """
 
     path: Path | str
     columns: dict[str, Array]
     unknown: tuple[str, ...] = ()
     line: IntArray | None = None
+    texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
@@ -54,7 +56,8 @@ class Table:
     def part(self, rows: IntArray | BoolArray) -> Table:
         """Some of its rows, in this order."""
         columns = {name: values[rows] for name, values in self.columns.items()}
-        return replace(self, columns=columns, line=None if self.line is None else self.line[rows])
+        texts = {name: np.asarray(words, object)[rows].tolist() for name, words in self.texts.items()}
+        return replace(self, columns=columns, line=None if self.line is None else self.line[rows], texts=texts)
 
     def symmetric(self, names: Sequence[str]) -> Array:
         """Symmetric matrices (K, d, d) from their upper triangles, row by row."""
@@ -145,9 +148,9 @@ def number_rows(path: Path | str, lines: Sequence[int], rows: Sequence[Sequence[
     except ValueError:
         pass
     for line, row in zip(lines, rows, strict=True):
-        for name, field in zip(names, row, strict=True):
-            if not is_number(field):
-                raise DataError.at(path, f"{shown(field)} is not a number", line=line, column=name)
+        for name, text in zip(names, row, strict=True):
+            if not is_number(text):
+                raise DataError.at(path, f"{shown(text)} is not a number", line=line, column=name)
     raise AssertionError("every field is a number")
 
 
@@ -175,11 +178,17 @@ def _header(path: Path, line: bytes, required: Sequence[str]) -> list[str]:
 
 
 def read_table(
-    path: Path, required: Sequence[str], optional: Sequence[str] = (), *, may_be_blank: Collection[str] = ()
+    path: Path,
+    required: Sequence[str],
+    optional: Sequence[str] = (),
+    *,
+    may_be_blank: Collection[str] = (),
+    words: Collection[str] = (),
 ) -> Table:
     """Read known columns of a CSV; values are numbers, NaN and infinity included (see `Table.require_finite`).
 
     `optional` columns are read if present, others are listed in `Table.unknown`; fields of `may_be_blank` may be blank.
+    Columns named in `words` are `Table.texts`.
     Raises DataError for a missing file or column, a wrong number of fields, a blank line, or a field that is no number.
     """
     header, *rows = lines_of(bytes_of(path, missing="no such file").rstrip())
@@ -189,16 +198,19 @@ def read_table(
     if set(map(bytes.count, rows, [b","] * len(rows))) - {commas} or (commas == 0 and b"" in rows):
         raise _ragged(path, rows, commas)
     fields = b",".join(rows).split(b",") if rows else []
-    columns = {}
+    columns, texts = {}, {}
     for name in known:
         column, blank = fields[names.index(name) :: len(names)], name in may_be_blank
+        if name in words:
+            texts[name] = [f.decode("utf-8", "replace").strip() for f in column]
+            continue
         try:
             if b"_" in b"".join(column):  # Python reads 1_0 as ten
                 raise ValueError
             columns[name] = np.array([float(f) if f.strip() or not blank else np.nan for f in column], float)
         except ValueError:
             raise _not_a_number(path, name, column, blank=blank) from None
-    return Table(path, columns, tuple(n for n in names if n not in known and n))
+    return Table(path, columns, tuple(n for n in names if n not in known and n), texts=texts)
 
 
 def _ragged(path: Path, rows: list[bytes], commas: int) -> DataError:

@@ -131,7 +131,7 @@ def per_second(time: Array, turn: Array) -> Array:
 def stamps(log: Log) -> list[Notice]:
     """Frame intervals that do not fit seconds."""
     inputs = log.recorded
-    if inputs.time_is_index or len(inputs) < 3:
+    if inputs.time_is_index or len(inputs) < 3 or any(q.code == Code.STAMPS_BACK for q in log.asked):
         return []
     gap = float(np.median(np.diff(inputs.time)))
     span = float(inputs.time[-1] - inputs.time[0])
@@ -392,7 +392,12 @@ CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
 )
 
 
+OF_ONE_SENSOR = (bearings, reach, prior, conventions)
+"""Checks that read the observations of one sensor that locates its landmarks."""
+
+
 def ask(log: Log) -> tuple[Notice, ...]:
     """Questions about a log; none where it looks as it should."""
-    found = [*log.asked, *(question for check in CHECKS for question in check(log))]
+    checks = [c for c in CHECKS if c not in OF_ONE_SENSOR or not log.recorded.several_or_partial]
+    found = [*log.asked, *(question for check in checks for question in check(log))]
     return tuple(question.about(log=log.name) for question in found)

@@ -68,19 +68,23 @@ class Arena(Erring):
     clutter: float = 0.0
 
     def __post_init__(self) -> None:
-        check_erring("arena", self)
-        check_parameters(
-            "arena",
-            self,
-            positive=(
-                *("landmarks", "frames", "side", "period", "odometry_rate", "radius", "max_range", "field_of_view"),
-                *("sigma_range", "sigma_bearing", "sigma_point"),
-            ),
-            not_negative=("sigma_v", "sigma_omega", "min_range", "prior_sigma", "prior_sigma_heading", "clutter"),
-            choices={"sensor": ("range_bearing", "relative_point")},
-        )
+        world = type(self).__name__.lower()
+        check_erring(world, self)
+        sensors = {"sensor": ("range_bearing", "relative_point")}
+        check_parameters(world, self, positive=self.positive, not_negative=self.not_negative, choices=sensors)
         if not 0.0 <= self.detection <= 1.0:
-            raise UsageError(f"arena: detection = {self.detection}; a probability is needed")
+            raise UsageError(f"{world}: detection = {self.detection}; a probability is needed")
+
+    @property
+    def positive(self) -> tuple[str, ...]:
+        """Names of parameters above zero."""
+        layout = ("landmarks", "frames", "side", "period", "odometry_rate", "radius", "max_range", "field_of_view")
+        return (*layout, "sigma_range", "sigma_bearing", "sigma_point")
+
+    @property
+    def not_negative(self) -> tuple[str, ...]:
+        """Names of parameters from zero up."""
+        return ("sigma_v", "sigma_omega", "min_range", "prior_sigma", "prior_sigma_heading", "clutter")
 
     def model(self) -> Sensor:
         """The sensor with its field of view."""

@@ -15,7 +15,8 @@ import numpy as np
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import Increments, Inputs, LandmarkMap, Locked, Observations
+from data.inputs import Increments, Inputs, LandmarkMap, Observations
+from data.locked import Locked
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.pictures import CORNERS, VisualSetup

@@ -210,6 +210,19 @@ examples:
         "A simulated robot in a grid of landmarks, its heading almost known; the same seed gives the same log.",
         "example:\n  python -m data.convert linear logs/linear-0 --seed 0 --frames 200",
     ),
+    "mixed": World(
+        "data.worlds.mixed",
+        "Mixed",
+        "mixed:0 or mixed:0:jumps+false-closures",
+        "the arena with GPS, a compass and loop closures, simulated",
+        "The arena with position fixes, headings and loop closures, some of them wrong if asked for; the same seed"
+        " gives the same log.",
+        """\
+examples:
+  python -m data.convert mixed logs/mixed-0 --seed 0
+  python -m data.convert mixed logs/outliers --seed 3 --jumps --false-closures --outliers .1
+""",
+    ),
     "park": World(
         "data.worlds.park",
         "Park",

@@ -107,9 +107,18 @@ def input_digest(log: Log) -> str:
     for landmarks in (r.map, t.landmarks):
         if landmarks is not None:
             arrays += [landmarks.id, landmarks.xy]
+            digest.update(repr(landmarks.kind).encode() if landmarks.kind is not None else b"")
     if r.scans is not None:
         arrays += [r.scans.frame, r.scans.ranges]
         digest.update(repr(r.scans.scanner).encode())
+    if r.fixes is not None:
+        arrays += [r.fixes.frame, r.fixes.kind, r.fixes.source, r.fixes.z, r.fixes.covariance]
+        digest.update(repr(r.fixes.sources).encode())
+    if r.closures is not None:
+        c = r.closures
+        arrays += [c.frame1, c.frame2, c.relative, c.covariance, c.source]
+        digest.update(repr(c.sources).encode())
+    arrays += [inlier for inlier in (t.fix_inlier, t.closure_inlier) if inlier is not None]
     if t.relations is not None:
         given = (getattr(t.relations, f.name) for f in fields(t.relations))
         arrays += [array for array in given if array is not None]
@@ -117,4 +126,6 @@ def input_digest(log: Log) -> str:
         digest.update(str(array.shape).encode())
         digest.update(array.tobytes())
     digest.update(repr(r.sensor).encode())
+    if r.observations.sensor is not None:
+        digest.update(repr([(s, s.label, s.sees) for s in r.sensors]).encode() + r.observations.sensor.tobytes())
     return digest.hexdigest()

@@ -14,7 +14,8 @@ import numpy as np
 
 from association.decide import METHODS
 from association.expectation import Expectation, SingularInnovationError, gate_threshold
-from data.inputs import Frame, Inputs, IntArray, read_only
+from data.inputs import Frame, Inputs, IntArray
+from data.locked import read_only
 from data.result import MapState
 from data.se2 import Array, dead_reckoned
 from ekf.filter import Filter

@@ -33,6 +33,7 @@ from eval.referee.plausibility import ABSURD, first_misfit
 from eval.referee.residuals import Used, smoothed_residuals, used_by
 from eval.referee.result_files import NOTICES
 from eval.referee.score import Scores, Trial, lost_of, score
+from eval.referee.sources import source_notices, uses_sources
 
 UNUSED = 0.1  # share of paired observations below which an estimate is dead reckoning
 FEWEST = 20  # least number of observations, or twice the landmarks, to ask about
@@ -54,8 +55,13 @@ def questions_of_run(run: Run, inputs: Inputs) -> list[Notice]:
 
 
 def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
-    """A notice where hardly any observation was paired, or (with `inputs`) where the log has none to pair."""
+    """A notice where hardly any observation was paired, or (with `inputs`) where the log has none to pair.
+
+    None where fixes or closures were used: that is no dead reckoning.
+    """
     if run.association == "none" or run.failure is not None:
+        return None
+    if uses_sources(run):
         return None
     used, seen = int((run.final_decisions >= 0).sum()), len(run.final_decisions)
     nothing = not seen and inputs is not None and inputs.scans is None and not run.handed_in
@@ -68,6 +74,8 @@ def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
 def _crowded(run: Run, inputs: Inputs) -> Notice | None:
     """A notice where most landmarks are close to another one that no common frame saw."""
     if run.task != "slam" or run.map is None or 2 * len(run.map) < FEWEST or not inputs.sensor.sees_points:
+        return None
+    if inputs.several_or_partial:
         return None
     o, places = inputs.observations, run.map
     if not len(o.z):  # corners of scans are the landmarks
@@ -258,10 +266,11 @@ def _pairing(run: Run, trial: Trial, used: Used, path: Array, i: int) -> dict[st
     o, frame = recorded.observations, int(recorded.observations.frame[i])
     landmark = int(used.identity[used.number[i]])
     there = used.landmarks[used.number[i]]
-    if recorded.sensor.sees_points:
-        off = float(np.hypot(*(there - recorded.sensor.inverse(path[frame], o.z[i : i + 1])[0][0])))
+    sensor = recorded.sensor_at(i)
+    if sensor.sees_points and sensor.locates:
+        off = float(np.hypot(*(there - sensor.inverse(path[frame], o.z[i : i + 1])[0][0])))
     else:
-        off = abs(float(recorded.sensor.residual(o.z[i], recorded.sensor.predict(path[frame], there)[0])[0]))
+        off = abs(float(sensor.residual(o.z[i], sensor.predict(path[frame], there)[0])[0]))
     began = bool(run.initialized[i] >= 0)
     right = None if began else _is_right(run, trial, landmark, i)
     place = i - int(recorded.start[frame])
@@ -324,6 +333,7 @@ def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:
     yield from laser_faults.of_run(run, trial)
     yield from questions_of_run(run, trial.log.recorded)
     yield from ambiguity_of(run, trial.log.recorded)
+    yield from source_notices(run, trial.log.recorded)
 
 
 def notices_table(found: Sequence[Notice]) -> pd.DataFrame:

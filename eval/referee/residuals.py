@@ -26,11 +26,13 @@ FITTING = float(special.chdtri(2, 0.01))  # squared residual inside which an obs
 
 @dataclass(frozen=True, eq=False)
 class Used:
-    """The pairings of a run's last map."""
+    """The pairings of a run's last map, and the fixes and closures that it stands on."""
 
     number: IntArray  # (M,) row of `landmarks` for every observation of the log; -1: not paired
     landmarks: Array  # (L, 2)
     identity: IntArray  # (L,) landmark numbers; in localization the map's ids
+    fixes: BoolArray | None = None  # (F,) which of the log's fixes were used; None: none
+    closures: BoolArray | None = None  # (K,) the same of its closures
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +57,8 @@ def used_by(run: Run, inputs: Inputs) -> Used:
     known = np.isin(number, identity)
     order = np.argsort(identity)
     row[known] = order[np.searchsorted(identity, number[known], sorter=order)]
-    return Used(row, xy, identity)
+    fixes, closures = run.fixes_final or run.fixes, run.closures_final or run.closures
+    return Used(row, xy, identity, None if fixes is None else fixes.used, None if closures is None else closures.used)
 
 
 def smoothed_residuals(inputs: Inputs, path: Array, used: Used) -> Residuals:
@@ -70,9 +73,9 @@ def smoothed_residuals(inputs: Inputs, path: Array, used: Used) -> Residuals:
     rows = np.flatnonzero(used.number >= 0)
     if len(rows):
         o = inputs.observations
-        expected = inputs.sensor.predict(path[o.frame[rows]], used.landmarks[used.number[rows]])
-        nu = inputs.sensor.residual(o.z[rows], expected)
-        observations[rows] = nu / np.sqrt(np.einsum("mii->mi", o.R[rows]))
+        sensor = inputs.sensor_of(rows)
+        nu = sensor.residual(o.z[rows], sensor.predict(path[o.frame[rows]], used.landmarks[used.number[rows]]))
+        observations[rows] = np.where(inputs.measured(rows), nu / np.sqrt(np.einsum("mii->mi", o.R[rows])), np.nan)
         squared[rows] = np.einsum("mi,mi->m", nu, np.linalg.solve(o.R[rows], nu[:, :, None])[:, :, 0])
     return Residuals(odometry, observations, squared)
 
@@ -120,8 +123,8 @@ def misfits(inputs: Inputs, path: Array, used: Used, residuals: Residuals) -> tu
     elsewhere = 0
     o = inputs.observations
     for i in np.flatnonzero(outlying):
-        expected = inputs.sensor.predict(path[o.frame[i]], used.landmarks)
-        nu = inputs.sensor.residual(o.z[i], expected)
+        sensor = inputs.sensor_at(int(i))
+        nu = sensor.residual(o.z[i], sensor.predict(path[o.frame[i]], used.landmarks))
         squared = np.einsum("li,li->l", nu, np.linalg.solve(o.R[i], nu.T).T)
         squared[used.number[i]] = np.inf
         elsewhere += bool(squared.min(initial=np.inf) < FITTING)

@@ -319,6 +319,27 @@ RELATIONS = File(
     ),
     when="logs with reference relations",
 )
+SOURCES = File(
+    "sources.csv",
+    "Fixes and closures by source, one row per run, phase and source.",
+    (
+        *RUN,
+        text("source", "name of the source"),
+        text("kind", "what it measures: `position`, `heading`, `pose` or `closure`"),
+        count("count", "measurements in the log"),
+        count("used", "accepted ones"),
+        Column("nis_mean", "NIS of the accepted ones per degree of freedom"),
+        count("nis_dof", "their degrees of freedom"),
+        Column("nis_low", "95 % bounds behind the gate; online only"),
+        Column("nis_high", "95 % bounds behind the gate; online only"),
+        text("verdict", "a word of [verdicts](verdicts.md) on the innovations; online only"),
+        count("tp", "inliers accepted"),
+        count("tn", "outliers rejected"),
+        count("fp", "outliers accepted"),
+        count("fn", "inliers rejected"),
+    ),
+    when="logs with fixes or closures",
+)
 SPACE = File(
     "space.csv",
     "[Scores in 3-D](notes/results-files.md), a row per quantity.",
@@ -395,4 +416,4 @@ NOTICES = File(
         text("text", "sentence of the report"),
     ),
 )
-TOP = (METRICS, DECISION_COUNTS, CONSISTENCY, TRUST, RELATIONS, SPACE, PUBLISHED, NOTICES, TIMING)
+TOP = (METRICS, DECISION_COUNTS, CONSISTENCY, TRUST, RELATIONS, SOURCES, SPACE, PUBLISHED, NOTICES, TIMING)

@@ -30,6 +30,7 @@ from eval.referee.laser import closure_counts, kept, relation_rows
 from eval.referee.lost import lost
 from eval.referee.metrics import RUN
 from eval.referee.proper_scores import mean_scores
+from eval.referee.sources import source_rows
 
 HEADS = ("estimator", "association", "phase", "status", "position RMSE [m]", "pose NEES (3 expected)")
 SHOWN = (*RUN, "status", "rmse_position_m", "rmse_heading_deg", "nees_pose", "nis")
@@ -325,6 +326,7 @@ class Scores:
     timing: pd.DataFrame
     differences: pd.DataFrame
     relations: pd.DataFrame
+    sources: pd.DataFrame
 
     def _repr_html_(self) -> str:
         return scores_html({f.name: getattr(self, f.name) for f in fields(self)})
@@ -335,13 +337,15 @@ def score(trials: Sequence[Trial]) -> Scores:
 
     Returns:
         Tables (`pandas.DataFrame`) with a row per run and phase, columns as in docs/results-folder.md: `metrics` (RMSE
-        [m], [deg], NEES, NIS), `association` (TP, TN, FP, FN), `timing` [s], `differences` (paired), `relations`.
+        [m], [deg], NEES, NIS), `association` (TP, TN, FP, FN), `timing` [s], `differences` (paired), `relations`,
+        `sources` (fixes and closures).
 
     Example:
         >>> scores = slamref.score([slamref.Trial(log, "slam", tuple(runs))])
         >>> scores.metrics[["estimator", "phase", "rmse_position_m"]]
     """
     metrics, association, timing, differences, relations = [], [], [], [], []
+    sources: list[dict[str, object]] = []
     for trial in trials:
         reference = trial.find("batch") or trial.find("batch", SCAN)
         known: dict[tuple[int, str], Along] = {}
@@ -356,6 +360,7 @@ def score(trials: Sequence[Trial]) -> Scores:
                 association += [row for row in rows if row is not None]
             if log_of(run, trial.log) is trial.log:  # relations are between frames of the log
                 relations += relation_rows(run, trial.log)
+                sources += source_rows(run, trial.log)
             if not run.handed_in:
                 timing.append(_timing_row(run, trial.log))
         differences += difference_rows(trial.log, trial.task, trial.runs, known)
@@ -365,4 +370,5 @@ def score(trials: Sequence[Trial]) -> Scores:
         result_files.TIMING.table(timing),
         result_files.DIFFERENCES.table(differences),
         result_files.RELATIONS.table(relations),
+        result_files.SOURCES.table(sources),
     )

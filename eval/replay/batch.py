@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from data.inputs import Inputs, IntArray
 from data.notice import Code, Severity, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate
-from data.se2 import BoolArray
+from data.se2 import Array, BoolArray
 from graph.batch import Start, smooth
+from graph.chordal import chordal_path
 from graph.factors import UnderConstrained
 from graph.optimum import NotConvergedError, Smoothed
 from graph.robust import gnc
@@ -25,7 +27,8 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
 
     If this finds no minimum, or a suspiciously high one, it also starts from the paths of `others` in turn, runs with
     the same landmark numbers or without a map. The lowest minimum counts. `gnc` discards rejected pairings, and
-    landmarks without any observation left.
+    landmarks without any observation left. Fixes and closures are used whatever `front` did with them; where there are
+    closures a chordal path is a further start, and without observations the first one.
     """
     begin = time.perf_counter()
 
@@ -43,7 +46,13 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
     # retracted landmarks are left out; those that a filter merely forgot are smoothed
     initialized = front.initialized
     start = start_at(inputs, front, initialized)
-    final, notes = front.final_decisions, [notice(Code.DECIDED_BY, Severity.INFO, front=front.estimator)]
+    final = front.final_decisions
+    decides = front.estimator != "dead-reckoning"  # which is the front of logs without observations
+    notes = [notice(Code.DECIDED_BY, Severity.INFO, front=front.estimator)] if decides else []
+    starts: list[Callable[[], Start | None]] = [lambda: start]
+    starts += [partial(_start_of, run, inputs, initialized) for run in others]
+    if inputs.closures is not None:
+        starts.insert(int((final >= 0).any()), lambda: _chordal(inputs, initialized))
     try:
         if name == "gnc":
             result, accepted = gnc(inputs, final, initialized, start)
@@ -52,7 +61,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
             notes.append(notice(Code.OBSERVATIONS_REJECTED, Severity.INFO, observations=rejected))
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
-            result = _lowest(inputs, final, initialized, start, LOSSES[name], others)
+            result = _lowest(inputs, final, initialized, starts, LOSSES[name])
     except UnderConstrained as stop:
         return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
@@ -64,7 +73,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
         front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,
         iterations=result.iterations, last_step_sigma=result.last_step, errors_final=result.systematic,
         begun=None if front.begun is None else initialized, gated_final=front.gated_final,
-        left=front.left,
+        left=front.left, fixes_final=result.fixes, closures_final=result.closures,
     )  # fmt: skip
 
 
@@ -72,28 +81,28 @@ def _lowest(
     inputs: Inputs,
     final: IntArray,
     initialized: IntArray,
-    start: Start,
+    starts: Sequence[Callable[[], Start | None]],
     loss: str,
-    others: Sequence[Callable[[], Run]],
 ) -> Smoothed:
-    """The minimum from `start`, or the lowest of those from the paths of other runs, as long as it is suspicious."""
-    result, stop = None, None
-    try:
-        result = smooth(inputs, final, initialized, start, loss=loss)
-    except NotConvergedError as fault:
-        stop = fault
-    for other in others:
-        if result is not None and not result.suspect:
+    """The minimum from the first start, or the lowest of those from others, as long as it is suspicious. Under a robust
+    loss wrong closures hide in a low cost: two starts then.
+    """
+    result, stop, tried = None, None, 0
+    both = loss != "gaussian" and inputs.closures is not None
+    for each in starts:
+        if result is not None and not result.suspect and not (both and tried < 2):
             break
-        run = other()
-        if run.failure is None and run.online is not None:
-            try:
-                found = smooth(inputs, final, initialized, start_at(inputs, run, initialized), loss=loss)
-            except NotConvergedError as fault:
-                stop = fault
-            else:
-                if result is None or found.cost < result.cost * (1.0 - LOWER):
-                    result = found
+        start = each()
+        if start is None:
+            continue
+        tried += 1
+        try:
+            found = smooth(inputs, final, initialized, start, loss=loss)
+        except NotConvergedError as fault:
+            stop = fault
+        else:
+            if result is None or found.cost < result.cost * (1.0 - LOWER):
+                result = found
     if result is None:
         assert stop is not None
         raise stop
@@ -107,17 +116,25 @@ def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -
     return (number >= 0) & np.where(initialized >= 0, ~np.isin(number, alive), ~accepted)
 
 
+def _start_of(other: Callable[[], Run], inputs: Inputs, initialized: IntArray) -> Start | None:
+    """The path of another run as a start; None: it has none."""
+    run = other()
+    return None if run.failure is not None or run.online is None else start_at(inputs, run, initialized)
+
+
+def _chordal(inputs: Inputs, initialized: IntArray) -> Start:
+    """The chordal path, with landmarks where they were observed first."""
+    pose = chordal_path(inputs)
+    return Start(pose, _places(inputs, pose, initialized))
+
+
 def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
     """The path and map of a front end; a landmark that it dropped is where it was initialized.
 
     `initialized` (M,): number of the landmark that an observation initialized, -1 for none.
     """
     assert front.online is not None
-    places = np.full((int(initialized.max(initial=-1)) + 1, 2), np.nan)
-    o = inputs.observations
-    for i in np.flatnonzero(initialized >= 0):
-        pose = front.online.pose[o.frame[i]]
-        places[initialized[i]] = inputs.sensor.inverse(pose, o.z[i : i + 1])[0][0]
+    places = _places(inputs, front.online.pose, initialized)
     if front.map is not None:
         held = front.map.number < len(places)
         places[front.map.number[held]] = front.map.xy[held]
@@ -125,3 +142,13 @@ def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
     known = front.errors_final or front.errors_online
     errors = None if known is None else np.broadcast_to(known.mean[-1], known.mean.shape)
     return Start(front.online.pose, places, errors)
+
+
+def _places(inputs: Inputs, pose: Array, initialized: IntArray) -> Array:
+    """Landmarks (L, 2) where they were initialized, seen from poses (N, 3)."""
+    places, o = np.full((int(initialized.max(initial=-1)) + 1, 2), np.nan), inputs.observations
+    for i in np.flatnonzero(initialized >= 0):
+        sensor = inputs.sensor_at(int(i))
+        if sensor.locates:
+            places[initialized[i]] = sensor.inverse(pose[o.frame[i]], o.z[i : i + 1])[0][0]
+    return places

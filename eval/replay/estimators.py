@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -9,8 +10,10 @@ import numpy as np
 from association.expectation import Expectation
 from data.errors import UsageError, did_you_mean
 from data.inputs import FrameObservations, Increment, IntArray
+from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
 from data.result import Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array
+from data.sensors import Sensor
 from ekf.filter import DEFAULT, FilterOptions, lack
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
@@ -160,6 +163,55 @@ class Resettable(Protocol):
         """Restart at a pose (3,) with covariance (3, 3)."""
 
 
+@runtime_checkable
+class Looking(Protocol):
+    """It can use several sensors."""
+
+    def look(self, sensor: Sensor) -> None:
+        """Expect and use observations of this sensor from now on."""
+
+
+@runtime_checkable
+class Delaying(Protocol):
+    """SLAM: it can initialize a landmark from observations of several frames."""
+
+    def hold(self, frame: int) -> None:
+        """Keep the present frame's pose, until `release`."""
+
+    def release(self, frame: int) -> None:
+        """Keep it no longer."""
+
+    def held(self, frames: IntArray) -> tuple[Array, Array]:
+        """Poses (n, 3) of frames that are kept, or the present one, and their joint covariance (3n, 3n)."""
+
+    def initialize(
+        self, frames: IntArray, sensors: Sequence[Sensor], observations: FrameObservations, xy: Array
+    ) -> tuple[int, float, int, float]:
+        """A landmark near xy (2,) from all its observations (m): its number; NIS, dof and log-likelihood, or NaN."""
+
+
+@runtime_checkable
+class Fixable(Protocol):
+    """It can use absolute measurements of the pose."""
+
+    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+        """Update with those inside the gate (a chi-square probability, None: all), one after another.
+
+        Called between `predict` (with `stamp`) and `expect`, before the closures.
+        """
+
+
+@runtime_checkable
+class Closable(Protocol):
+    """It can use measured relative poses of two frames; frames count from 0, and each `predict` begins one."""
+
+    def keep(self, last_use: dict[int, int]) -> None:
+        """Before the first frame: the frames that later closures name, each with the frame of its last use."""
+
+    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+        """Update with those inside the gate, one after another; not used: those of a frame that is no longer known."""
+
+
 class Capabilities(NamedTuple):
     """An estimator as each of its capabilities; None for those it lacks."""
 
@@ -172,11 +224,15 @@ class Capabilities(NamedTuple):
     amendable: Amendable | None
     inflatable: Inflatable | None
     resettable: Resettable | None
+    looking: Looking | None
+    delaying: Delaying | None
+    fixable: Fixable | None
+    closable: Closable | None
 
 
 CAPABILITIES: tuple[Any, ...] = (
     *(Timed, Stateful, Calibrating, Parkable, Removable),
-    *(Revisable, Amendable, Inflatable, Resettable),
+    *(Revisable, Amendable, Inflatable, Resettable, Looking, Delaying, Fixable, Closable),
 )
 """In the order of the fields of `Capabilities`."""
 
@@ -239,15 +295,29 @@ def make_estimator(
 
 FOR_WALLS = "jcbb"  # default association method for walls without labels
 NO_HINDSIGHT_OF_WALLS = f"{HINDSIGHT} knows landmarks as points, walls can be paired by {FOR_WALLS}"
+FOR_SEVERAL = "jcbb"  # default for several sensors, or one of bearings or ranges alone, without labels
+NO_HINDSIGHT_OF_SEVERAL = (
+    f"{HINDSIGHT} knows one sensor that locates its landmarks; with several, or with bearings or ranges alone, "
+    f"observations can be paired by {FOR_SEVERAL}"
+)
+NO_NEW_LANDMARKS = (
+    "a bearing or a range alone does not locate a new landmark, so in SLAM its observations need labels; "
+    "use --association known"
+)
 
 
-def lack_with_walls(
+def lack_with_sensor(
     name: str, task: str, association: str, given: Given, options: FilterOptions | None = None
 ) -> str | None:
-    """Why an estimator with an association method cannot process walls; None if it can, or the sensor sees points.
+    """Why an estimator with an association method cannot use these sensors; None if it can.
 
     `options` replace those of a filter's name.
     """
+    sensors = given.sensors or (given.sensor,)
+    if association == HINDSIGHT and (len(sensors) > 1 or not given.sensor.locates):
+        return NO_HINDSIGHT_OF_SEVERAL
+    if task == "slam" and association != "known" and not all(s.locates for s in sensors):
+        return NO_NEW_LANDMARKS
     if given.sensor.sees_points:
         return None
     if association == HINDSIGHT:

@@ -17,18 +17,20 @@ from association.truncated import Acceptance, acceptance, accepted_moments, trun
 from data.errors import UsageError
 from data.inputs import Frame, FrameObservations, IntArray, LandmarkMap
 from data.notice import Code, Notice, Severity, notice
-from data.result import DISCARD, Event, MapState, Updated
+from data.result import DISCARD, NEW, Event, MapState, Updated
 from data.se2 import Array
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, Estimator, capabilities, make_estimator, needed
+from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, Delaying, Estimator, capabilities, make_estimator, needed
 from eval.replay.external.adapter import Adapter
 from eval.replay.external.innovations import OwnInnovations
 from eval.replay.external.load import load
 from eval.replay.external.make import Method, locked
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.map_management import AutomaticParking, MapManagement, Parking, automatic_parking
+from eval.replay.poses import PoseMeasurements
 from eval.replay.settings import HINDSIGHT, Beginning, Given, Setup
+from eval.replay.waiting import Begun, WaitingLandmarks
 
 
 class KnownAssociation:
@@ -55,6 +57,10 @@ class KnownAssociation:
             label, number = int(frame.label[i]), int(created[i])
             self._number_of[label], self._label_of[number] = number, label
 
+    def begun(self, label: int, number: int) -> None:
+        """A landmark began by observations of several frames."""
+        self._number_of[label], self._label_of[number] = number, label
+
     def removed(self, numbers: IntArray) -> None:
         """Forget landmarks (r,): their labels may initialize others."""
         for n in numbers.tolist():
@@ -75,7 +81,7 @@ class Pairing(NamedTuple):
 
 
 class FrontEnd:
-    """Steps of a frame, in this order: move, associate, update, tidy; after the last one close."""
+    """Steps of a frame, in this order: move, use_poses, associate, update, tidy; after the last one close."""
 
     revises_map = False  # whether landmarks leave the map for other reasons than map management's
     asks_for_innovations = False  # whether the estimator must form its innovations
@@ -92,7 +98,11 @@ class FrontEnd:
         """
         if association == HINDSIGHT and not given.sensor.sees_points:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)
-        self.given, self.setup = Beginning(given.prior, given.sensor, given.map, given.systematic), setup
+        self.given = Beginning(
+            given.prior, given.sensor, given.map, given.systematic, given.fixes, given.closures, given.sensors
+        )  # fmt: skip
+        self.setup = setup
+        self.sensor = given.sensor  # that of the observations at hand
         self.association = name_of(association)  # `known` (labels decide) or a method's name
         self._method = Method(load(association)) if is_foreign(association) else association
         self.use(make_estimator(estimator, given, options, lag=setup.lag))
@@ -109,20 +119,29 @@ class FrontEnd:
         self.parking: Parking | AutomaticParking | None = None
         if self.slam and (kept.manages_map or self.revises_map):
             self.map_management = MapManagement(kept)  # which landmarks leave the map; None where all stay
-            if kept.deactivate_after is not None:
+            if kept.deactivate_after is not None and given.closures is None:
                 self.parking = Parking(self.estimator, self.can, self.map_management, given.sensor, within)
             if kept.maintain or kept.forget_after is not None:
                 needed(self.can.removable, "`remove`", "--maintain" if kept.maintain else "--forget-after")
-        self.parking = self.parking or automatic_parking(self.estimator, association, setup)
+        partial = self.slam and not all(s.locates for s in given.sensors or (given.sensor,))
+        self.waiting = WaitingLandmarks() if partial else None  # landmarks that are not located yet
+        self.begun: list[Begun] = []  # those that began in this frame
+        if self.parking is None and given.closures is None and not partial:
+            self.parking = automatic_parking(self.estimator, association, setup)
         self.faces = Faces(given.sensor) if self.slam and not given.sensor.sees_points else None
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
-        self._threshold = gate_threshold(setup.label_gate) if gated else math.inf
+        self._label_gate = setup.label_gate if gated else None
+        self._threshold = gate_threshold(self._label_gate, len(self.sensor.measures))
+        self._kind: dict[int, str] = {}  # of landmarks that are not for every sensor, by number
+        if given.map is not None and given.map.kind is not None:
+            self._kind = dict(zip(given.map.id.tolist(), given.map.kind, strict=True))
 
     def use(self, estimator: Estimator) -> None:
         """Give the decisions to this estimator, before its first frame."""
         self.estimator, self.can = estimator, capabilities(estimator)  # gets the decisions; its capabilities
         self.foreign = estimator if isinstance(estimator, Adapter) else None  # if it is foreign
+        self.poses = PoseMeasurements(self.given, self.can, self.setup.gate_poses)  # its fixes and closures
         self.own: OwnInnovations | None = None  # its innovations
         if self.foreign is not None:
             expect = self.foreign.expect if self.foreign.has("expect") else None
@@ -140,10 +159,26 @@ class FrontEnd:
         if self.map_management is not None:
             self.map_management.begin(frame.number, frame.time)
 
+    def look(self, frame: Frame) -> None:
+        """Use the sensor of (a part of) a frame; `Frame.by_sensor`."""
+        if frame.sensor is None or self.sensor is (sensor := self.given.sensors[int(frame.sensor[0])]):
+            return
+        needed(self.can.looking, "`look`", "a log with several sensors").look(sensor)
+        self.sensor = sensor
+        self._threshold = gate_threshold(self._label_gate, len(sensor.measures))
+
+    def use_poses(self, frame: Frame) -> None:
+        """Update with the frame's fixes and closures."""
+        self.poses.use(frame)
+
     def associate(self, frame: Frame) -> Pairing:
         """Decide about (a part of) this frame's observations."""
         if self.known is not None:
-            return Pairing(self.known.decide(frame))
+            decisions = self.known.decide(frame)
+            if self.waiting is not None and not self.sensor.locates:
+                self.waiting.add(frame, np.flatnonzero(decisions == NEW), self.sensor, self._delaying)
+                decisions = np.where(decisions == NEW, DISCARD, decisions)
+            return Pairing(decisions)
         expectation = self.expect(frame.observations)
         decisions, complete = self.decide(expectation)
         self.incomplete += not complete
@@ -152,18 +187,23 @@ class FrontEnd:
     @property
     def passed(self) -> Acceptance:
         """The gates that a used pairing has passed."""
-        return Acceptance(self._threshold) if self.known is not None else acceptance(self.association, self.setup.gate)
+        if self.known is not None:
+            return Acceptance(self._threshold)
+        return acceptance(self.association, self.setup.gate, len(self.sensor.measures))
 
     def expect(self, observations: FrameObservations) -> Expectation:
         """The estimator's expectation of its candidates; parked landmarks that may be in view are restored first."""
         if self.parking is not None:
             self.parking.offer(observations)
         e = self.estimator.expect(observations)
-        if not self.given.sensor.sees_points:
-            e = aligned_with_observations(e, self.given.sensor)
+        if not self.sensor.sees_points:
+            e = aligned_with_observations(e, self.sensor)
+        if self.sensor.sees and self._kind:
+            kinds = [self._kind.get(n, self.sensor.sees) for n in e.number.tolist()]
+            e = e.only(np.flatnonzero(np.array(kinds, object) == self.sensor.sees))
         if self.faces is not None and len(e.number):
             e = e.only(np.flatnonzero(self.faces.visible(*self.estimator.estimate(), e.number, e.z_hat)))
-        return e.only(np.flatnonzero(in_view(self.given.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
+        return e.only(np.flatnonzero(in_view(self.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
         """Decisions by the method of this run, or by another one for comparison."""
@@ -192,6 +232,8 @@ class FrontEnd:
         )
         if self.known is not None and self.slam:
             self.known.initialized(frame, done.created)
+        if self.slam and self.sensor.sees:
+            self._kind |= dict.fromkeys(done.created[done.created >= 0].tolist(), self.sensor.sees)
         if self.faces is not None or self.map_management is not None or self.parking is not None:
             self._see(frame, np.where(done.used, pairing.decisions, done.created))
         if self.own is not None:
@@ -215,12 +257,24 @@ class FrontEnd:
         if self.passed.everything:
             return None
         if self.known is not None:  # each pairing by itself
-            mean, variance = truncated_square(self._threshold)
-            return mean * dof / 2, variance * dof / 2
-        return None if S is None or len(S) != dof else accepted_moments(S, self.passed, self.k)
+            dims = len(self.sensor.measures)
+            mean, variance = truncated_square(self._threshold, dims)
+            return mean * dof / dims, variance * dof / dims
+        measures = self.sensor.measures
+        whole = S is not None and len(S) // 2 * len(measures) == dof
+        return accepted_moments(S, self.passed, self.k, measures) if S is not None and whole else None
+
+    @property
+    def _delaying(self) -> Delaying:
+        return needed(self.can.delaying, "`initialize`", "SLAM with bearings or ranges alone")
 
     def tidy(self) -> None:
-        """The end of a frame: remove landmarks by the rules of the setup."""
+        """The end of a frame: waiting landmarks begin, and others leave by the rules of the setup."""
+        if self.waiting is not None:
+            self.begun = self.waiting.begin(self._delaying)
+            assert self.known is not None  # or these sensors were refused
+            for each in self.begun:
+                self.known.begun(each.label, each.number)
         if self.parking is not None:
             self.parking.measure()
         if self.map_management is None:
@@ -262,6 +316,9 @@ class FrontEnd:
         notes, s = [], self.setup
         notes += [] if self.foreign is None else self.foreign.notes()
         notes += [] if self.own is None else self.own.notes()
+        notes += self.poses.notes()
+        if self.slam and not self.estimator.smooths and s.deactivate_after is not None and self.parking is None:
+            notes.append(notice(Code.NOT_PARKED, Severity.INFO))
         if self.incomplete:
             notes.append(notice(Code.OUT_OF_NODES, method=self.association, nodes=BUDGET, frames=self.incomplete))
         if self.slam and self.estimator.smooths and (s.forget_after is not None or s.deactivate_after is not None):

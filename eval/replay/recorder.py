@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from data.inputs import Frame, Inputs, IntArray, Systematic
+from data.pose_measurements import Closures, Fixes
 from data.result import (
     CHI_SQUARE,
     DISCARD,
@@ -26,6 +27,7 @@ from data.result import (
 )
 from eval.replay.external.spec import name_of
 from eval.replay.frontend import FrontEnd, Pairing
+from eval.replay.poses import PoseRecords
 from eval.replay.settings import BATCH, INCREMENTAL
 
 
@@ -45,9 +47,17 @@ def _begun(decisions: IntArray, created: IntArray, events: Sequence[Event]) -> I
 class Recorder:
     """Decisions, innovations and estimates of every frame; frames that were not reached stay blank."""
 
-    def __init__(self, frames: int, observations: int, systematic: Systematic | None = None) -> None:
+    def __init__(
+        self,
+        frames: int,
+        observations: int,
+        systematic: Systematic | None = None,
+        fixes: Fixes | None = None,
+        closures: Closures | None = None,
+    ) -> None:
         """Blank, for numbers of frames and observations; `systematic`: errors that are estimated."""
         n, m = frames, observations
+        self.poses = PoseRecords(fixes, closures)
         self._pose, self._covariance = np.full((n, 3), np.nan), np.full((n, 3, 3), np.nan)
         self._nis, self._dof, self._likelihood = np.full(n, np.nan), np.zeros(n, np.int64), np.full(n, np.nan)
         self._moments = np.zeros(2)
@@ -66,12 +76,24 @@ class Recorder:
         self.decisions[rows] = np.where((decisions >= 0) & ~done.used, DISCARD, decisions)
         if done.white is not None:
             self._white[rows] = done.white
-        if np.isfinite(done.nis):
+        self._enter(k, done.nis, done.dof, done.log_likelihood, done.moments)
+
+    def _enter(self, k: int, nis: float, dof: int, log_likelihood: float, moments: tuple[float, float] | None) -> None:
+        """Add innovations to those of a frame, if they were formed."""
+        if np.isfinite(nis):
             formed = np.isfinite(self._nis[k])
-            self._nis[k] = self._nis[k] + done.nis if formed else done.nis
-            self._likelihood[k] = self._likelihood[k] + done.log_likelihood if formed else done.log_likelihood
-            self._dof[k] += done.dof
-            self._moments += (done.dof, 2.0 * done.dof) if done.moments is None else done.moments
+            self._nis[k] = self._nis[k] + nis if formed else nis
+            self._likelihood[k] = self._likelihood[k] + log_likelihood if formed else log_likelihood
+            self._dof[k] += dof
+            self._moments += (dof, 2.0 * dof) if moments is None else moments
+
+    def begin(self, front: FrontEnd) -> None:
+        """Record landmarks that began in this frame by observations of several: the first one initialized them."""
+        for begun in front.begun:
+            self.created[begun.rows[0]] = begun.number
+            self.decisions[begun.rows] = begun.number
+            self.decisions[begun.rows[0]] = NEW
+            self._enter(front.k, begun.nis, begun.dof, begun.log_likelihood, None)
 
     def estimate(self, front: FrontEnd) -> None:
         """Record the estimate at the end of a frame."""
@@ -98,6 +120,7 @@ class Recorder:
         if finished.map is not None:
             first = surviving(final, self.created) if begun is None else begun
             state = map_estimate(finished.map, self._frame, final, first)
+        fixes, closures = self.poses.innovations()
         innovations = None
         if np.isfinite(self._nis).any():
             innovations = Innovations(self._nis, self._dof, self._likelihood, self._white)
@@ -111,7 +134,8 @@ class Recorder:
             self.decisions, final, self.created, innovations, total, size, seconds, failure, tuple(front.notes()),
             removed, events, self._gated(), finished.iterations, finished.last_step_sigma,
             errors_online=self._errors_online(), errors_final=finished.systematic, begun=begun,
-            gated_final=front.gated_final, left=front.left,
+            gated_final=front.gated_final, left=front.left, fixes=fixes, closures=closures,
+            fixes_final=finished.fixes, closures_final=finished.closures,
         )  # fmt: skip
 
     def _errors_online(self) -> Systematics | None:

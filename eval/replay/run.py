@@ -27,7 +27,7 @@ from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.slam import EkfSlam
 from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import batch
-from eval.replay.estimators import OPTIONS, lack_with_walls
+from eval.replay.estimators import OPTIONS, lack_with_sensor
 from eval.replay.external.guard import ForeignError
 from eval.replay.external.load import Thing, in_one_line, text_of
 from eval.replay.external.make import CannotError, require
@@ -166,12 +166,16 @@ def driven(
 ) -> Run:
     """Run a front end over a whole log; arguments as of `step_by_step`."""
     begin = time.perf_counter()
-    record = Recorder(len(inputs), len(inputs.observations.frame), inputs.systematic)
+    counts = len(inputs), len(inputs.observations.frame)
+    record = Recorder(*counts, inputs.systematic, inputs.fixes, inputs.closures)
     failure, finished = None, Finished(None, None)
     observer = observer if observer is NULL_OBSERVER else Apart(observer)
     try:
         for k in range(len(inputs)):
-            through(front, inputs.frame(k), record.update, each=each, observer=observer)
+            frame = inputs.frame(k)
+            through(front, frame, record.update, each=each, observer=observer)
+            record.poses.enter(frame, front.poses)
+            record.begin(front)
             observer.updated(front, record.decisions, record.created)
             record.estimate(front)
         if finish:
@@ -198,7 +202,9 @@ def through(
     """
     front.move(frame)  # predict
     observer.moved(front)
+    front.use_poses(frame)  # update with fixes and closures
     for part in _parts(frame, each):
+        front.look(part)  # through its sensor
         pairing = front.associate(part)  # expect and decide
         observer.decided(front, part, pairing)
         done = front.update(part, pairing)  # with all pairings, then new landmarks
@@ -209,8 +215,8 @@ def through(
 def front_end(
     name: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
 ) -> FrontEnd:
-    """The front end of an estimator and an association method. Raises CannotError for what walls forbid."""
-    why = lack_with_walls(name, "slam" if given.map is None else "localization", association, given, options)
+    """The front end of an estimator and an association method. Raises CannotError for what the sensors forbid."""
+    why = lack_with_sensor(name, "slam" if given.map is None else "localization", association, given, options)
     if why is not None:
         raise CannotError(why)
     kind = FrontEnd
@@ -223,7 +229,7 @@ def _parts(frame: Frame, each: bool) -> list[Frame]:
     count = len(frame.observations.z)
     if each:
         return [frame.part(slice(i, i + 1)) for i in range(count)]
-    return [frame] if count else []
+    return frame.by_sensor() if count else []
 
 
 def compare(
@@ -340,11 +346,17 @@ class _Comparison:
         managed = self.setup.manages_map and self.task == "slam"
         if name not in FILTERS or self.association != "known" or managed:
             return None
-        if lack_with_walls(name, self.task, self.association, self.inputs) is not None:
+        if self.inputs.observations.sensor is not None or not self.inputs.sensor.locates:
+            return None
+        if self.inputs.fixes is not None or self.inputs.closures is not None:
+            return None
+        if lack_with_sensor(name, self.task, self.association, self.inputs) is not None:
             return None
         return filter_known(self.inputs, self.task, name=name, threshold=gate_threshold(self.setup.label_gate))
 
     def _batch(self, name: str) -> Run:
+        if self.inputs.closures is not None and not len(self.inputs.observations.frame):
+            return batch(name, self.inputs, replace(self._ahead("dead-reckoning"), association=self.association))
         if self.association != "known":
             first = batch(name, self.inputs, self._ahead("isam2" if "isam2" in self.estimators else "ekf"))
             if first.failure is None or "isam2" not in self.estimators:

@@ -15,11 +15,15 @@ from eval.replay.flag import positive, positive_or_none, probability, probabilit
 
 if TYPE_CHECKING:
     from data.inputs import LandmarkMap, Prior, Systematic
+    from data.pose_measurements import Closures, Fixes
     from data.sensors import Sensor
 
 SENSED_GATE = 0.9999
 """Default gate for labels read by a sensor: it loses one right observation in 10 000, and a misread barcode moves an
 ungated estimate by decimetres. Chosen among gates from 0.99 to 0.99999 and robust losses (docs/results.md)."""
+
+POSE_GATE = SENSED_GATE
+"""Default gate of fixes and closures, for the same reason: a false one moves an ungated estimate by metres."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +36,7 @@ class Setup:
         gate_known: of pairings by label; `auto`: `SENSED_GATE` where a sensor read the labels, none where they are the
             truth (see `settled`). In a laser log, of the EKF's loop closures.
         gate_smoothers: apply that gate to smoothers, too.
+        gate_poses: of each absolute fix of the pose, and of each closure.
         in_view: the EKF offers only landmarks in range and view as candidates, as iSAM2 always does.
         maintain: remove landmarks seen once and more than two frames ago.
         forget_after: the EKF drops landmarks unseen for this long.
@@ -69,6 +74,12 @@ class Setup:
         "read the labels, else none; laser logs: of the EKF's loop closures",
     )
     gate_smoothers: bool = row(True, switch, "", "apply the gate for labels to filters only")
+    gate_poses: float | None = row(
+        POSE_GATE,
+        probability,
+        "P",
+        f"gate for fixes of the pose and closures, or none (default: {POSE_GATE})",
+    )
     in_view: bool = row(False, switch, "", "the EKF offers only landmarks in range and view")
     maintain: bool = row(False, switch, "", "SLAM: remove landmarks seen once and more than two frames ago")
     forget_after: float | None = row(
@@ -138,7 +149,7 @@ def steps(name: str) -> bool:
 
 
 class Given(Protocol):
-    """Prior, sensor, map (localization), and errors to estimate, as of `Inputs` or a robot."""
+    """Prior, sensor, map (localization), errors to estimate, fixes and closures, as of `Inputs` or a robot."""
 
     @property
     def prior(self) -> Prior:
@@ -156,6 +167,18 @@ class Given(Protocol):
     def systematic(self) -> Systematic | None:
         """Systematic errors to estimate, or None."""
 
+    @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """All sensors where there are several, of which `sensor` is the first; else empty."""
+
+    @property
+    def fixes(self) -> Fixes | None:
+        """Absolute measurements of the pose, or None."""
+
+    @property
+    def closures(self) -> Closures | None:
+        """Measured relative poses between frames, or None."""
+
 
 class Beginning(NamedTuple):
     """The same without a log."""
@@ -164,3 +187,6 @@ class Beginning(NamedTuple):
     sensor: Sensor
     map: LandmarkMap | None = None
     systematic: Systematic | None = None
+    fixes: Fixes | None = None
+    closures: Closures | None = None
+    sensors: tuple[Sensor, ...] = ()

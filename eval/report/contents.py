@@ -75,6 +75,8 @@ def write_results(
     result_files.TRUST.write(trust_table(outcome.trust), folder)
     if len(scores.relations):
         result_files.RELATIONS.write(scores.relations, folder)
+    if len(scores.sources):
+        result_files.SOURCES.write(scores.sources, folder)
     if in_space := space_rows(trials):
         result_files.SPACE.write(result_files.SPACE.table(in_space), folder)
     if outcome.published:

@@ -13,6 +13,7 @@ from eval.report.page.blocks import Mark
 from eval.report.page.tables import is_blank
 from eval.report.rows import Row, scored_rows, value_of
 from eval.report.rows import rows_of as records
+from eval.report.sources import source_facts, source_lines
 from eval.report.words import paragraph, say
 from eval.studies.montecarlo import Judged, Study
 from eval.studies.trusted import Trust
@@ -52,6 +53,7 @@ class Group(NamedTuple):
     task: str
     rows: tuple[MainNumbers, ...]
     more: int
+    sources: tuple[str, ...] = ()  # a line for each source of fixes or closures
 
 
 def headlines(
@@ -65,7 +67,8 @@ def headlines(
     groups: dict[tuple[str, str], list[MainNumbers]] = {}
     for row in [*_of_logs(scores, trials, diagnoses), *_of_studies(studies, judged)]:
         groups.setdefault((row.log, row.task), []).append(row)
-    return [_shown(log, task, rows, alone=len(groups) == 1) for (log, task), rows in groups.items()]
+    shown = [_shown(log, task, rows, alone=len(groups) == 1) for (log, task), rows in groups.items()]
+    return [g._replace(sources=tuple(source_lines(source_facts(scores, g.log, g.task)))) for g in shown]
 
 
 def _shown(log: str, task: str, rows: list[MainNumbers], alone: bool) -> Group:
@@ -160,6 +163,7 @@ def lines(groups: Sequence[Group]) -> list[str]:
     for g in groups:
         more = f" ({say('headline#more', rows=g.more)})" if g.more else ""
         text += ["", f"{g.log}, {TASKS[g.task]}{more}", table[0], *table[place : place + len(g.rows)]]
+        text += [f"  {line}" for line in g.sources]
         place += len(g.rows)
     notes = [say("headline#numbers", nees="NEES" in named, nis=nis, wrong="wrong" in named)]
     notes += [say("headline#verdict")] if "verdict" in named else []

@@ -34,6 +34,7 @@ from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.publish import films_of
 from eval.report.results import aligned_statement, results_statement, space_tables
 from eval.report.rows import SYSTEMATIC, rows_of, stem, variants
+from eval.report.sources import source_section
 from eval.report.systematic import systematic_section
 from eval.report.trust import first_page_words, trust_section
 from eval.report.tutorials import variant_note
@@ -87,6 +88,7 @@ def trial_sections(
         blocks += [film for t in group for film in films_of(folder, t)] if output.animate else []
         blocks.append(paragraph("comparison#details", page=stem(trial)))
         sections.append(Section(_where(trial), tuple(blocks), facts=made))
+        sections += source_section(folder, output, trial, scores)
         sections += systematic_section(folder, output, trial, pictures, calibrations)
         details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
         details += [p for p, kind in kinds.items() if kind not in (*IN_FRONT, *ELSEWHERE)]

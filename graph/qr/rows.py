@@ -12,6 +12,7 @@ from gtsam.symbol_shorthand import L, X
 from data.inputs import IntArray, Prior
 from data.se2 import Array, world_from_body
 from graph.factors import graph_of, pose2
+from graph.pose_factors import PoseFactor
 from graph.problem import Problem
 from graph.qr.calibrated import CalibratedRows, with_drift
 from graph.qr.elimination import NO_DRIFT, Rows, Structure, ordering, structure
@@ -35,26 +36,32 @@ class Linearizer:
     """Linearizes a problem repeatedly; parts independent of the estimate are computed once.
 
     Variables: poses 0 ... N - 1, then the landmarks to be estimated. Blocks: the prior, the increments, the
-    observations. The prior is taken exactly, even if singular: variable 0 represents the motion of the first pose, see
-    `first`. Systematic errors: their drifts are variables behind the landmarks, with blocks behind the observations;
-    each constant one has a right-hand side, the effect of a unit of it on the residuals.
+    observations, fixes and closures (`of_poses`; those not in use have no rows). The prior is taken exactly, even if
+    singular: variable 0 represents the motion of the first pose, see `first`. Systematic errors: their drifts are
+    variables behind the landmarks, with blocks behind all others; each constant one has a right-hand side, the effect
+    of a unit of it on the residuals.
     """
 
     def __init__(self, problem: Problem) -> None:
         self.prior = problem.prior
         self.frames, self.numbers = len(problem.motion) + 1, problem.numbers  # N, landmarks to be estimated
         self.calibrated = None if problem.calibrated is None else CalibratedRows(problem)
-        n, m = self.frames, len(problem.observations)
+        n, m, of_poses = self.frames, len(problem.observations), problem.pose_factors
         frame = np.array([s.frame for s in problem.observations], np.int64)
-        variable = np.full((n + m, 2), -1)
+        variable = np.full((n + m + len(of_poses), 2), -1)
         variable[:n, 0] = np.arange(n)
         variable[1:n, 1] = np.arange(n - 1)
-        variable[n:, 0] = frame
+        variable[n : n + m, 0] = frame
         if not problem.known_map:
             number = np.array([s.number for s in problem.observations], np.int64)
-            variable[n:, 1] = n + np.searchsorted(self.numbers, number)
+            variable[n : n + m, 1] = n + np.searchsorted(self.numbers, number)
+        for row, p in enumerate(of_poses, n + m):
+            variable[row, : len(p.frames)] = p.frames
         self._variable = variable
-        self._height = np.repeat(np.array([3, 2], np.int64), [n, m])
+        height = [len(p.entries) if p.used else 0 for p in of_poses]
+        self._height = np.concatenate([np.repeat(np.array([3, 2], np.int64), [n, m]), np.array(height, np.int64)])
+        self.of_poses = n + m + np.arange(len(of_poses))
+        self._pose_chunks, self._pose_factors = self._whole(of_poses, n + m), problem.of_poses
         self._dim = np.repeat(np.array([3, 2], np.int64), [n, len(self.numbers)])
         if problem.calibrated is not None and self.calibrated is not None:
             drifts = problem.calibrated.of, problem.calibrated.knots
@@ -64,7 +71,9 @@ class Linearizer:
             observations, _ = self._observations([s.measured for s in problem.observations])
             self._chunks, self._graph = [*self._chunked(problem.motion, 1, 3), *observations], problem.graph()
         drift = NO_DRIFT if self.calibrated is None else self.calibrated.first_of
-        self.structure: Structure = structure(self._variable, ordering(self._variable, n, len(self._dim), drift))
+        # with closures no variable counts as a pose of a bare chain, whose order would fill in
+        chain = 0 if any(p.closure for p in of_poses) else n
+        self.structure: Structure = structure(self._variable, ordering(self._variable, chain, len(self._dim), drift))
 
     def _observations(
         self, measured: Sequence[Sequence[gtsam.NonlinearFactor]]
@@ -74,7 +83,8 @@ class Linearizer:
         for first in range(0, len(measured), step):
             part = [f for factors in measured[first : first + step] for f in factors]
             chunks += self._chunked(part, self.frames + first, 2)
-        return chunks, graph_of(f for factors in measured for f in factors)
+        every = [f for factors in measured for f in factors]
+        return chunks + self._pose_chunks, graph_of([*every, *self._pose_factors])
 
     def _chunked(self, factors: Sequence[gtsam.NonlinearFactor], block: int, height: int) -> list[_Chunk]:
         """Factors whose residuals fill blocks of `height` rows, from `block` on."""
@@ -87,6 +97,18 @@ class Linearizer:
             size = sum(f.dim() for f in factors[first : first + step])
             row = np.stack([block + np.arange(size) // height, np.arange(size) % height], 1)
             block += size // height
+            chunks.append(_Chunk(part, row, self._columns(part)))
+        return chunks
+
+    def _whole(self, factors: Sequence[PoseFactor], block: int) -> list[_Chunk]:
+        """Fixes and closures, each of which fills a block of its own, from `block` on."""
+        chunks = []
+        for first in range(0, len(factors), CHUNK):
+            some = factors[first : first + CHUNK]
+            size = np.array([len(p.entries) for p in some])
+            within = np.arange(size.sum()) - np.repeat(np.cumsum(size) - size, size)
+            row = np.stack([np.repeat(block + first + np.arange(len(some)), size), within], 1)
+            part = graph_of(p.factor for p in some)
             chunks.append(_Chunk(part, row, self._columns(part)))
         return chunks
 

@@ -26,9 +26,23 @@ def means(rows: Rows, s: Structure, t: Triangle) -> Array:
 
 def marginals(rows: Rows, s: Structure, t: Triangle) -> Array:
     """Marginal covariances (V, 3, 3); beyond a variable's dimension 0."""
-    covariance = np.zeros((len(rows.dim), 3, 3))
-    _covariances(s, t, rows.dim[s.variable], covariance)
-    return covariance
+    return _joint(rows, s, t, np.empty((0, 2), np.int64))[0]
+
+
+def _joint(rows: Rows, s: Structure, t: Triangle, pairs: IntArray) -> tuple[Array, Array]:
+    """`marginals`, and covariances (Q, 3, 3) between the variables of pairs (Q, 2), which share a block each."""
+    position = np.empty_like(s.variable)
+    position[s.variable] = np.arange(len(position))
+    at = np.sort(position[pairs], axis=1)
+    order = np.argsort(at[:, 0], kind="stable")
+    first = np.searchsorted(at[order, 0], np.arange(len(position) + 1))
+    covariance, across = np.zeros((len(rows.dim), 3, 3)), np.zeros((len(pairs), 3, 3))
+    found = across[order]
+    _covariances(s, t, rows.dim[s.variable], covariance, first, at[order, 1], found)
+    across[order] = found
+    swapped = position[pairs[:, 0]] != at[:, 0]
+    across[swapped] = across[swapped].transpose(0, 2, 1)
+    return covariance, across
 
 
 @numba.njit(cache=True)
@@ -59,8 +73,13 @@ def _substitute(s: Structure, t: Triangle, dim: IntArray, x: Array) -> None:
 
 
 @numba.njit(cache=True)
-def _covariances(s: Structure, t: Triangle, dim: IntArray, out: Array) -> None:
-    """Marginals by clique: the covariance of a clique is kept until its last child is done."""
+def _covariances(
+    s: Structure, t: Triangle, dim: IntArray, out: Array, first: IntArray, other: IntArray, across: Array
+) -> None:
+    """Marginals by clique: the covariance of a clique is kept until its last child is done.
+
+    `first` (V + 1,), `other` (Q,): of each position, those positions in its separator that it is asked with.
+    """
     variable, parent, children, start, separator = s.variable, s.parent, s.children, s.start, s.separator
     R, S, at_S = t.R, t.S, t.at_S
     size = len(variable)
@@ -128,6 +147,15 @@ def _covariances(s: Structure, t: Triangle, dim: IntArray, out: Array) -> None:
         for r in range(n):
             for q in range(n):
                 out[variable[v], r, q] = own[r, q]
+        for k in range(first[v], first[v + 1]):
+            at = 0
+            for i in range(start[v], start[v + 1]):
+                u = separator[i]
+                if u == other[k]:
+                    for r in range(n):
+                        for j in range(dim[u]):
+                            across[k, r, j] = cross[r, at + j]
+                at += dim[u]
         if children[v] == 0:
             continue
         side = n + w
@@ -176,10 +204,13 @@ def solve(rows: Rows, s: Structure, t: Triangle, now: Array) -> Solution:
     return Solution(x[:, :, 0] - x[:, :, 1:] @ constants, constants, length, x[:, :, 1:], covariance)
 
 
-def covariances(rows: Rows, s: Structure, t: Triangle, solution: Solution) -> Array:
-    """Marginal covariances (V, 3, 3) of the variables; beyond a variable's dimension 0."""
-    own = marginals(rows, s, t)
+def covariances(rows: Rows, s: Structure, t: Triangle, solution: Solution, pairs: IntArray) -> tuple[Array, Array]:
+    """Marginal covariances (V, 3, 3) of the variables; beyond a variable's dimension 0. Also covariances (Q, 3, 3)
+    between those of pairs (Q, 2), of which each shares a block.
+    """
+    own, across = _joint(rows, s, t, pairs)
     if len(solution.constants):
         X = solution.columns
         own += X @ solution.covariance @ X.transpose(0, 2, 1)
-    return own
+        across += X[pairs[:, 0]] @ solution.covariance @ X[pairs[:, 1]].transpose(0, 2, 1)
+    return own, across

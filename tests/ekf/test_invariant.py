@@ -51,7 +51,7 @@ def test_pose_and_landmarks_move_by_the_exponential_and_the_covariance_goes_alon
     for i, before, after in zip(index, points, expected, strict=True):
         N[i, 2] += J @ (after - before)
     moved, Q = mean.copy(), P.copy()
-    updates.move(moved, Q, d, shift, base)
+    updates.move(moved, Q, d, shift, base, 0, 0)
     np.testing.assert_allclose(np.array([moved[i] for i in index]), expected, atol=1e-11)
     assert moved[2] == mean[2] + angle
     np.testing.assert_allclose(moved[3:base], mean[3:base] + shift[3:base], atol=1e-14)  # errors are no points

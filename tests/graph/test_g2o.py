@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import gtsam
@@ -138,24 +139,25 @@ def test_landmarks_keep_their_ids_and_loop_closures_their_information(arena_grap
         file.writelines(f"EDGE_SE2 {edge}\n" for edge in closures)
     assert main(["g2o", str(arena_graph), str(tmp_path / "log")]) == 0
     assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "back.g2o")]) == 0
-    assert ", 3 loop closures" in capsys.readouterr().out
+    assert ", 3 closures" in capsys.readouterr().out
     one, two = read_graph(arena_graph), read_graph(tmp_path / "back.g2o")
     assert two.point[0].tolist() == one.point[0].tolist()
     assert two.pose[0].tolist() == list(POSES)
-    assert two.motion.ends.tolist() == one.motion.ends.tolist()
-    assert two.motion.measured == pytest.approx(one.motion.measured)
-    assert two.motion.covariance == pytest.approx(one.motion.covariance, rel=1e-9, abs=1e-12)
+    by = [*range(29), 31, 30, 29]  # closures by their later pose
+    assert two.motion.ends.tolist() == one.motion.ends[by].tolist()
+    assert two.motion.measured == pytest.approx(one.motion.measured[by])
+    assert two.motion.covariance == pytest.approx(one.motion.covariance[by], rel=1e-9, abs=1e-12)
     assert two.observation.ends.tolist() == one.observation.ends.tolist()
 
 
-def test_ids_that_would_coincide_move_the_poses_and_relations_without_covariance_are_left_out(tmp_path, capsys):
+def test_ids_that_would_coincide_move_the_poses_and_reference_relations_are_left_out(tmp_path, capsys):
     log = simulate(WORLD, 3)
     related = Relations(np.array([0]), np.array([9]), np.array([[1.0, 2.0, 0.5]]))
     write_folder(replace(log, truth=replace(log.truth, relations=related)), tmp_path / "log")
     assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "out.g2o")]) == 0
     said = capsys.readouterr().out
     assert "poses have the ids 8 to 37, as landmarks keep theirs" in said
-    assert "1 reference relations without covariance omitted" in said
+    assert "1 reference relation omitted" in said
     graph = read_graph(tmp_path / "out.g2o")
     assert len(graph.motion) == WORLD.frames - 1
     seen = log.truth.landmark_of
@@ -186,21 +188,71 @@ def test_edges_written_from_the_later_pose_mean_the_same_motion(arena_graph, tmp
     assert increments.covariance[1:] == pytest.approx(expected.covariance[1:], rel=1e-6, abs=1e-12)
 
 
-def test_loop_closures_become_relations_and_are_spoken_of(tmp_path):
+def test_loop_closures_become_closures_and_are_spoken_of(tmp_path):
     chain = "".join(f"VERTEX_SE2 {7 + 2 * k} {k} 0 0\n" for k in range(4))
     chain += "".join(f"EDGE_SE2 {7 + 2 * k} {9 + 2 * k} 1 0 0 100 0 0 100 0 400\n" for k in range(3))
     path = tmp_path / "loop.g2o"
-    path.write_text(chain + "EDGE_SE2 7 13 3.1 0.2 0.1 50 0 0 50 0 80\nPARAMS_SE2OFFSET 0 0 0 0\nFIX 9\n")
+    path.write_text(chain + "EDGE_SE2 7 13 3.1 0.2 0.1 50 0 0 50 0 80\nEQUIV 7 9\nFIX 9\n")
     assert main(["g2o", str(path), str(tmp_path / "log")]) == 0
     log = load_folder(tmp_path / "log")
-    assert log.truth.relations.row1.tolist() == [0]
-    assert log.truth.relations.row2.tolist() == [3]
-    assert log.truth.relations.relative.tolist() == [[3.1, 0.2, 0.1]]
+    closures = log.recorded.closures
+    assert log.truth.relations is None
+    assert (closures.frame1.tolist(), closures.frame2.tolist()) == ([0], [3])
+    assert closures.relative.tolist() == [[3.1, 0.2, 0.1]]
     said = " ".join(log.notes)
     assert "1 EDGE_SE2 outside the chain" in said
-    assert "1 PARAMS_SE2OFFSET left out" in said
+    assert "1 EQUIV left out" in said
     assert "FIX 9" in said
     assert log.recorded.increments.covariance[1] == pytest.approx(np.diag([0.01, 0.01, 0.0025]))
+
+
+CLOSURES = ("17 9 0.5 0.3 2.0 50 3 2 40 1 90", "10 16 1 2 -1 60 0 5 60 0 80", "12 13 1 0 0.9 9 1 2 9 3 9")
+"""Backwards, far apart, and between neighbours; their information differs by direction."""
+
+
+def test_a_closure_has_the_error_of_gtsam_s_factor(tmp_path):
+    """To first order: gtsam's error is the logarithm of the relative pose seen from the measured end."""
+    rng = np.random.default_rng(5)
+    ids = range(8, 18)
+    text = "".join(f"VERTEX_SE2 {i} {i} 0 0\n" for i in ids)
+    text += "".join(f"EDGE_SE2 {i} {i + 1} 1 0 0 100 0 0 100 0 400\n" for i in ids[:-1])
+    path = tmp_path / "a.g2o"
+    path.write_text(text + "".join(f"EDGE_SE2 {edge}\n" for edge in CLOSURES))
+    closures = log_of("a", read_graph(path)).recorded.closures
+    factors, _ = gtsam.readG2o(str(path), False)
+    latest = {tuple(factors.at(n).keys()): factors.at(n) for n in range(factors.size())}
+    assert closures.sources == ("EDGE_SE2",)
+    assert closures.later.tolist() == [5, 8, 9]
+    for k, i, j in zip(range(3), closures.frame1.tolist(), closures.frame2.tolist(), strict=True):
+        for _ in range(20):
+            off, start = 1e-6 * rng.normal(size=3), rng.normal(size=3)
+            end = se2.compose(start, closures.relative[k] + off)
+            values = gtsam.Values()
+            values.insert(ids[i], gtsam.Pose2(*start))
+            values.insert(ids[j], gtsam.Pose2(*end))
+            ours = 0.5 * off @ np.linalg.solve(closures.covariance[k], off)
+            assert ours == pytest.approx(latest[ids[i], ids[j]].error(values), rel=1e-4)
+
+
+def test_closures_come_back_to_rounding(tmp_path):
+    ids = (30, 10, 20, 50, 40)
+    text = "".join(f"VERTEX_SE2 {i} {k} 0 0\n" for k, i in enumerate(ids))
+    text += "".join(f"EDGE_SE2 {i} {j} 1 0 0.1 100 0 0 100 0 400\n" for i, j in pairwise(ids))
+    closures = ("40 30 0.5 0.3 2.0 50 3 2 40 1 90", "10 50 1 2 -1 60 0 5 60 0 80", "10 20 1 0 0.9 9 1 2 9 3 9")
+    path = tmp_path / "a.g2o"
+    path.write_text(text + "".join(f"EDGE_SE2 {edge}\n" for edge in closures))
+    assert main(["g2o", str(path), str(tmp_path / "log")]) == 0
+    assert main(["g2o", str(tmp_path / "log"), str(tmp_path / "back.g2o")]) == 0
+
+    def rest(file):
+        rows = [line.split()[1:] for line in file.read_text().splitlines() if line.startswith("EDGE_SE2")][4:]
+        return sorted((int(i), int(j), *map(float, values)) for i, j, *values in rows)
+
+    assert np.array(rest(tmp_path / "back.g2o")) == pytest.approx(np.array(rest(path)), rel=1e-13, abs=1e-13)
+    assert main(["g2o", str(tmp_path / "back.g2o"), str(tmp_path / "again")]) == 0
+    one, two = (load_folder(tmp_path / name).recorded.closures for name in ("log", "again"))
+    assert two.frame1.tolist() == one.frame1.tolist()
+    assert two.covariance == pytest.approx(one.covariance, rel=1e-13, abs=1e-16)
 
 
 def test_a_graph_of_one_pose_is_a_log_of_one_frame(tmp_path):
@@ -243,10 +295,14 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
         ("VERTEX_SE2 0.5 0 0 0\n", "'0.5' is not an id"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 is repeated"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
-        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: no VERTEX_SE2 5"),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: EDGE_SE2_XY: vertex 5 is missing"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 2 1\n", ":2: EDGE_SE2_XY: its information matrix is not"),
+        (
+            "VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n",
+            ":2: EDGE_SE2: both ends are 3; two variables are needed",
+        ),
         ("VERTEX_SE2 0 0 0 0\nEDGE_BEARING_SE2_XY 0 9 1 4\n", "no VERTEX_XY"),
-        ("hello\n", "no pose"),
+        ("hello\n", "no edge of a graph"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):

@@ -2,41 +2,52 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from data.errors import DataError
+from data.errors import DataError, unknown
 from data.formats.csv_table import Table
-from data.formats.open_log.header import FORMAT, header_of
+from data.formats.open_log import closures as closures_file
+from data.formats.open_log import fixes as fixes_file
+from data.formats.open_log.closures import closures_of
+from data.formats.open_log.fixes import POSE, fixes_of
+from data.formats.open_log.header import FORMAT, LATEST, header_of
+from data.formats.open_log.named import COVARIANCE, INLIER, SOURCE
 from data.formats.open_log.reader import (
-    COVARIANCE,
     IDS,
+    KIND,
     MEAN,
-    NOISE,
-    POSE,
-    frame_of,
+    Measured,
+    frames_in,
     frames_of,
     inputs_of,
+    instants,
     landmarks_of,
     observations_of,
     odometry_of,
     stamped_truth,
     truth_per_frame,
+    with_measured,
 )
+from data.formats.open_log.sensors import FIRST, NOISE
+from data.formats.open_log.sensors import TABLE as SENSOR
 from data.log import Log
 from data.se2 import Array
 from data.truth import Truth
 
 UPPER = np.triu_indices(3)
+SOURCES = "sources"
+"""Key of fixes and closures: the tables [[fix]], [[closure]] of log.toml."""
 
 
 def log_of_arrays(
     name: str,
     prior: tuple[ArrayLike, ArrayLike],
-    sensor: Mapping[str, Any],
+    sensor: Mapping[str, Any] | Sequence[Mapping[str, Any]],
     observations: ArrayLike,
     *,
     increments: ArrayLike | None = None,
@@ -50,6 +61,10 @@ def log_of_arrays(
     true_id: ArrayLike | None = None,
     label: ArrayLike | None = None,
     labels_are_sensed: bool = False,
+    observed_by: ArrayLike | None = None,
+    kinds: ArrayLike | None = None,
+    fixes: Mapping[str, Any] | None = None,
+    closures: Mapping[str, Any] | None = None,
 ) -> Log:
     """See `Log.from_arrays`."""
 
@@ -61,10 +76,16 @@ def log_of_arrays(
 
     mean, spread = (np.asarray(p, float) for p in prior)
     stated = {"sigma" if spread.ndim == 1 else "covariance": spread.tolist(), "mean": mean.tolist()}
-    tables: dict[str, Any] = {"format": FORMAT, "name": name, "prior": stated, "sensor": _plain(sensor)}
+    parts = (fixes, closures, observed_by, kinds)
+    latest = any(part is not None for part in parts) or not isinstance(sensor, Mapping) or _is_latest(sensor)
+    tables: dict[str, Any] = {"format": LATEST if latest else FORMAT, "name": name, "prior": stated}
+    tables["sensor"] = _plain(sensor) if isinstance(sensor, Mapping) else [_plain(each) for each in sensor]
     tables |= {"labels_are_sensed": labels_are_sensed, "time_is_index": increments is not None and time is None}
     if motion is not None:
         tables["motion"] = _plain(motion)
+    for kind, part in ((fixes_file.TABLE, fixes), (closures_file.TABLE, closures)):
+        if part is not None and SOURCES in part:
+            tables[kind] = [_plain(source) for source in part[SOURCES]]
     header = header_of(tables, fault)
 
     by_stamp = odometry is not None
@@ -77,14 +98,33 @@ def log_of_arrays(
         if values.shape != (len(seen),):
             raise fault(f"{column} has shape {values.shape}; ({len(seen)},) is needed, one for each observation")
     seen = _joined(seen, extra)
+    if observed_by is not None:
+        seen = replace(seen, texts={SENSOR: _words(f"{name}: observed_by", observed_by, len(seen))})
     found = observations_of(seen, header, key)
+    fixed = closed = None
+    if fixes is not None:
+        known_columns = (key, *POSE, *COVARIANCE, INLIER)
+        fixed = fixes_of(
+            _columns(f"{name}: fixes", fixes, known_columns, (fixes_file.KIND, SOURCE), (key, fixes_file.KIND)),
+            header.fixes,
+            key,
+        )
+    if closures is not None:
+        ends = closures_file.ENDS[key]
+        needed = (*ends, *closures_file.RELATIVE)
+        closed = closures_of(
+            _columns(f"{name}: closures", closures, (*needed, *COVARIANCE, INLIER), (SOURCE,), needed),
+            header.closures,
+            key,
+        )
+    measured = Measured(fixed, closed)
     if (increments is None) == (odometry is None):
         raise fault("either increments or odometry is needed")
     if odometry is not None:
         if header.motion is None:
             raise fault('odometry needs motion, as in motion={"noise": "velocity", "sigma": [0.1, 0.05]}')
         samples = table("odometry", odometry, ("t", "v", "omega"))
-        moved, frame, _ = odometry_of(samples, header.motion, seen)
+        moved, _ = odometry_of(samples, header.motion, instants(seen, measured))
     else:
         assert increments is not None
         steps = table("increments", increments, MEAN)
@@ -98,17 +138,23 @@ def log_of_arrays(
             raise fault(f"time has shape {stamps.shape}; ({len(steps)},) is needed, one for each increment")
         columns = dict(zip(COVARIANCE, P[:, UPPER[0], UPPER[1]].T, strict=True))
         moved = frames_of(_joined(steps, {"t": stamps, **columns}))
-        frame = frame_of(seen, len(steps))
+    frame = frames_in(seen, key, moved.time)
     pose = None
     if truth is not None:
         true = table("truth", truth, ("t", *POSE) if by_stamp else POSE)
         true.require_finite(POSE, blank=True)
         pose = stamped_truth(true, moved.time) if by_stamp else truth_per_frame(true, len(moved.time))
-    known = None if landmarks is None else landmarks_of(table("landmarks", landmarks, ("id", "x", "y")))[0]
+    known = None
+    if landmarks is not None:
+        places = table("landmarks", landmarks, ("id", "x", "y"))
+        if kinds is not None:
+            places = replace(places, texts={KIND: _words(f"{name}: kinds", kinds, len(places))})
+        known = landmarks_of(places)[0]
+    recorded, inliers = with_measured(inputs_of(header, moved, frame, found, known), measured, key)
     return Log(
         name=name,
-        recorded=inputs_of(header, moved, frame, found, known),
-        truth=Truth(pose, known, found.true_id),
+        recorded=recorded,
+        truth=Truth(pose, known, found.true_id, fix_inlier=inliers[0], closure_inlier=inliers[1]),
         label=found.label,
         labels_are_sensed=labels_are_sensed,
     )
@@ -127,6 +173,45 @@ def _table(place: str, values: ArrayLike, columns: tuple[str, ...]) -> Table:
     if array.ndim != 2 or array.shape[1] != len(columns):
         raise DataError(f"{place}: shape {array.shape}; (rows, {len(columns)}) is needed: {', '.join(columns)}")
     return Table(place, dict(zip(columns, array.T, strict=True)), line=np.arange(len(array)))
+
+
+def _columns(
+    place: str, values: Mapping[str, Any], numbers: tuple[str, ...], words: tuple[str, ...], needed: tuple[str, ...]
+) -> Table:
+    """Columns (K,) by name; one value stands for all rows."""
+    for key in values:
+        if key not in (*numbers, *words, SOURCES):
+            raise DataError(f"{place}: {key!r} is {unknown(key, (*numbers, *words, SOURCES))}")
+    for key in needed:
+        if key not in values:
+            raise DataError(f"{place}: no {key}; {', '.join(needed)} are needed")
+    length = len(np.atleast_1d(np.asarray(values[needed[0]])))
+    columns: dict[str, Array] = {}
+    texts: dict[str, list[str]] = {}
+    for key, given in values.items():
+        if key == SOURCES:
+            continue
+        array = np.asarray(given, str if key in words else float)
+        if array.shape not in ((), (length,)):
+            raise DataError(f"{place}: {key} has shape {array.shape}; ({length},) is needed, one for each row")
+        if key in words:
+            texts[key] = np.broadcast_to(array, length).tolist()
+        else:
+            columns[key] = np.array(np.broadcast_to(array, length))
+    return Table(place, columns, line=np.arange(length), texts=texts)
+
+
+def _is_latest(sensor: Mapping[str, Any]) -> bool:
+    """Whether a sensor is of format 2 alone."""
+    return "name" in sensor or "sees" in sensor or sensor.get("kind") not in (None, *FIRST)
+
+
+def _words(place: str, values: ArrayLike, count: int) -> list[str]:
+    words = np.asarray(values, str)
+    if words.shape != (count,):
+        raise DataError(f"{place} has shape {words.shape}; ({count},) is needed, one for each row")
+    found: list[str] = words.tolist()
+    return found
 
 
 def _joined(table: Table, more: Mapping[str, Array]) -> Table:

@@ -1,24 +1,29 @@
-"""Open log folder, format 1: reader with strict checks.
+"""Open log folder, formats 1 and 2: reader with strict checks.
 
     log.toml            see `header`; a motion prior there replaces increments and odometry
     frames.csv          t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt        row 0: zero increment
     or odometry.csv     t,v,omega                                           preintegrated on loading
-    observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame
+    observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame;
+                        in format 2 also sensor, and blank fields (see `sensors`)
     truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
-    landmarks.csv       id,x,y[,sx,sy]                                      optional
+    landmarks.csv       id,x,y[,sx,sy]                                      optional; in format 2 also kind
     scans.npz           range scans (see `scans`); then observations.csv and [sensor] may be missing
     relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt]         optional
+    fixes.csv           absolute measurements of the pose (see `fixes`)     format 2; then observations.csv and
+    closures.csv        relative poses of two frames (see `closures`)       [sensor] may be missing
 
 Columns may have any order; unknown ones are ignored. frames.csv of a log with relations may have a column stamp: the
 recorded stamps, which need not increase. true_id: -1 false alarm, blank unknown. label: the sensor's, where it may
-differ from true_id. With odometry.csv the frames are the instants with observations, and keyframes where those are more
-than 1 s apart. relations.csv: reference relations for scoring without a true path. x,y,theta: pose of frame row2 in
-that of frame row1 [m, m, rad], rows from 0; exact: 1 where both rows are certain, else 0; stamps [s] of the reference.
+differ from true_id. With odometry.csv the frames are the instants with observations, fixes or ends of closures, and
+keyframes where those are more than 1 s apart. relations.csv: reference relations for scoring without a true path.
+x,y,theta: pose of frame row2 in that of frame row1 [m, m, rad], rows from 0; exact: 1 where both rows are certain, else
+0; stamps [s] of the reference.
 """
 
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -27,25 +32,37 @@ from typing import NamedTuple
 import numpy as np
 
 from data.errors import DataError
-from data.formats.csv_table import Table, read_table
-from data.formats.open_log.header import Header, read_header
+from data.formats.csv_table import FIRST_ROW, Table, read_table
+from data.formats.open_log import closures as closures_file
+from data.formats.open_log import fixes as fixes_file
+from data.formats.open_log.closures import ClosureTable, read_closures
+from data.formats.open_log.fixes import POSE, FixTable, read_fixes
+from data.formats.open_log.header import FORMAT, LATEST, Header, read_header
+from data.formats.open_log.named import COVARIANCE, is_name
 from data.formats.open_log.scans import read_scans
+from data.formats.open_log.sensors import NOISE, may_be_blank, observed
+from data.formats.open_log.sensors import TABLE as SENSOR
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations, Scans
 from data.log import Log
 from data.motion.motion_prior import MotionPrior, note_of
 from data.motion.velocity import VelocityModel, floor_covariances, preintegrate
 from data.se2 import Array
-from data.sensors import RelativePoint
+from data.sensors import RangeBearing
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import CLUTTER, UNKNOWN_ID, Relations, Truth
 
+KIND = "kind"
 
-def read_landmarks(path: Path) -> tuple[LandmarkMap | None, bool]:
-    """landmarks.csv, ascending by id (None without the file), and whether a survey's sigmas were ignored."""
+
+def read_landmarks(path: Path, *, kinds: bool = False) -> tuple[LandmarkMap | None, bool]:
+    """landmarks.csv, ascending by id (None without the file), and whether a survey's sigmas were ignored.
+
+    `kinds`: with its column kind (format 2).
+    """
     if not path.exists():
         return None, False
-    return landmarks_of(read_table(path, ("id", "x", "y"), ("sx", "sy")))
+    return landmarks_of(read_table(path, ("id", "x", "y"), ("sx", "sy", *((KIND,) * kinds)), words=(KIND,)))
 
 
 def landmarks_of(table: Table) -> tuple[LandmarkMap, bool]:
@@ -60,7 +77,12 @@ def landmarks_of(table: Table) -> tuple[LandmarkMap, bool]:
     repeated[order[1:]] = number[order[1:]] == number[order[:-1]]
     table.require(~repeated, "id", "{} is the id of two landmarks")
     surveyed = any((table.columns[n] > 0.0).any() for n in sigmas)
-    return LandmarkMap(number[order], table.stack(("x", "y"))[order]), surveyed
+    given = table.texts.get(KIND)
+    for row, word in enumerate(given or ()):
+        if word and not is_name(word):
+            raise table.error(row, KIND, f"{word!r} holds a quote; a plain name is needed")
+    kind = None if given is None else tuple(given[k] for k in order.tolist())
+    return LandmarkMap(number[order], table.stack(("x", "y"))[order], kind), surveyed
 
 
 RELATIVE = ("x", "y", "theta")
@@ -120,14 +142,12 @@ HEADER = "log.toml"
 FRAMES, ODOMETRY, OBSERVATIONS = "frames.csv", "odometry.csv", "observations.csv"
 TRUTH, LANDMARKS = "truth.csv", "landmarks.csv"
 SCANS, RELATIONS = "scans.npz", "relations.csv"
-FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, SCANS, RELATIONS)
+FIXES, CLOSURES = fixes_file.FILE, closures_file.FILE
+FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, SCANS, RELATIONS, FIXES, CLOSURES)
 
 MEAN = ("dx", "dy", "dtheta")
-COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
 STAMP = "stamp"
-NOISE = ("r11", "r12", "r22")
 IDS = ("true_id", "label")
-POSE = ("x", "y", "theta")
 
 LONGEST = 1e6
 """s, longest odometry log; keyframes up to a broken stamp would fill the memory."""
@@ -155,25 +175,29 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
             raise DataError.at(folder / ODOMETRY, f"{HEADER} states a [motion] prior instead; remove one of them")
         if header.motion is None:
             raise DataError.at(folder / HEADER, f"no [motion] table; {ODOMETRY} needs one")
-        observations = _observations(folder / OBSERVATIONS, header, "t")
+    key = "t" if by_stamp else "frame"
+    measured = _measured(folder, header, key)
+    observations = _observations(folder / OBSERVATIONS, header, key, measured)
+    if by_stamp:
+        assert header.motion is not None
         samples = read_table(folder / ODOMETRY, ("t", "v", "omega"))
-        motion, frame, gaps = odometry_of(samples, header.motion, observations.table)
+        motion, gaps = odometry_of(samples, header.motion, instants(observations.table, measured))
         pose = stamped_truth(_truth_table(folder / TRUTH, ("t", *POSE)), motion.time)
     else:
-        observations = _observations(folder / OBSERVATIONS, header, "frame")
         motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
-        frame = frame_of(observations.table, len(motion.time))
         pose = truth_per_frame(_truth_table(folder / TRUTH, POSE), len(motion.time))
-    landmarks, survey = read_landmarks(folder / LANDMARKS)
+    frame = frames_in(observations.table, key, motion.time)
+    landmarks, survey = read_landmarks(folder / LANDMARKS, kinds=header.format == LATEST)
     scans = _scans(folder, header, len(motion.time), by_stamp=by_stamp)
     reference = folder / RELATIONS if relations is None else relations
     related = None
     if relations is not None or reference.exists():
         related = read_relations(reference, len(motion.time), motion.stamp)
-    recorded = inputs_of(header, motion, frame, observations, landmarks)
-    table = observations.table
+    recorded, inliers = with_measured(inputs_of(header, motion, frame, observations, landmarks), measured, key)
     notes = list(header.notes) + ([note_of(header.motion_prior)] if header.motion_prior is not None else [])
-    notes += [f"{OBSERVATIONS}: unknown column {name!r} ignored" for name in table.unknown]
+    for name, part in ((OBSERVATIONS, observations), (FIXES, measured.fixes), (CLOSURES, measured.closures)):
+        if part is not None:
+            notes += [f"{name}: unknown column {column!r} ignored" for column in part.table.unknown]
     if gaps:
         many = counted(gaps, "gap")
         notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
@@ -182,7 +206,7 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     return Log(
         name=header.name,
         recorded=replace(recorded, scans=scans),
-        truth=Truth(pose, landmarks, observations.true_id, related),
+        truth=Truth(pose, landmarks, observations.true_id, related, fix_inlier=inliers[0], closure_inlier=inliers[1]),
         label=observations.label,
         labels_are_sensed=header.labels_are_sensed,
         source=header.source,
@@ -199,8 +223,9 @@ def inputs_of(
         prior=header.prior,
         time=motion.time,
         increments=Increments(motion.increments.mean, covariance),
-        observations=Observations(frame, observations.table.stack(("z1", "z2")), observations.R),
-        sensor=header.sensor,
+        observations=Observations(frame, observations.z, observations.R, sensor=observations.sensor),
+        sensor=header.sensors[0].sensor if header.sensors else RangeBearing(),
+        sensors=tuple(s.sensor for s in header.sensors) if len(header.sensors) > 1 else (),
         map=landmarks,
         time_is_index=header.time_is_index,
         covariance_floor=header.covariance_floor,
@@ -216,13 +241,82 @@ class Motion(NamedTuple):
     stamp: Array | None = None
 
 
+class Measured(NamedTuple):
+    """Fixes and closures without frames; None: there are none."""
+
+    fixes: FixTable | None = None
+    closures: ClosureTable | None = None
+
+    def __bool__(self) -> bool:
+        return self.fixes is not None or self.closures is not None
+
+
+def _measured(folder: Path, header: Header, key: str) -> Measured:
+    """fixes.csv and closures.csv, checked except for range and order of `key` (frame or t)."""
+    for name, table, sources in (
+        (FIXES, fixes_file.TABLE, header.fixes),
+        (CLOSURES, closures_file.TABLE, header.closures),
+    ):
+        there = (folder / name).exists()
+        if there and header.format == FORMAT:
+            what = f"in a folder of format {header.format}; format = {LATEST} in {HEADER} is needed"
+            raise DataError.at(folder / name, what)
+        if sources and not there:
+            raise DataError.at(folder / name, f"no such file; [[{table}]] of {HEADER} needs it")
+    return Measured(
+        read_fixes(folder / FIXES, header.fixes, key) if (folder / FIXES).exists() else None,
+        read_closures(folder / CLOSURES, header.closures, key) if (folder / CLOSURES).exists() else None,
+    )
+
+
+def instants(observations: Table, measured: Measured) -> list[tuple[Table, str]]:
+    """Tables and their columns of stamps, whose instants are frames of a log with odometry.csv."""
+    found = [(observations, "t")]
+    if measured.fixes is not None:
+        found.append((measured.fixes.table, "t"))
+    if measured.closures is not None:
+        found += [(measured.closures.table, end) for end in measured.closures.ends]
+    return found
+
+
+def with_measured(
+    inputs: Inputs, measured: Measured, key: str
+) -> tuple[Inputs, tuple[IntArray | None, IntArray | None]]:
+    """The inputs with fixes and closures, and the true inliers of both."""
+    fixes, closures, time = measured.fixes, measured.closures, inputs.time
+    inlier = None
+    if fixes is not None:
+        inputs = replace(inputs, fixes=fixes.at(frames_in(fixes.table, key, time)))
+    if closures is not None:
+        end1, end2 = (frames_in(closures.table, end, time, by_stamp=key == "t") for end in closures.ends)
+        between, inlier = closures.between(end1, end2)
+        inputs = replace(inputs, closures=between)
+    return inputs, (None if fixes is None else fixes.inlier, inlier)
+
+
 class FrameTable(NamedTuple):
-    """Observations without frames: R (M, 2, 2), true_id and label (M,) or None."""
+    """Observations without frames: z (M, 2), R (M, 2, 2), row of the sensor, true_id and label (M,) or None."""
 
     table: Table
+    z: Array
     R: Array
+    sensor: IntArray | None
     true_id: IntArray | None
     label: IntArray | None
+
+    def by_sensor(self, sensor: IntArray, key: str) -> FrameTable:
+        """Sorted by sensor (M,) within each frame; DataError unless `key` ascends."""
+        self.table.require_ascending(key, strictly=False)
+        by = np.lexsort((sensor, self.table.columns[key]))
+        line = by + FIRST_ROW if self.table.line is None else self.table.line[by]
+        return FrameTable(
+            replace(self.table.part(by), line=line),
+            self.z[by],
+            self.R[by],
+            sensor[by],
+            None if self.true_id is None else self.true_id[by],
+            None if self.label is None else self.label[by],
+        )
 
 
 def _require_semidefinite(table: Table, matrices: Array) -> None:
@@ -267,49 +361,37 @@ def frames_of(table: Table, prior: MotionPrior | None = None) -> Motion:
     return Motion(table.columns["t"], Increments(table.stack(MEAN), covariance), stamp)
 
 
-def _observations(path: Path, header: Header, key: str) -> FrameTable:
+def _observations(path: Path, header: Header, key: str, measured: Measured) -> FrameTable:
     """observations.csv, checked except for range and order of `key` (frame or t)."""
-    if header.scanner is not None and not path.exists():
+    if not header.sensors and (path.exists() or not measured):
+        needed = f"{OBSERVATIONS} needs one" if path.exists() else f"one, {FIXES} or {CLOSURES} is needed"
+        raise DataError.at(path.with_name(HEADER), f"no [sensor] table; {needed}")
+    if (header.scanner is not None or measured) and not path.exists():
         nothing = Table(path, dict.fromkeys((key, "z1", "z2"), np.zeros(0)))
-        return FrameTable(nothing, np.zeros((0, 2, 2)), None, None)
+        which = np.zeros(0, np.int64) if len(header.sensors) > 1 else None
+        return FrameTable(nothing, np.zeros((0, 2)), np.zeros((0, 2, 2)), which, None, None)
     other = "t" if key == "frame" else "frame"
-    table = read_table(path, (key, "z1", "z2"), (*NOISE, *IDS, other), may_be_blank=(*IDS, other))
+    second = ("z2",) if any(s.sensor.locates for s in header.sensors) else ()
+    blank = may_be_blank(header.sensors)
+    optional = (*NOISE, *IDS, other, *(("z2", SENSOR) if blank else ()))
+    table = read_table(path, (key, "z1", *second), optional, may_be_blank=(*IDS, other, *blank), words=(SENSOR,))
     return observations_of(table, header, key)
 
 
 def observations_of(table: Table, header: Header, key: str) -> FrameTable:
     """Observations of a table with the columns of observations.csv, checked except for range and order of `key`."""
-    table.require_finite((key, "z1", "z2"))
+    table.require_finite((key,))
     table.require_finite([n for n in IDS if n in table], blank=True)
-    if not isinstance(header.sensor, RelativePoint):
-        table.require(table.columns["z1"] >= 0.0, "z1", "{} is a negative range")
-    return FrameTable(
+    z, R, sensor = observed(table, header.sensors)
+    found = FrameTable(
         table,
-        _noise(table, header),
+        z,
+        R,
+        sensor,
         table.integers("true_id", CLUTTER, blank=UNKNOWN_ID) if "true_id" in table else None,
         table.integers("label", CLUTTER, blank=UNLABELLED) if "label" in table else None,
     )
-
-
-def _noise(table: Table, header: Header) -> Array:
-    """R (M, 2, 2) of each observation: its own, else the sensor's."""
-    if not any(n in table for n in NOISE):
-        if header.sigma is None:
-            what = f"no columns {','.join(NOISE)}, and no sigma in [sensor] of {HEADER}"
-            raise DataError.at(table.path, f"{what}; one of them is needed")
-        return np.tile(np.diag(header.sigma**2), (len(table), 1, 1))
-    for name in NOISE:
-        if name not in table:
-            raise DataError.at(table.path, f"no such column; {','.join(NOISE)} come together", line=1, column=name)
-    table.require_finite(NOISE)
-    r11, r12, r22 = (table.columns[n] for n in NOISE)
-    table.require(r11 > 0.0, "r11", "variance {} must be positive")
-    table.require(r22 > 0.0, "r22", "variance {} must be positive")
-    # by the correlation, whatever the units of z1 and z2
-    largest = (1.0 - 1e-12) * np.sqrt(r11) * np.sqrt(r22)
-    what = "{} is too large for r11 and r22; the covariance must be positive definite"
-    table.require(np.abs(r12) < largest, "r12", what)
-    return table.symmetric(NOISE)
+    return found if sensor is None else found.by_sensor(sensor, key)
 
 
 def _scans(folder: Path, header: Header, frames: int, *, by_stamp: bool) -> Scans | None:
@@ -324,30 +406,38 @@ def _scans(folder: Path, header: Header, frames: int, *, by_stamp: bool) -> Scan
     return read_scans(path, header.scanner, frames)
 
 
-def frame_of(observations: Table, frames: int) -> IntArray:
-    """The frame (M,) of each observation of a log with so many."""
-    frame = observations.integers("frame", 0)
-    there = f"{{}} is out of range; there are frames 0 to {frames - 1}"
-    observations.require(frame < frames, "frame", there)
-    observations.require_ascending("frame", strictly=False)
+def frames_in(table: Table, key: str, time: Array, *, by_stamp: bool | None = None) -> IntArray:
+    """The frame (K,) of each row by a column: frame numbers or, of t, stamps among `time` (N,).
+
+    `by_stamp`: that of an end of closures, which need not ascend.
+    """
+    if by_stamp or (by_stamp is None and key == "t"):
+        return np.searchsorted(time, table.columns[key]).astype(np.int64)
+    frame = table.integers(key, 0)
+    table.require(frame < len(time), key, f"{{}} is out of range; there are frames 0 to {len(time) - 1}")
+    if by_stamp is None:
+        table.require_ascending(key, strictly=False)
     return frame
 
 
-def odometry_of(table: Table, model: VelocityModel, observations: Table) -> tuple[Motion, IntArray, int]:
-    """Odometry t, v, omega preintegrated between the frames; frame of each observation (M,); number of gaps."""
+def odometry_of(table: Table, model: VelocityModel, seen: Sequence[tuple[Table, str]]) -> tuple[Motion, int]:
+    """Odometry t, v, omega preintegrated between the frames, the stamps of other tables among them; number of gaps."""
     if len(table) == 0:
         raise DataError.at(table.path, "no rows; at least one sample is needed", line=1)
     table.require_finite(("t", "v", "omega"))
     table.require_ascending("t", strictly=True)
-    observations.require_ascending("t", strictly=False)
-    stamps, seen = table.columns["t"], observations.columns["t"]
+    for part, key in seen:
+        if key == "t":
+            part.require_ascending("t", strictly=False)
+    stamps = table.columns["t"]
     far = f"{{}} s is more than {LONGEST:g} s from the first odometry; stamps are in seconds"
-    for part in (table, observations):
-        part.require(np.abs(part.columns["t"] - stamps[0]) <= LONGEST, "t", far)
-    both = np.concatenate([stamps, seen])
-    time = frame_times(seen, both.min(), both.max())
+    for part, key in ((table, "t"), *seen):
+        part.require(np.abs(part.columns[key] - stamps[0]) <= LONGEST, key, far)
+    at = np.concatenate([part.columns[key] for part, key in seen])
+    both = np.concatenate([stamps, at])
+    time = frame_times(at, both.min(), both.max())
     increments, gaps = preintegrate(model, stamps, table.columns["v"], table.columns["omega"], time)
-    return Motion(time, increments), np.searchsorted(time, seen).astype(np.int64), gaps
+    return Motion(time, increments), gaps
 
 
 def _truth_table(path: Path, columns: tuple[str, ...]) -> Table | None:

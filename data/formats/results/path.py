@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from data.formats.results.clock import Clock
-from data.inputs import Locked
+from data.locked import Locked
 from data.se2 import Array
 
 WORLD, LOCAL, LEFT, MIXED = "world", "local", "left", "mixed"

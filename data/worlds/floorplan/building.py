@@ -16,7 +16,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy
 
-from data.inputs import IntArray, Locked
+from data.inputs import IntArray
+from data.locked import Locked
 from data.se2 import Array
 
 INSIDE = 0.7

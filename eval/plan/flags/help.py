@@ -150,6 +150,7 @@ examples:
   {PROG} my_log --calibrate                 estimate systematic errors beside path and map
   {PROG} arena:0:curvature=0.02 --calibrate curvature,scale=0.05
   {PROG} my_log --gate-known 0.9999 --no-gate-smoothers    only filters leave out labels that fit badly
+  {PROG} my_log --gate-poses none           use every fix and every closure
   {PROG} corridor:0 --association jcbb --gate 0.95 --new-gate 0.999
   {PROG} my_log --association nn --in-view  the EKF offers only landmarks in range and view
   {PROG} corridor:0:people --association jcbb --maintain    remove landmarks observed only once

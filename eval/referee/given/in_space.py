@@ -15,7 +15,8 @@ import numpy as np
 from data import se3
 from data.formats.results.path import Spatial
 from data.formats.results.space import moved
-from data.inputs import IntArray, Locked
+from data.inputs import IntArray
+from data.locked import Locked
 from data.se2 import Array, BoolArray
 from eval.referee.errors import DISTANCES, pairs_by_way, rms
 

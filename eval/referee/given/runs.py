@@ -17,7 +17,8 @@ from data import se2, se3
 from data.errors import UsageError
 from data.formats.results.path import GivenPath, Spatial
 from data.formats.results.space import flattened, projection
-from data.inputs import Increments, Inputs, IntArray, Observations, Prior, read_only
+from data.inputs import Increments, Inputs, IntArray, Observations, Prior
+from data.locked import read_only
 from data.log import Log
 from data.notice import Code, Notice, Severity, notice
 from data.result import DISCARD, NEW, MapEstimate, Run, Trajectory, surviving

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +17,16 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array, dead_reckoned
 from eval.figures.error import error_figure, longest_sigma
-from eval.figures.map import map_figure
+from eval.figures.map import enlarged, map_figure
 from eval.figures.plane import along_path, draw_ellipses
 from eval.figures.style import save, series
 from eval.figures.visual import contact_sheet, draw_pictures, plan_figure
 from eval.plan.flags.table import Output
 from eval.referee.errors import position_distance, rms
-from eval.referee.score import Trial
+from eval.referee.score import Trial, metrics_row
 from eval.report.page.blocks import Block, Picture, Section
 from eval.report.page.files import written_table
+from eval.report.rows import value_of
 from eval.report.visual import MOTION, OBSERVATION, UPDATE, constants, statistics_of, summary, tiles_of, write_models
 from eval.report.words import paragraph
 
@@ -79,12 +80,43 @@ def estimates(trial: Trial) -> list[dict[str, Any]]:
     return found
 
 
+@dataclass(frozen=True)
+class Certainty:
+    """How sure a filter is online, and whether rightly; NaN: not known.
+
+    Attributes:
+        median, largest, last: of 3σ of the position along its least certain direction over the frames [m].
+        heading: 3σ of the heading at the end [deg].
+        inside: share of the frames with the true position inside the 3σ ellipse.
+        nees: mean pose NEES.
+    """
+
+    median: float
+    largest: float
+    last: float
+    heading: float
+    inside: float
+    nees: float
+
+
+def certainty(log: Log, run: Run) -> Certainty:
+    """The claims of an online path, beside the truth where there is one."""
+    path, row = run.trajectory("online"), metrics_row(run, "online", log, None)
+    sigma = 3.0 * longest_sigma(path)
+    known = sigma[np.isfinite(sigma)]
+    heading = 3.0 * math.degrees(math.sqrt(max(float(path.covariance[-1, 2, 2]), 0.0)))
+    inside, nees = (value_of(row, column) for column in ("inside_3sigma", "nees_pose"))
+    if not len(known):
+        return Certainty(math.nan, math.nan, math.nan, heading, inside, nees)
+    return Certainty(float(np.median(known)), float(known.max()), float(sigma[-1]), heading, inside, nees)
+
+
 def _motion(folder: Path, output: Output, trial: Trial) -> Section:
     q = reckoned(trial)
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#motion', q=q)}**"]
     if not output.no_plots:
         what = "dead reckoning alone, 3σ ellipses in their size"
-        blocks.append(_plan(folder, output, trial, ("dead-reckoning",), "lab-motion", what))
+        blocks.append(_plan(folder, trial, _shown(trial, ("dead-reckoning",)), "lab-motion", what))
     blocks += [MOTION.formula, f"{MOTION.about} {constants(trial.log)}"]
     heading = "Question 1: How does the robot move, and how does its uncertainty grow?"
     return Section(heading, tuple(blocks), facts=q)
@@ -116,10 +148,14 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
     keys = {"commands": ("dead-reckoning", "online"), "filter": ("ekf", "online"), "smoother": ("batch", "final")}
     q = {name: rmse.get(key, math.nan) for name, key in keys.items()}
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#estimate', q=q)}**"]
+    sure = None if run is None else certainty(log, run)
+    if sure is not None:
+        blocks.append(paragraph(f"{TEMPLATE}#certainty", c=sure))
     if not output.no_plots:
-        factor = output.ellipse_factor
-        what = f"3σ ellipses {'in their size' if factor == 1 else 'enlarged as the legend says'}"
-        blocks.append(_plan(folder, output, trial, ("dead-reckoning", "ekf"), "lab-plan", what, factor))
+        shown = _shown(trial, ("dead-reckoning", "ekf"))
+        factor = enlarged(log, shown, output.ellipse_factor)
+        what = f"3σ ellipses {'in their size' if factor == 1 else f'drawn {factor} times larger'}"
+        blocks.append(_plan(folder, trial, shown, "lab-plan", what, factor))
         if run is not None and log.truth.known_poses:
             save(error_figure(log, [replace(run, final=None)]), folder / "figures", "lab-error")
             caption = f"`{log.name}`: the filter's error with its ±3σ."
@@ -131,18 +167,24 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
     blocks.append(written_table(table, folder, "lab-question-3", caption, output))
     blocks += [UPDATE.formula, UPDATE.about]
     return Section(
-        "Question 3: Where was the robot, and how sure is the filter of it?", tuple(blocks), facts={"runs": found}
+        "Question 3: Where was the robot, and how sure is the filter of it?",
+        tuple(blocks),
+        facts={"runs": found, "certainty": sure},
     )
 
 
-def _plan(
-    folder: Path, output: Output, trial: Trial, names: Sequence[str], stem: str, what: str, factor: int | None = 1
-) -> Picture:
+def _shown(trial: Trial, names: Sequence[str]) -> list[Run]:
+    """The runs of estimators that got to the end, without their final phase."""
+    runs = [r for n in names if (r := _run(trial, n)) is not None]
+    return [replace(r, final=None) if r.online is not None else r for r in runs]
+
+
+def _plan(folder: Path, trial: Trial, runs: Sequence[Run], stem: str, what: str, factor: int = 1) -> Picture:
     log = trial.log
     assert log.evidence is not None  # a log made from images
-    runs = [replace(r, final=None) if r.online is not None else r for n in names if (r := _run(trial, n)) is not None]
     corners = log.evidence.setup.corners
-    if list(names) == ["dead-reckoning"] and runs:  # the map figure shows how sure estimators are, and that is none
+    # the map figure shows how sure estimators are, and dead reckoning is none
+    if [r.estimator for r in runs] == ["dead-reckoning"]:
         figure = map_figure(log, runs, surveyed=lambda ax: [*draw_pictures(ax, corners), *_grown(ax, runs[0])])
     else:
         figure = plan_figure(log, runs, corners, factor=factor)

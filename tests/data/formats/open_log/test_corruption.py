@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,19 @@ from data.errors import DataError
 from data.formats.open_log.reader import FILES, load_folder
 from data.inputs import CLUTTER, UNLABELLED, IntArray
 from data.log import Log
-from data.sensors import RangeBearing
+from data.pose_measurements import MEASURED, FixKind
+from data.se2 import Array
+from data.sensors import RelativePoint
 from data.truth import UNKNOWN_ID
+from tests.data.conftest import Files
+from tests.data.formats.open_log.measured import measured_files
+from tests.data.formats.open_log.test_sensors import files_of
+
+
+def assert_definite(P: Array) -> None:
+    sigma = np.sqrt(np.diagonal(P))
+    assert (sigma > 0.0).all()
+    assert np.linalg.eigvalsh(P / sigma[:, None] / sigma)[0] > 0.0
 
 
 def assert_sound(log: Log) -> None:
@@ -47,12 +59,45 @@ def assert_sound(log: Log) -> None:
     assert not inputs.increments.covariance[0].any()
     assert (np.diff(o.frame) >= 0).all()
     assert ((o.frame >= 0) & (o.frame < n)).all()
-    if isinstance(inputs.sensor, RangeBearing):
-        assert (o.z[:, 0] >= 0).all()
-    assert inputs.sensor.max_range > 0
-    assert inputs.sensor.min_angle < inputs.sensor.max_angle
-    assert math.isfinite(inputs.sensor.rotation)
-    assert np.isfinite(inputs.sensor.translation).all()
+    assert (o.sensor is None) == (inputs.sensors == ())
+    which = np.zeros(m, np.int64) if o.sensor is None else o.sensor
+    assert ((np.diff(which) >= 0) | (np.diff(o.frame) > 0)).all()
+    for i, sensor in enumerate(inputs.sensors or (inputs.sensor,)):
+        rows = which == i
+        if not isinstance(sensor, RelativePoint):
+            assert (o.z[rows, 0] >= 0).all()
+        if not sensor.locates:
+            unmeasured = 1 - sensor.measures[0]
+            assert not o.z[rows, unmeasured].any()
+            assert (o.R[rows, unmeasured, unmeasured] == 1.0).all()
+            assert not o.R[rows, 0, 1].any()
+        assert sensor.max_range > 0
+        assert sensor.min_angle < sensor.max_angle
+        assert math.isfinite(sensor.rotation)
+        assert np.isfinite(sensor.translation).all()
+    assert set(which.tolist()) <= set(range(max(len(inputs.sensors), 1)))
+    if inputs.fixes is not None:
+        f = inputs.fixes
+        assert (np.diff(f.frame) >= 0).all()
+        assert ((f.frame >= 0) & (f.frame < n)).all()
+        assert ((f.source >= 0) & (f.source < len(f.sources))).all()
+        for kind, z, P in zip(f.kind.tolist(), f.z, f.covariance, strict=True):
+            of = list(MEASURED[FixKind(kind)])
+            rest = [entry for entry in range(3) if entry not in of]
+            assert np.isfinite(z).all()
+            assert not z[rest].any()
+            assert not P[rest].any()
+            assert_definite(P[np.ix_(of, of)])
+        assert log.truth.fix_inlier is None or log.truth.fix_inlier.shape == f.frame.shape
+    if inputs.closures is not None:
+        c = inputs.closures
+        assert (np.diff(c.later) >= 0).all()
+        assert ((c.earlier >= 0) & (c.earlier < c.later) & (c.later < n)).all()
+        assert ((c.source >= 0) & (c.source < len(c.sources))).all()
+        assert np.isfinite(c.relative).all()
+        for P in c.covariance:
+            assert_definite(P)
+        assert log.truth.closure_inlier is None or log.truth.closure_inlier.shape == c.frame1.shape
     for landmarks in (inputs.map, log.truth.landmarks):
         if landmarks is not None:
             assert (landmarks.id >= 0).all()
@@ -124,8 +169,22 @@ def corruptions(draw, files: dict[str, str]) -> dict[str, bytes]:
 @pytest.mark.parametrize("sensor", ["range_bearing", "relative_point"])
 @pytest.mark.parametrize("examples", [100, pytest.param(400, marks=pytest.mark.slow)])
 def test_a_corrupted_folder_is_refused_with_its_place_or_read_soundly(small_log_files, save, source, sensor, examples):
-    files = small_log_files(source, sensor)
+    refused_or_sound(small_log_files(source, sensor), save, examples)
 
+
+@pytest.mark.parametrize("source", ["frames", "odometry"])
+@pytest.mark.parametrize("examples", [60, pytest.param(5000, marks=pytest.mark.slow)])
+def test_corrupted_fixes_and_closures_are_refused_with_their_place_or_read_soundly(save, source, examples):
+    refused_or_sound(measured_files(source), save, examples)
+
+
+@pytest.mark.parametrize("source", ["frames", "odometry"])
+@pytest.mark.parametrize("examples", [60, pytest.param(5000, marks=pytest.mark.slow)])
+def test_corrupted_sensors_are_refused_with_their_place_or_read_soundly(save, source, examples):
+    refused_or_sound(files_of(source), save, examples)
+
+
+def refused_or_sound(files: Files, save: Callable[[Path, Files], Path], examples: int) -> None:
     @given(corruptions(files))
     @settings(max_examples=examples, deadline=None)
     def check(broken):

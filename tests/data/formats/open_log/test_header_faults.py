@@ -17,7 +17,7 @@ PRIOR = "sigma = [0.1, 0.1, 0.05]"
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("format = 1", "format = 2", "format = 2: unknown format number; format = 1 is needed"),
+        ("format = 1", "format = 3", "format = 3: unknown format number; format = 1 or 2 is needed"),
         ("format = 1", "format = true", "format = True: unknown format number"),
         ("format = 1", "", "no format number"),
         ("format = 1", "format = ", "not valid TOML"),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from data.formats.open_log.writer import write_folder
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
+from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, FixSource
 from data.sensors import RangeBearing, RelativePoint
 from data.truth import Truth
 from tests.data.formats.open_log.same_log import assert_same_log, load
@@ -37,6 +39,38 @@ def matrices(draw, count: int, d: int, *, definite: bool):
     if definite:
         full += (1e-6 + scale) * np.eye(d)
     return 0.5 * (full + full.transpose(0, 2, 1))
+
+
+def definite(rng: np.random.Generator, count: int) -> np.ndarray:
+    root = rng.normal(size=(count, 3, 3)) * 10.0 ** rng.uniform(-3, 3, (count, 1, 1))
+    full = root @ root.transpose(0, 2, 1) + 1e-3 * np.eye(3)
+    return 0.5 * (full + full.transpose(0, 2, 1))
+
+
+def random_fixes(rng: np.random.Generator, frames: int) -> Fixes:
+    """Fixes of a log of so many frames."""
+    count, sources = int(rng.integers(6)), int(rng.integers(1, 4))
+    kind = rng.integers(0, 3, count)
+    there = np.array([[entry in MEASURED[each] for entry in range(3)] for each in FixKind])[kind]
+    return Fixes(
+        np.sort(rng.integers(0, frames, count)),
+        kind,
+        rng.integers(0, sources, count),
+        np.where(there, rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-6, 6), 0.0),
+        np.where(there[:, :, None] & there[:, None, :], definite(rng, count), 0.0),
+        tuple(FixSource(f"Ä {k}", tuple(rng.normal(size=2).tolist()), rng.normal()) for k in range(sources)),
+    )
+
+
+def random_closures(rng: np.random.Generator, frames: int) -> Closures:
+    """Closures of a log of so many frames, at least two."""
+    count, sources = int(rng.integers(6)), int(rng.integers(1, 4))
+    first = rng.integers(0, frames, count)
+    second = (first + rng.integers(1, frames, count)) % frames
+    by = np.argsort(np.maximum(first, second), kind="stable")
+    relative = rng.normal(size=(count, 3)) * 10.0 ** rng.uniform(-6, 6)
+    names = tuple(f"source-{k}" for k in range(sources))
+    return Closures(first[by], second[by], relative, definite(rng, count), rng.integers(0, sources, count), names)
 
 
 @st.composite
@@ -80,11 +114,24 @@ def logs(draw) -> Log:
         covariance_floor=floor,
         floored=floored,
     )
+    rng = np.random.default_rng(draw(st.integers(0, 2**32)))
+    fixes = random_fixes(rng, n) if draw(st.booleans()) else None
+    closures = random_closures(rng, n) if n > 1 and draw(st.booleans()) else None
+    recorded = replace(recorded, fixes=fixes, closures=closures)
+    fix_inlier, closure_inlier = (
+        None if some is None or rng.random() < 0.5 else rng.integers(-1, 2, len(some)) for some in (fixes, closures)
+    )
     pose = array((n, 3), st.one_of(numbers, st.just(math.nan))) if draw(st.booleans()) else None
     return Log(
         "log",
         recorded,
-        Truth(pose, landmarks, draw(claimed) if draw(st.booleans()) else None),
+        Truth(
+            pose,
+            landmarks,
+            draw(claimed) if draw(st.booleans()) else None,
+            fix_inlier=fix_inlier,
+            closure_inlier=closure_inlier,
+        ),
         label=draw(claimed) if draw(st.booleans()) else None,
         labels_are_sensed=draw(st.booleans()),
         source=draw(sources),

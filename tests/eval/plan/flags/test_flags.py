@@ -30,7 +30,7 @@ GATES = st.one_of(st.just("none"), st.floats(1e-9, 1 - 1e-9).map(str))
 VALUES = {
     **dict.fromkeys(("log", "data", "scenario", "lab"), PATHS),
     "task": some(TASKS), "estimator": some(ESTIMATORS), "association": some(ASSOCIATIONS),
-    **dict.fromkeys(("gate", "new_gate", "gate_known"), GATES),
+    **dict.fromkeys(("gate", "new_gate", "gate_known", "gate_poses"), GATES),
     "least_information": GATES,
     **dict.fromkeys(("forget_after", "deactivate_after", "lag", "keyframe_distance"), SPANS),
     **dict.fromkeys(("runs", "seed", "twins"), st.integers(0, 10**9).map(str)),
@@ -50,7 +50,8 @@ VALUES = {
 CHANGED = {
     "log": "a b", "data": "a b", "scenario": "a b", "lab": "a b", "task": "slam", "estimator": "ekf,batch",
     "association": "known,nn",
-    "gate": "0.9", "new_gate": "0.9999999", "gate_known": "0.999", "forget_after": "12.5", "deactivate_after": "12.5",
+    "gate": "0.9", "new_gate": "0.9999999", "gate_known": "0.999", "gate_poses": "0.9",
+    "forget_after": "12.5", "deactivate_after": "12.5",
     "lag": "1e-07", "keyframe_distance": "0.8", "least_information": "0.2",
     "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
     "corner_noise": "depth", "relations": "a b", "exclude_truth": "3:4.5", "config": "tutorial-step1",

@@ -87,6 +87,27 @@ def test_the_table_has_a_row_for_each_phase_with_its_errors_and_its_sigma_at_the
     np.testing.assert_allclose(table["σ at the end [m]"].astype(float), [0.2, 1.0, 0.2])
 
 
+def test_the_third_question_says_how_sure_the_filter_is_and_whether_rightly(tmp_path):
+    """Sigmas grow linearly to 5 times at the end; the error is 5 cm, in a heading that is right."""
+    growing = replace(
+        RUNS[1].online, covariance=np.linspace(1.0, 5.0, FRAMES)[:, None, None] ** 2 * RUNS[1].online.covariance
+    )
+    runs = (RUNS[0], replace(RUNS[1], online=growing), RUNS[2])
+    section = answers(tmp_path, trial(runs), no_plots=True)[2]
+    c, widest = section.facts["certainty"], 3.0 * SIGMA[:2].max()
+    assert (c.last, c.largest, c.median) == pytest.approx((5.0 * widest, 5.0 * widest, 3.0 * widest))
+    assert c.heading == pytest.approx(15.0 * np.degrees(SIGMA[2]))
+    assert c.inside == 1.0
+    scale = np.linspace(1.0, 5.0, FRAMES) ** 2
+    assert c.nees == pytest.approx(np.mean(((0.03 / SIGMA[0]) ** 2 + (0.04 / SIGMA[1]) ** 2) / scale))
+    said = section.blocks[1]
+    assert f"is {5.0 * widest:.3g}" in said
+    assert "inside 3σ in 100 % of the frames (98.9 % expected)" in said
+    blind = answers(tmp_path, trial(runs, truth=False), no_plots=True)[2].blocks[1]
+    assert "How sure it is" in blind
+    assert "NEES" not in blind
+
+
 def test_without_a_true_path_no_error_is_said(tmp_path):
     sections = answers(tmp_path, trial(truth=False), no_plots=True)
     first, _, third = lines(sections)
@@ -162,12 +183,24 @@ def test_the_first_plan_shows_dead_reckoning_with_ellipses_in_their_size_and_the
 
 
 @pytest.mark.parametrize(
-    ("factor", "said"), [("1", "3σ ellipses in their size"), ("5", "3σ ellipses enlarged as the legend says")]
+    ("asked", "scale", "drawn"), [("1", 1.0, 1), ("5", 1.0, 5), ("auto", 1.0, 1), ("auto", 1e-2, 50)]
 )
-def test_a_plan_says_whether_its_ellipses_are_enlarged(factor, said, saved, tmp_path):
-    sections = visual.visual_hand_in(tmp_path, Output(formats=("csv",), quick=True, ellipses=factor), [trial()])
+def test_the_caption_and_the_legend_of_a_plan_state_one_factor(asked, scale, drawn, saved, tmp_path):
+    runs = [replace(r, online=smaller(r.online, scale), final=smaller(r.final, scale)) for r in RUNS]
+    sections = visual.visual_hand_in(
+        tmp_path, Output(formats=("csv",), quick=True, ellipses=asked), [trial(tuple(runs))]
+    )
     (caption,) = (b.caption for b in sections[2].blocks if isinstance(b, Picture) and b.stem == "lab-plan")
-    assert caption == f"`visual:1`: {said}. World frame, no alignment."
+    larger = f"drawn {drawn} times larger"
+    said = "in their size" if drawn == 1 else larger
+    assert caption == f"`visual:1`: 3σ ellipses {said}. World frame, no alignment."
+    legend = [t.get_text() for t in saved["lab-plan"][0].legends[0].get_texts()]
+    assert ("3σ ellipses" if drawn == 1 else f"3σ ellipses, {larger}") in legend
+
+
+def smaller(path, scale):
+    """A path whose standard deviations are `scale` times as large."""
+    return path and replace(path, covariance=scale**2 * path.covariance)
 
 
 def test_the_sheet_shows_the_first_and_the_last_of_the_frames_kept(saved, monkeypatch, tmp_path):

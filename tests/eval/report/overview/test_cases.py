@@ -9,7 +9,7 @@ import pytest
 
 import slamref
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
-from data.log import Log
+from data.log import Log, shortened
 from data.logs import open_log
 from data.sensors import RangeBearing
 from data.truth import Truth
@@ -67,6 +67,24 @@ def test_a_motion_model_that_integrates_otherwise_takes_the_tick():
     assert f"NEES {facts.smoothed.nees:.3g}" in mark.note
 
 
+def test_a_smoother_other_than_batch_is_compared_and_not_denied():
+    """Without truth the tests need batch; iSAM2 beside the filter is a smoother all the same."""
+    log = shortened(open_log("arena:0"), 60)
+    blind = replace(log, truth=replace(log.truth, pose=None))
+    ekf, isam2 = compare(blind.inputs(labels=True).without_map(), "slam", ("ekf", "isam2"), "known")
+
+    def judged(*runs):
+        trial = Trial(blind, "slam", runs)
+        facts = facts_of(trial, score([trial]), ())
+        return facts, trust_mark(facts)
+
+    facts, mark = judged(ekf, isam2)
+    assert mark.note == "no ground truth, and only batch gives the tests that need none"
+    off = ekf.online.pose[:, :2] - isam2.final.pose[:, :2]
+    assert facts.apart == pytest.approx(np.sqrt(np.mean(np.sum(off**2, axis=1))), rel=1e-12)
+    assert judged(ekf)[1].note == "no smoother ran"
+
+
 @pytest.mark.slow  # renders a recording
 def test_slam_prefers_no_filter_whose_path_is_no_better_after_alignment():
     facts, mark = first_screen(open_log("visual:0"), "slam", "known")
@@ -86,11 +104,11 @@ def test_a_kidnapped_filter_takes_the_smoother_of_its_pairings_with_it():
 
 
 def test_copies_of_dead_reckoning_are_not_equally_good_estimates(tmp_path):
-    ring = [f"VERTEX_SE2 {k} {k} 0 0" for k in range(30)]
-    ring += [f"EDGE_SE2 {k} {k + 1} 1 0 0 100 0 0 100 0 400" for k in range(29)]
-    (tmp_path / "loop.g2o").write_text("\n".join([*ring, "EDGE_SE2 29 0 0 0 0 100 0 0 100 0 400"]) + "\n")
-    assert slamref.main(["convert", "g2o", str(tmp_path / "loop.g2o"), str(tmp_path / "loop")]) == 0
-    _, mark = first_screen(open_log(tmp_path / "loop"), "slam", "jcbb")
+    chain = [f"VERTEX_SE2 {k} {k} 0 0" for k in range(30)]
+    chain += [f"EDGE_SE2 {k} {k + 1} 1 0 0 100 0 0 100 0 400" for k in range(29)]
+    (tmp_path / "chain.g2o").write_text("\n".join(chain) + "\n")
+    assert slamref.main(["convert", "g2o", str(tmp_path / "chain.g2o"), str(tmp_path / "chain")]) == 0
+    _, mark = first_screen(open_log(tmp_path / "chain"), "slam", "jcbb")
     assert (mark.word, mark.tone) == ("neither", "bad")
 
 

@@ -1,0 +1,204 @@
+"""Measurements of the pose itself: absolute fixes of a frame's pose, and closures between the poses of two frames.
+
+Both have a covariance each and a named source. Neither is ground truth: `data.truth` says which were inliers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data.locked import IntArray, Locked
+from data.se2 import Array, wrap_angle
+
+
+class FixKind(IntEnum):
+    """What a fix measures."""
+
+    POSITION = 0
+    HEADING = 1
+    POSE = 2
+
+
+MEASURED = {FixKind.POSITION: (0, 1), FixKind.HEADING: (2,), FixKind.POSE: (0, 1, 2)}
+"""Entries of (x, y, theta) that a kind of fix measures."""
+
+
+@dataclass(frozen=True)
+class FixSource:
+    """A source of fixes, such as a GPS antenna or a compass.
+
+    Attributes:
+        name: unique in a log.
+        lever: m, its place in the body frame: it measures p + R(theta) lever.
+        rotation: rad, its direction in the body frame: it measures theta + rotation.
+    """
+
+    name: str
+    lever: tuple[float, float] = (0.0, 0.0)
+    rotation: float = 0.0
+
+
+class FrameFixes(NamedTuple):
+    """Fixes of one frame: kind, source (f,), z (f, 3), covariance (f, 3, 3), as of `Fixes`; first: row of the first."""
+
+    kind: IntArray
+    source: IntArray
+    z: Array
+    covariance: Array
+    first: int
+
+
+@dataclass(frozen=True, eq=False)
+class Fixes(Locked):
+    """Absolute measurements of the pose, or of part of it.
+
+    Attributes:
+        frame: (F,) ascending.
+        kind: (F,) of `FixKind`.
+        source: (F,) row in `sources`.
+        z: (F, 3) x, y [m], theta [rad] in the world frame, zero in the entries that its kind does not measure.
+        covariance: (F, 3, 3) of z in the world frame, zero in the rows and columns that are not measured.
+        sources: where they come from.
+    """
+
+    frame: IntArray
+    kind: IntArray
+    source: IntArray
+    z: Array
+    covariance: Array
+    sources: tuple[FixSource, ...]
+
+    def __len__(self) -> int:
+        return len(self.frame)
+
+    def of(self, frame: int) -> FrameFixes | None:
+        """The fixes of a frame; None: there are none."""
+        a, b = np.searchsorted(self.frame, (frame, frame + 1)).tolist()
+        return None if a == b else FrameFixes(self.kind[a:b], self.source[a:b], self.z[a:b], self.covariance[a:b], a)
+
+    def before(self, frame: int) -> Fixes:
+        """Those of earlier frames."""
+        k = slice(int(np.searchsorted(self.frame, frame)))
+        return Fixes(self.frame[k], self.kind[k], self.source[k], self.z[k], self.covariance[k], self.sources)
+
+
+def expected_fix(pose: Array, kind: int, source: FixSource) -> tuple[Array, Array]:
+    """What a fix of this kind measures of a pose (3,): its entries (d,), and their Jacobian (d, 3) to the pose."""
+    c, s = float(np.cos(pose[2])), float(np.sin(pose[2]))
+    x, y = source.lever
+    arm = np.array([c * x - s * y, s * x + c * y])
+    z_hat = np.array([pose[0] + arm[0], pose[1] + arm[1], wrap_angle(float(pose[2]) + source.rotation)])
+    H = np.eye(3)
+    H[0, 2], H[1, 2] = -arm[1], arm[0]
+    rows = list(MEASURED[FixKind(kind)])
+    return z_hat[rows], H[rows]
+
+
+class FrameClosures(NamedTuple):
+    """Closures known at one frame; arrays as of `Closures`, and row (c,): their rows there."""
+
+    frame1: IntArray
+    frame2: IntArray
+    relative: Array
+    covariance: Array
+    source: IntArray
+    row: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class Closures(Locked):
+    """Measured relative poses of two frames: loop closures, scan matches, edges of a pose graph, a second odometry.
+
+    Attributes:
+        frame1, frame2: (K,) different frames, in either order; ascending by the later one.
+        relative: (K, 3) pose of frame2 in the frame of frame1 [m, m, rad].
+        covariance: (K, 3, 3) of its additive error, in the frame of frame1.
+        source: (K,) row in `sources`.
+        sources: names of where they come from.
+    """
+
+    frame1: IntArray
+    frame2: IntArray
+    relative: Array
+    covariance: Array
+    source: IntArray
+    sources: tuple[str, ...]
+
+    def __len__(self) -> int:
+        return len(self.frame1)
+
+    @property
+    def later(self) -> IntArray:
+        """The later frame (K,) of each, at which it is known."""
+        return np.maximum(self.frame1, self.frame2)
+
+    @property
+    def earlier(self) -> IntArray:
+        """The earlier frame (K,) of each."""
+        return np.minimum(self.frame1, self.frame2)
+
+    def of(self, frame: int) -> FrameClosures | None:
+        """The closures known at a frame; None: there are none."""
+        rows = slice(*np.searchsorted(self.later, (frame, frame + 1)).tolist())
+        number = np.arange(rows.start, rows.stop)
+        if not len(number):
+            return None
+        return FrameClosures(
+            self.frame1[rows], self.frame2[rows], self.relative[rows], self.covariance[rows], self.source[rows], number
+        )
+
+    def before(self, frame: int) -> Closures:
+        """Those known before a frame."""
+        k = slice(int(np.searchsorted(self.later, frame)))
+        return Closures(
+            self.frame1[k], self.frame2[k], self.relative[k], self.covariance[k], self.source[k], self.sources
+        )
+
+    def last_use(self) -> dict[int, int]:
+        """The frame at which each earlier frame is used last: a filter keeps its pose until then."""
+        order = np.argsort(self.later, kind="stable")
+        return dict(zip(self.earlier[order].tolist(), self.later[order].tolist(), strict=True))
+
+
+def expected_closure(pose1: Array, pose2: Array) -> tuple[Array, Array, Array]:
+    """Pose (3,) of pose2 in the frame of pose1, and its Jacobians (3, 3) to pose1 and to pose2 (both world frame)."""
+    c, s = float(np.cos(pose1[2])), float(np.sin(pose1[2]))
+    dx, dy = float(pose2[0] - pose1[0]), float(pose2[1] - pose1[1])
+    x, y = c * dx + s * dy, -s * dx + c * dy
+    z_hat = np.array([x, y, wrap_angle(float(pose2[2] - pose1[2]))])
+    H1 = np.array([[-c, -s, y], [s, -c, -x], [0.0, 0.0, -1.0]])
+    H2 = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    return z_hat, H1, H2
+
+
+@dataclass(frozen=True, eq=False)
+class PoseInnovations(Locked):
+    """What an estimator did with the fixes, or the closures, of a log.
+
+    Attributes:
+        used: (F,) accepted.
+        nis: (F,) normalized innovation squared of each by itself, at its turn; NaN: not formed, or not reached.
+        dof: (F,) its degrees of freedom.
+        white: (F, 3) innovations whitened by the Cholesky factor of their covariance; NaN: not measured or not formed.
+        gate: chi-square probability of the gate; None: there was none.
+    """
+
+    used: NDArray[np.bool_]
+    nis: Array
+    dof: IntArray
+    white: Array
+    gate: float | None = None
+
+
+class PoseUpdated(NamedTuple):
+    """Result of an update with the fixes, or the closures, of a frame; arrays (f,) as of `PoseInnovations`."""
+
+    used: NDArray[np.bool_]
+    nis: Array
+    dof: IntArray
+    white: Array

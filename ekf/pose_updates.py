@@ -1,0 +1,256 @@
+"""Updates of a filter by measurements of poses: absolute fixes, and closures with frames that are kept in the state.
+
+Delayed states, or stochastic cloning (Roumeliotis and Burdick, "Stochastic cloning: a generalized framework for
+processing relative state measurements", ICRA 2002; Eustice, Singh and Leonard, "Exactly sparse delayed-state filters",
+IEEE TRO 22(6), 2006): the pose of a frame that a later closure names is appended as it is, with all its correlations.
+Every update corrects it, and it is marginalized after its last use.
+
+An update of d states costs d^2 per measurement.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numba
+import numpy as np
+
+from data.inputs import IntArray
+from data.motion.systematic import SensorFrame
+from data.pose_measurements import FixKind, FixSource, PoseUpdated, expected_closure, expected_fix
+from data.se2 import Array, wrap_angle
+from data.sensors import wrap_angle_jit
+from ekf.kernels import NOT_PSD, OK, healthy
+from ekf.updates import ADDITIVE, move
+
+Measure = Callable[[Array, Array], tuple[Array, Array]]
+"""Innovation (m,) and Jacobian (m, q) for the states (q,) that are measured, and for those to take the Jacobian at."""
+
+
+class PoseRule(NamedTuple):
+    """Rule of an update; retraction and iterations as of `ekf.updates.UpdateRule`, clones as of `move`."""
+
+    threshold: float
+    retraction: int
+    iterations: int
+    clones: int
+    clones_end: int
+
+
+class PoseOutcome(NamedTuple):
+    """Result of one measurement; white (m,) whitened innovation, of the first linearization."""
+
+    status: int
+    used: bool
+    nis: float
+    white: Array
+
+
+def absorb(
+    mean: Array, P: Array, d: int, at: IntArray, measure: Measure, R: Array, rule: PoseRule, linearized: Array | None
+) -> PoseOutcome:
+    """Update `d` states with one measurement of the states `at` (q,) with covariance R (m, m), if inside the gate.
+
+    `linearized` (q,): where to take the Jacobian; None: at the mean. As `ekf.updates.correct`: P -= W W', which stays
+    symmetric to the bit.
+    """
+    prior, rows = mean[at], P[at, :d]
+    nu, H, L, white = _innovation(measure, prior, prior, prior if linearized is None else linearized, rows[:, at], R)
+    if L is None:
+        return PoseOutcome(NOT_PSD, False, math.nan, np.full(len(nu), math.nan))
+    nis, own = float(white @ white), white
+    if not nis < rule.threshold:
+        return PoseOutcome(OK, False, nis, own)
+    point, sigma = prior, np.sqrt(np.maximum(np.diag(P)[at], 0.0))
+    for _ in range(rule.iterations - 1):
+        W = np.linalg.solve(L, H @ rows[:, at])
+        moved, point = point, prior + W.T @ white
+        nu, H, L, white = _innovation(measure, prior, point, point, rows[:, at], R)
+        if L is None:
+            return PoseOutcome(NOT_PSD, False, nis, own)
+        if (np.abs(point - moved) <= 1e-6 * sigma).all():
+            break
+    V = np.ascontiguousarray(np.linalg.solve(L, H @ rows))
+    status = correct_all(mean, P, d, V, white, rule.retraction, rule.clones, rule.clones_end)
+    return PoseOutcome(status, True, nis, own)
+
+
+def _innovation(
+    measure: Measure, prior: Array, point: Array, jacobian_at: Array, P: Array, R: Array
+) -> tuple[Array, Array, Array | None, Array]:
+    """Innovation of the prior linearized at a point, its Jacobian, the root L of its covariance, and L^-1 of it.
+
+    L is None where the covariance is not positive definite.
+    """
+    nu, H = measure(point, jacobian_at)
+    if point is not prior:
+        nu = nu - H @ (prior - point)
+    S = H @ P @ H.T + R
+    try:
+        L = np.asarray(np.linalg.cholesky(0.5 * (S + S.T)), np.float64)
+    except np.linalg.LinAlgError:
+        return nu, H, None, nu
+    return nu, H, L, np.asarray(np.linalg.solve(L, nu), np.float64)
+
+
+@numba.njit(cache=True)
+def correct_all(
+    mean: Array, P: Array, d: int, V: Array, white: Array, retraction: int, clones: int, clones_end: int
+) -> int:
+    """The Kalman update: mean += V' white (or see `move`), P -= V' V, for V (m, d); returns a status."""
+    m = len(V)
+    shift = np.zeros(d)
+    for i in range(m):
+        for r in range(d):
+            shift[r] += V[i, r] * white[i]
+    row = np.empty(d)
+    for r in range(d):
+        for c in range(d):
+            row[c] = 0.0
+        for i in range(m):
+            weight = V[i, r]
+            for c in range(d):
+                row[c] += weight * V[i, c]
+        for c in range(d):
+            P[r, c] -= row[c]
+    if retraction == ADDITIVE:
+        for r in range(d):
+            mean[r] += shift[r]
+    else:
+        move(mean, P, d, shift, retraction, clones, clones_end)
+    mean[2] = wrap_angle_jit(mean[2])
+    for r in range(clones, clones_end, 3):
+        mean[r + 2] = wrap_angle_jit(mean[r + 2])
+    return healthy(mean, P)
+
+
+@numba.njit(cache=True)
+def append_pose(mean: Array, P: Array, d: int, first: Array) -> None:
+    """Append a copy of the pose with its correlations; the buffers have room for d + 3 states."""
+    for q in range(3):
+        mean[d + q] = mean[q]
+        if len(first):
+            first[d + q] = first[q]
+        for j in range(d):
+            P[d + q, j] = P[q, j]
+            P[j, d + q] = P[q, j]
+    for q in range(3):
+        for p in range(3):
+            P[d + q, d + p] = P[q, p]
+
+
+@numba.njit(cache=True)
+def replace_pose(mean: Array, P: Array, d: int, at: int, first: Array) -> None:
+    """Marginalize the pose at offset `at` out; the last three of the d states take its place."""
+    last = d - 3
+    if at == last:
+        return
+    for q in range(3):
+        mean[at + q] = mean[last + q]
+        if len(first):
+            first[at + q] = first[last + q]
+        for j in range(last):
+            P[at + q, j] = P[last + q, j]
+    for q in range(3):
+        for p in range(3):
+            P[at + q, at + p] = P[last + q, last + p]
+    for j in range(last):
+        for q in range(3):
+            P[j, at + q] = P[at + q, j]
+
+
+def not_used(dof: list[int]) -> PoseUpdated:
+    """The result of an update with measurements (f,) before any is used."""
+    f = len(dof)
+    return PoseUpdated(np.zeros(f, np.bool_), np.full(f, np.nan), np.array(dof, np.int64), np.full((f, 3), np.nan))
+
+
+def measure_fix(frame: SensorFrame, kind: int, source: FixSource, z: Array) -> Measure:
+    """An absolute measurement z (m,) of the pose; the states are pose and errors."""
+
+    def measure(x: Array, at: Array) -> tuple[Array, Array]:
+        pose, J = _in_world(frame, at[:3], at[3:])
+        _, H = expected_fix(pose, kind, source)
+        z_hat, _ = expected_fix(pose if x is at else _in_world(frame, x[:3], x[3:])[0], kind, source)
+        return _residual(z, z_hat, heading=kind != FixKind.POSITION), H @ J
+
+    return measure
+
+
+def measure_closure(frame: SensorFrame, relative: Array, *, forward: bool) -> Measure:
+    """A relative pose (3,) of two frames; the states are the present pose, errors and the earlier pose.
+
+    `forward`: of the present pose in the earlier frame, else the other way round.
+    """
+
+    def measure(x: Array, at: Array) -> tuple[Array, Array]:
+        (now, J), (before, K) = _in_world(frame, at[:3], at[3:-3]), _in_world(frame, at[-3:], at[3:-3])
+        _, H1, H2 = expected_closure(before, now) if forward else expected_closure(now, before)
+        to_now, to_before = (H2, H1) if forward else (H1, H2)
+        if x is not at:
+            now, before = _in_world(frame, x[:3], x[3:-3])[0], _in_world(frame, x[-3:], x[3:-3])[0]
+        z_hat, _, _ = expected_closure(before, now) if forward else expected_closure(now, before)
+        H = np.concatenate([to_now @ J, to_before @ K[:, :3]], axis=1)
+        H[:, 3:-3] += to_before @ K[:, 3:]
+        return _residual(relative, z_hat, heading=True), H
+
+    return measure
+
+
+def _in_world(frame: SensorFrame, pose: Array, errors: Array) -> tuple[Array, Array]:
+    """World pose (3,) and its Jacobian (3, 3 + p) to pose (3,) and errors (p,) of a state."""
+    if frame.same:
+        return pose, np.eye(3, 3 + len(errors))
+    found, J = frame.poses_out(pose[None], errors[None])
+    return found[0], J[0]
+
+
+def _residual(z: Array, z_hat: Array, *, heading: bool) -> Array:
+    nu: Array = z - z_hat
+    if heading:
+        nu[-1] = wrap_angle(float(nu[-1]))
+    return nu
+
+
+class Clones:
+    """Which frames' poses are in the state, in the order of their places, and until when."""
+
+    def __init__(self) -> None:
+        self.now = 0  # number of the present frame
+        self.frames: list[int] = []  # of the clones, by place
+        self._last: dict[int, int] = {}
+        self._ends: dict[int, list[int]] = {}
+        self._held = set[int]()
+
+    def hold(self, frame: int) -> None:
+        """Keep a frame, the present one or one that is kept already, until it is released."""
+        self._held.add(frame)
+
+    def release(self, frame: int) -> None:
+        """Keep a frame no longer than later closures need it."""
+        self._held.discard(frame)
+        if self._last.get(frame, -1) <= self.now:
+            self._ends.setdefault(self.now, []).append(frame)
+
+    def keep(self, last_use: dict[int, int]) -> None:
+        """The frames to keep, each with the frame of its last use."""
+        self._last, self._ends = dict(last_use), {}
+        for frame, last in self._last.items():
+            self._ends.setdefault(last, []).append(frame)
+
+    @property
+    def expected(self) -> bool:
+        """Whether there are frames to keep."""
+        return bool(self._last or self._held)
+
+    @property
+    def wanted(self) -> bool:
+        """Whether the present frame is to be kept."""
+        return self.now in self._held or self._last.get(self.now, -1) > self.now
+
+    def over(self) -> list[int]:
+        """The frames in the state that were used for the last time in the present frame."""
+        ends = dict.fromkeys(self._ends.pop(self.now, []))
+        return [frame for frame in ends if frame in self.frames and frame not in self._held]

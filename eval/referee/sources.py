@@ -1,0 +1,223 @@
+"""Fixes and closures by source: NIS against its law behind the gate, whiteness, and right and wrong decisions.
+
+A filter takes fixes and closures one after another, so the NIS of each at its turn is a chi-square variable of its own
+degrees of freedom, independent of the others (Bar-Shalom, Li, Kirubarajan 5.4.2); behind a gate it is truncated
+(`association.truncated`). Residuals after all data are correlated, so their mean square has no verdict.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import special
+
+from association.expectation import gate_threshold
+from association.truncated import truncated_square
+from data.inputs import Inputs, IntArray
+from data.log import Log
+from data.notice import Code, Notice, Severity, Value, notice
+from data.pose_measurements import FixKind, PoseInnovations
+from data.result import Run
+from data.se2 import BoolArray
+from data.truth import Truth
+from eval.referee.consistency import innovations_word, lag1_correlation, nis_bounds
+
+CLOSURE = "closure"
+SURE = 1e-4  # probability below which a single log's NIS, or number of rejections, is worth a notice
+FEWEST = 8  # fixes or closures of a source, below which their correlation says nothing
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """Measurements of one kind from one source."""
+
+    name: str
+    kind: str  # `position`, `heading` or `pose` of fixes, else `CLOSURE`
+    rows: IntArray  # of the log's fixes or closures
+
+    @property
+    def of_closures(self) -> bool:
+        """Whether these are closures."""
+        return self.kind == CLOSURE
+
+
+def sources_of(inputs: Inputs) -> list[Source]:
+    """The sources of a log that measured something, fixes first."""
+    found: list[Source] = []
+    if (fixes := inputs.fixes) is not None:
+        for i, source in enumerate(fixes.sources):
+            for kind in FixKind:
+                rows = np.flatnonzero((fixes.source == i) & (fixes.kind == kind))
+                found += [Source(source.name, kind.name.lower(), rows)] if len(rows) else []
+    if (closures := inputs.closures) is not None:
+        for i, name in enumerate(closures.sources):
+            rows = np.flatnonzero(closures.source == i)
+            found += [Source(name, CLOSURE, rows)] if len(rows) else []
+    return found
+
+
+def has_sources(inputs: Inputs) -> bool:
+    """Whether a log has fixes or closures."""
+    return inputs.fixes is not None or inputs.closures is not None
+
+
+@dataclass(frozen=True)
+class SourceScore:
+    """What a run did with a source in a phase: a row of sources.csv, and why it may deserve a notice.
+
+    Attributes:
+        count, used: measurements of the source, and those that were accepted.
+        nis_mean, nis_dof: of the accepted ones per degree of freedom, and their degrees of freedom; NaN, 0: none.
+        expected, variance: of NIS per degree of freedom, behind the gate.
+        nis_low, nis_high: 95 % bounds; NaN: none, as after all data.
+        verdict: a word on the innovations; empty: none.
+        lag1, lag1_se: correlation of successive innovations and its standard error; NaN: too few.
+        gate: chi-square probability of the gate; None: no gate.
+        formed: accepted and rejected ones at their turn; those not formed cannot be rejected.
+        tp, tn, fp, fn: inliers accepted, outliers rejected, outliers accepted, inliers rejected; None: no truth,
+            or the source was not used.
+    """
+
+    source: str
+    kind: str
+    phase: str
+    count: int
+    used: int
+    nis_mean: float = math.nan
+    nis_dof: int = 0
+    expected: float = 1.0
+    variance: float = 2.0
+    nis_low: float = math.nan
+    nis_high: float = math.nan
+    verdict: str = ""
+    lag1: float = math.nan
+    lag1_se: float = math.nan
+    gate: float | None = None
+    formed: int = 0
+    outcomes: tuple[int, int, int, int] | None = None
+
+
+def innovations_of(run: Run, source: Source, phase: str) -> PoseInnovations | None:
+    """What became of the log's fixes, or closures, in a phase; None: they were not used."""
+    online, final = (run.closures, run.closures_final) if source.of_closures else (run.fixes, run.fixes_final)
+    return online if phase == "online" or final is None else final
+
+
+def score_source(run: Run, source: Source, phase: str, truth: Truth | None = None) -> SourceScore:
+    """The score of one source; without `truth` no outcomes."""
+    found = innovations_of(run, source, phase)
+    if found is None:
+        return SourceScore(source.name, source.kind, phase, len(source.rows), 0)
+    used: BoolArray = found.used[source.rows]
+    inlier = None if truth is None else truth.closure_inlier if source.of_closures else truth.fix_inlier
+    outcomes = None if inlier is None else outcomes_of(used, inlier[source.rows])
+    bare = SourceScore(source.name, source.kind, phase, len(source.rows), int(used.sum()), outcomes=outcomes)
+    nis, dof, white = found.nis[source.rows], found.dof[source.rows], found.white[source.rows]
+    formed = np.isfinite(nis)
+    taken = used & formed
+    total = int(dof[taken].sum())
+    if not total:
+        return replace(bare, gate=found.gate, formed=int(formed.sum()))
+    moments = np.array([truncated_square(gate_threshold(found.gate, int(d)), int(d)) for d in dof[taken]]).sum(axis=0)
+    mean, expected, variance = float(nis[taken].sum()) / total, float(moments[0]) / total, float(moments[1]) / total
+    scored = replace(
+        bare, nis_mean=mean, nis_dof=total, expected=expected, variance=variance, gate=found.gate,
+        formed=int(formed.sum()),
+    )  # fmt: skip
+    if phase != "online":
+        return scored
+    low, high = nis_bounds(total, (expected, variance))
+    lag1, error = math.nan, math.nan
+    if taken.sum() >= FEWEST:
+        measured = np.isfinite(white[taken]).all(axis=0)
+        turn = np.arange(int(taken.sum()))
+        lag1, error = lag1_correlation(white[taken][:, measured], turn, np.zeros_like(turn))
+    word = innovations_word(mean, low, high, lag1, error)
+    return replace(scored, nis_low=low, nis_high=high, verdict=word, lag1=lag1, lag1_se=error)
+
+
+def outcomes_of(used: BoolArray, inlier: IntArray) -> tuple[int, int, int, int]:
+    """TP, TN, FP, FN of accepted measurements (n,) against truth (n,): 1 inlier, 0 outlier, -1 unknown."""
+    right, wrong = inlier == 1, inlier == 0
+    counts = (used & right, ~used & wrong, used & wrong, ~used & right)
+    tp, tn, fp, fn = (int(c.sum()) for c in counts)
+    return tp, tn, fp, fn
+
+
+def scores_of(run: Run, inputs: Inputs, truth: Truth | None = None) -> list[SourceScore]:
+    """Scores of all sources in all phases; none of dead reckoning, of failed runs, and of results of other programs."""
+    if run.association == "none" or run.failure is not None or run.handed_in:
+        return []
+    return [score_source(run, s, phase, truth) for phase in run.phases for s in sources_of(inputs)]
+
+
+def source_rows(run: Run, log: Log) -> Iterator[dict[str, object]]:
+    """The rows of sources.csv of a run."""
+    for s in scores_of(run, log.recorded, log.truth):
+        counts = (None,) * 4 if s.outcomes is None else s.outcomes
+        yield {
+            "log": log.name,
+            "task": run.task,
+            "estimator": run.estimator,
+            "association": run.association,
+            "phase": s.phase,
+            "source": s.source,
+            "kind": s.kind,
+            "count": s.count,
+            "used": s.used,
+            "nis_mean": s.nis_mean,
+            "nis_dof": s.nis_dof or None,
+            "nis_low": s.nis_low,
+            "nis_high": s.nis_high,
+            "verdict": s.verdict or None,
+            **dict(zip(("tp", "tn", "fp", "fn"), counts, strict=True)),
+        }
+
+
+def source_notices(run: Run, inputs: Inputs) -> list[Notice]:
+    """Sources that a run did not use, whose NIS is inconsistent, or that it rejected more often than expected.
+
+    Each is tested at the level `SURE`: a log has many sources and estimators.
+    """
+    found = [
+        n
+        for s in scores_of(run, inputs)
+        for n in (_unused(s) if s.phase == run.phases[-1] else None, _inconsistent(s), _rejected(s))
+        if n is not None
+    ]
+    return [n.about(estimator=run.estimator, association=run.association) for n in found]
+
+
+def _unused(s: SourceScore) -> Notice | None:
+    if s.formed or s.used:
+        return None
+    return notice(Code.SOURCE_UNUSED, Severity.WARNING, source=s.source, kind=s.kind, count=s.count)
+
+
+def _inconsistent(s: SourceScore) -> Notice | None:
+    low, high = nis_bounds(s.nis_dof, (s.expected, s.variance), 1.0 - SURE)
+    if s.phase != "online" or not s.nis_dof or low <= s.nis_mean <= high:
+        return None
+    nis: dict[str, Value] = {"nis": s.nis_mean, "expected": s.expected, "low": s.nis_low, "high": s.nis_high}
+    return notice(Code.SOURCE_NIS, Severity.WARNING, None, source=s.source, kind=s.kind, **nis)
+
+
+def _rejected(s: SourceScore) -> Notice | None:
+    rejected = s.formed - s.used
+    if s.phase != "online" or s.gate is None or rejected <= 0:
+        return None
+    if float(special.bdtrc(rejected - 1, s.formed, 1.0 - s.gate)) >= SURE:
+        return None
+    counts: dict[str, Value] = {"rejected": rejected, "count": s.formed, "expected": s.formed * (1.0 - s.gate)}
+    return notice(Code.SOURCE_REJECTED, Severity.WARNING, None, source=s.source, kind=s.kind, gate=s.gate, **counts)
+
+
+def uses_sources(run: Run) -> bool:
+    """Whether a run used a fix or a closure."""
+    return any(
+        found is not None and bool(found.used.any())
+        for found in (run.fixes, run.closures, run.fixes_final, run.closures_final)
+    )

@@ -1,0 +1,88 @@
+"""Fixes and closures of a log: handed to one estimator frame by frame, and the record of what became of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from data.inputs import Frame
+from data.notice import Code, Notice, notice
+from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, FrameClosures, PoseInnovations, PoseUpdated
+from eval.replay.estimators import Capabilities
+from eval.replay.settings import Given
+
+
+class PoseMeasurements:
+    """The fixes and closures of a log for one estimator, before its first frame; those it has no method for are not
+    used.
+    """
+
+    def __init__(self, given: Given, can: Capabilities, gate: float | None) -> None:
+        """`gate`: of each, a chi-square probability, None: all are used."""
+        self.gate = gate
+        self._fixes, self._closures = given.fixes, given.closures
+        self._fixable, self._closable = can.fixable, can.closable
+        # what became of the present frame's; None: it has none, or they were not used
+        self.fixed: PoseUpdated | None = None
+        self.closed: PoseUpdated | None = None
+        if self._closures is not None and self._closable is not None:
+            self._closable.keep(self._closures.last_use())
+
+    def use(self, frame: Frame) -> None:
+        """Update with those of a frame, fixes first."""
+        self.fixed = self.closed = None
+        if frame.fixes is not None and self._fixes is not None and self._fixable is not None:
+            self.fixed = self._fixable.fix(frame.fixes, self._fixes.sources, self.gate)
+        if frame.closures is not None and self._closable is not None:
+            self.closed = self._closable.close_loops(frame.closures, self.gate)
+
+    def notes(self) -> list[Notice]:
+        """A message about those that were not used."""
+        fixes = 0 if self._fixes is None or self._fixable is not None else len(self._fixes)
+        closures = 0 if self._closures is None or self._closable is not None else len(self._closures)
+        return [notice(Code.POSES_UNUSED, fixes=fixes, closures=closures)] if fixes or closures else []
+
+
+class PoseRecord:
+    """Fixes, or closures, by row: which were used, and their innovations; those not reached stay blank."""
+
+    def __init__(self, dof: list[int]) -> None:
+        """`dof` of each."""
+        n = len(dof)
+        self._used, self._nis = np.zeros(n, np.bool_), np.full(n, np.nan)
+        self._dof, self._white, self._given = np.array(dof, np.int64), np.full((n, 3), np.nan), False
+
+    def enter(self, rows: slice, done: PoseUpdated) -> None:
+        """The result of an update with those of these rows."""
+        self._given = True
+        self._used[rows], self._nis[rows], self._white[rows] = done.used, done.nis, done.white
+
+    def innovations(self, gate: float | None) -> PoseInnovations | None:
+        """Of all; None: they were not used."""
+        return PoseInnovations(self._used, self._nis, self._dof, self._white, gate) if self._given else None
+
+
+class PoseRecords:
+    """The records of a log's fixes and closures."""
+
+    def __init__(self, fixes: Fixes | None, closures: Closures | None) -> None:
+        kinds = [] if fixes is None else fixes.kind.tolist()
+        self._gate: float | None = None
+        self._fixes = PoseRecord([len(MEASURED[FixKind(kind)]) for kind in kinds])
+        self._closures = PoseRecord([3] * (0 if closures is None else len(closures)))
+
+    def enter(self, frame: Frame, poses: PoseMeasurements) -> None:
+        """Those of a frame."""
+        self._gate = poses.gate
+        if frame.fixes is not None and poses.fixed is not None:
+            first = frame.fixes.first
+            self._fixes.enter(slice(first, first + len(frame.fixes.kind)), poses.fixed)
+        if frame.closures is not None and poses.closed is not None:
+            self._closures.enter(_rows(frame.closures), poses.closed)
+
+    def innovations(self) -> tuple[PoseInnovations | None, PoseInnovations | None]:
+        """Of fixes and of closures."""
+        return self._fixes.innovations(self._gate), self._closures.innovations(self._gate)
+
+
+def _rows(closures: FrameClosures) -> slice:
+    return slice(int(closures.row[0]), int(closures.row[-1]) + 1)

@@ -1,0 +1,124 @@
+"""Measurements of the pose itself as gtsam factors: absolute fixes of a frame, and closures between two frames.
+
+A fix's error is additive in the world frame, a closure's in the frame it is measured in, as in a filter
+(`data.pose_measurements`). gtsam's errors of poses are logarithms in the body frame, with the same covariance to first
+order: poses and relative poses are converted to that, headings and positions are exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import gtsam
+import numpy as np
+from gtsam.symbol_shorthand import X
+
+from data.pose_measurements import (
+    MEASURED,
+    FixKind,
+    FixSource,
+    FrameClosures,
+    FrameFixes,
+    expected_fix,
+)
+from data.se2 import Array, compose, inverse, world_from_body
+from graph.factors import Factor, invertible_roots, noise, pose2, with_loss
+
+
+@dataclass(frozen=True)
+class PoseFactor:
+    """One fix or closure (d dimensions) as a factor."""
+
+    frames: tuple[int, ...]  # of a fix: its own; of a closure: frame1 and frame2
+    row: int  # in the log's fixes or closures
+    factor: Factor
+    unwhiten: Array  # (d, d): times the factor's whitened error, the measurement minus its expectation
+    entries: tuple[int, ...]  # measured ones (d,) of x, y, theta
+    used: bool = True  # False: it takes part in no estimate, but its innovation is formed
+
+    @property
+    def closure(self) -> bool:
+        """Whether it ties two frames."""
+        return len(self.frames) == 2
+
+    def left_out(self) -> PoseFactor:
+        """The same without a part in the estimate."""
+        return replace(self, used=False)
+
+
+def fix_factors(
+    frames: list[int], fixes: FrameFixes, sources: tuple[FixSource, ...], loss: str = "gaussian"
+) -> list[PoseFactor]:
+    """Fixes (f) of frames (f,). Raises DataError for a singular covariance."""
+    found = []
+    for i, (frame, kind) in enumerate(zip(frames, fixes.kind.tolist(), strict=True)):
+        source, entries = sources[int(fixes.source[i])], MEASURED[FixKind(kind)]
+        z, C = fixes.z[i], fixes.covariance[i][np.ix_(entries, entries)]
+        turn = -np.eye(len(entries))
+        if kind == FixKind.POSE:
+            # the pose of the robot, and what a small motion of it in its own frame changes
+            z = compose(z, inverse(np.array([*source.lever, source.rotation])))
+            turn = -expected_fix(z, kind, source)[1] @ world_from_body(float(z[2]))
+        back = np.linalg.inv(turn)
+        (root,), _ = invertible_roots((back @ C @ back.T)[None], partial(_named, source.name, frame), "its inverse")
+        model, key = with_loss(noise.Gaussian.SqrtInformation(root), loss), X(frame)
+        if kind == FixKind.POSE:
+            factor: Factor = gtsam.PriorFactorPose2(key, pose2(z), model)
+        elif kind == FixKind.HEADING:
+            factor = gtsam.PoseRotationPrior2D(key, gtsam.Rot2(float(z[2]) - source.rotation), model)
+        else:
+            factor = _position(key, z, source, model)
+        found.append(PoseFactor((frame,), fixes.first + i, factor, turn @ np.linalg.inv(root), entries))
+    return found
+
+
+def _named(source: str, frame: int, _: int) -> str:
+    return f"fix of {source} at frame {frame}"
+
+
+def _position(key: int, z: Array, source: FixSource, model: gtsam.noiseModel.Base) -> Factor:
+    if source.lever == (0.0, 0.0):
+        return gtsam.PoseTranslationPrior2D(key, z[:2], model)
+    return gtsam.CustomFactor(model, [key], _antenna(key, z[:2].copy(), source))
+
+
+def _antenna(
+    key: int, z: Array, source: FixSource
+) -> Callable[[gtsam.CustomFactor, gtsam.Values, list[Array] | None], Array]:
+    """The position of a source off the robot's centre: gtsam has this factor in space only."""
+    lever = np.array(source.lever)
+
+    def residual(_: gtsam.CustomFactor, values: gtsam.Values, H: list[Array] | None) -> Array:
+        pose = values.atPose2(key)
+        if H is not None:
+            R = pose.rotation().matrix()
+            arm = R @ lever
+            H[0] = np.column_stack([R, [-arm[1], arm[0]]])
+        away: Array = pose.transformFrom(lever) - z
+        return away
+
+    return residual
+
+
+def closure_factors(closures: FrameClosures, sources: tuple[str, ...], loss: str = "gaussian") -> list[PoseFactor]:
+    """Closures (c) as factors. Raises DataError for a singular covariance."""
+    first, second = closures.frame1.tolist(), closures.frame2.tolist()
+    # the error in the frame of frame1, from gtsam's in that of frame2
+    turn = np.array([world_from_body(a) for a in closures.relative[:, 2].tolist()]).reshape(-1, 3, 3)
+    body = turn.transpose(0, 2, 1) @ closures.covariance @ turn
+
+    def named(i: int) -> str:
+        source = int(closures.source[i])
+        of = f" of {sources[source]}" if source < len(sources) else ""
+        return f"closure{of} between frames {first[i]} and {second[i]}"
+
+    roots, _ = invertible_roots(body, named, "its inverse")
+    found = []
+    for i, (a, b) in enumerate(zip(first, second, strict=True)):
+        model = with_loss(noise.Gaussian.SqrtInformation(roots[i]), loss)
+        factor = gtsam.BetweenFactorPose2(X(a), X(b), pose2(closures.relative[i]), model)
+        unwhiten = -turn[i] @ np.linalg.inv(roots[i])
+        found.append(PoseFactor((a, b), int(closures.row[i]), factor, unwhiten, (0, 1, 2)))
+    return found

@@ -1,0 +1,178 @@
+"""Fixes and closures by source: NIS behind the gate, decisions against truth, and what deserves a notice."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import scipy.stats
+
+from data.notice import Code
+from data.pose_measurements import Closures, Fixes, FixKind, FixSource, PoseInnovations
+from data.words import sentence
+from eval.referee import consistency
+from eval.referee.diagnostics import notices, unused
+from eval.referee.score import Trial, score
+from eval.referee.sources import outcomes_of, score_source, source_notices, sources_of
+from tests.eval.handmade import FRAMES, circle_log, run_with_error
+
+DOF = {FixKind.POSITION: 2, FixKind.HEADING: 1, FixKind.POSE: 3}
+
+
+def fixes(count=60, kind=FixKind.POSITION):
+    """Fixes of one source; their values do not matter here."""
+    frame = np.sort(np.arange(count) % FRAMES)
+    return Fixes(
+        frame, np.full(count, int(kind)), np.zeros(count), np.zeros((count, 3)), np.tile(np.eye(3), (count, 1, 1)),
+        (FixSource("gps"),),
+    )  # fmt: skip
+
+
+def closures(count=20):
+    """Closures with the first frame."""
+    later = np.sort(1 + np.arange(count) % (FRAMES - 1))
+    eye = np.tile(np.eye(3), (count, 1, 1))
+    return Closures(np.zeros(count), later, np.zeros((count, 3)), eye, np.zeros(count), ("loops",))
+
+
+def drawn(rng, count, dof, *, gate=None, scale=1.0):
+    """Innovations as a consistent filter has them, in units of `scale` sigmas, and which pass the gate."""
+    white = np.full((count, 3), np.nan)
+    columns = {1: [2], 2: [0, 1], 3: [0, 1, 2]}[dof]
+    white[:, columns] = scale * rng.standard_normal((count, dof))
+    nis = np.nansum(white**2, axis=1)
+    used = np.ones(count, bool) if gate is None else nis < scipy.stats.chi2.ppf(gate, dof)
+    return PoseInnovations(used, nis, np.full(count, dof), white, gate)
+
+
+def log_with(of_fixes=None, of_closures=None, **truth):
+    log = circle_log()
+    recorded = replace(log.recorded, fixes=of_fixes, closures=of_closures)
+    return replace(log, recorded=recorded, truth=replace(log.truth, **truth))
+
+
+def run_with(**innovations):
+    return replace(run_with_error(np.zeros(3)), **innovations)
+
+
+def scored(found, log, **truth):
+    (source,) = sources_of(log.recorded)
+    return score_source(run_with(fixes=found), source, "online", log.truth)
+
+
+def test_without_a_gate_the_interval_is_that_of_chi_square():
+    found = drawn(np.random.default_rng(0), 60, 2)
+    s = scored(found, log_with(fixes()))
+    assert s.nis_dof == 120
+    assert s.nis_mean == pytest.approx(found.nis.sum() / 120)
+    np.testing.assert_allclose((s.nis_low, s.nis_high), scipy.stats.chi2.ppf([0.025, 0.975], 120) / 120)
+
+
+@pytest.mark.parametrize("kind", list(FixKind))
+def test_behind_a_gate_a_consistent_filter_fits_and_one_whose_sigma_is_off_does_not(kind):
+    """Of logs with 60 fixes 95 % fit; sigmas off by a third are found in most."""
+    rng, log = np.random.default_rng(1), log_with(fixes(kind=kind))
+    words = {
+        scale: [scored(drawn(rng, 60, DOF[kind], gate=0.99, scale=scale), log).verdict for _ in range(120)]
+        for scale in (1.0, 1.35, 0.7)
+    }
+    assert 0.90 <= np.mean([w == consistency.FIT for w in words[1.0]]) <= 0.99
+    assert np.mean([w == consistency.LARGE for w in words[1.35]]) > 0.5
+    assert np.mean([w == consistency.SMALL for w in words[0.7]]) > 0.7
+
+
+def test_correlated_fixes_are_said_to_be():
+    rng = np.random.default_rng(2)
+    found = drawn(rng, 60, 2)
+    for i in range(1, 60):  # AR(1) with unit variance
+        found.white.setflags(write=True)
+        found.white[i, :2] = 0.9 * found.white[i - 1, :2] + np.sqrt(1 - 0.81) * found.white[i, :2]
+    assert scored(replace(found, nis=np.nansum(found.white**2, axis=1)), log_with(fixes())).verdict == "correlated"
+
+
+def test_decisions_are_counted_against_truth():
+    used = np.array([True, True, False, False, True, False])
+    assert outcomes_of(used, np.array([1, 0, 0, 1, -1, -1])) == (1, 1, 1, 1)
+    found = replace(drawn(np.random.default_rng(0), 4, 3), used=np.array([True, False, True, True]))
+    log = log_with(of_closures=closures(4), closure_inlier=np.array([1, 0, 0, 1]))
+    rows = score([Trial(log, "slam", (run_with(closures=found),))]).sources
+    assert rows[["source", "kind", "count", "used", "tp", "tn", "fp", "fn"]].values.tolist() == [
+        ["loops", "closure", 4, 3, 2, 1, 1, 0]
+    ]
+
+
+def test_without_truth_there_are_no_counts_but_bounds():
+    log, found = log_with(fixes(4)), drawn(np.random.default_rng(0), 4, 2)
+    (row,) = score([Trial(log, "slam", (run_with(fixes=found),))]).sources.itertuples()
+    assert pd.isna(row.tp)
+    assert 0.0 < row.nis_low < 1.0 < row.nis_high
+
+
+def test_sources_are_taken_apart_by_what_they_measure():
+    mixed = replace(fixes(6), kind=np.array([0, 1, 0, 1, 2, 0]))
+    found = sources_of(log_with(mixed, closures()).recorded)
+    assert [(s.name, s.kind, len(s.rows)) for s in found] == [
+        ("gps", "position", 3), ("gps", "heading", 2), ("gps", "pose", 1), ("loops", "closure", 20),
+    ]  # fmt: skip
+
+
+def codes(found, log):
+    return [n.code for n in source_notices(run_with(fixes=found), log.recorded)]
+
+
+def test_a_right_source_is_not_complained_about():
+    rng, log = np.random.default_rng(3), log_with(fixes())
+    assert not any(codes(drawn(rng, 60, 2, gate=0.99), log) for _ in range(200))
+
+
+@pytest.mark.parametrize(("scale", "nis"), [(1.8, "too small, or they are biased"), (0.4, "covariance is too large")])
+def test_a_source_with_a_wrong_covariance_is(scale, nis):
+    rng, log = np.random.default_rng(4), log_with(fixes())
+    found = source_notices(run_with(fixes=drawn(rng, 60, 2, scale=scale)), log.recorded)
+    assert [n.code for n in found] == [Code.SOURCE_NIS]
+    assert nis in sentence(found[0])
+
+
+def test_a_source_with_many_outliers_is_said_to_be_rejected():
+    rng, log = np.random.default_rng(5), log_with(fixes())
+    found = drawn(rng, 60, 2, gate=0.99)
+    used = found.used.copy()
+    used[:10] = False
+    (notice,) = source_notices(run_with(fixes=replace(found, used=used)), log.recorded)
+    assert notice.code == Code.SOURCE_REJECTED
+    assert notice.named["rejected"] >= 10
+    assert notice.named["expected"] == pytest.approx(0.6)
+
+
+def test_a_source_that_an_estimator_cannot_use_is_said_to_be_unused():
+    log = log_with(of_closures=closures())
+    (notice,) = source_notices(run_with(), log.recorded)
+    assert (notice.code, notice.named["count"]) == (Code.SOURCE_UNUSED, 20)
+    assert [n.code for n in notices([Trial(log, "slam", (run_with(),))])].count(Code.SOURCE_UNUSED) == 1
+
+
+def test_a_log_without_sources_has_no_rows():
+    log = circle_log()
+    assert len(score([Trial(log, "slam", (run_with_error(np.zeros(3)),))]).sources) == 0
+    assert not sources_of(log.recorded)
+
+
+def nothing_seen(**sources):
+    """A log without observations, and a run on it."""
+    log = log_with(**sources)
+    o = log.recorded.observations
+    none = replace(o, frame=o.frame[:0], z=o.z[:0], R=o.R[:0])
+    recorded = replace(log.recorded, observations=none)
+    empty = np.empty(0, np.int64)
+    run = replace(run_with(), decisions=empty, final_decisions=empty, created=empty)
+    return replace(log, recorded=recorded, truth=replace(log.truth, landmark_of=None)), run
+
+
+def test_only_an_estimate_that_used_closures_is_more_than_dead_reckoning():
+    log, run = nothing_seen(of_closures=closures())
+    assert unused(run, log.recorded).code == Code.UNUSED
+    found = drawn(np.random.default_rng(0), 20, 3)
+    assert unused(replace(run, closures=found), log.recorded) is None
+    assert unused(replace(run, closures_final=found), log.recorded) is None
+    rejected = replace(found, used=np.zeros(20, bool))
+    assert unused(replace(run, closures=rejected), log.recorded).code == Code.UNUSED
