@@ -105,16 +105,16 @@ def _correct(
     for i in range(m):
         for r in range(d):
             shift[r] += V[i, r] * white[i]
-    row = np.empty(d)
-    for r in range(d):
-        for c in range(d):
-            row[c] = 0.0
-        for i in range(m):
-            weight = V[i, r]
-            for c in range(d):
-                row[c] += weight * V[i, c]
-        for c in range(d):
-            P[r, c] -= row[c]
+    for r in range(d):  # the order of factors does not matter to a bit, so P stays symmetric
+        if m == 3:
+            a, b, c = V[0, r], V[1, r], V[2, r]
+            for j in range(d):
+                P[r, j] -= a * V[0, j] + b * V[1, j] + c * V[2, j]
+        else:
+            for i in range(m):
+                a = V[i, r]
+                for j in range(d):
+                    P[r, j] -= a * V[i, j]
     if retraction == ADDITIVE:
         for r in range(d):
             mean[r] += shift[r]
