@@ -10,7 +10,7 @@ import scipy
 
 from data.inputs import FrameObservations, Increment, IntArray
 from data.se2 import Array, BoolArray
-from data.sensors import MIN_RANGE, RANGE_BEARING, RELATIVE_POINT, Sensor
+from data.sensors import BEARING, MIN_RANGE, RANGE_BEARING, RELATIVE_POINT, Sensor
 
 SIGMAS = 3.0  # standard deviations of the expectation by which the field of view is widened, ...
 MARGIN = math.radians(5.0)  # ... and an angle [rad] on top
@@ -83,13 +83,14 @@ def gate_radius(sensor: Sensor, P: Array, observations: FrameObservations, withi
     """Distance [m] from a robot of covariance P (3, 3) beyond which no known landmark passes the gate `within`.
 
     An observation z and an expectation within a squared Mahalanobis distance g have |range(z) - range| <= sqrt(g S)
-    with S the variance of the expected range and of the noise (Cauchy-Schwarz). It is infinite for walls.
+    with S the variance of the expected range and of the noise (Cauchy-Schwarz). It is infinite for walls and bearings
+    alone.
     """
-    if not sensor.sees_points:
+    if not sensor.sees_points or sensor.kind == BEARING:
         return math.inf
     gate, lever = math.sqrt(within), math.hypot(*sensor.translation)
     R = observations.R
-    noise = R[:, 0, 0] if sensor.kind == RANGE_BEARING else np.trace(R, axis1=1, axis2=2)
+    noise = R[:, 0, 0] if sensor.kind != RELATIVE_POINT else np.trace(R, axis1=1, axis2=2)
     reach = float((sensor.polar(observations.z)[:, 0] + gate * np.sqrt(noise)).max(initial=0.0))
     return reach + lever + gate * (math.sqrt(P[0, 0] + P[1, 1]) + lever * math.sqrt(P[2, 2])) + 1e-9
 

@@ -95,6 +95,7 @@ class Expectation:
     residual: Residual  # the sensor's `residual(z, z_hat)`, broadcasting
     joint: Callable[[IntArray], Array]  # joint covariance (2k, 2k) of k candidates, in the order of their indices
     elsewhere: Callable[[Array], Expectation] | None = None  # linearized at a pose (3,): h(pose) + H (mean - pose)
+    dims: int = 2  # numbers measured of each; 1: bearings or ranges alone (see `data.sensors`)
 
     @classmethod
     def from_arrays(
@@ -212,7 +213,7 @@ class Expectation:
         """
         if not len(rows):
             return 0.0, 0, 0.0
-        return _statistics(*self.innovation_root(rows, chosen))
+        return _statistics(*self.innovation_root(rows, chosen), self.dims * len(rows))
 
 
 def statistics(nu: Array, S: Array) -> tuple[float, int, float]:
@@ -222,13 +223,13 @@ def statistics(nu: Array, S: Array) -> tuple[float, int, float]:
     if not len(nu):
         return 0.0, 0, 0.0
     try:
-        return _statistics(nu, np.asarray(np.linalg.cholesky(S), np.float64))
+        return _statistics(nu, np.asarray(np.linalg.cholesky(S), np.float64), len(nu))
     except np.linalg.LinAlgError:
         raise SingularInnovationError("the joint innovation covariance is singular") from None
 
 
-def _statistics(nu: Array, root: Array) -> tuple[float, int, float]:
-    """The same by the lower Cholesky factor."""
+def _statistics(nu: Array, root: Array, dof: int) -> tuple[float, int, float]:
+    """The same by the lower Cholesky factor; what is not measured has an innovation of 0 and a variance of 1."""
     white = np.linalg.solve(root, nu)
-    nis, dof = float(white @ white), len(white)
+    nis = float(white @ white)
     return nis, dof, -0.5 * (nis + 2.0 * float(np.log(np.diag(root)).sum()) + dof * math.log(2.0 * math.pi))

@@ -37,15 +37,16 @@ class Acceptance(NamedTuple):
         return math.isinf(self.individual) and self.joint is None and math.isinf(self.conditional)
 
 
-def acceptance(method: str, gate: float | None) -> Acceptance:
-    """The tests of an association method at a `gate` probability, None for no gate. `ml-ratio` pairs only landmarks
-    that beat "new" by its ratio, which is the narrower test.
+def acceptance(method: str, gate: float | None, dims: int = 2) -> Acceptance:
+    """The tests of an association method at a `gate` probability, None for no gate, of observations of `dims` numbers.
+    `ml-ratio` pairs only landmarks that beat "new" by its ratio, which is the narrower test.
     """
+    alone = gate_threshold(gate, dims)
     if method in ("jcbb", "jcbb-first"):
-        return Acceptance(gate_threshold(gate), gate)
+        return Acceptance(alone, gate)
     if method == "ml-ratio":
-        return Acceptance(min(gate_threshold(gate), ALPHA / RATIO))
-    return Acceptance(gate_threshold(gate))
+        return Acceptance(min(alone, ALPHA / RATIO))
+    return Acceptance(alone)
 
 
 @cache
@@ -61,19 +62,23 @@ def truncated_square(threshold: float, dof: int = 2) -> tuple[float, float]:
     return float(mean), float(square - mean**2)
 
 
-def accepted_moments(S: Array, passed: Acceptance, turn: int) -> tuple[float, float]:
+def accepted_moments(
+    S: Array, passed: Acceptance, turn: int, measures: tuple[int, ...] = (0, 1)
+) -> tuple[float, float]:
     """Mean and variance of the joint NIS of accepted pairings with innovation covariance S (2k, 2k). `turn` is the
-    number of the frame, which selects its draws. Without a gate these are 2k and 4k.
+    number of the frame, which selects its draws; `measures`: which numbers of a pair are measured. Without a gate these
+    are d and 2d with d = k len(measures).
     """
-    dof = len(S)
+    dof = len(S) // 2 * len(measures)
     if dof == 0 or passed.everything:
         return float(dof), 2.0 * dof
-    if dof == 2:
-        return truncated_square(min(passed.individual, passed.conditional))  # the joint gate is the individual one
+    if len(S) == 2:
+        return truncated_square(min(passed.individual, passed.conditional), dof)  # the joint gate is the individual one
     points = _points(1 << (dof - 1).bit_length())
     begin = turn * DRAWS % POINTS
     joint = math.inf if passed.joint is None else gate_threshold(passed.joint, dof)
-    white = points[begin : begin + DRAWS, :dof].copy()
+    white = np.zeros((DRAWS, len(S)))
+    white[:, (2 * np.arange(len(S) // 2)[:, None] + np.array(measures)).ravel()] = points[begin : begin + DRAWS, :dof]
     try:
         innovation, W = white @ np.linalg.cholesky(S).T, np.asarray(np.linalg.inv(S), float)
         gates = passed.individual, joint, passed.conditional
@@ -81,8 +86,8 @@ def accepted_moments(S: Array, passed: Acceptance, turn: int) -> tuple[float, fl
     except np.linalg.LinAlgError:  # singular: the next update raises
         n, total, squares = 0, 0.0, 0.0
     if n < 2:  # hardly anything passes: as if the pairings were independent
-        mean, variance = truncated_square(min(passed.individual, passed.conditional))
-        return mean * dof / 2, variance * dof / 2
+        mean, variance = truncated_square(min(passed.individual, passed.conditional), len(measures))
+        return mean * dof / len(measures), variance * dof / len(measures)
     return total / n, max(squares / n - (total / n) ** 2, 0.0)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -14,8 +15,8 @@ import numpy as np
 from data.locked import IntArray as IntArray
 from data.locked import Locked, read_only
 from data.pose_measurements import Closures, Fixes, FrameClosures, FrameFixes
-from data.se2 import Array, inverse
-from data.sensors import Sensor
+from data.se2 import Array, BoolArray, inverse
+from data.sensors import EachSensor, Sensor
 
 T = TypeVar("T")
 
@@ -69,11 +70,15 @@ def __getattr__(name: str) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class Observations(Locked):
-    """Unlabelled observations: frame (M,) ascending, z (M, 2), R (M, 2, 2)."""
+    """Unlabelled observations: frame (M,) ascending, z (M, 2), R (M, 2, 2).
+
+    sensor: (M,) row in the sensors of a log with several, ascending within a frame; None: there is one.
+    """
 
     frame: IntArray
     z: Array
     R: Array
+    sensor: IntArray | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +147,7 @@ class Frame(NamedTuple):
         first: number of earlier observations: observation i of this frame is number first + i of the log.
         fixes: absolute measurements of its pose, or None.
         closures: measured relative poses of which it is the later frame, or None.
+        sensor: (m,) of each observation, as in `Observations`; None: the log has one.
     """
 
     number: int
@@ -152,6 +158,7 @@ class Frame(NamedTuple):
     first: int
     fixes: FrameFixes | None = None
     closures: FrameClosures | None = None
+    sensor: IntArray | None = None
 
     @property
     def sightings(self) -> FrameObservations:
@@ -163,7 +170,15 @@ class Frame(NamedTuple):
         begin, stop, _ = rows.indices(len(self.observations.z))
         label = None if self.label is None else self.label[begin:stop]
         seen = FrameObservations(self.observations.z[begin:stop], self.observations.R[begin:stop])
-        return self._replace(observations=seen, label=label, first=self.first + begin)
+        sensor = None if self.sensor is None else self.sensor[begin:stop]
+        return self._replace(observations=seen, label=label, first=self.first + begin, sensor=sensor)
+
+    def by_sensor(self) -> list[Frame]:
+        """The frame in parts of one sensor each; one part without several sensors."""
+        if self.sensor is None or not len(self.sensor):
+            return [self]
+        edges = [0, *(np.flatnonzero(np.diff(self.sensor)) + 1).tolist(), len(self.sensor)]
+        return [self.part(slice(a, b)) for a, b in pairwise(edges)]
 
 
 @dataclass(frozen=True)
@@ -212,10 +227,14 @@ class Scans(Locked):
 
 @dataclass(frozen=True, eq=False)
 class LandmarkMap(Locked):
-    """Known landmarks, exact to estimators: id (L,) ascending and >= 0, xy (L, 2) in the world frame."""
+    """Known landmarks, exact to estimators: id (L,) ascending and >= 0, xy (L, 2) in the world frame.
+
+    kind: (L,) names of kinds, where not every sensor sees all (`Sensor.sees`); None: one kind.
+    """
 
     id: IntArray
     xy: Array
+    kind: tuple[str, ...] | None = None
 
     def rows(self, ids: IntArray) -> IntArray:
         """Row (m,) of each landmark id (m,), -1 where the map has none."""
@@ -251,6 +270,7 @@ class Inputs:
         systematic: systematic errors to estimate (None: none).
         fixes: absolute measurements of the pose, such as GPS (None: none).
         closures: measured relative poses between frames (None: none).
+        sensors: all sensors of a log with several, of which `sensor` is the first; empty: there is one.
         start: (N + 1,) offsets; the observations of frame k are rows start[k]:start[k + 1].
     """
 
@@ -267,6 +287,7 @@ class Inputs:
     systematic: Systematic | None = None
     fixes: Fixes | None = None
     closures: Closures | None = None
+    sensors: tuple[Sensor, ...] = ()
     start: IntArray = field(init=False)
 
     def __post_init__(self) -> None:
@@ -298,12 +319,38 @@ class Inputs:
         fixes = None if self.fixes is None else self.fixes.of(number)
         closures = None if self.closures is None else self.closures.of(number)
         observations = self.frame_observations(number)
-        return Frame(number, float(self.time[number]), increment, observations, label, first, fixes, closures)
+        sensor = None if o.sensor is None else o.sensor[first : self.start[number + 1]]
+        return Frame(number, float(self.time[number]), increment, observations, label, first, fixes, closures, sensor)
+
+    def sensor_of(self, rows: IntArray | slice | None = None) -> Sensor | EachSensor:
+        """The sensor of observations, by rows of the log (None: all): one for all, or one for each row."""
+        which = self.observations.sensor
+        if which is None:
+            return self.sensor
+        return EachSensor(self.sensors, which if rows is None else which[rows])
 
     @property
     def labels_are_sensed(self) -> bool:
         """Whether granted labels come from a sensor, so that some may be wrong."""
         return isinstance(self.observations, LabelledObservations) and self.observations.sensed
+
+    def sensor_at(self, row: int) -> Sensor:
+        """The sensor of one observation."""
+        which = self.observations.sensor
+        return self.sensor if which is None else self.sensors[int(which[row])]
+
+    def measured(self, rows: IntArray | None = None) -> BoolArray:
+        """Which of the two numbers of observations are measured (m, 2), by rows of the log (None: all)."""
+        every = np.array([[q in s.measures for q in (0, 1)] for s in self.sensors or (self.sensor,)])
+        which = self.observations.sensor
+        if which is None:
+            which = np.zeros(len(self.observations.frame), np.int64)
+        return np.asarray(every[which if rows is None else which[rows]])
+
+    @property
+    def several_or_partial(self) -> bool:
+        """Whether the log has several sensors, or one that does not locate its landmarks."""
+        return self.observations.sensor is not None or not self.sensor.locates
 
     def without_map(self) -> Inputs:
         """The same inputs without the map, for SLAM."""
@@ -312,4 +359,4 @@ class Inputs:
     def without_labels(self) -> Inputs:
         """The same inputs without labels, for unknown association."""
         o = self.observations
-        return replace(self, observations=Observations(o.frame, o.z, o.R))
+        return replace(self, observations=Observations(o.frame, o.z, o.R, sensor=o.sensor))

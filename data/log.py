@@ -81,7 +81,7 @@ class Log:
         if label is None:
             raise ValueError(f"log {self.name!r} has no labels to grant")
         o = self.recorded.observations
-        labelled = LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed)
+        labelled = LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed, sensor=o.sensor)
         return replace(self.recorded, observations=labelled)
 
     @staticmethod

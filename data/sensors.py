@@ -1,8 +1,9 @@
-"""Measurement models of landmarks: points by range and bearing or by relative position, and walls.
+"""Measurement models of landmarks: points by range, bearing, both or relative position, and walls.
 
 A point is (x, y). A wall is the line n(alpha) . x = rho, n = (cos alpha, sin alpha), with signed distance rho [m] from
 the origin and direction alpha [rad] of its normal; (-rho, alpha + pi) is the same line. Every measurement is two
-numbers.
+numbers: a bearing alone has a zero in the place of the range, and a range alone one in that of the bearing, both
+measured and expected, with Jacobians of zero and variance 1. So the innovation there is zero and adds nothing to a NIS.
 
 The compiled functions `measure`, `invert` and `residual` are for one observation; the filters' kernels call them, and
 the sensor classes apply them to arrays. Frames: w world, b body, s sensor, p_s = R p_b + T.
@@ -11,18 +12,21 @@ the sensor classes apply them to arrays. Frames: w world, b body, s sensor, p_s 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 import numba
 import numpy as np
 
 from data import se2
+from data.locked import IntArray
 from data.se2 import Array, BoolArray
 
 RANGE_BEARING = 0
 RELATIVE_POINT = 1
 LINE = 2
+BEARING = 3
+RANGE = 4
 
 BLIND = 10.0
 """Sigma of a range over the range, from which an observation is a bearing alone."""
@@ -85,7 +89,7 @@ def measure(
     bx, by = c * dx + s * dy, -s * dx + c * dy
     px, py = ce * bx - se * by + extrinsic[1], se * bx + ce * by + extrinsic[2]
     # A: d z / d p_s, then through the extrinsic to d z / d p_b
-    if kind == RANGE_BEARING:
+    if kind != RELATIVE_POINT:
         r = math.sqrt(px * px + py * py)
         z_hat[0] = r
         z_hat[1] = math.atan2(py, px)
@@ -93,8 +97,14 @@ def measure(
             for i in range(2):
                 Hx[i, 0], Hx[i, 1], Hx[i, 2] = 0.0, 0.0, 0.0
                 Hl[i, 0], Hl[i, 1] = 0.0, 0.0
+            if kind in (BEARING, RANGE):
+                z_hat[0 if kind == BEARING else 1] = 0.0
             return
         a00, a01, a10, a11 = px / r, py / r, -py / (r * r), px / (r * r)
+        if kind == BEARING:
+            z_hat[0], a00, a01 = 0.0, 0.0, 0.0
+        elif kind == RANGE:
+            z_hat[1], a10, a11 = 0.0, 0.0, 0.0
     else:
         z_hat[0] = px
         z_hat[1] = py
@@ -117,13 +127,16 @@ def measure(
 def invert(
     kind: int, extrinsic: Array, pose: Array, z0: float, z1: float, landmark: Array, Gx: Array, Gz: Array
 ) -> None:
-    """Landmark (2,) that z = (z0, z1) implies, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement."""
+    """Landmark (2,) that z = (z0, z1) implies, Jacobians Gx (2, 3) to the pose and Gz (2, 2) to the measurement.
+
+    A bearing or a range alone implies none: the result is then meaningless, and callers ask `Sensor.locates` first.
+    """
     if kind == LINE:
         _invert_line(extrinsic, pose, z0, z1, landmark, Gx, Gz)
         return
     c, s = math.cos(pose[2]), math.sin(pose[2])
     ce, se = math.cos(extrinsic[0]), math.sin(extrinsic[0])
-    if kind == RANGE_BEARING:
+    if kind != RELATIVE_POINT:
         cz, sz = math.cos(z1), math.sin(z1)
         px, py = z0 * cz, z0 * sz
         a00, a01, a10, a11 = cz, -z0 * sz, sz, z0 * cz
@@ -198,12 +211,14 @@ def _pair(pose: Array, other: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True)
 class Sensor:
-    """A sensor of landmarks; use `RangeBearing`, `RelativePoint` or `Line`.
+    """A sensor of landmarks; use `RangeBearing`, `RelativePoint`, `Bearing`, `Range` or `Line`.
 
     Attributes:
         max_range: m; min_angle, max_angle: rad in the sensor frame. Observations outside this field of view are kept
             and counted.
         rotation: rad, translation: m, of p_sensor = R(rotation) p_body + translation.
+        label: name among several sensors of a log.
+        sees: kind of landmark that it observes; blank: all.
     """
 
     max_range: float = math.inf
@@ -211,12 +226,21 @@ class Sensor:
     max_angle: float = math.pi
     rotation: float = 0.0
     translation: tuple[float, float] = (0.0, 0.0)
+    label: str = field(default="", repr=False)
+    sees: str = field(default="", repr=False)
 
     kind: ClassVar[int]
     name: ClassVar[str]
     units: ClassVar[tuple[str, str]]
     sees_points: ClassVar[bool] = True
     """Whether landmarks are points (x, y); else walls (rho, alpha)."""
+    measures: ClassVar[tuple[int, ...]] = (0, 1)
+    """Which of the two numbers are measured."""
+
+    @property
+    def locates(self) -> bool:
+        """Whether one observation determines the landmark, given the pose."""
+        return len(self.measures) == 2
 
     @property
     def extrinsic(self) -> Array:
@@ -277,6 +301,8 @@ class Sensor:
 
     def bearings_alone(self, z: Array, R: Array) -> BoolArray:
         """Which observations (M, 2) with covariances (M, 2, 2) measure no range."""
+        if self.kind == BEARING:
+            return np.ones(len(z), bool)
         if self.kind != RANGE_BEARING:
             return np.zeros(len(z), bool)
         return np.asarray(np.sqrt(R[:, 0, 0]) > BLIND * z[:, 0])
@@ -312,3 +338,98 @@ class Line(Sensor):
     name = "line"
     units = ("m", "rad")
     sees_points = False
+
+
+class Bearing(Sensor):
+    """z = (0, bearing rad counter-clockwise from the sensor's x axis), as of a camera."""
+
+    kind = BEARING
+    name = "bearing"
+    units = ("m", "rad")
+    measures = (1,)
+
+
+class Range(Sensor):
+    """z = (range m, 0), as of radio beacons. Its view has no angle."""
+
+    kind = RANGE
+    name = "range"
+    units = ("m", "rad")
+    measures = (0,)
+
+
+@dataclass(frozen=True)
+class EachSensor:
+    """Several sensors, one for each observation: the methods of `Sensor` by row; `which` (m,) is a row in `sensors`."""
+
+    sensors: tuple[Sensor, ...]
+    which: IntArray
+
+    def _each(self, function: Any, *arrays: Array) -> Any:
+        """A function of a sensor and the rows of arrays (m, ...), gathered again by row."""
+        out: list[Array] = []
+        for i, sensor in enumerate(self.sensors):
+            rows = np.flatnonzero(self.which == i)
+            if not len(rows) and (i or len(self.which)):
+                continue
+            found = function(sensor, *(a[rows] for a in arrays))
+            for q, part in enumerate(found if isinstance(found, tuple) else (found,)):
+                if len(out) <= q:
+                    out.append(np.empty((len(self.which), *part.shape[1:]), part.dtype))
+                out[q][rows] = part
+        return out[0] if len(out) == 1 else tuple(out)
+
+    def linearize(self, pose: Array, landmarks: Array) -> tuple[Array, Array, Array]:
+        """See `Sensor.linearize`."""
+        poses, points = _pair(pose, landmarks)
+        found: tuple[Array, Array, Array] = self._each(Sensor.linearize, poses, points)
+        return found
+
+    def predict(self, pose: Array, landmarks: Array) -> Array:
+        """See `Sensor.predict`."""
+        return self.linearize(pose, landmarks)[0]
+
+    def jacobians(self, pose: Array, landmarks: Array) -> tuple[Array, Array]:
+        """See `Sensor.jacobians`."""
+        return self.linearize(pose, landmarks)[1:]
+
+    def inverse(self, pose: Array, z: Array) -> tuple[Array, Array, Array]:
+        """See `Sensor.inverse`; NaN where an observation does not locate its landmark."""
+        poses, rows = _pair(pose, z)
+
+        def one(s: Sensor, p: Array, z: Array) -> tuple[Array, Array, Array]:
+            found = s.inverse(p, z)
+            return found if s.locates else tuple(np.full_like(a, np.nan) for a in found)  # type: ignore[return-value]
+
+        found: tuple[Array, Array, Array] = self._each(one, poses, rows)
+        return found
+
+    def body_points(self, z: Array, covariance: Array) -> tuple[Array, Array]:
+        """See `Sensor.body_points`; NaN where an observation does not locate its landmark."""
+
+        def one(s: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
+            points, spread = s.body_points(z, R)
+            return (points, spread) if s.locates else (np.full_like(points, np.nan), np.full_like(spread, np.nan))
+
+        found: tuple[Array, Array] = self._each(one, z, covariance)
+        return found
+
+    def residual(self, z: Array, z_hat: Array) -> Array:
+        """See `Sensor.residual`, of (m, 2) each."""
+        found: Array = self._each(Sensor.residual, z, z_hat)
+        return found
+
+    def polar(self, z: Array) -> Array:
+        """See `Sensor.polar`; zero in the place of what is not measured."""
+        found: Array = self._each(Sensor.polar, z)
+        return found
+
+    def bearings_alone(self, z: Array, R: Array) -> BoolArray:
+        """See `Sensor.bearings_alone`."""
+        found: BoolArray = self._each(Sensor.bearings_alone, z, R)
+        return found
+
+    def in_view(self, z: Array) -> BoolArray:
+        """See `Sensor.in_view`."""
+        found: BoolArray = self._each(Sensor.in_view, z)
+        return found

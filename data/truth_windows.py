@@ -142,7 +142,7 @@ def _evidence(log: Log, unmapped: frozenset[int] = frozenset()) -> _Evidence:
     inputs, pose, ids = log.recorded, log.truth.pose, log.truth.landmark_of
     ids = log.label if ids is None else ids
     o, known = inputs.observations, inputs.map if inputs.map is not None else log.truth.landmarks
-    if pose is None or ids is None or not len(o.z):
+    if pose is None or ids is None or not len(o.z) or inputs.several_or_partial:
         none = np.zeros(0, np.int64)
         return _Evidence(none, none, np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros((0, 2)), np.ones(2))
     place = np.full((len(o.z), 2), np.nan) if known is None else known.positions(ids)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,6 +123,13 @@ class Filter:
             self._mean, self._P = mean, P
             if len(self._first):
                 self._first = np.concatenate([self._first, np.zeros(capacity - old)])
+
+    def look(self, sensor: Sensor) -> None:
+        """Expect and use observations of this sensor from now on. ValueError beside errors of the sensor."""
+        if self._systematic is not None and self._systematic.of_sensor:
+            raise ValueError("systematic errors of range or bearing belong to one sensor; this log has several")
+        self.sensor = self._frame.sensor(sensor)
+        self._kind, self._extrinsic = self.sensor.kind, self.sensor.extrinsic
 
     def predict(self, increment: Increment) -> None:
         """Predict with an increment; the pose before it stays in the state if a later closure names its frame."""
@@ -286,7 +294,7 @@ class Filter:
         frames = np.zeros(n, np.int64), np.zeros(m, np.int64)
         return Expectation(
             number, z_hat, blocks, frames[0], observations.z, observations.R, frames[1], self.sensor.residual, joint,
-            None if len(self._first) else elsewhere,
+            None if len(self._first) else elsewhere, len(self.sensor.measures),
         )  # fmt: skip
 
     def _predict_measurements(self, state: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array) -> None:
@@ -349,4 +357,14 @@ class Filter:
             status = updates.update(self._kind, self._extrinsic, *state, seen, 0, len(rows), how, done)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
+            if not self.sensor.locates:
+                self._without_unmeasured(done)
         return done.keep, done.stats, done.white
+
+    def _without_unmeasured(self, done: updates.Outcome) -> None:
+        """Remove the numbers that are not measured from the statistics of an update, in place (`data.sensors`)."""
+        absent = 2 - len(self.sensor.measures)
+        count = int(done.keep.sum()) * absent
+        done.stats[1] += 0.5 * count * math.log(2.0 * math.pi)
+        done.stats[2] -= count
+        done.white[:, [q for q in range(2) if q not in self.sensor.measures]] = np.nan

@@ -123,7 +123,7 @@ def _step(wish: Wish) -> None:
     if wish.frames is not None:
         log = shortened(log, wish.frames)
     from eval.referee.plausibility import with_plausibility
-    from eval.replay.estimators import lack_with_walls
+    from eval.replay.estimators import lack_with_sensor
     from eval.replay.external.make import lack
     from eval.replay.external.spec import is_foreign, name_of
     from eval.replay.run import step_by_step
@@ -134,7 +134,7 @@ def _step(wish: Wish) -> None:
 
     if is_foreign(estimator) and (why := lack(estimator, task, association, setup)):
         raise UsageError(f"--estimator {name_of(estimator)}: {why}")
-    if not is_foreign(estimator) and (why := lack_with_walls(estimator, task, association, log.recorded)):
+    if not is_foreign(estimator) and (why := lack_with_sensor(estimator, task, association, log.recorded)):
         raise UsageError(f"log {log.name!r} has walls: {why}")
     images = ImageWriter(wish.save, open_windows())
     inputs = log.inputs(labels=association == "known")

@@ -12,7 +12,7 @@ from data.inputs import Inputs, IntArray, LandmarkMap
 from data.motion.systematic import SensorFrame, sensor_frame
 from data.pose_measurements import FrameClosures, FrameFixes
 from data.se2 import Array, BoolArray
-from graph.factors import LOSSES, between_factors, known_landmark_factors, landmark_factors
+from graph.factors import LOSSES, ObservationFactors, between_factors, known_landmark_factors, landmark_factors
 from graph.optimum import Smoothed, optimize
 from graph.pose_factors import PoseFactor, closure_factors, fix_factors
 from graph.problem import Problem
@@ -95,6 +95,9 @@ def build(
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     o = inputs.observations
+    if o.sensor is not None:
+        several = _of_several(inputs, used, number, loss)
+        return Problem(inputs.prior, motion, several, inputs.map is not None, None, None, of_poses)
     seen = (sensor, o.z[used], o.R[used], o.frame[used], number[used])
     at = None if inputs.map is None else inputs.map.xy[_rows_of(inputs.map, number[used])]
     if not sensor.sees_points:
@@ -127,6 +130,26 @@ def refuse_pose_measurements(inputs: Inputs, frame: SensorFrame) -> None:
     """Raise UsageError for fixes or closures beside errors of the sensor, whose frame is not the world."""
     if (inputs.fixes is not None or inputs.closures is not None) and not frame.same:
         raise UsageError(NO_SENSOR_ERRORS)
+
+
+def _of_several(inputs: Inputs, used: IntArray, number: IntArray, loss: str) -> list[ObservationFactors]:
+    """The observations `used` (m,) of a log with several sensors, of landmarks `number` (M,), by ascending frame.
+
+    Raises UsageError where systematic errors are to be estimated, or a sensor observes walls.
+    """
+    o, found = inputs.observations, list[ObservationFactors]()
+    assert o.sensor is not None
+    if inputs.systematic is not None or not all(s.sees_points for s in inputs.sensors):
+        raise UsageError("a log with several sensors: they must observe points, without systematic errors to estimate")
+    for i, sensor in enumerate(inputs.sensors):
+        rows = used[o.sensor[used] == i]
+        seen = (sensor, o.z[rows], o.R[rows], o.frame[rows], number[rows])
+        if inputs.map is None:
+            found += landmark_factors(*seen, loss)
+        else:
+            at = inputs.map.xy[_rows_of(inputs.map, number[rows])]
+            found += known_landmark_factors(*seen, at, len(found), loss)
+    return sorted(found, key=lambda s: s.frame)
 
 
 def _rows_of(known: LandmarkMap, ids: IntArray) -> IntArray:

@@ -92,7 +92,7 @@ class Candidates:
 
     def see(self, observations: FrameObservations, number: IntArray, P: Array) -> None:
         """Landmarks (m,) of SLAM were observed from a pose of covariance P (3, 3)."""
-        if self.sensor.sees_points:
+        if self.sensor.sees_points and self.sensor.locates:
             self._later(partial(self._drift.see, self.sensor, observations, number, P.copy()))
 
     def know(self, number: IntArray, J: Array) -> None:
@@ -112,7 +112,7 @@ class Candidates:
     def expect(self, number: IntArray, z_hat: Array, HPHt: Array) -> None:
         """Landmarks (n,) of SLAM are expected at z_hat (n, 2), with covariances (n, 2, 2)."""
         self._catch_up()
-        if self.sensor.sees_points:
+        if self.sensor.sees_points and self.sensor.locates:
             self._drift.expect(self.sensor, number, z_hat, HPHt)
 
     def known(self, point: Array, radius: float) -> tuple[IntArray, Array]:
@@ -191,5 +191,6 @@ def form(
         return form(sensor, pose, covariance, number, xy, observations, at if inside is None else inside(at), inside)
 
     return Expectation(
-        number, z_hat, blocks, zeros[:n], observations.z, observations.R, zeros[:m], sensor.residual, joint, elsewhere
-    )
+        number, z_hat, blocks, zeros[:n], observations.z, observations.R, zeros[:m], sensor.residual, joint, elsewhere,
+        len(sensor.measures),
+    )  # fmt: skip

@@ -31,8 +31,9 @@ def bearing_range(sensor: Sensor, z: Array, R: Array) -> tuple[Array, Array]:
     """[bearing, range] (m, 2) in the body frame, gtsam's order, with covariances (m, 2, 2). A rotated sensor only
     shifts the bearing; one off the robot's centre is converted through the point, to first order.
     """
-    if sensor.translation == (0.0, 0.0):
-        return np.stack([z[:, 1] - sensor.rotation, z[:, 0]], 1), R[:, ::-1, ::-1]
+    if sensor.translation == (0.0, 0.0) or not sensor.locates:
+        turn = sensor.rotation if sensor.translation == (0.0, 0.0) else 0.0
+        return np.stack([z[:, 1] - turn, z[:, 0]], 1), R[:, ::-1, ::-1]
     p, _, G = sensor.inverse(np.zeros(3), z)
     r = np.hypot(p[:, 0], p[:, 1])
     A = np.stack([np.stack([-p[:, 1], p[:, 0]], 1) / r[:, None] ** 2, p / r[:, None]], 1) @ G
@@ -59,7 +60,7 @@ def is_point(sensor: Sensor, z: Array, R: Array) -> BoolArray:
     """
     sigma = np.sqrt(R[:, 0, 0])
     near: BoolArray = (z[:, 0] < NEAR * sigma) & (sigma < UNMEASURED * np.maximum(z[:, 0], 1.0))
-    return near if sensor.kind == RANGE_BEARING else np.ones(len(z), np.bool_)
+    return near if sensor.kind == RANGE_BEARING else np.full(len(z), sensor.locates)
 
 
 noise = gtsam.noiseModel
@@ -93,9 +94,10 @@ class ObservationFactors:
     frame: int  # of the observation
     number: int  # landmark number (localization: the map's id)
     key: int | None  # the landmark's variable; None where the factor needs none
-    measured: list[Factor]  # the factors of the measurement, two residuals in all
+    measured: list[Factor]  # the factors of the measurement, two residuals in all; zero where nothing is measured
     pin: Factor | None = None  # holds a known landmark at its position in the map; None in SLAM
     xy: Array | None = None  # position of a known landmark; None in SLAM
+    dims: int = 2  # numbers measured
 
     @property
     def factors(self) -> list[Factor]:
@@ -253,7 +255,10 @@ def measured(sensor: Sensor, z: Array, R: Array, frame: IntArray) -> tuple[BoolA
         h, C = np.empty((len(z), 2)), np.empty((len(z), 2, 2))
         for which, convert in ((point, relative_point), (~point, bearing_range)):
             h[which], C[which] = convert(sensor, z[which], R[which])
-    return point, h, observation_roots(C, R, frame)
+    roots = observation_roots(C, R, frame)
+    for q in {0, 1} - set(sensor.measures):
+        roots[:, 1 - q] = 0.0
+    return point, h, roots
 
 
 def coordinate_factors(pose: int, landmark: int, point: Array, root: Array, loss: str) -> list[Factor]:
@@ -276,6 +281,25 @@ def coordinate_factors(pose: int, landmark: int, point: Array, root: Array, loss
     return factors
 
 
+def bearing_range_factor(sensor: Sensor, pose: int, landmark: int, h: Array, model: gtsam.noiseModel.Base) -> Factor:
+    """A factor of h = [bearing, range] (2,). Of a sensor off the robot's centre that measures only one of them, h is in
+    the sensor's own frame; gtsam has no such factor of a bearing, so this one is evaluated in Python.
+    """
+    if sensor.locates or sensor.translation == (0.0, 0.0):
+        return gtsam.BearingRangeFactor2D(pose, landmark, gtsam.Rot2(h[0]), h[1], model)
+    z = h[::-1]
+
+    def error(this: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[Array] | None) -> Array:
+        at = pose_array(values.atPose2(pose))
+        z_hat, Hx, Hl = (each[0] for each in sensor.linearize(at, values.atPoint2(landmark)[None]))
+        if jacobians is not None:
+            jacobians[0] = np.asfortranarray((Hx @ world_from_body(float(at[2])))[::-1])
+            jacobians[1] = np.asfortranarray(Hl[::-1])
+        return np.asarray(-sensor.residual(z, z_hat)[::-1])
+
+    return gtsam.CustomFactor(model, [pose, landmark], error)
+
+
 def landmark_factors(
     sensor: Sensor, z: Array, R: Array, frame: IntArray, number: IntArray, loss: str = "gaussian"
 ) -> list[ObservationFactors]:
@@ -286,8 +310,8 @@ def landmark_factors(
             factors = coordinate_factors(X(f), L(n), h, root, loss)
         else:
             model = with_loss(noise.Gaussian.SqrtInformation(root), loss)
-            factors = [gtsam.BearingRangeFactor2D(X(f), L(n), gtsam.Rot2(h[0]), h[1], model)]
-        result.append(ObservationFactors(f, n, L(n), factors))
+            factors = [bearing_range_factor(sensor, X(f), L(n), h, model)]
+        result.append(ObservationFactors(f, n, L(n), factors, dims=len(sensor.measures)))
     return result
 
 
@@ -314,8 +338,9 @@ def known_landmark_factors(
         if point:
             result.append(ObservationFactors(f, n, None, [gtsam.KnownLandmarkFactorPose2(X(f), at, h, model)], xy=at))
         else:
-            factor = gtsam.BearingRangeFactor2D(X(f), L(row), gtsam.Rot2(h[0]), h[1], model)
-            result.append(ObservationFactors(f, n, L(row), [factor], gtsam.PriorFactorPoint2(L(row), at, _HELD), at))
+            factor = bearing_range_factor(sensor, X(f), L(row), h, model)
+            pin, dims = gtsam.PriorFactorPoint2(L(row), at, _HELD), len(sensor.measures)
+            result.append(ObservationFactors(f, n, L(row), [factor], pin, at, dims))
     return result
 
 

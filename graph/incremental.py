@@ -70,6 +70,12 @@ class Isam2Smoother:
         walls = known is None and not sensor.sees_points
         self._engine = Engine(threshold, skip, qr=qr, name=self._observed.name, linear=linear, walls=walls)
 
+    def look(self, sensor: Sensor) -> None:
+        """Expect and use observations of this sensor from now on. ValueError beside systematic errors."""
+        if self._end.errors is not None:
+            raise ValueError("systematic errors are estimated with one sensor; this log has several")
+        self.sensor = self._observed.sensor = self._candidates.sensor = sensor
+
     def predict(self, increment: Increment) -> None:
         """Predict with an increment; the graph grows only with an observation."""
         self.frame += 1

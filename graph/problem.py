@@ -46,10 +46,11 @@ class Problem:
 
     @property
     def dof(self) -> int:
-        """Degrees of freedom of the chi-square: two for each observation, minus two for each landmark, and those of
-        fixes and closures. A systematic error does not count: it has a residual of its own, that of its prior.
+        """Degrees of freedom of the chi-square: what is measured, minus two for each landmark, and those of fixes and
+        closures. A systematic error does not count: it has a residual of its own, that of its prior.
         """
-        return 2 * len(self.observations) - 2 * len(self.numbers) + sum(f.dim() for f in self.of_poses)
+        own = sum(s.dims for s in self.observations) - 2 * len(self.numbers)
+        return own + sum(f.dim() for f in self.of_poses)
 
     def values(self, pose: Array, landmark: dict[int, Array], errors: Array | None = None) -> gtsam.Values:
         """Start values from poses (N, 3) and landmarks (2,) by number, of the robot in the world. `errors` (N, p):

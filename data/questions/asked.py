@@ -392,7 +392,12 @@ CHECKS: tuple[Callable[[Log], list[Notice]], ...] = (
 )
 
 
+OF_ONE_SENSOR = (bearings, reach, prior, conventions)
+"""Checks that read the observations of one sensor that locates its landmarks."""
+
+
 def ask(log: Log) -> tuple[Notice, ...]:
     """Questions about a log; none where it looks as it should."""
-    found = [*log.asked, *(question for check in CHECKS for question in check(log))]
+    checks = [c for c in CHECKS if c not in OF_ONE_SENSOR or not log.recorded.several_or_partial]
+    found = [*log.asked, *(question for check in checks for question in check(log))]
     return tuple(question.about(log=log.name) for question in found)

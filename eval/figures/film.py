@@ -317,8 +317,10 @@ def _draw_rays(image: Image, scene: _Scene, k: int, pose: Array) -> None:
     z = inputs.observations.z[rows]
     if len(z) == 0:
         return
-    seen = inputs.sensor.inverse(pose, z)[0]
+    seen = inputs.sensor_of(np.arange(rows.start, rows.stop)).inverse(pose, z)[0]
     for point, decision in zip(seen, run.decisions[rows].tolist(), strict=True):
+        if not np.isfinite(point).all():  # a bearing or a range alone has no place
+            continue
         used = decision >= 0 or decision == NEW
         canvas.line(image, np.stack([pose[:2], point]), scene.colour if used else PALE)
         canvas.dot(image, point, 2.5, scene.colour if used else PALE)

@@ -41,7 +41,7 @@ def log_figure(log: Log) -> Figure:
     placed: IntArray = np.flatnonzero(np.all(np.isfinite(pose[o.frame]), axis=1))
     if len(placed):
         if inputs.sensor.sees_points:
-            xy = inputs.sensor.inverse(pose[o.frame[placed]], o.z[placed])[0]
+            xy = inputs.sensor_of(placed).inverse(pose[o.frame[placed]], o.z[placed])[0]
         else:  # where the wall is nearest to the sensor
             xy = feet(log, pose)[placed]
         label = log.granted

@@ -74,7 +74,7 @@ def _anchor(log: Log, shown: Sequence[Series]) -> Array:
 def feet(log: Log, path: Array) -> Array:
     """Points observed, or where walls are nearest to the sensor (M, 2), seen from a path (N, 3)."""
     o = log.recorded.observations
-    return transform_points(path[o.frame], log.recorded.sensor.body_points(o.z, o.R)[0]).reshape(-1, 2)
+    return transform_points(path[o.frame], log.recorded.sensor_of().body_points(o.z, o.R)[0]).reshape(-1, 2)
 
 
 def chords(walls: Array, low: Array, high: Array) -> tuple[IntArray, Array]:

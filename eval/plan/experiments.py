@@ -28,7 +28,7 @@ from eval.plan.foreign import check_possible, check_scenario, introduce_all, loa
 from eval.plan.lab import VISUAL, lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.plan.variants import has_depth_noise, maintained, sparser, with_depth_noise
-from eval.replay.estimators import FOR_WALLS, NO_HINDSIGHT_OF_WALLS
+from eval.replay.estimators import FOR_SEVERAL, FOR_WALLS, NO_HINDSIGHT_OF_SEVERAL, NO_HINDSIGHT_OF_WALLS
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import HINDSIGHT
 from eval.studies.scenario import Scenario, load_scenario
@@ -188,14 +188,17 @@ def _tasks(log: Log, asked: Selection) -> Sequence[str]:
 def _work(log: Log, asked: Selection) -> tuple[Work, ...]:
     """Every estimator with every given association method."""
     scans, points = log.recorded.scans is not None, len(log.recorded.observations.frame) > 0
-    walls = not log.recorded.sensor.sees_points
-    alone = SCAN if scans and not points else FOR_WALLS if walls else HINDSIGHT
+    given = log.recorded
+    walls, several = not given.sensor.sees_points, len(given.sensors) > 1 or not given.sensor.locates
+    alone = SCAN if scans and not points else FOR_WALLS if walls else FOR_SEVERAL if several else HINDSIGHT
     associations = asked.association or (("known",) if log.has_labels else (alone,))
     if SCAN in associations and not scans:
         raise UsageError(f"--association {SCAN}: log {log.name!r} has no laser scans")
     check_possible_on(log, (), associations)
     if HINDSIGHT in associations and walls:
         raise UsageError(f"--association {HINDSIGHT}: log {log.name!r} has walls; {NO_HINDSIGHT_OF_WALLS}")
+    if HINDSIGHT in associations and several:
+        raise UsageError(f"--association {HINDSIGHT}: log {log.name!r}: {NO_HINDSIGHT_OF_SEVERAL}")
     other = [e for e in asked.estimator if e not in BACK_ENDS]
     if SCAN in associations and other:
         raise UsageError(f"--estimator {other[0]}: not for laser log {log.name!r}; name some of {', '.join(BACK_ENDS)}")

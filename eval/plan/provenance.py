@@ -125,4 +125,6 @@ def input_digest(log: Log) -> str:
         digest.update(str(array.shape).encode())
         digest.update(array.tobytes())
     digest.update(repr(r.sensor).encode())
+    if r.observations.sensor is not None:
+        digest.update(repr([(s, s.label, s.sees) for s in r.sensors]).encode() + r.observations.sensor.tobytes())
     return digest.hexdigest()

@@ -298,7 +298,7 @@ def _add_log(pack: Pack, log: Log, quantum: float) -> None:
     span = float(np.abs(r.time).max(initial=0.0))
     pack.add("time", r.time - r.time[0] if span > MOST_TIME * TIME else r.time, TIME)
     pack.add("count", np.diff(r.start))
-    points, covariance = r.sensor.body_points(r.observations.z, r.observations.R)
+    points, covariance = r.sensor_of().body_points(r.observations.z, r.observations.R)
     add_points(pack, "point", points, spread(covariance), fine)
     if t.pose is not None:
         pack.add("truth", t.pose[:, :2], fine)

@@ -51,6 +51,8 @@ def registered(run: Run, inputs: Inputs) -> Registered | None:
     m, o = run.map, inputs.observations
     if m is None or not len(m) or run.walls or len(run.final_decisions) != len(o.frame) or not run.phases:
         return None
+    if inputs.several_or_partial:
+        return None
     number, path = observed(run), run.trajectory(run.phases[-1])
     rows = np.full(int(max(number.max(initial=0), m.number.max())) + 1, -1, np.int64)
     rows[m.number] = np.where(_finite(m.xy), np.arange(len(m)), -1)
@@ -375,7 +377,8 @@ def ambiguous(run: Run, inputs: Inputs) -> IntArray:
     All `NONE` for walls, and where the decisions are not about the observations of these inputs.
     """
     m, o = run.map, inputs.observations
-    if m is None or not len(m) or run.walls or len(run.final_decisions) != len(o.frame) or not len(o.frame):
+    strange = inputs.several_or_partial or run.walls or len(run.final_decisions) != len(o.frame)
+    if m is None or not len(m) or strange or not len(o.frame):
         return np.full(0 if m is None else len(m), NONE, np.int64)
     number = observed(run)
     seen = np.flatnonzero(number >= 0)

@@ -75,6 +75,8 @@ def _crowded(run: Run, inputs: Inputs) -> Notice | None:
     """A notice where most landmarks are close to another one that no common frame saw."""
     if run.task != "slam" or run.map is None or 2 * len(run.map) < FEWEST or not inputs.sensor.sees_points:
         return None
+    if inputs.several_or_partial:
+        return None
     o, places = inputs.observations, run.map
     if not len(o.z):  # corners of scans are the landmarks
         return None
@@ -264,10 +266,11 @@ def _pairing(run: Run, trial: Trial, used: Used, path: Array, i: int) -> dict[st
     o, frame = recorded.observations, int(recorded.observations.frame[i])
     landmark = int(used.identity[used.number[i]])
     there = used.landmarks[used.number[i]]
-    if recorded.sensor.sees_points:
-        off = float(np.hypot(*(there - recorded.sensor.inverse(path[frame], o.z[i : i + 1])[0][0])))
+    sensor = recorded.sensor_at(i)
+    if sensor.sees_points and sensor.locates:
+        off = float(np.hypot(*(there - sensor.inverse(path[frame], o.z[i : i + 1])[0][0])))
     else:
-        off = abs(float(recorded.sensor.residual(o.z[i], recorded.sensor.predict(path[frame], there)[0])[0]))
+        off = abs(float(sensor.residual(o.z[i], sensor.predict(path[frame], there)[0])[0]))
     began = bool(run.initialized[i] >= 0)
     right = None if began else _is_right(run, trial, landmark, i)
     place = i - int(recorded.start[frame])

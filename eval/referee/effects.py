@@ -74,7 +74,7 @@ def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
     """Derivatives (M, 2) of the observations; zero where not paired."""
     o, sensor = inputs.observations, inputs.sensor
     rows = np.flatnonzero(used.number >= 0)
-    if not len(rows):
+    if not len(rows) or inputs.several_or_partial:
         return {}
     pose, landmark = path[o.frame[rows]], used.landmarks[used.number[rows]]
     z, Hx, Hm = sensor.linearize(pose, landmark)

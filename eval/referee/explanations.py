@@ -202,7 +202,7 @@ def _displaced(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
     for landmark in _largest(strength, 1):
         own = rows[number == landmark]
         place = np.repeat(e.used.landmarks[landmark][None], len(own), axis=0)
-        _, _, Hm = e.inputs.sensor.linearize(e.path[o.frame[own]], place)
+        _, _, Hm = e.inputs.sensor_of(own).linearize(e.path[o.frame[own]], place)
         columns = []
         for i in range(2):
             column = np.zeros((len(o.frame), 2))

@@ -62,6 +62,8 @@ def _unseen(run: Run, inputs: Inputs) -> Notice | None:
     """A stretch of SLAM in which the landmarks in view are hardly ever detected."""
     if inputs.map is not None or run.map is None or run.online is None:
         return None
+    if inputs.several_or_partial:
+        return None
     if not inputs.sensor.sees_points:  # whether a wall is in view depends on where it ends
         return None
     could, did, sensed = former_observations(run, inputs)

@@ -44,6 +44,8 @@ def judged(runs: Sequence[Run], inputs: Inputs) -> list[Run]:
 def _of_what_was_measured(run: Run, inputs: Inputs) -> Run:
     """The run, with one degree of freedom for a bearing alone: its range is a place to linearize at, not a value."""
     o = inputs.observations
+    if inputs.several_or_partial:  # counted by their sensors
+        return run
     blind = inputs.sensor.bearings_alone(o.z, o.R)
     if not blind.any() or run.failure is not None:
         return run
@@ -117,7 +119,8 @@ def first_misfit(run: Run, inputs: Inputs) -> int:
     rows = np.flatnonzero(used.number >= 0)
     if len(rows):
         o, xy = inputs.observations, used.landmarks[used.number[rows]]
-        nu = inputs.sensor.residual(o.z[rows], inputs.sensor.predict(path[o.frame[rows]], xy))
+        sensor = inputs.sensor_of(rows)
+        nu = sensor.residual(o.z[rows], sensor.predict(path[o.frame[rows]], xy))
         np.maximum.at(worst, o.frame[rows], _squared(nu, o.R[rows]) / 2.0)
     wild = worst > ABSURD
     return int(np.argmax(wild)) if wild.any() else int(np.argmax(worst))
@@ -160,8 +163,11 @@ def _landmark_distance(landmarks: Array, pose: Array, sensor: Sensor) -> Array:
 
 def farthest_observed(inputs: Inputs) -> float:
     """Largest distance [m] of an observed landmark: the sensor's range, or the longest observed one, with a margin."""
-    longest = float(inputs.sensor.polar(inputs.observations.z)[:, 0].max(initial=0.0))
-    most = inputs.sensor.max_range
+    ranges = inputs.measured()[:, 0]
+    if inputs.several_or_partial and not ranges.all():
+        return math.inf  # bearings have no end
+    longest = float(inputs.sensor_of().polar(inputs.observations.z)[:, 0].max(initial=0.0))
+    most = max(s.max_range for s in inputs.sensors or (inputs.sensor,))
     sigma = math.sqrt(float(inputs.observations.R[:, 0, 0].max(initial=0.0)))
     return MARGIN * max(longest, most if math.isfinite(most) else 0.0) + WILD * sigma
 

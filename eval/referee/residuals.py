@@ -70,9 +70,9 @@ def smoothed_residuals(inputs: Inputs, path: Array, used: Used) -> Residuals:
     rows = np.flatnonzero(used.number >= 0)
     if len(rows):
         o = inputs.observations
-        expected = inputs.sensor.predict(path[o.frame[rows]], used.landmarks[used.number[rows]])
-        nu = inputs.sensor.residual(o.z[rows], expected)
-        observations[rows] = nu / np.sqrt(np.einsum("mii->mi", o.R[rows]))
+        sensor = inputs.sensor_of(rows)
+        nu = sensor.residual(o.z[rows], sensor.predict(path[o.frame[rows]], used.landmarks[used.number[rows]]))
+        observations[rows] = np.where(inputs.measured(rows), nu / np.sqrt(np.einsum("mii->mi", o.R[rows])), np.nan)
         squared[rows] = np.einsum("mi,mi->m", nu, np.linalg.solve(o.R[rows], nu[:, :, None])[:, :, 0])
     return Residuals(odometry, observations, squared)
 
@@ -120,8 +120,8 @@ def misfits(inputs: Inputs, path: Array, used: Used, residuals: Residuals) -> tu
     elsewhere = 0
     o = inputs.observations
     for i in np.flatnonzero(outlying):
-        expected = inputs.sensor.predict(path[o.frame[i]], used.landmarks)
-        nu = inputs.sensor.residual(o.z[i], expected)
+        sensor = inputs.sensor_at(int(i))
+        nu = sensor.residual(o.z[i], sensor.predict(path[o.frame[i]], used.landmarks))
         squared = np.einsum("li,li->l", nu, np.linalg.solve(o.R[i], nu.T).T)
         squared[used.number[i]] = np.inf
         elsewhere += bool(squared.min(initial=np.inf) < FITTING)

@@ -12,6 +12,7 @@ from data.inputs import FrameObservations, Increment, IntArray
 from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
 from data.result import Finished, MapState, PoseEstimate, Updated
 from data.se2 import Array
+from data.sensors import Sensor
 from ekf.filter import DEFAULT, FilterOptions, lack
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
@@ -162,6 +163,14 @@ class Resettable(Protocol):
 
 
 @runtime_checkable
+class Looking(Protocol):
+    """It can use several sensors."""
+
+    def look(self, sensor: Sensor) -> None:
+        """Expect and use observations of this sensor from now on."""
+
+
+@runtime_checkable
 class Fixable(Protocol):
     """It can use absolute measurements of the pose."""
 
@@ -195,13 +204,14 @@ class Capabilities(NamedTuple):
     amendable: Amendable | None
     inflatable: Inflatable | None
     resettable: Resettable | None
+    looking: Looking | None
     fixable: Fixable | None
     closable: Closable | None
 
 
 CAPABILITIES: tuple[Any, ...] = (
     *(Timed, Stateful, Calibrating, Parkable, Removable),
-    *(Revisable, Amendable, Inflatable, Resettable, Fixable, Closable),
+    *(Revisable, Amendable, Inflatable, Resettable, Looking, Fixable, Closable),
 )
 """In the order of the fields of `Capabilities`."""
 
@@ -264,15 +274,29 @@ def make_estimator(
 
 FOR_WALLS = "jcbb"  # default association method for walls without labels
 NO_HINDSIGHT_OF_WALLS = f"{HINDSIGHT} knows landmarks as points, walls can be paired by {FOR_WALLS}"
+FOR_SEVERAL = "jcbb"  # default for several sensors, or one of bearings or ranges alone, without labels
+NO_HINDSIGHT_OF_SEVERAL = (
+    f"{HINDSIGHT} knows one sensor that locates its landmarks; with several, or with bearings or ranges alone, "
+    f"observations can be paired by {FOR_SEVERAL}"
+)
+NO_NEW_LANDMARKS = (
+    "a bearing or a range alone does not locate a new landmark, so in SLAM its observations need labels; "
+    "use --association known"
+)
 
 
-def lack_with_walls(
+def lack_with_sensor(
     name: str, task: str, association: str, given: Given, options: FilterOptions | None = None
 ) -> str | None:
-    """Why an estimator with an association method cannot process walls; None if it can, or the sensor sees points.
+    """Why an estimator with an association method cannot use these sensors; None if it can.
 
     `options` replace those of a filter's name.
     """
+    sensors = given.sensors or (given.sensor,)
+    if association == HINDSIGHT and (len(sensors) > 1 or not given.sensor.locates):
+        return NO_HINDSIGHT_OF_SEVERAL
+    if task == "slam" and association != "known" and not all(s.locates for s in sensors):
+        return NO_NEW_LANDMARKS
     if given.sensor.sees_points:
         return None
     if association == HINDSIGHT:

@@ -17,7 +17,7 @@ from association.truncated import Acceptance, acceptance, accepted_moments, trun
 from data.errors import UsageError
 from data.inputs import Frame, FrameObservations, IntArray, LandmarkMap
 from data.notice import Code, Notice, Severity, notice
-from data.result import DISCARD, Event, MapState, Updated
+from data.result import DISCARD, NEW, Event, MapState, Updated
 from data.se2 import Array
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
@@ -94,9 +94,10 @@ class FrontEnd:
         if association == HINDSIGHT and not given.sensor.sees_points:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)
         self.given = Beginning(
-            given.prior, given.sensor, given.map, given.systematic, given.fixes, given.closures
+            given.prior, given.sensor, given.map, given.systematic, given.fixes, given.closures, given.sensors
         )  # fmt: skip
         self.setup = setup
+        self.sensor = given.sensor  # that of the observations at hand
         self.association = name_of(association)  # `known` (labels decide) or a method's name
         self._method = Method(load(association)) if is_foreign(association) else association
         self.use(make_estimator(estimator, given, options, lag=setup.lag))
@@ -122,7 +123,11 @@ class FrontEnd:
         self.faces = Faces(given.sensor) if self.slam and not given.sensor.sees_points else None
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
-        self._threshold = gate_threshold(setup.label_gate) if gated else math.inf
+        self._label_gate = setup.label_gate if gated else None
+        self._threshold = gate_threshold(self._label_gate, len(self.sensor.measures))
+        self._kind: dict[int, str] = {}  # of landmarks that are not for every sensor, by number
+        if given.map is not None and given.map.kind is not None:
+            self._kind = dict(zip(given.map.id.tolist(), given.map.kind, strict=True))
 
     def use(self, estimator: Estimator) -> None:
         """Give the decisions to this estimator, before its first frame."""
@@ -146,6 +151,14 @@ class FrontEnd:
         if self.map_management is not None:
             self.map_management.begin(frame.number, frame.time)
 
+    def look(self, frame: Frame) -> None:
+        """Use the sensor of (a part of) a frame; `Frame.by_sensor`."""
+        if frame.sensor is None or self.sensor is (sensor := self.given.sensors[int(frame.sensor[0])]):
+            return
+        needed(self.can.looking, "`look`", "a log with several sensors").look(sensor)
+        self.sensor = sensor
+        self._threshold = gate_threshold(self._label_gate, len(sensor.measures))
+
     def use_poses(self, frame: Frame) -> None:
         """Update with the frame's fixes and closures."""
         self.poses.use(frame)
@@ -153,7 +166,10 @@ class FrontEnd:
     def associate(self, frame: Frame) -> Pairing:
         """Decide about (a part of) this frame's observations."""
         if self.known is not None:
-            return Pairing(self.known.decide(frame))
+            decisions = self.known.decide(frame)
+            if self.slam and not self.sensor.locates:  # it initializes no landmark
+                decisions[decisions == NEW] = DISCARD
+            return Pairing(decisions)
         expectation = self.expect(frame.observations)
         decisions, complete = self.decide(expectation)
         self.incomplete += not complete
@@ -162,18 +178,23 @@ class FrontEnd:
     @property
     def passed(self) -> Acceptance:
         """The gates that a used pairing has passed."""
-        return Acceptance(self._threshold) if self.known is not None else acceptance(self.association, self.setup.gate)
+        if self.known is not None:
+            return Acceptance(self._threshold)
+        return acceptance(self.association, self.setup.gate, len(self.sensor.measures))
 
     def expect(self, observations: FrameObservations) -> Expectation:
         """The estimator's expectation of its candidates; parked landmarks that may be in view are restored first."""
         if self.parking is not None:
             self.parking.offer(observations)
         e = self.estimator.expect(observations)
-        if not self.given.sensor.sees_points:
-            e = aligned_with_observations(e, self.given.sensor)
+        if not self.sensor.sees_points:
+            e = aligned_with_observations(e, self.sensor)
+        if self.sensor.sees and self._kind:
+            kinds = [self._kind.get(n, self.sensor.sees) for n in e.number.tolist()]
+            e = e.only(np.flatnonzero(np.array(kinds, object) == self.sensor.sees))
         if self.faces is not None and len(e.number):
             e = e.only(np.flatnonzero(self.faces.visible(*self.estimator.estimate(), e.number, e.z_hat)))
-        return e.only(np.flatnonzero(in_view(self.given.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
+        return e.only(np.flatnonzero(in_view(self.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
         """Decisions by the method of this run, or by another one for comparison."""
@@ -202,6 +223,8 @@ class FrontEnd:
         )
         if self.known is not None and self.slam:
             self.known.initialized(frame, done.created)
+        if self.slam and self.sensor.sees:
+            self._kind |= dict.fromkeys(done.created[done.created >= 0].tolist(), self.sensor.sees)
         if self.faces is not None or self.map_management is not None or self.parking is not None:
             self._see(frame, np.where(done.used, pairing.decisions, done.created))
         if self.own is not None:
@@ -225,9 +248,12 @@ class FrontEnd:
         if self.passed.everything:
             return None
         if self.known is not None:  # each pairing by itself
-            mean, variance = truncated_square(self._threshold)
-            return mean * dof / 2, variance * dof / 2
-        return None if S is None or len(S) != dof else accepted_moments(S, self.passed, self.k)
+            dims = len(self.sensor.measures)
+            mean, variance = truncated_square(self._threshold, dims)
+            return mean * dof / dims, variance * dof / dims
+        measures = self.sensor.measures
+        whole = S is not None and len(S) // 2 * len(measures) == dof
+        return accepted_moments(S, self.passed, self.k, measures) if S is not None and whole else None
 
     def tidy(self) -> None:
         """The end of a frame: remove landmarks by the rules of the setup."""

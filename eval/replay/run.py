@@ -27,7 +27,7 @@ from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.slam import EkfSlam
 from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import batch
-from eval.replay.estimators import OPTIONS, lack_with_walls
+from eval.replay.estimators import OPTIONS, lack_with_sensor
 from eval.replay.external.guard import ForeignError
 from eval.replay.external.load import Thing, in_one_line, text_of
 from eval.replay.external.make import CannotError, require
@@ -203,6 +203,7 @@ def through(
     observer.moved(front)
     front.use_poses(frame)  # update with fixes and closures
     for part in _parts(frame, each):
+        front.look(part)  # through its sensor
         pairing = front.associate(part)  # expect and decide
         observer.decided(front, part, pairing)
         done = front.update(part, pairing)  # with all pairings, then new landmarks
@@ -213,8 +214,8 @@ def through(
 def front_end(
     name: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
 ) -> FrontEnd:
-    """The front end of an estimator and an association method. Raises CannotError for what walls forbid."""
-    why = lack_with_walls(name, "slam" if given.map is None else "localization", association, given, options)
+    """The front end of an estimator and an association method. Raises CannotError for what the sensors forbid."""
+    why = lack_with_sensor(name, "slam" if given.map is None else "localization", association, given, options)
     if why is not None:
         raise CannotError(why)
     kind = FrontEnd
@@ -227,7 +228,7 @@ def _parts(frame: Frame, each: bool) -> list[Frame]:
     count = len(frame.observations.z)
     if each:
         return [frame.part(slice(i, i + 1)) for i in range(count)]
-    return [frame] if count else []
+    return frame.by_sensor() if count else []
 
 
 def compare(
@@ -344,9 +345,11 @@ class _Comparison:
         managed = self.setup.manages_map and self.task == "slam"
         if name not in FILTERS or self.association != "known" or managed:
             return None
+        if self.inputs.observations.sensor is not None or not self.inputs.sensor.locates:
+            return None
         if self.inputs.fixes is not None or self.inputs.closures is not None:
             return None
-        if lack_with_walls(name, self.task, self.association, self.inputs) is not None:
+        if lack_with_sensor(name, self.task, self.association, self.inputs) is not None:
             return None
         return filter_known(self.inputs, self.task, name=name, threshold=gate_threshold(self.setup.label_gate))
 

@@ -168,6 +168,10 @@ class Given(Protocol):
         """Systematic errors to estimate, or None."""
 
     @property
+    def sensors(self) -> tuple[Sensor, ...]:
+        """All sensors where there are several, of which `sensor` is the first; else empty."""
+
+    @property
     def fixes(self) -> Fixes | None:
         """Absolute measurements of the pose, or None."""
 
@@ -185,3 +189,4 @@ class Beginning(NamedTuple):
     systematic: Systematic | None = None
     fixes: Fixes | None = None
     closures: Closures | None = None
+    sensors: tuple[Sensor, ...] = ()

@@ -161,7 +161,8 @@ def systematic(
     m = len(used)
     seen, slot = np.unique(row, return_inverse=True)
     size = n if inputs.map is not None else n + len(seen)
-    z_hat, Hx, Hl = inputs.sensor.linearize(path[frame], landmarks[row])
+    sensor = inputs.sensor_of(used)
+    z_hat, Hx, Hl = sensor.linearize(path[frame], landmarks[row])
     along = None if found is None else estimated_errors(stated, found, path, frame, z_hat)
     observed = observed[used]
     if along is not None:
@@ -179,7 +180,7 @@ def systematic(
     b[1:n, :, 1:] = -white @ B[1:] @ motion[1:]
     white = np.linalg.inv(np.linalg.cholesky(inputs.observations.R[used]))
     A[n:, :2, :3] = white @ Hx
-    b[n:, :2, 0] = np.einsum("mij,mj->mi", white, inputs.sensor.residual(inputs.observations.z[used], z_hat))
+    b[n:, :2, 0] = np.einsum("mij,mj->mi", white, sensor.residual(inputs.observations.z[used], z_hat))
     b[n:, :2, 1:] = -white @ observed
     if inputs.map is None:
         variable[n:, 1] = n + slot

@@ -25,7 +25,7 @@ from eval.player.scene import scene
 from eval.referee import lost
 from eval.referee.plausibility import implausibility
 from eval.referee.score import Trial, association_row, metrics_row
-from eval.replay.estimators import lack_with_walls
+from eval.replay.estimators import lack_with_sensor
 from eval.replay.map_management import Parking
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
@@ -91,17 +91,17 @@ def test_what_walls_forbid_is_incomplete_with_its_reason_and_others_go_on(log, n
     ],
 )
 def test_before_a_run_it_is_said_why_walls_forbid_it(log, name, task, way, options, reason):
-    why = lack_with_walls(name, task, way, log.recorded, options)
+    why = lack_with_sensor(name, task, way, log.recorded, options)
     assert why is None if reason is None else reason in str(why)
-    assert lack_with_walls(name, task, way, circle_log().recorded, options) is None, "of points nothing is forbidden"
+    assert lack_with_sensor(name, task, way, circle_log().recorded, options) is None, "of points nothing is forbidden"
 
 
 @pytest.mark.parametrize("task", ["slam", "localization"])
 def test_before_a_run_it_is_said_that_errors_of_the_sensor_are_those_of_points(log, task):
     inputs = replace(log.recorded, systematic=Systematic(("bearing",), np.array([0.1])))
-    assert "with walls only odometry's errors can be estimated" in str(lack_with_walls("ekf", task, "jcbb", inputs))
+    assert "with walls only odometry's errors can be estimated" in str(lack_with_sensor("ekf", task, "jcbb", inputs))
     wheels = replace(log.recorded, systematic=Systematic(("scale",), np.array([0.1])))
-    assert lack_with_walls("ekf", task, "jcbb", wheels) is None
+    assert lack_with_sensor("ekf", task, "jcbb", wheels) is None
 
 
 def test_in_a_known_map_the_invariant_filter_localizes(log):

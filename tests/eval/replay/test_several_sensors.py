@@ -1,0 +1,159 @@
+"""Logs with several sensors, and with bearings or ranges alone."""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
+from data.log import Log
+from data.se2 import compose
+from data.sensors import Bearing, EachSensor, Range, RangeBearing, RelativePoint, Sensor
+from data.truth import Truth
+from eval.replay.run import compare, step_by_step
+
+LIDAR = RangeBearing(max_range=12.0, translation=(-0.2, 0.0), label="lidar", sees="tree")
+CAMERA = Bearing(rotation=0.1, label="camera")
+TAGS = RelativePoint(max_range=6.0, translation=(0.1, 0.05), label="tags", sees="tree")
+RADIO = Range(label="radio", sees="beacon")
+SIGMA = {"lidar": (0.1, 0.01), "camera": (1.0, 0.01), "tags": (0.05, 0.05), "radio": (0.1, 1.0)}
+
+
+def drive(seed: int, sensors: tuple[Sensor, ...], frames: int = 60) -> Log:
+    """A circle among trees and two beacons, observed with all of these sensors."""
+    rng = np.random.default_rng(seed)
+    around, away = rng.uniform(-np.pi, np.pi, 12), rng.choice([-1.0, 1.0], 12) * rng.uniform(1.5, 4.0, 12)
+    trees = np.stack([(5.0 + away) * np.cos(around), 5.0 + (5.0 + away) * np.sin(around)], 1)  # beside the path
+    known = LandmarkMap(
+        np.arange(14), np.concatenate([trees, [[-9.0, 12.0], [9.0, -3.0]]]), ("tree",) * 12 + ("beacon",) * 2
+    )
+    step, spread = np.array([0.3, 0.0, 0.06]), np.diag([0.02, 0.01, 0.01]) ** 2
+    start = rng.multivariate_normal(np.zeros(3), np.diag([0.05, 0.05, 0.02]) ** 2)
+    pose = [start]
+    for _ in range(frames - 1):
+        pose.append(compose(pose[-1], step))
+    path = np.array(pose)
+    mean = np.tile(step, (frames, 1)) + rng.multivariate_normal(np.zeros(3), spread, frames)
+    mean[0] = 0.0
+    covariance = np.tile(spread, (frames, 1, 1))
+    covariance[0] = 0.0
+    frame, z, R, which, true = [], [], [], [], []
+    for k in range(frames):
+        for i, sensor in enumerate(sensors):
+            sigma = np.array(SIGMA[sensor.label])
+            here = sensor.predict(path[k], known.xy)
+            kinds = np.array([not sensor.sees or kind == sensor.sees for kind in known.kind])
+            for n in np.flatnonzero(sensor.in_view(here) & kinds & (rng.random(14) < 0.6)):
+                noise = rng.standard_normal(2) * sigma * [q in sensor.measures for q in (0, 1)]
+                frame.append(k)
+                z.append(here[n] + noise)
+                R.append(np.diag(np.where([q in sensor.measures for q in (0, 1)], sigma**2, 1.0)))
+                which.append(i)
+                true.append(n)
+    several = len(sensors) > 1
+    seen = Observations(
+        np.array(frame), np.array(z), np.array(R), sensor=np.array(which, np.int64) if several else None
+    )
+    inputs = Inputs(
+        Prior(np.zeros(3), np.diag([0.05, 0.05, 0.02]) ** 2), 0.1 * np.arange(frames), Increments(mean, covariance),
+        seen, sensors[0], known, sensors=sensors if several else (),
+    )  # fmt: skip
+    return Log("drive", inputs, Truth(path, known, np.array(true)))
+
+
+ALL = (LIDAR, CAMERA, TAGS, RADIO)
+
+
+class TestEachSensor:
+    """Rows of several sensors are those of each by itself."""
+
+    rng: ClassVar = np.random.default_rng(0)
+
+    def test_predictions(self) -> None:
+        pose, points = self.rng.normal(size=(9, 3)), self.rng.normal(size=(9, 2)) * 5.0
+        which = np.arange(9) % 4
+        z, Hx, Hl = EachSensor(ALL, which).linearize(pose, points)
+        for i, row in enumerate(which):
+            one = ALL[row].linearize(pose[i], points[i])
+            for a, b in zip((z, Hx, Hl), one, strict=True):
+                np.testing.assert_array_equal(a[i], b[0])
+
+    def test_what_is_not_measured_has_no_innovation(self) -> None:
+        pose, points = self.rng.normal(size=(5, 3)), self.rng.normal(size=(5, 2))
+        for sensor, empty in ((CAMERA, 0), (RADIO, 1)):
+            z, Hx, Hl = sensor.linearize(pose, points)
+            assert not z[:, empty].any()
+            assert not Hx[:, empty].any()
+            assert not Hl[:, empty].any()
+
+
+@pytest.mark.parametrize("sensors", [(CAMERA,), (RADIO,), ALL], ids=["bearings", "ranges", "all"])
+@pytest.mark.parametrize("name", ["ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "isam2", "fixed-lag", "batch"])
+def test_localization_is_consistent(sensors: tuple[Sensor, ...], name: str) -> None:
+    """The NIS has as many degrees of freedom as numbers were measured, and errors fit their covariance."""
+    nis, dof, nees = 0.0, 0, []
+    for seed in range(3):
+        log = drive(seed, sensors)
+        inputs = log.inputs(labels=True)
+        (run,) = compare(inputs, "localization", [name], "known")
+        assert run.failure is None
+        if run.total_nis is not None:  # fixed-lag has no cost of the whole run
+            assert run.total_nis[1] == int(inputs.measured().sum())
+            nis, dof = nis + run.total_nis[0], dof + run.total_nis[1]
+        path = run.trajectory(run.phases[-1])
+        off = path.pose - log.truth.pose
+        off[:, 2] = (off[:, 2] + np.pi) % (2.0 * np.pi) - np.pi
+        nees.append(np.einsum("ni,ni->n", off, np.linalg.solve(path.covariance, off[:, :, None])[:, :, 0]).mean())
+    assert abs(nis - dof) <= 4.0 * np.sqrt(2.0 * dof)
+    assert np.mean(nees) < 6.0
+
+
+def test_filter_and_smoother_agree_at_the_last_pose() -> None:
+    log = drive(1, ALL)
+    ekf, isam2, batch = compare(log.inputs(labels=True), "localization", ["ekf", "isam2", "batch"], "known")
+    sigma = np.sqrt(np.diagonal(batch.final.covariance[-1]))
+    assert (np.abs(ekf.online.pose[-1] - batch.final.pose[-1]) < 0.3 * sigma).all()
+    assert (np.abs(isam2.final.pose[-1] - batch.final.pose[-1]) < 1e-3 * sigma).all()
+
+
+@pytest.mark.parametrize("name", ["ekf", "isam2"])
+@pytest.mark.parametrize("method", ["nn", "ml", "jcbb", "gnn", "singles"])
+def test_landmarks_of_another_kind_are_no_candidates(name: str, method: str) -> None:
+    log = drive(2, ALL)
+    run = step_by_step(name, log.inputs().without_labels(), "localization", method)
+    assert run.failure is None
+    which = log.recorded.observations.sensor
+    paired = run.decisions >= 0
+    trees = (which == 0) | (which == 2)
+    assert (run.decisions[paired & trees] < 12).all()
+    assert (run.decisions[paired & (which == 3)] >= 12).all()
+    right = run.decisions == log.truth.landmark_of
+    assert right[which != 1].mean() > 0.9
+
+
+def test_slam_of_sensors_that_locate_landmarks_uses_the_others_too() -> None:
+    log = drive(3, (LIDAR, CAMERA, TAGS))
+    ekf, batch = compare(log.inputs(labels=True), "slam", ["ekf", "batch"], "known")
+    used = (ekf.decisions >= 0) & (log.recorded.observations.sensor == 1)
+    assert used.sum() > 50
+    assert np.abs(batch.final.pose - log.truth.pose)[:, :2].max() < 1.0
+
+
+def test_slam_without_labels_of_bearings_alone_is_refused() -> None:
+    log = drive(4, (CAMERA,))
+    run = compare(log.inputs(), "slam", ["ekf"], "jcbb")[0]
+    assert run.failure is not None
+    assert "does not locate a new landmark" in run.failure.text
+
+
+def test_one_sensor_listed_alone_changes_nothing() -> None:
+    log = drive(5, (LIDAR,))
+    r = log.recorded
+    tagged = replace(r.observations, sensor=np.zeros(len(r.observations.frame), np.int64))
+    other = replace(log, recorded=replace(r, observations=tagged, sensors=(LIDAR,)))
+    for name in ("ekf", "batch"):
+        one = compare(log.inputs(labels=True), "slam", [name], "known")[0]
+        two = compare(other.inputs(labels=True), "slam", [name], "known")[0]
+        phase = one.phases[-1]
+        np.testing.assert_allclose(one.trajectory(phase).pose, two.trajectory(phase).pose, atol=1e-9)
