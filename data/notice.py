@@ -42,6 +42,7 @@ class Code(StrEnum):
     # about a laser log, for its author
     NO_ODOMETRY = "no-odometry"
     ODOMETRY_UNIT = "odometry-unit"
+    HEADING_UNIT = "heading-unit"
     RANGE_UNIT = "range-unit"
     FEW_RETURNS = "few-returns"
     MOUNTING = "mounting"

@@ -34,6 +34,8 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     how.add_argument("--optimize", action="store_true", help="optimize first (default for a file)")
     how.add_argument("--as-given", action="store_true", help="take the values as they are (default for a function)")
     parser.add_argument("--out", metavar="DIR", type=Path, help="folder for tables and report.html")
+    text = "what the noise of text states (ODOMETRY, EDGE2 in rows; default: as the numbers suggest)"
+    parser.add_argument("--noise", choices=("information", "covariance", "root"), help=text)
     cure = "write the graph with variance components applied and rejected factors left out; examine it, too"
     parser.add_argument("--rescale", metavar="FILE", type=Path, help=cure)
     kept = "what becomes of them in FILE: leave-out (default), or robust: kept, with the weight of Cauchy's loss"
@@ -56,7 +58,9 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
     from eval.report.audit.page import cured, opened
 
     optimize = options.optimize if options.optimize or options.as_given else None
-    found = opened(options.graph, optimize, options.draws, options.seed, full=options.full, resolve=20)
+    found = opened(
+        options.graph, optimize, options.draws, options.seed, full=options.full, resolve=20, noise=options.noise
+    )
     report = found.report
     columns = ["keys", "kind", "chi2", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
     kinds = report.kinds.drop(columns=["p", "unchecked"]).reset_index()
@@ -64,6 +68,8 @@ def _audit(options: argparse.Namespace, prog: str) -> int:
     if len(report.components):
         parts.append(shown(report.components.drop(columns="p")).to_string(index=False))
     parts.append(shown(report.worst()[columns]).to_string())
+    if found.file is not None and found.file.noise:
+        parts.append(f"The noise of text is taken as {found.file.noise} (--noise).")
     sys.stdout.write("\n\n".join(parts) + "\n")
     if options.out is not None:
         name = Path(options.graph).name  # where a file lies is nobody else's business

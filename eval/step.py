@@ -71,7 +71,11 @@ def parser(prog: str = PROG) -> Command:
     add("--save", metavar="DIR", type=Path, help="write figures and text of all steps to DIR")
     add("--run-through", action="store_true", help="do not pause (never without a terminal)")
     add("--frames", metavar="N", help="only the first N frames")
-    add("--lab-text", action="store_true", help="print the steps in the format of the lab's program, numbers from 1")
+    add(
+        "--lab-text",
+        action="store_true",
+        help="steps in the format of the lab's program, counted from 1",
+    )
     return p
 
 
@@ -142,8 +146,9 @@ def _step(wish: Wish) -> None:
         inputs = inputs.without_map()
     if inputs.labels_are_sensed:
         print(gate_sentence(setup, sensed=True))
-    pausing, block = not wish.run_through and sys.stdin.isatty(), lab_block if wish.lab_text else step_block
-    walk = Walk(log, task, name_of(estimator), images, pausing=pausing, block=block)
+    pausing = not wish.run_through and sys.stdin.isatty()
+    block, first = (lab_block, 1) if wish.lab_text else (step_block, 0)
+    walk = Walk(log, task, name_of(estimator), images, pausing=pausing, block=block, first=first)
     if log.evidence is not None and images.wanted:
         from data.visual.opening import Camera, open_recording
         from data.visual.outlined import frame_pictures

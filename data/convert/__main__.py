@@ -82,6 +82,10 @@ def summary(log: Log) -> list[str]:
         "no known map" if inputs.map is None else f"a map of {counted(len(inputs.map.id), 'landmark')}",
         "no ground truth" if truth.pose is None else f"ground truth in {counted(truth.known_poses, 'frame')}",
     ]
+    if inputs.fixes is not None:
+        lines.append(counted(len(inputs.fixes), "fix", "fixes"))
+    if inputs.closures is not None:
+        lines.append(counted(len(inputs.closures), "closure"))
     if inputs.scans is not None:
         lines.append(f"{counted(len(inputs.scans.frame), 'scan')} of {counted(inputs.scans.ranges.shape[1], 'beam')}")
     if truth.relations is not None:

@@ -34,10 +34,14 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     """The parser of `g2o`; `parameters` is unused."""
     sub = add("g2o", help="a g2o graph as a log, or a log or run as a graph", description=TEXT, epilog=EXAMPLES)
     sub.add_argument(
-        "source", metavar="SOURCE", help=f"a {SUFFIX} file (Toro: {', '.join(TORO)}), or a log by path or name"
+        "source",
+        metavar="SOURCE",
+        help=f"a {SUFFIX} file (Toro: {', '.join(TORO)}; gtsam, iSAM: .txt), or a log by path or name",
     )
     sub.add_argument("out", metavar="OUT", type=Path, help=f"log folder to write, or {SUFFIX} file")
     sub.add_argument("--true", action="store_true", help="of a graph: its vertices are the true values")
+    text = "what the noise of text states (ODOMETRY, LANDMARK, EDGE2 in rows; default: as the numbers suggest)"
+    sub.add_argument("--noise", choices=("information", "covariance", "root"), help=text)
     run = "of a log: poses, map and pairings of this run in a report, runs/LOG/TASK-ESTIMATOR-ASSOCIATION"
     sub.add_argument("--run", metavar="FOLDER", type=Path, help=f"{run} (default: dead reckoning and labels)")
 
@@ -45,13 +49,14 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 def convert(args: argparse.Namespace) -> Log | str:
     """The log of the graph, or a sentence about the graph that was written."""
     from data.errors import DataError, UsageError
+    from data.formats.recognize import edges_of
 
-    if args.source.endswith((SUFFIX, *TORO)):
+    if args.source.endswith((SUFFIX, *TORO)) or any(edges_of(Path(args.source))):
         from data.formats.g2o import log_of, read_graph
 
         if args.run is not None:
             raise UsageError("--run: SOURCE is a graph already; a log is needed")
-        return log_of(args.out.absolute().name, read_graph(Path(args.source)), true=args.true)
+        return log_of(args.out.absolute().name, read_graph(Path(args.source), args.noise), true=args.true)
     from data.formats.g2o import POSE_IDS
     from data.formats.g2o_out import graph_text, labelled, of_result, pose_ids
     from data.logs import open_log

@@ -21,7 +21,7 @@ KINDS = ("mrclam",)
 EXAMPLES = """\
 examples:
   python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
-  python -m data.convert mrclam MRCLAM_Dataset1 logs/one --robot 1 --landmarks Landmark_Groundtruth.corrected.dat
+  python -m data.convert mrclam MRCLAM_Dataset1 logs/one --robot 1 --landmarks my_survey.dat
   python -m data.convert mrclam MRCLAM_Dataset6.zip logs/six --robot 2 --start 100 --stop 400 --keep-robots
   python -m data.convert mrclam MRCLAM_Dataset1.zip logs/grid --robot 1 --grid 0.02 --uncalibrated \\
       --motion-model half_angle --motion-noise displacement --motion-alphas .2 .03 .09 .08 --sigma 2 3
@@ -58,7 +58,10 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("--robot", type=int, metavar="N", required=True, help="robot, 1 to 5")
     sub.add_argument("--start", type=number, metavar="S", help="the log starts no earlier")
     sub.add_argument("--stop", type=number, metavar="S", help="the log ends no later")
-    text = "read instead of the dataset's Landmark_Groundtruth.dat"
+    text = (
+        "read instead of the dataset's Landmark_Groundtruth.dat (default: Landmark_Groundtruth.corrected.dat in or "
+        "beside the dataset, if it has the same places)"
+    )
     sub.add_argument("--landmarks", type=Path, metavar="FILE", help=text)
     text = "blank the ground truth there, both ends included (repeatable)"
     sub.add_argument("--exclude-truth", type=stretch, metavar="FROM:TO", action="append", default=[], help=text)
@@ -101,9 +104,9 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 
 def convert(args: argparse.Namespace) -> Log:
-    """The log of the robot asked for."""
+    """The log of the robot asked for; corrected landmarks beside the dataset are taken unless others are given."""
     from data.formats.mrclam.calibration import FROZEN, Calibration
-    from data.formats.mrclam.load import Grid, Treatment, load_mrclam
+    from data.formats.mrclam.load import Grid, Treatment, corrected_landmarks, load_mrclam
 
     changes = {name: value for name in CALIBRATION if (value := getattr(args, name)) is not None}
     both = [name for name in changes if name.startswith("sigma_")]
@@ -114,8 +117,13 @@ def convert(args: argparse.Namespace) -> Log:
         calibration = calibration.with_sigma(*args.sigma)
     grid = None if args.grid is None else Grid(args.grid)
     calibration = replace(calibration, motion=_motion(args, calibration.motion))
-    window = (args.start, args.stop, args.landmarks, args.exclude_truth, args.keep_robots)
-    return load_mrclam(args.source, args.robot, Treatment(*window, grid, calibration, tuple(args.prior_sigma)))
+    found = corrected_landmarks(args.source) if args.landmarks is None else None
+    window = (args.start, args.stop, args.landmarks or found, args.exclude_truth, args.keep_robots)
+    log = load_mrclam(args.source, args.robot, Treatment(*window, grid, calibration, tuple(args.prior_sigma)))
+    if found is None:
+        return log
+    said = f"Landmarks are read from {found.name} beside the dataset; --landmarks names another file."
+    return replace(log, notes=(*log.notes, said))
 
 
 def _motion(args: argparse.Namespace, default: VelocityModel) -> VelocityModel:

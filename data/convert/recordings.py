@@ -66,6 +66,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     carmen.add_argument("--undo-correction", action="store_true", help=text)
     text = "reference relations by frame (default: NAME.relations.csv beside the log)"
     carmen.add_argument("--relations", metavar="FILE", type=Path, help=text)
+    text = "angle=deg: headings of the odometry; time=ms, us or ns: stamps (default: rad and s)"
+    carmen.add_argument("--unit", metavar="KEY=UNIT", type=_units, default={}, help=text)
     rosbag.add_argument("--scan", metavar="TOPIC", help="of the scans (default: the only one)")
     rosbag.add_argument("--odom", metavar="TOPIC", help="of the odometry (default: the only one)")
     _add_mending(carmen)
@@ -90,13 +92,27 @@ def _add_mending(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-odometry", action="store_true", help="odometry is unknown: scans alone tell the motion")
 
 
+def _units(text: str) -> dict[str, str]:
+    """Units of `angle` and `time`."""
+    from data.formats.recordings.mending import RADIANS, SECONDS
+
+    known = {"angle": RADIANS, "time": SECONDS}
+    found = dict(pair.strip().partition("=")[::2] for pair in text.split(","))
+    for key, unit in found.items():
+        if unit not in known.get(key, {}):
+            right = f"{', '.join(known[key])}" if key in known else f"of {', '.join(known)}"
+            raise argparse.ArgumentTypeError(f"{key}={unit} is unknown; {right} is needed, as in angle=deg,time=ms")
+    return found
+
+
 def _mending(args: argparse.Namespace) -> Mending:
     """The mending that the flags ask for."""
     from data.formats.recordings.mending import Mending
 
     return Mending(
-        args.range_unit, args.odometry_unit, args.clockwise, args.laser_turned, args.beam_step, args.max_range,
-        args.sort_stamps, not args.no_odometry,
+        args.range_unit, args.odometry_unit, clockwise=args.clockwise, laser_turned=args.laser_turned,
+        beam_step=args.beam_step, max_range=args.max_range, sort_stamps=args.sort_stamps,
+        odometry=not args.no_odometry, **getattr(args, "unit", {}),
     )  # fmt: skip
 
 

@@ -36,6 +36,8 @@ What a column may hold (keys of --columns; its name in the file, or its number f
                  true_id: true landmark, for the referee only; label: the sensor's landmark; -1: false alarm
   map            x, y, and id
   truth          t, x, y, theta; blank where unknown
+  fixes          t (or frame), x, y and theta, blank where not measured; sx, sy, stheta: sigma; source: a name
+  closures       t1, t2 (or frame1, frame2), dx, dy, dtheta: pose at t2 in the frame of t1; sx, sy, stheta; source
 A key alone applies to every file, with a part before it (odometry.t, truth.x) to that part. A column named as its
 key need not be stated.
 """
@@ -47,6 +49,12 @@ FLAGS = {
     "observations": ("FILE", "file with the observations (default: SOURCE)"),
     "map": ("FILE", "known landmarks"),
     "truth": ("FILE", "true poses"),
+    "fixes": (
+        "FILE",
+        "positions (GPS, UWB), headings (compass) or poses, which estimators get; then --observations is "
+        "needed where there are some",
+    ),
+    "closures": ("FILE", "relative poses of two frames (loop closures, scan matches), which estimators get; likewise"),
     "columns": ("KEY=NAME,...", "names of the columns"),
     "unit": (
         "KEY=UNIT,...",
@@ -68,13 +76,20 @@ FLAGS = {
         "of velocities: arc (default), midpoint, turn-first or drive-first, as the program that recorded them drives",
     ),
     "observation-sigma": ("S1,S2", "noise of range and bearing, or of x and y, as in 0.1,2deg"),
+    "fix-sigma": (
+        "S,...",
+        "noise of fixes without columns sx, sy, stheta: of x and y, of the heading, or of all three",
+    ),
+    "fix-lever": ("X,Y", "place of the antenna in the body frame (default: 0,0)"),
+    "fix-rotation": ("ANGLE", "direction of the compass in the body frame (default: 0)"),
+    "closure-sigma": ("SX,SY,STHETA", "noise of closures without columns sx, sy, stheta"),
     "track-width": ("M", "of wheel ticks: distance between the wheels"),
     "metres-per-tick": ("M[,M]", "of wheel ticks: for both, or left and right"),
     "hold": ("WAY", "velocities: each holds forward, until the next row (default), or backward, since the row before"),
     "time-offset": (
         "PART=SECONDS,...",
-        "added to the stamps of odometry, observations or truth, as in observations=-0.05 for readings stamped 0.05 s "
-        "late",
+        "added to the stamps of odometry, observations, truth, fixes or closures, as in observations=-0.05 for "
+        "readings stamped 0.05 s late",
     ),
     "ticks": ("WHICH", "total: counted from the start (default); each: since the row before"),
     "tick-wrap": ("N", "total ticks start again at N, as 65536"),
@@ -88,7 +103,11 @@ FLAGS = {
     "sensor-pose": ("X,Y,THETA", "pose of the sensor in the body frame (default: 0,0,0)"),
     "max-range": ("M", "reach of the sensor (default: the farthest observation)"),
     "view": ("LOW,HIGH", "least and largest bearing of the sensor, as in -60deg,60deg (default: all around)"),
-    "frames": ("WHICH", "instants with a pose: observations (default; and every 1 s), or odometry: also every row"),
+    "frames": (
+        "WHICH",
+        "instants with a pose: observations (default; those of fixes and closures, and every 1 s), or odometry: also "
+        "every row",
+    ),
 }
 
 
@@ -117,6 +136,8 @@ def convert(args: argparse.Namespace) -> Recording:
         given = with_mapping(args.source, given, (*FLAGS, *KEYS_ALONE))
     else:
         given["odometry"] = str(args.source)
-    given.setdefault("observations", given.get("odometry"))
+    # a log of odometry with fixes or closures needs no observations
+    if not ("fixes" in given or "closures" in given):
+        given.setdefault("observations", given.get("odometry"))
     wanted = settle(given)
     return read_log(args.out.absolute().name, wanted, open_files(wanted.files))

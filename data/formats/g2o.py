@@ -1,4 +1,5 @@
-"""g2o graphs in the plane: reading and writing, a graph as a log, and a log with decisions as a graph.
+"""Graphs in the plane as logs. `data.formats.graph_file` reads g2o, Toro and text of gtsam and iSAM, with more tags
+than these; `data.formats.g2o_out` writes g2o.
 
     VERTEX_SE2 id x y theta                        pose [m, m, rad]
     VERTEX_XY id x y                               landmark [m]
@@ -8,19 +9,15 @@
     EDGE_SE2_XY i l x y I11 I12 I22                landmark l in the frame of pose i
     EDGE_BEARING_SE2_XY i l bearing I              direction of landmark l from pose i
 
-Toro's VERTEX2 and EDGE2 are read, too; the latter's order is I11 I12 I22 I33 I13 I23.
-
-I: information matrix, upper triangle row by row. Poses and landmarks share one set of ids. The error of an EDGE_SE2 is
-that of the relative pose seen from its measured end, (R(dtheta)' (t - t_measured), theta - theta_measured); errors of
-landmark edges are additive (g2o's types_slam2d).
+I: information matrix, upper triangle row by row. The error of an EDGE_SE2 is that of the relative pose seen from its
+measured end, (R(dtheta)' (t - t_measured), theta - theta_measured); errors of landmark edges are additive (g2o's
+types_slam2d).
 """
 
 from __future__ import annotations
 
-import math
-from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -28,33 +25,32 @@ import numpy as np
 
 from data import se2
 from data.digest import source_file
-from data.errors import LARGEST, DataError
+from data.errors import DataError
 from data.formats.bearings import PARALLAX, triangulate
-from data.formats.csv_table import bytes_of, is_number, symmetric
-from data.formats.graph_file import TORO
+from data.formats.graph_file import (
+    COVARIANCE,
+    INFORMATION,
+    NOISES,
+    POINT2,
+    POINT3,
+    POSE2,
+    POSE3,
+    ROOT,
+    Edge,
+    read_graph_file,
+)
 from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
-from data.pose_measurements import Closures
+from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, inverse, wrap_angle
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
 
 POSE, POINT, FIX = "VERTEX_SE2", "VERTEX_XY", "FIX"
 MOTION, OBSERVATION, BEARING = "EDGE_SE2", "EDGE_SE2_XY", "EDGE_BEARING_SE2_XY"
-PRIOR = "EDGE_PRIOR_SE2"
-TORO_VERTEX, TORO_EDGE = "VERTEX2", "EDGE2"
-NUMBERS = {
-    POSE: (1, 3, 0),
-    POINT: (1, 2, 0),
-    MOTION: (2, 3, 6),
-    OBSERVATION: (2, 2, 3),
-    BEARING: (2, 1, 1),
-    PRIOR: (1, 3, 6),
-}
-"""Numbers of ids, measured values, and entries of the information matrix after each tag."""
-SPATIAL = ("VERTEX_SE3:QUAT", "EDGE_SE3:QUAT", "VERTEX_SE3", "EDGE_SE3", "VERTEX_TRACKXYZ", "EDGE_SE3_TRACKXYZ")
+PRIOR, POSITION, RANGED = "EDGE_PRIOR_SE2", "EDGE_PRIOR_SE2_XY", "BR"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,9 +74,10 @@ class Graph:
         path: of the file, for messages.
         pose, point: vertices in file order: id (K,), value (K, 3) or (K, 2).
         fixed: ids of fixed vertices.
-        motion, observation, bearing: edges.
-        prior: of poses, with both ends the same.
+        motion, observation, bearing, polar: edges; measured by `polar` are range and bearing.
+        prior, position: measured poses and their positions, with both ends the same.
         other: numbers of lines with other tags.
+        noise: what the noise of text was taken for; "": there is no text.
     """
 
     path: Path
@@ -90,76 +87,53 @@ class Graph:
     motion: Edges
     observation: Edges
     bearing: Edges
+    polar: Edges
     prior: Edges
+    position: Edges
     other: dict[str, int]
+    noise: str = ""
 
 
-def read_graph(path: Path) -> Graph:
-    """Read a graph.
+def read_graph(path: Path, noise: str | None = None) -> Graph:
+    """Read a graph; `noise` as of `read_graph_file`.
 
-    Raises DataError for an unreadable file, wrong fields of a line, an information matrix that is not positive
-    definite, a repeated id, or a graph in space.
+    Raises DataError for what `read_graph_file` refuses, a vertex that is a pose and a landmark, or a graph in space.
     """
-    text = bytes_of(path).decode("utf-8", "replace")
-    rows: dict[str, list[tuple[int, list[float]]]] = {tag: [] for tag in NUMBERS}
-    fixed: list[int] = []
-    other: Counter[str] = Counter()
-    for number, line in enumerate(text.splitlines(), start=1):
-        tag, *fields = line.split("#")[0].split() or [""]
-        if tag in (TORO_VERTEX, TORO_EDGE):
-            tag = POSE if tag == TORO_VERTEX else MOTION
-            if tag == MOTION and len(fields) == sum(NUMBERS[MOTION]):
-                fields = [*fields[:5], *(fields[5 + k] for k in TORO)]
-        if tag in NUMBERS:
-            rows[tag].append((number, _numbers(path, number, tag, fields, sum(NUMBERS[tag]), NUMBERS[tag][0])))
-        elif tag == FIX:
-            fixed += [int(v) for v in _numbers(path, number, tag, fields, len(fields))]
-        elif tag in SPATIAL:
-            raise DataError.at(path, f"{tag}: a graph in space; a graph in the plane ({POSE}) is needed", line=number)
-        elif tag:
-            other[tag] += 1
-    pose, point = _vertices(rows[POSE]), _vertices(rows[POINT])
-    ids = np.concatenate([pose[0], point[0]])
-    found, times = np.unique(ids, return_counts=True)
-    if (times > 1).any():
-        raise DataError.at(path, f"vertex {found[np.argmax(times > 1)]} is repeated; ids must be unique")
-    motion, observation, bearing = (_edges(path, rows[tag], tag) for tag in (MOTION, OBSERVATION, BEARING))
-    prior = _edges(path, [(n, [v[0], *v]) for n, v in rows[PRIOR]], PRIOR)
-    return Graph(path, pose, point, np.array(fixed, np.int64), motion, observation, bearing, prior, dict(other))
+    file = read_graph_file(path, noise, bare=True)
+    kinds = {kind for kind, _ in (*file.poses.values(), *file.points.values())}
+    if any({POSE3, POINT3} & found for found in (kinds, *(set(file.kind(e)) for e in file.edges))):
+        raise DataError.at(path, f"a graph in space; a graph in the plane ({POSE}) is needed")
+    both = sorted(file.poses.keys() & file.points.keys())
+    if both:
+        raise DataError.at(path, f"vertex {both[0]} is repeated; ids must be unique")
+    polar = _edges([e for e in file.edges if e.tag == RANGED], 2)
+    polar = replace(polar, measured=polar.measured[:, ::-1], covariance=polar.covariance[:, ::-1, ::-1])
+    pairs = {
+        kind: [e for e in file.edges if file.kind(e)[1] == kind and e.tag not in (RANGED, BEARING)]
+        for kind in (POSE2, POINT2)
+    }
+    priors = [Edge(PRIOR, (p.pose, p.pose), p.measured, p.information, p.line) for p in file.priors]
+    return Graph(
+        path, _vertices(file.poses, 3), _vertices(file.points, 2), np.array(file.fixed, np.int64),
+        _edges(pairs[POSE2], 3), _edges(pairs[POINT2], 2), _edges([e for e in file.edges if e.tag == BEARING], 1),
+        polar, _edges([e for e in priors if e.measured.size == 3], 3),
+        _edges([e for e in priors if e.measured.size == 2], 2),
+        file.other, file.noise,
+    )  # fmt: skip
 
 
-def _numbers(path: Path, line: int, tag: str, fields: Sequence[str], count: int, ids: int | None = None) -> list[float]:
-    if len(fields) != count:
-        raise DataError.at(path, f"{tag} with {len(fields)} numbers; {count} are needed", line=line)
-    values = []
-    for k, field in enumerate(fields):
-        value = float(field) if is_number(field) else math.nan
-        whole = ids is None or k < ids
-        if not abs(value) <= LARGEST or (whole and (value < 0.0 or not value.is_integer())):
-            wanted = "an id, a whole number from 0 up" if whole else "a number"
-            raise DataError.at(path, f"{tag}: {field[:40]!r} is not {wanted}", line=line)
-        values.append(value)
-    return values
+def _vertices(found: Mapping[int, tuple[str, Array]], d: int) -> tuple[IntArray, Array]:
+    values = np.array([v for _, v in found.values()]).reshape(-1, d)
+    return np.array(list(found), np.int64), values
 
 
-def _vertices(rows: Sequence[tuple[int, list[float]]]) -> tuple[IntArray, Array]:
-    if not rows:
-        return np.zeros(0, np.int64), np.zeros((0, 3))
-    values = np.array([v for _, v in rows])
-    return values[:, 0].astype(np.int64), values[:, 1:]
-
-
-def _edges(path: Path, rows: Sequence[tuple[int, list[float]]], tag: str) -> Edges:
-    _, d, _ = NUMBERS[tag]
-    values = np.array([v for _, v in rows]).reshape(-1, 2 + sum(NUMBERS[tag][1:]))
-    line = np.array([n for n, _ in rows], np.int64)
-    information = symmetric(values[:, 2 + d :])
-    bad = np.linalg.eigvalsh(information)[:, 0] <= 0.0 if len(values) else np.zeros(0, bool)
-    if bad.any():
-        what = f"{tag}: its information matrix is not positive definite"
-        raise DataError.at(path, what, line=int(line[np.argmax(bad)]))
-    covariance = np.linalg.inv(information).astype(np.float64)
-    return Edges(values[:, :2].astype(np.int64), values[:, 2 : 2 + d], covariance, line)
+def _edges(found: Sequence[Edge], d: int) -> Edges:
+    ends, measured = np.array([e.ends for e in found], np.int64), np.array([e.measured for e in found])
+    return Edges(
+        ends.reshape(-1, 2), measured.reshape(-1, d),
+        np.linalg.inv(np.array([e.information for e in found]).reshape(-1, d, d)).astype(np.float64),
+        np.array([e.line for e in found], np.int64),
+    )  # fmt: skip
 
 
 SHOWN = 5  # landmarks without a place that are named
@@ -173,11 +147,11 @@ UNSEEN = 100.0
 def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
     """The log of a graph; `true`: its vertices are the true values.
 
-    Frames are the poses in the order of their vertices (by id without any). The first EDGE_SE2 between neighbours, in
-    either direction, is the motion; every other one becomes a closure. Labels are landmark ids.
-    A bearing becomes an observation with nearly unknown range. The first pose is fixed at its vertex.
+    Frames are the poses by id, or in the order of vertices if only these have edges from each to the next. The first
+    EDGE_SE2 between neighbours, in either direction, is the motion; every other one becomes a closure. Labels are
+    landmark ids. A bearing becomes an observation with nearly unknown range. The first pose is fixed at its vertex.
 
-    Raises DataError for neighbours without an edge, an edge without its vertex or of a vertex with itself, or no pose.
+    Raises DataError for neighbours without an edge, an edge without its vertex, or no pose.
     """
     ids = _frames(graph)
     notes: list[str] = []
@@ -202,6 +176,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
         covariance_floor=FLOOR,
         floored=floored,
         closures=_closures(graph.motion, ids, used),
+        fixes=_fixes(graph, ids),
     )
     truth = Truth(pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None)
     source: dict[str, object] = {"kind": "g2o", **source_file(graph.path)}
@@ -212,7 +187,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
 
 def _frames(graph: Graph) -> IntArray:
     """Pose ids (N,) in the order of frames."""
-    ends = [graph.motion.ends.ravel(), graph.observation.ends[:, 0], graph.bearing.ends[:, 0]]
+    ends = [graph.motion.ends.ravel(), *(e.ends[:, 0] for e in (graph.observation, graph.bearing, graph.polar))]
     ids = graph.pose[0] if len(graph.pose[0]) else np.unique(np.concatenate(ends))
     if len(ids) == 0:
         raise DataError.at(graph.path, "no pose: neither VERTEX_SE2 nor EDGE_SE2")
@@ -220,16 +195,9 @@ def _frames(graph: Graph) -> IntArray:
         for i in np.setdiff1d(edges.ends[:, :columns], ids):
             line = int(edges.line[(edges.ends == i).any(axis=1)][0])
             raise DataError.at(graph.path, f"no VERTEX_SE2 {i}; this edge ends there", line=line)
-    itself = graph.motion.ends[:, 0] == graph.motion.ends[:, 1]
-    if itself.any():
-        k = int(np.argmax(itself))
-        what = f"{MOTION}: both ends are {graph.motion.ends[k, 0]}; two poses are needed"
-        raise DataError.at(graph.path, what, line=int(graph.motion.line[k]))
     joined = {(a, b) for pair in graph.motion.ends.tolist() for a, b in (pair, pair[::-1])}
     ordered = np.sort(ids)
-    if not _in_a_row(ids, joined) and _in_a_row(ordered, joined):  # vertices out of order
-        return ordered
-    return ids
+    return ordered if _in_a_row(ordered, joined) or not _in_a_row(ids, joined) else ids
 
 
 def _in_a_row(ids: IntArray, joined: set[tuple[int, int]]) -> bool:
@@ -237,16 +205,46 @@ def _in_a_row(ids: IntArray, joined: set[tuple[int, int]]) -> bool:
     return all(pair in joined for pair in pairwise(ids.tolist()))
 
 
+VAGUE = (10.0, 10.0, 0.5)
+"""m, m, rad: standard deviations of the first pose where measured poses tell the place."""
+
+
 def _prior(graph: Graph, ids: IntArray, start: Array, notes: list[str]) -> Prior:
-    """Of the first pose: its EDGE_PRIOR_SE2 unless it is fixed, else exact."""
-    own = np.flatnonzero(graph.prior.ends[:, 0] == ids[0])
-    used = bool(len(own)) and int(ids[0]) not in graph.fixed.tolist()
-    if len(graph.prior) > used:
-        notes.append(f"{len(graph.prior) - used} {PRIOR} left out")
-    if not used:
+    """Of the first pose: its EDGE_PRIOR_SE2 unless it is fixed; vague where others are measured; else exact."""
+    own = _own_prior(graph, ids)
+    if own is not None:
+        mean, P = graph.prior.measured[own], graph.prior.covariance[own : own + 1]
+        return Prior(mean, se2.covariances_in_world(mean[None, 2], P)[0])
+    if int(ids[0]) in graph.fixed.tolist() or not len(graph.prior) + len(graph.position):
         return Prior(start, np.zeros((3, 3)))
-    mean, P = graph.prior.measured[own[0]], graph.prior.covariance[own[:1]]
-    return Prior(mean, se2.covariances_in_world(mean[None, 2], P)[0])
+    notes.append(f"The first pose is known by {VAGUE[0]:g} m and {VAGUE[2]:g} rad: measured poses tell the place")
+    return Prior(start, np.diag(np.square(VAGUE)))
+
+
+def _own_prior(graph: Graph, ids: IntArray) -> int | None:
+    """Row of the measured pose that is the prior of the first one."""
+    own = np.flatnonzero(graph.prior.ends[:, 0] == ids[0])
+    return int(own[0]) if len(own) and int(ids[0]) not in graph.fixed.tolist() else None
+
+
+def _fixes(graph: Graph, ids: IntArray) -> Fixes | None:
+    """Measured poses and positions besides the prior."""
+    at = {int(i): k for k, i in enumerate(ids)}
+    pose = np.delete(np.arange(len(graph.prior)), [] if (own := _own_prior(graph, ids)) is None else own)
+    count, z = len(pose) + len(graph.position), np.zeros((len(pose) + len(graph.position), 3))
+    if not count:
+        return None
+    P = np.zeros((count, 3, 3))
+    z[: len(pose)], z[len(pose) :, :2] = graph.prior.measured[pose], graph.position.measured
+    P[: len(pose)] = se2.covariances_in_world(z[: len(pose), 2], graph.prior.covariance[pose])
+    P[len(pose) :, :2, :2] = graph.position.covariance
+    frame = np.array([at[i] for e in (graph.prior.ends[pose, 0], graph.position.ends[:, 0]) for i in e.tolist()])
+    kind = np.repeat([int(FixKind.POSE), int(FixKind.POSITION)], [len(pose), len(graph.position)])
+    order = np.argsort(frame, kind="stable")
+    P = 0.5 * (P + P.transpose(0, 2, 1))
+    sources = (FixSource(PRIOR), FixSource(POSITION))
+    source = (kind == FixKind.POSITION).astype(np.int64)
+    return Fixes(frame[order], kind[order], source[order], z[order], P[order], sources)
 
 
 def _estimates(vertices: tuple[IntArray, Array], ids: IntArray) -> Array:
@@ -267,7 +265,8 @@ def _chain(graph: Graph, ids: IntArray) -> tuple[Array, Array, IntArray]:
             first.setdefault(max(i, j), e)
     for k in range(1, n):
         if k not in first:
-            what = f"no {MOTION} between the successive poses {ids[k - 1]} and {ids[k]}; a log needs that motion"
+            what = f"no {MOTION} between the successive poses {ids[k - 1]} and {ids[k]}; a log needs that motion, "
+            what += f"slamref audit {graph.path.name} does not"
             raise DataError.at(graph.path, what)
     mean, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
     if n == 1:
@@ -299,17 +298,21 @@ def _observations(
     Distances of bearings are triangulated along the odometry's path (N, 3).
     """
     at = {int(i): k for k, i in enumerate(ids)}
-    points, rays = graph.observation, graph.bearing
+    points, rays, polar = graph.observation, graph.bearing, graph.polar
     guess = np.zeros(0)
     if len(rays):
         rays, guess = _placed(graph, at, path, notes)
-    frame = np.array([at[int(i)] for i in [*points.ends[:, 0], *rays.ends[:, 0]]], np.int64)
-    label = np.concatenate([points.ends[:, 1], rays.ends[:, 1]])
+    frame = np.array([at[int(i)] for e in (points, polar, rays) for i in e.ends[:, 0]], np.int64)
+    label = np.concatenate([e.ends[:, 1] for e in (points, polar, rays)])
     z, R = points.measured, points.covariance
     kind: type[Sensor] = RelativePoint
-    if len(rays):
+    if len(rays) or len(polar):
         kind = RangeBearing
         z, R = _polar(z, R)
+        z, R = np.concatenate([z, polar.measured]), np.concatenate([R, polar.covariance])
+        if len(points):
+            notes.append(f"{len(points)} points ({OBSERVATION}) became ranges and bearings, to first order")
+    if len(rays):
         far = np.zeros((len(rays), 2, 2))
         far[:, 0, 0], far[:, 1, 1] = (UNSEEN * guess) ** 2, rays.covariance[:, 0, 0]
         z = np.concatenate([z, np.stack([guess, rays.measured[:, 0]], axis=1)])
@@ -318,11 +321,9 @@ def _observations(
             f"{len(graph.bearing)} bearings without a range ({BEARING}): triangulated from {np.degrees(PARALLAX):.0f} "
             f"deg of parallax on, else of the file's vertices, with a standard deviation {UNSEEN:g} times as large"
         )
-        if len(points):
-            notes.append(f"{len(points)} points ({OBSERVATION}) became ranges and bearings, to first order")
     order = np.argsort(frame, kind="stable")
     reach = float(kind().polar(z)[:, 0].max(initial=0.0))
-    if len(rays) or len(points):
+    if len(frame):
         notes.append(f"max_range is {1.001 * reach:.4g} m, the farthest observation: a graph states no field of view")
     sensor = kind(max_range=1.001 * reach if reach > 0.0 else np.inf)
     return frame[order], label[order], z[order], R[order], sensor
@@ -351,7 +352,7 @@ def _placed(graph: Graph, at: dict[int, int], path: Array, notes: list[str]) -> 
             f"rays that cross ahead of the robot at {np.degrees(PARALLAX):.0f} deg, or a VERTEX_XY near the truth, are "
             "needed"
         )
-        if not known.any() and not len(graph.observation):
+        if not known.any() and not len(graph.observation) and not len(graph.polar):
             raise DataError.at(graph.path, f"{BEARING}: {missing}; {needed}", line=int(rays.line[0]))
         notes.append(f"{missing}; {needed}; {int((~known).sum())} bearings are left out")
     kept = Edges(rays.ends[known], rays.measured[known], rays.covariance[known], rays.line[known])
@@ -383,6 +384,9 @@ def _closures(edges: Edges, ids: IntArray, used: IntArray) -> Closures | None:
     )
 
 
+WORDS = {INFORMATION: "information", COVARIANCE: "covariance (gtsam)", ROOT: "root of the information (iSAM)"}
+
+
 def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
     """Notes about differences from the file."""
     notes = []
@@ -391,5 +395,8 @@ def _changes(graph: Graph, ids: IntArray, used: IntArray) -> list[str]:
         notes.append(f"{loops} {MOTION} outside the chain of poses are its closures")
     if len(graph.fixed) and graph.fixed.tolist() != [int(ids[0])]:
         notes.append(f"FIX {' '.join(map(str, graph.fixed.tolist()[:5]))}: the first pose is fixed instead")
+    if graph.noise:
+        others = " or ".join(n for n in NOISES if n != graph.noise)
+        notes.append(f"The noise of text is taken as {WORDS[graph.noise]}; --noise {others} reads another")
     notes += [f"{count} {tag} left out" for tag, count in graph.other.items()]
     return notes

@@ -11,9 +11,10 @@ import numpy as np
 from data import se2
 from data.errors import DataError, UsageError
 from data.formats.csv_table import read_table
-from data.formats.g2o import BEARING, FIX, MOTION, OBSERVATION, POINT, POSE
+from data.formats.g2o import BEARING, FIX, MOTION, OBSERVATION, POINT, POSE, POSITION, PRIOR
 from data.inputs import Inputs, IntArray
 from data.log import Log
+from data.pose_measurements import FixKind
 from data.se2 import Array
 
 
@@ -32,10 +33,11 @@ def written(
     lines += [_line(POINT, [i], p) for i, p in zip(*points, strict=True)]
     for tag, a, b, measured, covariance in edges:
         P = np.atleast_2d(covariance)
-        if tag == MOTION:  # g2o's error is in the frame of the edge's end
+        if tag in (MOTION, PRIOR):  # g2o's error is in the frame of the edge's end
             P = se2.covariances_in_body(measured[None, 2], P[None])[0]
         information = np.linalg.inv(P)
-        lines.append(_line(tag, [a, b], [*np.ravel(measured), *information[np.triu_indices(len(P))]]))
+        ends = [a] if tag in (PRIOR, POSITION) else [a, b]
+        lines.append(_line(tag, ends, [*np.ravel(measured), *information[np.triu_indices(len(P))]]))
     # last, because gtsam's reader stops there
     lines += [f"{FIX} {i}" for i in fixed]
     return "\n".join(lines) + "\n"
@@ -118,12 +120,23 @@ def pose_ids(frames: int, estimate: Estimate) -> range:
     return range(first, first + frames)
 
 
+def _measured(inputs: Inputs) -> list[tuple[int, int, Array, Array]]:
+    """Frame, kind, z and covariance of the fixes that g2o has an edge for: poses and positions of the body itself."""
+    f = inputs.fixes
+    if f is None:
+        return []
+    rows = zip(f.frame.tolist(), f.kind.tolist(), f.source.tolist(), f.z, f.covariance, strict=True)
+    body = [not any(s.lever) and not s.rotation for s in f.sources]
+    return [(frame, kind, z, P) for frame, kind, source, z, P in rows if kind != FixKind.HEADING and body[source]]
+
+
 def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = None) -> str:
     """The graph of poses `ids` (default: `pose_ids`), landmarks under their numbers, and closures.
 
     Landmarks whose numbers are among the given ids follow these instead. Observations become points in the body frame,
-    to first order, or bearings where the range is nearly unknown. The first pose is fixed, and so are landmarks of a
-    known map. UsageError where landmarks are walls.
+    to first order, or bearings where the range is nearly unknown. Fixes of positions and poses of the body become
+    priors. Without them the first pose is fixed, and so are landmarks of a known map. UsageError where landmarks are
+    walls.
     """
     if not inputs.sensor.sees_points:
         raise UsageError("the log's landmarks are walls, which g2o has no vertex for; a log of points is needed")
@@ -141,6 +154,13 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
         rows = zip(c.frame1.tolist(), c.frame2.tolist(), strict=True)
         measured = zip(rows, c.relative, c.covariance, strict=True)
         edges += [(MOTION, own[i], own[j], relative, P) for (i, j), relative, P in measured]
+    prior, fixes = inputs.prior, _measured(inputs)
+    tied = bool(fixes) and bool(np.linalg.eigvalsh(prior.covariance)[0] > 0.0)
+    if tied:
+        edges.append((PRIOR, own[0], own[0], prior.mean, prior.covariance))
+    for frame, kind, z, P in fixes:
+        tag, axes = (PRIOR, [0, 1, 2]) if kind == FixKind.POSE else (POSITION, [0, 1])
+        edges.append((tag, own[frame], own[frame], z[axes], P[axes][:, axes]))
     points, spread = inputs.sensor.body_points(o.z, o.R) if len(o.frame) else (o.z, o.R)
     blind = inputs.sensor.bearings_alone(o.z, o.R) & (not any(inputs.sensor.translation))
     for i in np.flatnonzero(estimate.of >= 0).tolist():
@@ -151,5 +171,5 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
         else:
             edges.append((OBSERVATION, *ends, points[i], spread[i]))
     places = np.array([estimate.landmark[number] for number in numbers]).reshape(-1, 2)
-    held = [own[0], *(vertex.values() if estimate.known else ())]
+    held = [*(() if tied else own[:1]), *(vertex.values() if estimate.known else ())]
     return written((own, estimate.pose), (list(vertex.values()), places), held, edges)

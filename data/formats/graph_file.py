@@ -7,26 +7,32 @@
     EDGE2 i j x y theta I11 I12 I22 I33 I13 I23                    EDGE_BEARING_SE2_XY i l bearing I
     BR i l bearing range sigma sigma                               PARAMS_SE3OFFSET id x y z qx qy qz qw
     EDGE_SE3:QUAT i j x y z qx qy qz qw I (21)                     EDGE3 i j x y z roll pitch yaw I (21)
-    EDGE_SE3_TRACKXYZ i l parameter x y z I (6)
-    ODOMETRY i j x y theta P11 P12 P13 P22 P23 P33                 LANDMARK i l x y P11 P12 P22
+    EDGE_SE3_TRACKXYZ i l parameter x y z I (6)                    PARAMS_SE2OFFSET id x y theta
+    EDGE_SE2_OFFSET i j from to x y theta I (6)                    EDGE_SE2_POINTXY_OFFSET i l parameter x y I (3)
+    EDGE_PRIOR_SE2 i x y theta I (6)                               EDGE_PRIOR_SE2_XY i x y I (3)
+    ODOMETRY | CONSTRAINT i j x y theta N11 N12 N13 N22 N23 N33    LANDMARK i l x y N11 N12 N22
 
-I: information, P: covariance, upper triangle row by row; in space translation first. As gtsam's reader, and unlike g2o,
-the rotation's information is of the angle, not of the quaternion's half angle. Poses and points have ids of their own.
-An edge without information has the identity. An EDGE2 that is not definite in Toro's order is read as an EDGE_SE2.
+I: information, upper triangle row by row; in space translation first. As gtsam's reader, and unlike g2o, the rotation's
+information is of the angle, not of the quaternion's half angle. Poses and points have ids of their own. An edge without
+information has the identity. Measurements of sensors with an offset become those of the robot.
+
+Programs disagree on the noise N of text: gtsam reads covariances, iSAM the root R of an information R'R, upper
+triangle. Where a reader does not say, numbers below 1 are covariances, larger ones roots: a position is known to less
+than a metre. So are EDGE2 in the order of rows, which iSAM writes; in Toro's order they are information.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from data.errors import LARGEST, DataError
 from data.formats.csv_table import bytes_of, is_number
-from data.se2 import Array
+from data.se2 import Array, compose, inverse
 
 POSE2, POSE3, POINT2, POINT3 = "pose2", "pose3", "point2", "point3"
 VERTICES = {
@@ -37,20 +43,31 @@ VERTICES = {
 EDGES = {
     "EDGE_SE2": (3, 3, POSE2, POSE2), "EDGE2": (3, 3, POSE2, POSE2), "EDGE_SE2_XY": (2, 2, POSE2, POINT2),
     "LANDMARK2": (2, 2, POSE2, POINT2), "EDGE_BEARING_SE2_XY": (1, 1, POSE2, POINT2), "BR": (2, 2, POSE2, POINT2),
-    "ODOMETRY": (3, 3, POSE2, POSE2), "LANDMARK": (2, 2, POSE2, POINT2),
+    "ODOMETRY": (3, 3, POSE2, POSE2), "CONSTRAINT": (3, 3, POSE2, POSE2), "CONSTRAINT2": (3, 3, POSE2, POSE2),
+    "LANDMARK": (2, 2, POSE2, POINT2), "EDGE_SE2_OFFSET": (3, 3, POSE2, POSE2),
+    "EDGE_SE2_POINTXY_OFFSET": (2, 2, POSE2, POINT2),
     "EDGE_SE3:QUAT": (7, 6, POSE3, POSE3), "EDGE3": (6, 6, POSE3, POSE3), "EDGE_SE3_TRACKXYZ": (3, 3, POSE3, POINT3),
 }  # fmt: skip
 """Measured values, residuals, and the kinds of both ends."""
-COVARIANCES = ("ODOMETRY", "LANDMARK")  # tags of text of iSAM that state covariances, as gtsam reads them
+IDS = {"EDGE_SE3_TRACKXYZ": 3, "EDGE_SE2_POINTXY_OFFSET": 3, "EDGE_SE2_OFFSET": 4}
+"""Ids of an edge and of its parameters, where these are not two."""
+PRIORS = {"EDGE_PRIOR_SE2": 3, "EDGE_PRIOR_SE2_XY": 2}  # measured values
+OFFSETS = {"PARAMS_SE3OFFSET": 7, "PARAMS_SE2OFFSET": 3}
+TEXT = ("ODOMETRY", "CONSTRAINT", "CONSTRAINT2", "LANDMARK")  # in any case
+INFORMATION, COVARIANCE, ROOT = NOISES = ("information", "covariance", "root")
+"""What the noise of text states."""
 TORO = [0, 1, 4, 2, 5, 3]  # places of I11 I12 I13 I22 I23 I33 among the six of an EDGE2
-IDS = 2**63  # ids are below: keys of gtsam, too
+MOST_IDS = 2**63  # ids are below: keys of gtsam, too
 HUGE = 1e30  # the largest number: the information of a sigma of 1e-15
 UNIT = 1e-3  # largest difference of a quaternion's norm from 1
 
 
 @dataclass(frozen=True, eq=False)
 class Edge:
-    """One factor: its tag, ends, measured values, information (d, d), line in the file, and parameter (-1: none)."""
+    """One factor: its tag, ends, measured values, information (d, d), line in the file, and parameter (-1: none).
+
+    `carried` (d, d): from the stated error, of a sensor with an offset, to that of the robot; None: none.
+    """
 
     tag: str
     ends: tuple[int, int]
@@ -58,11 +75,25 @@ class Edge:
     information: Array
     line: int
     parameter: int = -1
+    carried: Array | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class PoseMeasurement:
+    """A measured pose (3,) or position (2,) of a pose, its information, and its line."""
+
+    pose: int
+    measured: Array
+    information: Array
+    line: int
 
 
 @dataclass(frozen=True, eq=False)
 class GraphFile:
-    """A graph as written: lines, poses and points by id (kind, values), edges in order, fixed ids, offsets, tags."""
+    """A graph as written: lines, poses and points by id (kind, values), edges in order, fixed ids, offsets, tags.
+
+    `noise`: what text states, one of `NOISES` or "" without text; `rows`: EDGE2 are in the order of rows.
+    """
 
     path: Path
     lines: list[str]
@@ -72,29 +103,42 @@ class GraphFile:
     fixed: list[int]
     offsets: dict[int, Array]
     other: dict[str, int]
+    priors: list[PoseMeasurement] = field(default_factory=list)
+    noise: str = ""
+    rows: bool = False
 
     def kind(self, edge: Edge) -> tuple[str, str]:
         """Kinds of the variables at both ends."""
         return EDGES[edge.tag][2:]
 
+    def states(self, edge: Edge) -> str:
+        """What the noise of an edge states, one of `NOISES`."""
+        return self.noise if edge.tag in TEXT or (edge.tag == "EDGE2" and self.rows) else INFORMATION
 
-def read_graph_file(path: Path) -> GraphFile:
-    """Read a graph.
+
+def read_graph_file(path: Path, noise: str | None = None, *, bare: bool = False) -> GraphFile:
+    """Read a graph. `noise`: what text states, one of `NOISES`; None: as the numbers suggest. `bare`: vertices suffice.
 
     Raises DataError with line and value: wrong fields, a number that is none, an information matrix that is not
     positive definite, a quaternion that is no rotation, an id that is repeated, or of two kinds, a pose without its
     vertex where the file has some; and for a file without an edge.
     """
-    return graph_file_of(path, bytes_of(path).decode("utf-8-sig", "replace"))
+    return graph_file_of(path, bytes_of(path).decode("utf-8-sig", "replace"), noise, bare=bare)
 
 
-def graph_file_of(path: Path, text: str) -> GraphFile:
+def graph_file_of(path: Path, text: str, noise: str | None = None, *, bare: bool = False) -> GraphFile:
     """The graph of a text; errors, as of `read_graph_file`, name the path."""
     lines = text.splitlines()
-    graph = GraphFile(path, lines, {}, {}, [], [], {}, {})
+    words = [(number, line.split("#")[0].split()) for number, line in enumerate(lines, start=1)]
+    words = [(number, [known_tag(w[0]), *w[1:]]) for number, w in words if w]
+    rows, meant = _layout(words)
+    graph = GraphFile(path, lines, {}, {}, [], [], {}, {}, noise=(noise or meant) if meant else "", rows=rows)
+    for number, (tag, *fields) in words:  # before the edges that name them
+        if tag in OFFSETS:
+            (key,), values = _fields(path, number, tag, fields, 1, OFFSETS[tag])
+            graph.offsets[key] = _pose(path, number, tag, values)
     other: Counter[str] = Counter()
-    for number, line in enumerate(lines, start=1):
-        tag, *fields = line.split("#")[0].split() or [""]
+    for number, (tag, *fields) in words:
         if tag in VERTICES:
             kind, count = VERTICES[tag]
             (key,), values = _fields(path, number, tag, fields, 1, count)
@@ -103,18 +147,49 @@ def graph_file_of(path: Path, text: str) -> GraphFile:
                 raise DataError.at(path, f"{tag}: vertex {key} is repeated; ids must be unique", line=number)
             known[key] = kind, _pose(path, number, tag, values)
         elif tag in EDGES:
-            graph.edges.append(_edge(path, number, tag, fields))
+            graph.edges.append(_edge(graph, number, tag, fields))
+        elif tag in PRIORS:
+            d = PRIORS[tag]
+            (key,), values = _fields(path, number, tag, fields, 1, d + d * (d + 1) // 2)
+            information = _symmetric(values[d:], d)
+            _require_definite(path, number, tag, information)
+            graph.priors.append(PoseMeasurement(key, values[:d], information, number))
         elif tag == "FIX":
             graph.fixed.extend(_fields(path, number, tag, fields, len(fields), 0)[0])
-        elif tag == "PARAMS_SE3OFFSET":
-            (key,), values = _fields(path, number, tag, fields, 1, 7)
-            graph.offsets[key] = _pose(path, number, tag, values)
-        elif tag:
+        elif tag not in OFFSETS:
             other[tag] += 1
     graph.other.update(other)
-    if not graph.edges:
+    if not graph.edges and not (bare and graph.poses):
         tags = ", ".join(EDGES)
         raise DataError.at(path, f"no edge of a graph; lines of g2o or Toro are needed, with a tag of {tags}")
+    _check(graph)
+    return graph
+
+
+def known_tag(tag: str) -> str:
+    """The tag as it is known: those of text are written in any case."""
+    return tag.upper() if tag.upper() in TEXT else tag
+
+
+def _layout(words: list[tuple[int, list[str]]]) -> tuple[bool, str]:
+    """Whether EDGE2 are in the order of rows, and what the noise of text states ("": there is none)."""
+    sixes = [_six(w[6:]) for _, w in words if w[0] == "EDGE2" and len(w) == 12]
+    rows = any(not _definite(_symmetric(v[TORO], 3)) for v in sixes) and all(v[[0, 3, 5]].all() for v in sixes)
+    text = [_six(w[6:])[[0, 3, 5]] for _, w in words if w[0] in TEXT[:-1] and len(w) == 12]
+    text += [_six(w[5:])[[0, 2]] for _, w in words if w[0] == TEXT[-1] and len(w) == 8]
+    text += [v[[0, 3, 5]] for v in sixes if rows]
+    if not text:
+        return rows, ""
+    return rows, COVARIANCE if float(np.median(np.abs(np.concatenate(text)))) < 1.0 else ROOT
+
+
+def _six(fields: list[str]) -> Array:
+    return np.array([float(f) if is_number(f) else 0.0 for f in fields])
+
+
+def _check(graph: GraphFile) -> None:
+    """Raise DataError for ends that are missing or of two kinds."""
+    path = graph.path
     kinds: dict[tuple[bool, int], str] = {(False, k): kind for k, (kind, _) in graph.poses.items()}
     kinds |= {(True, k): kind for k, (kind, _) in graph.points.items()}
     for edge in graph.edges:
@@ -126,58 +201,98 @@ def graph_file_of(path: Path, text: str) -> GraphFile:
             if kinds.setdefault((point, key), kind) != kind:
                 what = f"{edge.tag}: {key} is a {kinds[point, key]}, where a {kind} is needed"
                 raise DataError.at(path, what, line=edge.line)
+    for prior in graph.priors:
+        if kinds.get((False, prior.pose)) != POSE2:
+            raise DataError.at(path, f"prior of {prior.pose}: no pose in the plane has this id", line=prior.line)
     missing = next((key for key in graph.fixed if key not in graph.poses and key not in graph.points), None)
     if missing is not None:
         raise DataError.at(path, f"FIX {missing}: vertex {missing} is missing")
-    return graph
 
 
 def _fields(path: Path, line: int, tag: str, fields: list[str], ids: int, count: int) -> tuple[tuple[int, ...], Array]:
     if len(fields) != ids + count:
         raise DataError.at(path, f"{tag} with {len(fields)} numbers; {ids + count} are needed", line=line)
     keys = []
-    for field in fields[:ids]:
-        value = float(field) if is_number(field) else math.nan
-        key = int(field) if field.isdecimal() else int(value) if 0.0 <= value <= LARGEST and value.is_integer() else -1
-        if not 0 <= key < IDS:
-            wanted = "an id, a whole number from 0 up" + f" and below {IDS}" * (key >= IDS)
-            raise DataError.at(path, f"{tag}: {field[:40]!r} is not {wanted}", line=line)
+    for word in fields[:ids]:
+        value = float(word) if is_number(word) else math.nan
+        key = int(word) if word.isdecimal() else int(value) if 0.0 <= value <= LARGEST and value.is_integer() else -1
+        if not 0 <= key < MOST_IDS:
+            wanted = "an id, a whole number from 0 up" + f" and below {MOST_IDS}" * (key >= MOST_IDS)
+            raise DataError.at(path, f"{tag}: {word[:40]!r} is not {wanted}", line=line)
         keys.append(key)
-    for field in fields[ids:]:
-        value = float(field) if is_number(field) else math.nan
+    for word in fields[ids:]:
+        value = float(word) if is_number(word) else math.nan
         if not abs(value) <= HUGE:
             wanted = f"a number of at most {HUGE:g}" if math.isfinite(value) else "a number"
-            raise DataError.at(path, f"{tag}: {field[:40]!r} is not {wanted}", line=line)
+            raise DataError.at(path, f"{tag}: {word[:40]!r} is not {wanted}", line=line)
     return tuple(keys), np.array([float(f) for f in fields[ids:]])
 
 
-def _edge(path: Path, line: int, tag: str, fields: list[str]) -> Edge:
+def _edge(graph: GraphFile, line: int, tag: str, fields: list[str]) -> Edge:
+    path = graph.path
     measured, d, first, second = EDGES[tag]
-    ids = 3 if tag == "EDGE_SE3_TRACKXYZ" else 2
+    ids = IDS.get(tag, 2)
     entries = 2 if tag == "BR" else d * (d + 1) // 2
     bare = tag != "BR" and len(fields) == ids + measured
     keys, values = _fields(path, line, tag, fields, ids, measured + entries * (not bare))
     if keys[0] == keys[1] and first == second:
         raise DataError.at(path, f"{tag}: both ends are {keys[0]}; two variables are needed", line=line)
-    stated = values[measured:]
+    edge = Edge(tag, (keys[0], keys[1]), _pose(path, line, tag, values[:measured]), np.eye(d), line)
     if tag == "BR":
+        stated = values[measured:]
         if not (stated > 0.0).all():
             raise DataError.at(path, f"{tag}: sigma {stated.min():g} is not positive", line=line)
-        information = np.diag(1.0 / stated**2)
-    elif bare:
-        information = np.eye(d)
+        edge = replace(edge, information=np.diag(1.0 / stated**2))
+    elif not bare:
+        edge = replace(edge, information=_stated(graph, edge, values[measured:]))
+    if tag == "EDGE_SE3_TRACKXYZ":
+        return replace(edge, parameter=keys[2])
+    for key in keys[2:]:
+        if key not in graph.offsets:
+            raise DataError.at(path, f"{tag}: no PARAMS_SE2OFFSET {key}, the sensor's place on the robot", line=line)
+    return _of_robot(edge, [graph.offsets[key] for key in keys[2:]]) if keys[2:] else edge
+
+
+def _stated(graph: GraphFile, edge: Edge, entries: Array) -> Array:
+    """The information (d, d) that the entries of an edge's line state."""
+    d, states = EDGES[edge.tag][1], graph.states(edge)
+    if states == ROOT:
+        root = np.triu(_symmetric(entries, d))
+        if not np.diagonal(root).all():
+            what = f"{edge.tag}: the root of its information has a zero on its diagonal; a triangle of full rank"
+            raise DataError.at(graph.path, f"{what} is needed", line=edge.line)
+        return np.asarray(root.T @ root)
+    toro = edge.tag == "EDGE2" and not graph.rows
+    matrix = _symmetric(entries[TORO] if toro else entries, d)
+    hint = ""
+    if d == 3 and EDGES[edge.tag][2] == POSE2 and not toro and _definite(_symmetric(entries[TORO], d)):
+        hint = "; it would be in Toro's order I11 I12 I22 I33 I13 I23, as of an EDGE2"
+    _require_definite(graph.path, edge.line, edge.tag, matrix, hint, "covariance" * (states == COVARIANCE))
+    return np.asarray(np.linalg.inv(matrix), float) if states == COVARIANCE else matrix
+
+
+def _require_definite(path: Path, line: int, tag: str, matrix: Array, hint: str = "", name: str = "") -> None:
+    if not _definite(matrix):
+        value = float(np.linalg.eigvalsh(matrix)[0])
+        what = f"{tag}: its {name or 'information matrix'} is not positive definite (least eigenvalue {value:.3g})"
+        raise DataError.at(path, what + hint, line=line)
+
+
+def _of_robot(edge: Edge, offsets: list[Array]) -> Edge:
+    """A measurement of sensors at `offsets` on the robot as one of the robot.
+
+    A relation's error E, small, becomes o E o^-1 at the second sensor's offset o: exact for the heading, and to first
+    order for the rest. A point's error is only turned.
+    """
+    c, s = math.cos(offsets[-1][2]), math.sin(offsets[-1][2])
+    if len(offsets) == 1:
+        A = np.array([[c, -s], [s, c]])
+        z = offsets[0][:2] + A @ edge.measured
     else:
-        toro = d == 3 and first == POSE2 and bool(_definite(_symmetric(stated[TORO], d)))
-        information = _symmetric(stated[TORO] if tag == "EDGE2" and toro else stated, d)
-        if not _definite(information):
-            value = float(np.linalg.eigvalsh(information)[0])
-            matrix = "covariance" if tag in COVARIANCES else "information matrix"
-            what = f"{tag}: its {matrix} is not positive definite (least eigenvalue {value:.3g})"
-            hint = "; it would be in Toro's order I11 I12 I22 I33 I13 I23, as of an EDGE2" if toro else ""
-            raise DataError.at(path, what + hint, line=line)
-        if tag in COVARIANCES:
-            information = np.asarray(np.linalg.inv(information), float)
-    return Edge(tag, (keys[0], keys[1]), _pose(path, line, tag, values[:measured]), information, line, *keys[2:])
+        A = np.array([[c, -s, offsets[1][1]], [s, c, -offsets[1][0]], [0.0, 0.0, 1.0]])
+        z = compose(compose(offsets[0], edge.measured), inverse(offsets[1]))
+    back = np.linalg.inv(A)
+    return replace(edge, measured=z, information=np.asarray(back.T @ edge.information @ back), carried=A)
 
 
 def _symmetric(entries: Array, d: int) -> Array:
@@ -217,12 +332,16 @@ def with_information(graph: GraphFile, information: dict[int, Array], left_out: 
         elif k in information:
             measured, d, *_ = EDGES[edge.tag]
             words = lines[edge.line - 1].split("#")[0].split()
-            keep = words[: 1 + (3 if edge.tag == "EDGE_SE3_TRACKXYZ" else 2) + measured]
-            stated = np.linalg.inv(information[k]) if edge.tag in COVARIANCES else information[k]
+            keep = words[: 1 + IDS.get(edge.tag, 2) + measured]
+            stated, states = information[k], graph.states(edge)
+            if edge.carried is not None:
+                stated = edge.carried.T @ stated @ edge.carried
+            if states != INFORMATION:
+                stated = np.asarray(np.linalg.inv(stated) if states == COVARIANCE else np.linalg.cholesky(stated).T)
             entries = stated[np.triu_indices(d)]
             if edge.tag == "BR":
                 entries = 1.0 / np.sqrt(np.diagonal(information[k]))
-            elif edge.tag == "EDGE2":
+            elif edge.tag == "EDGE2" and not graph.rows:
                 entries = entries[np.argsort(TORO)]
             lines[edge.line - 1] = " ".join([*keep, *(repr(float(v)) for v in entries)])
     return "\n".join(lines) + "\n"

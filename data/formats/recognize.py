@@ -60,21 +60,22 @@ def what_to_type(path: Path) -> str:
         return f"a ROS bag; type slamref convert rosbag {file} LOG" * (path / "metadata.yaml").is_file()
     if path.suffix.lower() == ".mat":
         return f"a MATLAB file; type slamref inspect {file}"
-    relations, landmarks = _edges_of(path)
+    relations, landmarks = edges_of(path)
     if relations and not landmarks:
         return f"a pose graph without observations; slamref audit {file} optimizes it"
     kind = path.suffix.lower()
     return KINDS.get(".g2o" if landmarks and kind == ".txt" else kind, "").format(file=file)
 
 
-def _edges_of(path: Path) -> tuple[int, int]:
+def edges_of(path: Path) -> tuple[int, int]:
     """Numbers of relations of poses and of observations of landmarks in a file of a graph; zeros for any other."""
-    from data.formats.graph_file import EDGES
+    from data.formats.graph_file import EDGES, known_tag
 
     if path.suffix.lower() not in GRAPHS or not path.is_file():
         return 0, 0
     with path.open(errors="replace") as lines:
-        ends = [EDGES[tag][2:] for tag in (line.split(maxsplit=1)[0] for line in lines if line.strip()) if tag in EDGES]
+        tags = (known_tag(line.split(maxsplit=1)[0]) for line in lines if line.strip())
+        ends = [EDGES[tag][2:] for tag in tags if tag in EDGES]
     relations = sum(first == second for first, second in ends)
     return relations, len(ends) - relations
 
@@ -100,7 +101,6 @@ def _mrclam(path: Path) -> list[str]:
         corrected = corrected_landmarks(path)
     except DataError:  # the conversion reports it
         corrected = None
-    landmarks = "" if corrected is None else f" --landmarks {shlex.quote(str(corrected))}"
     who = f"robot{'s' * (len(robots) > 1)} {', '.join(map(str, robots))}"
     out = files.name.lower().replace("_dataset", "")
     source = shlex.quote(str(path))
@@ -115,7 +115,7 @@ def _mrclam(path: Path) -> list[str]:
     logs = {n: shlex.quote(f"logs/{out}-robot{n}") for n in robots}
     return [
         f"{name_of(path)} is a UTIAS MRCLAM dataset, {who}. Convert a robot's data to a log:",
-        *(f"  slamref convert mrclam {source} {log} --robot {n}{landmarks}{excluded(n)}" for n, log in logs.items()),
+        *(f"  slamref convert mrclam {source} {log} --robot {n}{excluded(n)}" for n, log in logs.items()),
     ]
 
 

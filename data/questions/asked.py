@@ -131,7 +131,7 @@ def per_second(time: Array, turn: Array) -> Array:
 def stamps(log: Log) -> list[Notice]:
     """Frame intervals that do not fit seconds."""
     inputs = log.recorded
-    if inputs.time_is_index or len(inputs) < 3:
+    if inputs.time_is_index or len(inputs) < 3 or any(q.code == Code.STAMPS_BACK for q in log.asked):
         return []
     gap = float(np.median(np.diff(inputs.time)))
     span = float(inputs.time[-1] - inputs.time[0])

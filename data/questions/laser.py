@@ -7,7 +7,7 @@ import math
 import numpy as np
 import scipy
 
-from data.inputs import Inputs, Scanner
+from data.inputs import Inputs, Scanner, Scans
 from data.log import Log
 from data.notice import Code, Notice, notice
 from data.se2 import Array, between, compose, dead_reckoned, inverse, transform_points
@@ -39,24 +39,52 @@ def _is_exact(inputs: Inputs) -> bool:
     return bool(np.median(inputs.increments.covariance[1:, 0, 0]) < 1e-4)
 
 
-STRIDE = 20.0
-"""m between two scans (90th percentile of those that move), from which on no robot drives: its scans would not overlap.
-"""
+STRIDE, SPEED = 3.0, 10.0
+"""m between two scans, and m/s (90th percentiles of those that move), from which on another unit is tried."""
+SURELY = 20.0
+"""m between two scans, from which on no robot drives: its scans would not overlap."""
+UNITS = {"cm": 0.01, "mm": 0.001}
 
 
 def odometry_unit(log: Log) -> list[Notice]:
-    """Odometry that moves farther between two scans than a scanner sees."""
+    """Odometry that moves farther than a robot drives, where another unit makes scans overlap or nothing else could."""
     inputs = log.recorded
-    if inputs.scans is None or len(inputs.scans.frame) < FEWEST:
+    scans = inputs.scans
+    if scans is None or len(scans.frame) < FEWEST:
         return []
-    at = _odometry(inputs)[inputs.scans.frame]
+    at = _odometry(inputs)[scans.frame]
     step = np.hypot(*np.diff(at[:, :2], axis=0).T)
-    step = step[step > 0.0]
-    if not len(step) or float(np.quantile(step, 0.9)) < STRIDE:
+    moves = step > 0.0
+    if not moves.any():
         return []
-    stride = float(np.median(step))
-    unit = "mm" if stride > 50.0 else "cm"
-    return [notice(Code.ODOMETRY_UNIT, stride=stride, unit=unit, flags=(f"--odometry-unit {unit}",))]
+    seconds = float(np.median(np.diff(inputs.time[scans.frame]))) if not inputs.time_is_index else np.inf
+    stride = float(np.quantile(step[moves], 0.9))
+    if stride < STRIDE and stride < SPEED * seconds:
+        return []
+    best, gain = "", GAIN
+    for unit, metres in UNITS.items():
+        pairs = _pairs(at * [metres, metres, 1.0])[::3]
+        if len(pairs) < FEWEST // 4:
+            continue
+        stated = [(i, j, between(at[i], at[j])) for i, j, _ in pairs]
+        more = _best_fits(scans, pairs) - _best_fits(scans, stated)
+        if float(more.mean()) > max(gain, CLEARLY * float(more.std(ddof=1)) / math.sqrt(len(more))):
+            best, gain = unit, float(more.mean())
+    middle = float(np.median(step[moves]))
+    if not best and stride < SURELY:
+        return []
+    best = best or ("mm" if middle > 50.0 else "cm")
+    return [notice(Code.ODOMETRY_UNIT, stride=middle, unit=best, flags=(f"--odometry-unit {best}",))]
+
+
+def _best_fits(scans: Scans, pairs: list[tuple[int, int, Array]]) -> Array:
+    """`_fits` by the mounting that fits best: it may be wrong, too."""
+    mountings = [(False, 0.0), *MOUNTINGS.values()]
+    fits = [
+        _fits(scans.ranges, scans.scanner.mounted(clockwise=clockwise, turned=math.radians(turned)), pairs)
+        for clockwise, turned in mountings
+    ]
+    return max(fits, key=lambda shares: float(shares.mean()))
 
 
 def _odometry(inputs: Inputs) -> Array:

@@ -24,7 +24,7 @@ from data.robot.packets import FASTEST, FASTEST_TURN, LONGEST_RANGE, RADIUS, WAT
 from data.robot.traffic.motion import Packet
 from data.robot.traffic.recording import PACKETS, read_recording
 from data.robot.traffic.stream import decoded
-from data.robot.walls import SIGMA
+from data.robot.walls import SIGMA, USUAL_FIT
 from data.se2 import Array, between
 from data.sensors import Line
 from data.truth import Truth
@@ -50,7 +50,7 @@ USUAL = Noise()
 
 
 class Framing:
-    """Make frames of packets; the first frame is the world's origin.
+    """Make frames of packets; the first frame is the world's origin. `fit`: of walls, see `data.robot.walls.FITS`.
 
     Attributes:
         count: frames so far.
@@ -58,9 +58,9 @@ class Framing:
         at_rest: frames so far whose increment has the floor covariance.
     """
 
-    def __init__(self, noise: Noise = USUAL) -> None:
+    def __init__(self, noise: Noise = USUAL, fit: str = USUAL_FIT) -> None:
         self.count = self.observations = self.at_rest = 0
-        self._noise, self._walls = noise, WallObserver(noise.sonar_sigma, noise.slip)
+        self._noise, self._walls = noise, WallObserver(noise.sonar_sigma, noise.slip, fit)
         self._before: Packet | None = None
 
     def frame(self, packet: Packet) -> Frame:
@@ -148,7 +148,7 @@ def load_recording(folder: Path) -> Log:
     packets, faults = decoded(recorded.records, framed=recorded.framed)
     if not packets:
         raise DataError.at(folder / PACKETS, f"{len(recorded.records)} records, none of them an answer of the robot")
-    framing = Framing(Noise(*recorded.noise))
+    framing = Framing(Noise(*recorded.noise), recorded.fit)
     frames = [framing.frame(packet) for packet in packets]
     counted = [f"{count} {name}" for name, count in faults.items() if count]
     notes = [f"Faults of the link: {', '.join(counted)}."] if counted else []

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from data.robot.packets import CONE_HALF_ANGLE, SONARS, WHEEL_BASE
 from data.robot.traffic.motion import Packet
-from data.robot.walls import MIRROR, SIGMA, Line, echo_points, fit_weighted, geometry, visible
+from data.robot.walls import FITS, MIRROR, SIGMA, USUAL_FIT, Line, echo_points, fit_author, geometry, visible
 from data.se2 import Array, between, compose, wrap_angle
 
 SLIP = 0.005
@@ -131,11 +131,11 @@ class _Run:
 class WallObserver:
     """Collect readings of the last packets and return walls.
 
-    `sigma`: m, of a sonar distance; `slip`: m per sqrt(m) of a wheel's travel.
+    `sigma`: m, of a sonar distance; `slip`: m per sqrt(m) of a wheel's travel; `fit`: one of `data.robot.walls.FITS`.
     """
 
-    def __init__(self, sigma: float = SIGMA, slip: float = SLIP) -> None:
-        self._sigma, self._slip = sigma, slip
+    def __init__(self, sigma: float = SIGMA, slip: float = SLIP, fit: str = USUAL_FIT) -> None:
+        self._sigma, self._slip, self._fit = sigma, slip, FITS[fit]
         self._restart()
 
     def _restart(self) -> None:
@@ -178,7 +178,7 @@ class WallObserver:
         odometry = np.array(self._odometry)
         sensors = between(odometry[-1], np.array([r.sensor for r in readings]))
         ranges = np.array([r.distance for r in readings])
-        line = fit_weighted(sensors, ranges, self._sigma)
+        line = self._fit(sensors, ranges, self._sigma)
         w, total = line.weights, float(line.weights.sum())
         if w.mean() < GOOD or total < FEWEST - 1 or not visible(line, sensors) or not _crossed(line, sensors):
             return None
@@ -187,10 +187,12 @@ class WallObserver:
         J = w[:, None] * geometry(sensors, ranges, line.alpha)
         information = J.T @ geometry(sensors, ranges, line.alpha)
         # from the sonar's sigma: so few residuals say little about their own spread
-        sonar = self._sigma**2 * np.linalg.inv(information)
+        gain = np.asarray(np.linalg.solve(information, J.T), float)
+        # weights by range say nothing of a reading's own noise
+        spread = gain @ gain.T if self._fit is fit_author else np.linalg.inv(information)
+        sonar = self._sigma**2 * spread
         if not sonar[1, 1] < VAGUEST**2:
             return None
-        gain = np.asarray(np.linalg.solve(information, J.T), float)
         packets = np.array([r.packet for r in readings]) - self._first
         points = echo_points(sensors, ranges, line.alpha)
         return line._replace(cov=sonar + _of_odometry(odometry, packets, points, line.alpha, gain, self._slip))

@@ -12,6 +12,7 @@ echo, and directions and line are found by iteration. Echoes taken on the sonar'
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +29,8 @@ WELSCH = 2.985
 1977)."""
 NORMAL_MEDIAN = 1.4826
 """Standard deviation of normal residuals over their median absolute value."""
+FADING = 0.75
+"""m^2, of the robot's author: the weight of a reading at range r is exp(-r^2 / FADING), a half at 0.72 m."""
 ITERATIONS = 50
 CONVERGED = 1e-9
 """rad or m; a smaller step ends the iteration."""
@@ -117,6 +120,34 @@ def fit_weighted(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
     return _line(sensors, ranges, (rho, alpha), d, np.exp(-u), np.exp(-u) * (1.0 - 2.0 * u))
 
 
+def fit_author(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
+    """The line by the robot author's weights exp(-r^2 / `FADING`), r the range to the robot, in one pass.
+
+    Echoes are taken on the sonars' axes, and no reading is an outlier. The original regresses y on x, which knows no
+    wall ahead; this is total least squares. `sigma` is unused: the spread comes from the residuals. The nearest reading
+    has weight 1. Source: A. Kramer, "Weighted Linear Regression for Wall Following" (andrewjkramer.net), its program.
+    """
+    points = echo_points(sensors, ranges, sensors[:, 2])
+    nearness = -np.sum(points**2, axis=-1) / FADING
+    weights = np.exp(nearness - nearness.max())
+    rho, alpha = (float(v) for v in total_least_squares(points, weights, sensors))
+    d = points @ (math.cos(alpha), math.sin(alpha)) - rho
+    J = np.stack([-np.ones(len(d)), points @ (-math.sin(alpha), math.cos(alpha))], axis=-1)
+    information = (weights[:, None] * J).T @ J
+    freedom = len(d) - 2
+    if freedom <= 0 or np.linalg.det(information) <= 0.0:
+        return _turned(rho, alpha, np.full((2, 2), np.inf), weights, d)
+    gain = np.linalg.solve(information, (weights[:, None] * J).T)
+    variance = float(weights @ d**2) / float(weights.sum()) * len(d) / freedom
+    return _turned(rho, alpha, variance * gain @ gain.T, weights, d)
+
+
+Fit = Callable[[Array, Array, float], Line]
+FITS: dict[str, Fit] = {"weighted": fit_weighted, "author": fit_author}
+"""Ways to fit a wall, by name: with weights that find outliers, and the robot author's."""
+USUAL_FIT = "weighted"
+
+
 def visible(line: Line, sensors: Array) -> bool:
     """Whether a smooth wall there would return echoes to the sensors (N, 3), by the weighted mean of the angle."""
     off = np.abs(wrap_angle(line.alpha - sensors[:, 2]))
@@ -147,6 +178,11 @@ def _line(sensors: Array, ranges: Array, fitted: tuple[float, float], d: Array, 
     else:
         variance = float(np.sum((weights * d) ** 2)) / curvature * total / freedom
         cov = variance * total / curvature * np.linalg.inv(information)
+    return _turned(rho, alpha, cov, weights, d)
+
+
+def _turned(rho: float, alpha: float, cov: Array, weights: Array, d: Array) -> Line:
+    """The line with rho >= 0."""
     if rho < 0.0:
         rho, alpha = -rho, alpha + math.pi
         cov = cov * [[1.0, -1.0], [-1.0, 1.0]] if np.isfinite(cov).all() else cov

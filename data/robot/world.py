@@ -18,6 +18,7 @@ from data.robot.log import SENSOR, Framing, Noise, inputs_of
 from data.robot.packets import PERIOD
 from data.robot.simulated.physics import Physics, drive
 from data.robot.simulated.room import Room, room
+from data.robot.walls import FITS, USUAL_FIT
 from data.se2 import Array, between, wrap_angle
 from data.truth import Truth
 from data.worlds.parameters import check_parameters
@@ -40,6 +41,7 @@ class Walls:
         range_sigma: m, standard deviation of a sonar's distance.
         dropout: share of echoes that are missed.
         crosstalk: share of readings that are the echo of another sonar's ping.
+        fit: of walls, see `data.robot.walls.FITS`.
     """
 
     frames: int = 1200
@@ -48,10 +50,15 @@ class Walls:
     range_sigma: float = Physics.range_sigma
     dropout: float = Physics.dropout
     crosstalk: float = Physics.crosstalk
+    fit: str = USUAL_FIT
 
     def __post_init__(self) -> None:
         check_parameters(
-            "walls", self, positive=("frames", "range_sigma"), not_negative=("room", "slip", "dropout", "crosstalk")
+            "walls",
+            self,
+            positive=("frames", "range_sigma"),
+            not_negative=("room", "slip", "dropout", "crosstalk"),
+            choices={"fit": FITS},
         )
 
 
@@ -60,7 +67,7 @@ def simulate(walls: Walls, seed: int, name: str | None = None) -> Log:
     place = room(seed if walls.room is None else walls.room)
     physics = Physics(walls.slip, walls.range_sigma, dropout=walls.dropout, crosstalk=walls.crosstalk)
     driven = drive(place, WallFollower(), walls.frames * PERIOD, np.random.default_rng(seed), physics)
-    framing = Framing(Noise(walls.slip, walls.range_sigma))
+    framing = Framing(Noise(walls.slip, walls.range_sigma), walls.fit)
     frames = [framing.frame(packet) for packet in driven.packets]
     path = between(place.start, driven.poses)
     known = lines(place)

@@ -77,6 +77,11 @@ def _gathered(log: Log, runs: Sequence[Run], factor: int | None) -> _Map:
     return _Map(log, shown, estimates, maps, paths, poses, view, factor)
 
 
+def enlarged(log: Log, runs: Sequence[Run], factor: int | None) -> int:
+    """By how much `map_figure` enlarges the ellipses for a factor, None: as is needed to see them."""
+    return _gathered(log, runs, None).factor if factor is None else factor
+
+
 @drawing()
 def map_figure(
     log: Log,

@@ -29,6 +29,8 @@ PROG = "python -m eval.live"
 TABLE = rows(Options)
 UNFIT = {"known": "walls have no labels", "scan": "sonars make no scans", "jcbb-hindsight": "needs point landmarks"}
 FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
+FITTED = ("weighted", "author")
+"""Names of `data.robot.walls.FITS`."""
 SHARED = (
     replace(TABLE["estimator"], help=f"of {', '.join(STEPPING)}, or your own (default: ekf-fej)"),
     replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(FIT)}, or your own (default: jcbb)"),
@@ -64,6 +66,7 @@ class Wish:
     framed: bool
     slip: float | None
     sonar_sigma: float | None
+    fit: str
     speed: float
     seconds: float | None
     port: int
@@ -84,6 +87,8 @@ def parser(prog: str = PROG) -> Command:
     add("--framed", action="store_true", help="packets with marker and checksum, both ways")
     add("--slip", metavar="M", help="of a wheel, m per square root of the distance in m (default: 0.005)")
     add("--sonar-sigma", metavar="M", help="standard deviation of a distance, m (default: 0.005)")
+    text = "of walls: with weights that find outliers (default), or the robot author's weights by range, in one pass"
+    add("--fit", choices=FITTED, default=FITTED[0], help=text)
     add("--speed", metavar="X", default="1", help="speed of a simulated robot, robot s per s (default: 1)")
     add("--seconds", metavar="S", help="end after S seconds of the robot's time (default: Ctrl-C)")
     add("--port", metavar="N", default="0", help="of the page on this machine (default: a free one)")
@@ -120,7 +125,7 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     port = number("port", 0.0, 65535.0)
     if port is None or not port.is_integer():
         raise UsageError(f"--port {given['port']}: a whole number from 0 to 65535 is needed")
-    plain = {name: given[name] for name in ("link", "out", "framed", "page", "estimates")}
+    plain = {name: given[name] for name in ("link", "out", "framed", "fit", "page", "estimates")}
     return Wish(
         options,
         shared,
@@ -210,13 +215,13 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
         for receiver in receivers:
             receiver(taken)
 
-    session = Session(estimators, association, setup, noise, processed)
+    session = Session(estimators, association, setup, noise, processed, wish.fit)
     # objects made so far stay; collecting them again would delay frames
     gc.collect()
     gc.freeze()
     with ExitStack() as driving:
         driving.enter_context(threadpool_limits(1))  # as in a replay
-        recording = driving.enter_context(Recording(wish.out, framed=wish.framed, noise=tuple(noise)))
+        recording = driving.enter_context(Recording(wish.out, framed=wish.framed, noise=tuple(noise), fit=wish.fit))
         clock = Clock(wish.speed)
         try:
             link = driving.enter_context(Link(str(wish.link), clock, recording, with_frames=wish.framed))

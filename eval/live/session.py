@@ -25,6 +25,7 @@ from data.robot.packets import PERIOD
 from data.robot.simulated.physics import drive
 from data.robot.simulated.room import room
 from data.robot.traffic.motion import Packet
+from data.robot.walls import USUAL_FIT
 from data.se2 import Array, wrap_angle
 from data.terminal import message_of
 from ekf.slam import EkfSlam
@@ -112,11 +113,12 @@ class Session:
         setup: Setup,
         noise: Noise = USUAL,
         processed: Callable[[Taken], None] = lambda taken: None,
+        fit: str = USUAL_FIT,
     ) -> None:
-        """Start; `processed` gets every processed frame."""
+        """Start; `processed` gets every processed frame, `fit` is of walls (`data.robot.walls.FITS`)."""
         self.estimating = [Estimating(name, association, setup) for name in names]
         self.frames = self.observations = 0
-        self._framing, self._processed = Framing(noise), processed
+        self._framing, self._processed = Framing(noise, fit), processed
 
     def take(self, packet: Packet) -> Taken:
         """Convert a packet to a frame, and pass it to every estimator."""

@@ -143,7 +143,7 @@ def variant_log(log: Log, variant: Variant, places: Sequence[Path] = ()) -> Log:
         changed,
         name=f"{log.name}:{variant.name}",
         recorded=replace(changed.recorded, prior=prior),
-        source={**changed.source, **_original(s, variant)},
+        source={**changed.source, **_original(s, changed, variant)},
         notes=(*changed.notes, *variant.notes),
     )
 
@@ -188,11 +188,15 @@ def tutorial_run(log: Log, variant: Variant) -> Run:
     return replace(with_plausibility(run, inputs), notes=(*run.notes, *notes))
 
 
-def _original(source: Mapping[str, object], variant: Variant) -> dict[str, object]:
-    """Results of the original program, if the log is the whole of its recording."""
+def _original(source: Mapping[str, object], changed: Log, variant: Variant) -> dict[str, object]:
+    """Results of the original program, if the log is the whole of its recording, with the landmark file it read."""
     whole = source.get("start") is None and source.get("stop") is None
     here = f"{source.get('dataset')}, robot {source.get('robot')}"
     if variant.original is None or not whole or here != variant.original_log:
+        return {}
+    digests = changed.source["sha256"]
+    assert isinstance(digests, dict)  # of the files read
+    if variant.original_landmarks not in digests.values():
         return {}
     return {"original": list(variant.original)}
 

@@ -123,6 +123,7 @@ class Recorder:
             removed, events, self._gated(), finished.iterations, finished.last_step_sigma,
             errors_online=self._errors_online(), errors_final=finished.systematic, begun=begun,
             gated_final=front.gated_final, left=front.left, fixes=fixes, closures=closures,
+            fixes_final=finished.fixes, closures_final=finished.closures,
         )  # fmt: skip
 
     def _errors_online(self) -> Systematics | None:

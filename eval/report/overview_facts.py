@@ -13,8 +13,11 @@ from data.questions import asked
 from eval.referee import laser_faults
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.diagnostics import unused
+from eval.referee.errors import position_distance, rms
 from eval.referee.headline import Claim, Headline, Objected, Objection, Preference, Verdict, headline, usable
 from eval.referee.score import Scores, Trial
+from eval.referee.source_residuals import source_in
+from eval.referee.sources import has_sources
 from eval.replay.settings import INCREMENTAL
 from eval.report.answer import LINEARIZATION, chosen_association, pick
 from eval.report.comparison import difference_of
@@ -173,6 +176,8 @@ def log_facts(
     apart = math.nan if trust is None or filtered is None else trust.real.apart.get(filtered.estimator, math.nan)
     if filtered is not None and not math.isfinite(apart):
         apart = filtered.from_batch
+    if not math.isfinite(apart) and filtered is not None and smoothed is not None:
+        apart = _apart(trial, filtered, smoothed)
     measured, slam = truth.known_poses > 0 or truth.relations is not None, trial.task == "slam"
 
     def claim(row: Scored | None) -> Claim | None:
@@ -202,7 +207,9 @@ def log_facts(
         filtered=filtered,
         smoothed=smoothed,
         trusted=trusted,
-        empty=not len(trial.log.recorded.observations.frame) and trial.log.recorded.scans is None,
+        empty=not len(trial.log.recorded.observations.frame)
+        and trial.log.recorded.scans is None
+        and not has_sources(trial.log.recorded),
         unused=tuple(
             r.estimator for r in (filtered, smoothed) if r is not None and (r.estimator, r.association) in idle and r.ok
         ),
@@ -230,6 +237,18 @@ def log_facts(
         gauge=_gauge(filtered, smoothed) if trial.task == "slam" else None,
         conventions=conventions,
     )
+
+
+def _apart(trial: Trial, filtered: Scored, smoothed: Scored) -> float:
+    """RMS distance [m] of the filter's path from the smoother's; NaN where a run has none."""
+    runs = {(r.estimator, r.association): r for r in trial.runs}
+    found = [runs.get((row.estimator, row.association)) for row in (filtered, smoothed)]
+    if any(r is None or r.failure is not None for r in found):
+        return math.nan
+    one, other = (
+        r.trajectory(row.phase).pose for r, row in zip(found, (filtered, smoothed), strict=True) if r is not None
+    )
+    return rms(position_distance(one, other))
 
 
 def _of_map(rows: Notice | None) -> tuple[Objected, ...]:
@@ -314,7 +333,7 @@ def cause_word(trust: Trust) -> str:
 
 
 def side_of(found: Finding) -> str:
-    """What a finding is a fault of: odometry, sensor, map or time stamps."""
+    """What a finding is a fault of: odometry, sensor, map, time stamps, or a source of fixes or closures."""
     if found.name in LATE:
         return "time stamps"
     if found.kind in ("displaced", "landmark") or found.name == "map_scale":
@@ -323,7 +342,9 @@ def side_of(found: Finding) -> str:
 
 
 def side(component: str) -> str:
-    """Whether a component belongs to odometry or sensor."""
+    """Whether a component belongs to odometry, to the sensor, or to a source of fixes or closures (its name)."""
+    if (source := source_in(component)) is not None:
+        return source
     return ODOMETRY if component.startswith("odometry") else SENSOR
 
 

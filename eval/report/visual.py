@@ -21,6 +21,7 @@ from data.inputs import IntArray
 from data.log import Log, folder_name
 from data.pictures import COMMAND_SIGMA, Detection, Evidence, Found, InView, true_pictures
 from data.terminal import counted
+from eval.figures.map import enlarged
 from eval.figures.style import save
 from eval.figures.visual import Tile, contact_sheet, plan_figure
 from eval.plan.flags.table import Output
@@ -228,10 +229,11 @@ def constants(log: Log) -> str:
 def _plan(folder: Path, wanted: Output, trial: Trial, factor: int | None) -> Picture:
     log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
     assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
+    factor = enlarged(log, drawn, factor)
     figure = plan_figure(log, drawn, log.evidence.setup.corners, factor=factor)
     save(figure, folder / "figures", name)
     known = bool(log.truth.known_poses)
-    caption = say("visual#plan", log=log.name, task=trial.task, known=known) + left_out(trial, drawn)
+    caption = say("visual#plan", log=log.name, task=trial.task, known=known, factor=factor) + left_out(trial, drawn)
     paths = ", ".join(r.estimator for r in drawn)
     return Picture(name, caption, f"Plan of {log.name} with pictures and the paths of {paths}")
 

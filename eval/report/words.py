@@ -113,8 +113,8 @@ QUESTIONS = (
     *(Code.MAP_ROWS, Code.BAD_TRUTH, Code.TRUTH_RATE, Code.LABELS, Code.LABEL_NAMES, Code.BEARING_UNIT, Code.TURN_RATE),
     *(Code.TURN_RATES, Code.TIME_UNIT, Code.MAX_RANGE, Code.FIELD_OF_VIEW, Code.PRIOR, Code.TRUTH_FRAME),
     *(Code.INTEGRATION, Code.MIRRORED),
-    *(Code.NO_ODOMETRY, Code.ODOMETRY_UNIT, Code.RANGE_UNIT, Code.FEW_RETURNS, Code.MOUNTING, Code.BEAM_ANGLES),
-    *(Code.STAMPS_BACK, Code.STAMPS_BROKEN, Code.UNUSED, Code.LANDMARKS),
+    *(Code.NO_ODOMETRY, Code.ODOMETRY_UNIT, Code.HEADING_UNIT, Code.RANGE_UNIT, Code.FEW_RETURNS, Code.MOUNTING),
+    *(Code.BEAM_ANGLES, Code.STAMPS_BACK, Code.STAMPS_BROKEN, Code.UNUSED, Code.LANDMARKS),
 )  # notices that are questions to the person: warnings about a log or a run
 
 

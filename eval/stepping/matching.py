@@ -64,9 +64,8 @@ def draw_decisions(
         for marker, kind, large in kinds:
             ax.plot(*p.xy[kind & group].T, marker, color=colour, markersize=large, linestyle="none", zorder=5)
     named = np.arange(len(wrong)) if all_numbers else np.flatnonzero(wrong)
-    write_numbers(
-        ax, p.xy[named], [str(i) for i in named], "#202020" if all_numbers else BAD, size if all_numbers else size + 1.0
-    )
+    colour, size = ("#202020", size) if all_numbers else (BAD, size + 1.0)
+    write_numbers(ax, p.xy[named], named, colour, size, first=p.first)
 
 
 def wrong_of(truth: TruthRow | None) -> IntArray:
@@ -105,7 +104,7 @@ def inset_on_wrong(ax: Axes, p: Plane, decisions: IntArray, truth: TruthRow | No
     inset.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
     inset.set_aspect("equal")
     seen = np.all(np.abs(p.landmarks - middle) <= half, axis=1)
-    write_numbers(inset, p.landmarks[seen], [str(n) for n in p.number[seen]], LANDMARK, 6.0, (-3.0, -3.0))
+    write_numbers(inset, p.landmarks[seen], p.number[seen], LANDMARK, 6.0, (-3.0, -3.0), first=p.first)
     inset.tick_params(labelleft=False, labelbottom=False, length=0.0)
     ax.indicate_inset_zoom(inset, edgecolor="#303030")
     for spine in inset.spines.values():
@@ -210,7 +209,7 @@ def paint_compatibility(fig: Figure, m: Matching) -> None:
         ax.plot(*p.xy.T, "o", color=GOOD, markersize=3.5, markeredgewidth=0.8, zorder=5)
         ax.plot(*p.xy[without].T, "o", color="white", markersize=2.2, markeredgewidth=0.0, zorder=5.1)
         if first:
-            write_numbers(ax, p.xy, [str(i) for i in range(len(p.xy))], "#202020", 5.5)
+            write_numbers(ax, p.xy, np.arange(len(p.xy)), "#202020", 5.5, first=p.first)
         return f": {EVIDENCE.get(name, rest)} ({len(pairs)}{f', {len(bad)} incompatible' if bad else ''})"
 
     handles: list[Line2D | Patch] = [
@@ -349,11 +348,11 @@ def _scene(ax: Axes, p: Plane, middle: Array, half: float, wrong: IntArray | Non
     ax.plot(*p.landmarks.T, "+", color=DULL, markersize=7.0, markeredgewidth=1.0, zorder=3)
     lines(ax, p, [(int(i), int(j)) for i, j in np.argwhere(p.near)], color=FAINT, linewidth=0.9, zorder=2.5)
     seen = np.all(np.abs(p.landmarks - middle) <= half, axis=1)
-    write_numbers(ax, p.landmarks[seen], [str(n) for n in p.number[seen]], LANDMARK, SIZE, (-3.0, -3.0))
+    write_numbers(ax, p.landmarks[seen], p.number[seen], LANDMARK, SIZE, (-3.0, -3.0), first=p.first)
     if wrong is not None:
         ax.plot(*p.xy.T, "o", color=GOOD, markersize=3.5, zorder=5)
         ax.plot(*p.xy[wrong].T, "o", color=BAD, markersize=3.5, zorder=5.1)
-        write_numbers(ax, p.xy, [str(i) for i in range(len(p.xy))], "#202020", SIZE)
+        write_numbers(ax, p.xy, np.arange(len(p.xy)), "#202020", SIZE, first=p.first)
 
 
 def _handles(m: Matching, methods: Sequence[str], seen: BoolArray) -> list[Line2D | Patch]:

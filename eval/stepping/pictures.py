@@ -117,9 +117,17 @@ def _seen(ax: Axes, log: Log, rows: slice, pose: Array, known: LandmarkMap | Non
 
 
 def paint_map(
-    fig: Figure, log: Log, frame: int, estimator: str, path: Array, now: PoseEstimate, landmarks: MapState, title: str
+    fig: Figure,
+    log: Log,
+    frame: int,
+    estimator: str,
+    path: Array,
+    now: PoseEstimate,
+    landmarks: MapState,
+    title: str,
+    first: int = 0,
 ) -> None:
-    """The estimate: path so far (k, 2), robot and numbered landmarks, each with its 3 sigma ellipse."""
+    """The estimate: path so far (k, 2), robot and landmarks numbered from `first`, each with its 3 sigma ellipse."""
     ax = _picture(fig)
     style, known, truth = style_of(estimator), true_landmarks(log), log.truth.pose
     points = log.recorded.sensor.sees_points
@@ -133,7 +141,7 @@ def paint_map(
         outlines(ax, landmarks.xy, landmarks.covariance, style.colour)
         label = f"{counted(len(landmarks.xy), 'landmark')}, numbered"
         ax.plot(*landmarks.xy.T, ".", color=style.colour, markersize=3.0, label=label)
-        write_numbers(ax, landmarks.xy, [str(n) for n in landmarks.number], LANDMARK, 4.5, (1.5, 1.5))
+        write_numbers(ax, landmarks.xy, landmarks.number, LANDMARK, 4.5, (1.5, 1.5), first=first)
     outlines(ax, now.mean[None, :2], now.covariance[None, :2, :2], "#202020", 5.0)
     mark_robot(ax, now.mean, style.colour, "robot")
     ax.set(xlabel="x [m]", ylabel="y [m]")
@@ -144,12 +152,12 @@ def paint_map(
         if known is not None:
             draw_walls(ax, known.xy, FAINT, label="true landmarks", zorder=1)
         rows, ends = draw_walls(ax, landmarks.xy, style.colour, label=counted(len(landmarks.xy), "landmark"))
-        write_numbers(ax, ends.mean(axis=1), [str(n) for n in landmarks.number[rows]], LANDMARK, 4.5, (1.5, 1.5))
+        write_numbers(ax, ends.mean(axis=1), landmarks.number[rows], LANDMARK, 4.5, (1.5, 1.5), first=first)
     _legend_below(fig, ax, 5)
 
 
-def paint_observations(fig: Figure, sensor: Sensor, z: Array, R: Array, title: str) -> None:
-    """Observations z (m, 2) with their 3 sigma ellipses in the robot frame, numbered."""
+def paint_observations(fig: Figure, sensor: Sensor, z: Array, R: Array, title: str, first: int = 0) -> None:
+    """Observations z (m, 2) with their 3 sigma ellipses in the robot frame, numbered from `first`."""
     ax = _picture(fig)
     xy, P = sensor.body_points(z, R)
     outline = field_of_view(sensor)
@@ -159,7 +167,7 @@ def paint_observations(fig: Figure, sensor: Sensor, z: Array, R: Array, title: s
         ax.fill(*outline.T, facecolor=GOOD, alpha=0.07, edgecolor=GOOD, linewidth=0.5, label="sensor's view", zorder=1)
     outlines(ax, xy, P, GOOD)
     ax.plot(*xy.T, ".", color=GOOD, markersize=4.0, label="observations with 3σ ellipses", zorder=4)
-    write_numbers(ax, xy, [str(i) for i in range(len(xy))], "#202020", 7.0)
+    write_numbers(ax, xy, np.arange(len(xy)), "#202020", 7.0, first=first)
     mark_robot(ax, np.zeros(3), "black", "robot")
     robot_axes(ax)
     ax.set_title(f"{title}: {len(xy)} observation{'s' * (len(xy) != 1)}, robot frame", loc="left")

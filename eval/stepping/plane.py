@@ -68,14 +68,21 @@ def fit(ax: Axes, points: Array, margin: float = 0.06) -> None:
 
 
 def write_numbers(
-    ax: Axes, xy: Array, texts: Sequence[str], colour: str, size: float, offset: tuple[float, float] = (3.0, 2.5)
+    ax: Axes,
+    xy: Array,
+    numbers: IntArray,
+    colour: str,
+    size: float,
+    offset: tuple[float, float] = (3.0, 2.5),
+    *,
+    first: int = 0,
 ) -> None:
-    """Texts at points, `offset` pt from them."""
+    """Numbers (n,) at points, `offset` pt from them; `first`: what 0 is called."""
     across, up = "left" if offset[0] >= 0 else "right", "baseline" if offset[1] >= 0 else "top"
     look: dict[str, Any] = {"fontsize": size, "color": colour, "ha": across, "va": up, "path_effects": HALO}
     place: dict[str, Any] = {"xytext": offset, "textcoords": "offset points", "annotation_clip": True}
-    for (x, y), text in zip(xy.tolist(), texts, strict=True):
-        ax.annotate(text, (x, y), zorder=8, **place, **look)
+    for (x, y), number in zip(xy.tolist(), numbers.tolist(), strict=True):
+        ax.annotate(str(number + first), (x, y), zorder=8, **place, **look)
 
 
 def robot_axes(ax: Axes, left: bool = True, bottom: bool = True) -> None:
@@ -104,6 +111,7 @@ class Plane:
     number: IntArray  # (n,) of the landmarks
     named: BoolArray  # (n,) those whose number is written
     column: dict[int, int]  # of a number, its place among them
+    first: int  # what landmark and observation 0 are called
 
 
 def plane_of(m: Matching) -> Plane:
@@ -122,7 +130,7 @@ def plane_of(m: Matching) -> Plane:
     involved &= np.all((landmarks > low - reach) & (landmarks < high + reach), axis=1)
     shown = np.concatenate([scene, landmarks[involved]])
     column = {int(n): j for j, n in enumerate(e.number)}
-    return Plane(xy, P, landmarks, Pl, compatible, near, shown, e.number, involved, column)
+    return Plane(xy, P, landmarks, Pl, compatible, near, shown, e.number, involved, column, m.first)
 
 
 def make_panels(fig: Figure, names: Sequence[str]) -> tuple[list[Axes], tuple[float, float] | None]:
@@ -167,4 +175,4 @@ def name_landmarks(ax: Axes, p: Plane) -> None:
     low, high = np.array(ax.get_xlim()), np.array(ax.get_ylim())
     x, y = p.landmarks.T
     inside = p.named & (x >= low[0]) & (x <= low[1]) & (y >= high[0]) & (y <= high[1])
-    write_numbers(ax, p.landmarks[inside], [str(n) for n in p.number[inside]], LANDMARK, 5.0, (-2.5, -2.5))
+    write_numbers(ax, p.landmarks[inside], p.number[inside], LANDMARK, 5.0, (-2.5, -2.5), first=p.first)

@@ -95,6 +95,7 @@ class Matching:
     chosen: str  # the method that updates
     truth: Mapping[str, TruthRow]  # judgements of the referee by method; empty without true ids
     right: IntArray | None  # (m,) number of the right landmark, negative for none; None without true ids
+    first: int = 0  # what landmark and observation 0 are called
 
 
 def removed_so_far(front: FrontEnd, created: IntArray) -> IntArray | None:
@@ -104,7 +105,7 @@ def removed_so_far(front: FrontEnd, created: IntArray) -> IntArray | None:
 
 
 def pose_problem(
-    front: FrontEnd, e: Expectation, f: FrameSoFar, title: str, methods: Sequence[str] = COMPARED
+    front: FrontEnd, e: Expectation, f: FrameSoFar, title: str, methods: Sequence[str] = COMPARED, first: int = 0
 ) -> Matching:
     """Decisions of `methods`, and of the one that updates, on an expectation; the latter's are in `f.decisions`."""
     made: dict[str, IntArray | str] = {}
@@ -124,7 +125,7 @@ def pose_problem(
         made[name] = decided
         if (row := f.judged(decided)) is not None:
             judged[name] = row
-    return Matching(title, e, f.log.recorded.sensor, front.setup.gate, made, front.association, judged, right)
+    return Matching(title, e, f.log.recorded.sensor, front.setup.gate, made, front.association, judged, right, first)
 
 
 class _Collector(Observer):

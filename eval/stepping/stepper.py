@@ -40,16 +40,24 @@ class Walk(Observer):
     """Observer of a replay that prints, paints and waits for Enter."""
 
     def __init__(
-        self, log: Log, task: str, estimator: str, images: ImageWriter, *, pausing: bool, block: Block = step_block
+        self,
+        log: Log,
+        task: str,
+        estimator: str,
+        images: ImageWriter,
+        *,
+        pausing: bool,
+        block: Block = step_block,
+        first: int = 0,
     ) -> None:
-        """`block` makes the text of a step."""
-        self.block = block
+        """`block` makes the text of a step; it calls step, landmark and observation 0 `first`, as figures then do."""
+        self.block, self.first = block, first
         self.camera: Iterator[bytes] = iter(())  # an image for each frame, of a log made from images
         self.log, self.task, self.estimator, self.images, self.pausing = log, task, estimator, images, pausing
         m = len(log.recorded.observations.frame)
         self.decisions, self.created = np.full(m, -2, np.int64), np.full(m, -1, np.int64)
         self.path: list[Any] = []
-        self.digits = max(3, len(str(len(log.recorded) - 1)))
+        self.digits = max(3, len(str(len(log.recorded) - 1 + first)))
         self.kind = f"{style_of(estimator).label} {'SLAM' if task == 'slam' else task}"
         self.printed = False
 
@@ -70,16 +78,25 @@ class Walk(Observer):
     def say(self, stage: str, text: str) -> None:
         """Print a line about a stage, if interactive."""
         if self.pausing:
-            print(f"step {self.k}, {stage}: {text}", flush=True)
+            print(f"step {self.number}, {stage}: {text}", flush=True)
+
+    @property
+    def number(self) -> int:
+        """What the step is called."""
+        return self.k + self.first
 
     @property
     def title(self) -> str:
         """Title of every figure of the step."""
-        return f"{self.log.name}, step {self.k}"
+        return f"{self.log.name}, step {self.number}"
+
+    def stem(self, what: str) -> str:
+        """Name of a figure's file."""
+        return f"step-{self.number:0{self.digits}d}-{what}"
 
     def show(self, what: str, paint: Callable[[Figure], object]) -> None:
         """Show a figure of this step."""
-        self.images.show(what, paint, f"step-{self.k:0{self.digits}d}-{what}")
+        self.images.show(what, paint, self.stem(what))
 
     def moved(self, front: FrontEnd) -> None:
         """Move and observe."""
@@ -87,7 +104,7 @@ class Walk(Observer):
         r = self.log.recorded
         self.rows = slice(int(r.start[self.k]), int(r.start[self.k + 1]))
         if (image := next(self.camera, None)) is not None:
-            self.images.show_image("camera", image, f"step-{self.k:0{self.digits}d}-camera")
+            self.images.show_image("camera", image, self.stem("camera"))
         if self.log.truth.known_poses:
             self.show("ground-truth", lambda fig: paint_ground_truth(fig, self.log, self.k, self.title))
         if self.k > 0:
@@ -97,7 +114,7 @@ class Walk(Observer):
         seen = r.frame_observations(self.k)
         if len(seen.z):
             self.say("observe", counted(len(seen.z), "observation"))
-            self.show("observations", lambda fig: paint_observations(fig, r.sensor, *seen, self.title))
+            self.show("observations", lambda fig: paint_observations(fig, r.sensor, *seen, self.title, self.first))
             self.pause("observe")
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
@@ -111,7 +128,8 @@ class Walk(Observer):
             self.say("compatibility", compatibility_text(expectation, front.setup.gate))
             problem = None
             if self.images.wanted:
-                problem = pose_problem(front, expectation, self._frame(front), f"{self.title} ({self.kind})")
+                title = f"{self.title} ({self.kind})"
+                problem = pose_problem(front, expectation, self._frame(front), title, first=self.first)
                 self.show("compatibility", lambda fig: paint_compatibility(fig, problem))
             self.pause("compatibility")
             if problem is not None:
@@ -144,7 +162,7 @@ class Walk(Observer):
             d = decisions[self.rows]
             used, new = int((d >= 0).sum()), int((created[self.rows] >= 0).sum())
             removed = {} if front.map_management is None else front.map_management.removed
-            leaving = sorted(n for n, k in removed.items() if k == self.k)
+            leaving = sorted(n + self.first for n, k in removed.items() if k == self.k)
             self.say("update", updated_text(used, new, len(d) - used - new, leaving, front.estimator.estimate()))
             self.pause("update")
 
@@ -157,8 +175,8 @@ class Walk(Observer):
         title = f"{self.title} ({self.kind}, {front.association})" + (", predicted" if what == "prediction" else "")
         self.images.show(
             "map",
-            lambda fig: paint_map(fig, self.log, self.k, self.estimator, path, now, landmarks, title),
-            f"step-{self.k:0{self.digits}d}-{what}",
+            lambda fig: paint_map(fig, self.log, self.k, self.estimator, path, now, landmarks, title, self.first),
+            self.stem(what),
         )
 
 

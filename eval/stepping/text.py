@@ -70,10 +70,11 @@ def step_block(s: Step) -> str:
 def lab_block(s: Step) -> str:
     """The lines of one step as the lab's program prints them, for comparison.
 
-    Steps and landmarks, in order of initialization, count from 1; 0 is none. The first step and new landmarks are left
-    out, as in that program. A landmark keeps its number when others leave the map (the program renumbers the rest).
+    Steps, observations and landmarks, in order of initialization, count from 1; 0 is none. NEW lists the observations
+    that initialize a landmark; the four counts follow where a decision is wrong. The first step is left out, as in that
+    program. A landmark keeps its number when others leave the map (the program renumbers the rest).
     """
-    return _say("lab", s=s) if s.frame else ""
+    return _say("lab", s=s, new=np.flatnonzero(s.created >= 0).tolist()) if s.frame else ""
 
 
 def _table(rows: Sequence[tuple[str, Sequence[str]]]) -> str:

@@ -48,7 +48,8 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
     """Graph, values, and the kind of each factor that is not a relation of poses; one factor an edge, in order.
 
     The edges `robust`, by number, have Cauchy's loss.
-    Values without a vertex follow the edges from the first pose. More than one fixed vertex: constraints, at the end.
+    Values without a vertex follow the edges from the first pose. At the end: priors, and of several fixed vertices
+    constraints.
     """
     graph, values, names = gtsam.NonlinearFactorGraph(), gtsam.Values(), list[str]()
     for number, edge in enumerate(file.edges):
@@ -61,6 +62,13 @@ def build(file: GraphFile, robust: Collection[int] = ()) -> tuple[gtsam.Nonlinea
         if v is not None:
             values.insert(key, MAKE[kind](v))
     _follow(file, values)
+    for prior in file.priors:
+        noise: Any = N.Gaussian.Information(prior.information)
+        if len(prior.measured) == 3:
+            graph.add(gtsam.PriorFactorPose2(prior.pose, pose2(prior.measured), noise))
+        else:
+            graph.add(gtsam.PoseTranslationPrior2D(prior.pose, prior.measured, noise))
+        names.append("prior" if len(prior.measured) == 3 else "position")
     if len(file.fixed) > 1:
         for key in dict.fromkeys(file.fixed):
             place = key if key in file.poses else point_key(key)
@@ -113,7 +121,7 @@ def _factor(file: GraphFile, edge: Edge, robust: bool) -> gtsam.NonlinearFactor:
         edge.information[np.ix_(LAST_FIRST, LAST_FIRST)] if spatial else edge.information
     )
     model = N.Robust.Create(N.mEstimator.Cauchy.Create(CAUCHY), model) if robust else model
-    if edge.tag in ("EDGE_SE2", "EDGE2", "ODOMETRY"):
+    if file.kind(edge) == (POSE2, POSE2):
         return gtsam.BetweenFactorPose2(i, j, pose2(z), model)
     if spatial:
         return gtsam.BetweenFactorPose3(i, j, pose3(z), model)

@@ -192,7 +192,7 @@ def test_loop_closures_become_closures_and_are_spoken_of(tmp_path):
     chain = "".join(f"VERTEX_SE2 {7 + 2 * k} {k} 0 0\n" for k in range(4))
     chain += "".join(f"EDGE_SE2 {7 + 2 * k} {9 + 2 * k} 1 0 0 100 0 0 100 0 400\n" for k in range(3))
     path = tmp_path / "loop.g2o"
-    path.write_text(chain + "EDGE_SE2 7 13 3.1 0.2 0.1 50 0 0 50 0 80\nPARAMS_SE2OFFSET 0 0 0 0\nFIX 9\n")
+    path.write_text(chain + "EDGE_SE2 7 13 3.1 0.2 0.1 50 0 0 50 0 80\nEQUIV 7 9\nFIX 9\n")
     assert main(["g2o", str(path), str(tmp_path / "log")]) == 0
     log = load_folder(tmp_path / "log")
     closures = log.recorded.closures
@@ -201,7 +201,7 @@ def test_loop_closures_become_closures_and_are_spoken_of(tmp_path):
     assert closures.relative.tolist() == [[3.1, 0.2, 0.1]]
     said = " ".join(log.notes)
     assert "1 EDGE_SE2 outside the chain" in said
-    assert "1 PARAMS_SE2OFFSET left out" in said
+    assert "1 EQUIV left out" in said
     assert "FIX 9" in said
     assert log.recorded.increments.covariance[1] == pytest.approx(np.diag([0.01, 0.01, 0.0025]))
 
@@ -295,11 +295,14 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
         ("VERTEX_SE2 0.5 0 0 0\n", "'0.5' is not an id"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 is repeated"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
-        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: no VERTEX_SE2 5"),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: EDGE_SE2_XY: vertex 5 is missing"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 2 1\n", ":2: EDGE_SE2_XY: its information matrix is not"),
-        ("VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n", ":2: EDGE_SE2: both ends are 3; two poses are needed"),
+        (
+            "VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n",
+            ":2: EDGE_SE2: both ends are 3; two variables are needed",
+        ),
         ("VERTEX_SE2 0 0 0 0\nEDGE_BEARING_SE2_XY 0 9 1 4\n", "no VERTEX_XY"),
-        ("hello\n", "no pose"),
+        ("hello\n", "no edge of a graph"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_one_line(text, said, tmp_path):

@@ -35,13 +35,16 @@ from data.formats.recordings.carmen_lines import (
 from data.formats.recordings.laser import laser_inputs, without_odometry
 from data.formats.recordings.mending import (
     AS_STATED,
+    NEXT,
     Mending,
     beam_angles,
+    heading_unit,
     piled_up,
     require_metres,
     sigma_of,
     stamps_back,
     without_jumps,
+    without_resets,
 )
 from data.inputs import IntArray, Scanner, Scans
 from data.log import Log
@@ -104,6 +107,8 @@ LARGEST_RANGE = ("laser_max_range", "robot_front_laser_max")
 """Parameters that state the reach."""
 FEWEST_KEPT = 0.5
 """Least share of the scans that frames of ODOM lines keep."""
+STILL = 0.9
+"""Share of stamps that do not increase, from which on a clock does not run."""
 MOUNTED = 0.01
 """m, rad, largest variation of a laser's pose on the robot, as given by the line's two poses."""
 
@@ -189,10 +194,15 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
     raw = stamp.copy()
     raw[frame[kept]] = scans.stamp[kept]
     taken = Scans(scanner, frame[kept], with_returns(scans.ranges[kept], scanner.max_range))
-    clock, broken = without_jumps(stamp)
-    asked += [] if mending.sort_stamps else stamps_back(pose, clock)
+    mixed = [] if mending.sort_stamps else stamps_back(pose, stamp)
+    clock, resets = (stamp, list[int]()) if mixed else without_resets(stamp)
+    clock, broken, low = (clock, 0, 0) if mixed else without_jumps(clock)
+    asked += [*heading_unit(pose), *mixed]
     asked += [notice(Code.STAMPS_BROKEN, broken=broken, stamps=len(stamp))] if broken else []
     recorded = laser_inputs(pose, clock, taken)
+    still = len(clock) > NEXT and not mixed and float((np.diff(clock) <= 0.0).mean()) > STILL
+    if still:
+        recorded = replace(recorded, time=np.arange(len(pose), dtype=float), time_is_index=True)
     if not mending.odometry:
         recorded = without_odometry(recorded)
     source = {"kind": "carmen", "file": file.name, "sha256": sha256}
@@ -201,6 +211,13 @@ def log_of(file: Path, sha256: str, lines: CarmenLines, relations: Path | None, 
         truth = Truth(relations=read_relations(relations, len(pose), raw))
         source["relations"], source["relations_sha256"] = relations.name, file_sha256(relations)
     notes = [*_notes(lines, frame.astype(np.int64), kept, stamp), *of_scanner]
+    if still:
+        notes.append("The clock does not run: times are numbers of frames.")
+    if low:
+        notes.append(f"{low} of {len(stamp)} stamps are far below those around them: interpolated.")
+    if resets:
+        at = ", ".join(map(str, resets[:5])) + (", ..." if len(resets) > 5 else "")
+        notes.append(f"The clock was set back at frame {at}: later stamps continue those before.")
     return Log(log_name(file), recorded, truth, source=source, notes=tuple(notes), asked=tuple(asked))
 
 
@@ -208,9 +225,10 @@ def _mended(lines: CarmenLines, mending: Mending) -> CarmenLines:
     """Lines in metres, in the order of their stamps if asked for."""
     scans, odometry = lines.scans, lines.odometry
     scans = replace(
-        scans, ranges=mending.ranges(scans.ranges), laser=mending.poses(scans.laser), robot=mending.poses(scans.robot)
-    )
-    odometry = replace(odometry, pose=mending.poses(odometry.pose))
+        scans, ranges=mending.ranges(scans.ranges), laser=mending.poses(scans.laser), robot=mending.poses(scans.robot),
+        stamp=mending.stamps(scans.stamp),
+    )  # fmt: skip
+    odometry = replace(odometry, pose=mending.poses(odometry.pose), stamp=mending.stamps(odometry.stamp))
     if mending.sort_stamps:
         # an ODOM line goes before a scan of the same stamp
         first, then = np.argsort(odometry.stamp, kind="stable"), np.argsort(scans.stamp, kind="stable")

@@ -14,6 +14,8 @@ from data.notice import Code, Notice, notice
 from data.se2 import Array
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+RADIANS = {"rad": 1.0, "deg": math.pi / 180.0}
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,7 @@ class Mending:
 
     Attributes:
         range_unit, odometry_unit: of lengths in the file, a key of `METRES`.
+        angle, time: units of the odometry's headings and of stamps, keys of `RADIANS` and `SECONDS`.
         clockwise: beams run clockwise: the laser is upside down, or its beams are listed from left to right.
         laser_turned: deg, heading of the laser on the robot besides what the recording states.
         beam_step: deg between beams, where the recording's is wrong.
@@ -32,6 +35,8 @@ class Mending:
 
     range_unit: str = "m"
     odometry_unit: str = "m"
+    angle: str = "rad"
+    time: str = "s"
     clockwise: bool = False
     laser_turned: float = 0.0
     beam_step: float | None = None
@@ -44,9 +49,13 @@ class Mending:
         return ranges * METRES[self.range_unit]
 
     def poses(self, pose: Array) -> Array:
-        """Poses (N, 3) with positions in metres."""
+        """Poses (N, 3) in metres and radians."""
         unit = METRES[self.odometry_unit]
-        return np.asarray(pose * np.array([unit, unit, 1.0]))
+        return np.asarray(pose * np.array([unit, unit, RADIANS[self.angle]]))
+
+    def stamps(self, stamp: Array) -> Array:
+        """In seconds."""
+        return stamp * SECONDS[self.time]
 
     def scanner(self, scanner: Scanner) -> Scanner:
         """The scanner as it is mounted."""
@@ -75,6 +84,29 @@ def require_metres(path: Path, ranges: Array) -> None:
     unit = "mm" if middle > 1000.0 else "cm"
     what = f"the middle range is {middle:g} m; metres are needed"
     raise DataError.at(path, f"{what}: are the ranges in {unit}? Then add --range-unit {unit} to slamref convert")
+
+
+CIRCLE = 2.0 * math.pi
+ALONG, MORE = 0.8, 0.1
+"""Length of the mean motion relative to the heading in the right unit, and how much more than in a wrong."""
+
+
+def heading_unit(pose: Array) -> list[Notice]:
+    """A question where headings of poses (N, 3) agree with the direction of motion only in degrees."""
+    largest = float(np.abs(pose[:, 2]).max(initial=0.0))
+    step = np.diff(pose[:, :2], axis=0)
+    moves = step.any(axis=1)
+    if largest <= 1.01 * CIRCLE or moves.sum() < PLENTY_OF_STEPS:
+        return []
+    motion, heading = step[moves, 0] + 1j * step[moves, 1], pose[:-1][moves, 2]
+    way = float(np.abs(motion).sum())
+    stated, degrees = (float(np.abs((motion * np.exp(-1j * h)).sum())) / way for h in (heading, np.radians(heading)))
+    if not (degrees > ALONG and stated < degrees - MORE):
+        return []
+    return [notice(Code.HEADING_UNIT, largest=largest, flags=("--unit angle=deg",))]
+
+
+PLENTY_OF_STEPS = 20
 
 
 LOOSE = 1.5
@@ -153,19 +185,40 @@ def sigma_of(stated: float, ranges: Array, step: float, max_range: float, least:
     ]
 
 
-def without_jumps(stamp: Array) -> tuple[Array, int]:
-    """Stamps (N,) without single ones far above all that follow (a broken clock), and how many were replaced."""
+def without_jumps(stamp: Array) -> tuple[Array, int, int]:
+    """Stamps (N,) without single ones far above all that follow, or far below those before and after (a broken clock),
+    and how many of either kind were interpolated.
+    """
     if len(stamp) < 2:
-        return stamp, 0
-    padded = np.concatenate([stamp[1:], np.full(NEXT, stamp[-1])])
-    following = np.median(np.lib.stride_tricks.sliding_window_view(padded, NEXT), axis=1)
-    broken = stamp - following[: len(stamp)] > JUMP
+        return stamp, 0, 0
+    padded = np.concatenate([np.full(NEXT, stamp[0]), stamp, np.full(NEXT, stamp[-1])])
+    middle = np.median(np.lib.stride_tricks.sliding_window_view(padded, NEXT), axis=1)
+    before, following = middle[: len(stamp)], middle[NEXT + 1 :][: len(stamp)]
+    high, low = stamp - following > JUMP, np.minimum(before, following) - stamp > JUMP
+    broken = high | low
     if not broken.any():
-        return stamp, 0
+        return stamp, 0, 0
     fine = np.flatnonzero(~broken)
     mended = stamp.copy()
     mended[broken] = np.interp(np.flatnonzero(broken), fine, stamp[fine]) if len(fine) else stamp[broken]
-    return mended, int(broken.sum())
+    return mended, int(high.sum()), int(low.sum())
+
+
+def without_resets(stamp: Array) -> tuple[Array, list[int]]:
+    """Stamps (N,) of a clock that was set back, continued as if it had not been, and the numbers where it was."""
+    if len(stamp) < 2:
+        return stamp, []
+    before, after = np.full(len(stamp), -np.inf), np.full(len(stamp), np.inf)
+    if len(stamp) >= NEXT:
+        middle = np.median(np.lib.stride_tricks.sliding_window_view(stamp, NEXT), axis=1)
+        before[NEXT - 1 :], after[: len(middle)] = middle, middle
+    found = np.flatnonzero((stamp[:-1] - stamp[1:] > JUMP) & (before[:-1] - after[1:] > JUMP))
+    if not len(found):
+        return stamp, []
+    mended, step = stamp.copy(), float(np.median(np.abs(np.diff(stamp))))
+    for i in found.tolist():
+        mended[i + 1 :] += mended[i] + step - mended[i + 1]
+    return mended, (found + 1).tolist()
 
 
 NEXT = 9
@@ -174,6 +227,8 @@ JUMP = 60.0
 """s, by which a stamp exceeds the next ones if its clock is broken; buffers delay by seconds."""
 BACK = 1.0
 """s, from which on a step back is no burst."""
+OFTEN = 5
+"""Steps back that say so where no path does."""
 SHORTER = 0.9
 """Length of the path in the order of the stamps per length in that of the file, below which lines are out of order."""
 
@@ -185,6 +240,7 @@ def stamps_back(pose: Array, stamp: Array) -> list[Notice]:
         return []
     way = np.hypot(*np.diff(pose[:, :2], axis=0).T).sum()
     sorted_way = np.hypot(*np.diff(pose[np.argsort(stamp, kind="stable"), :2], axis=0).T).sum()
-    if not sorted_way < SHORTER * way:
+    mixed = way == 0.0 and int((np.diff(without_jumps(without_resets(stamp)[0])[0]) < -BACK).sum()) >= OFTEN
+    if not (sorted_way < SHORTER * way or mixed):
         return []
     return [notice(Code.STAMPS_BACK, back=back, way=float(way), sorted=float(sorted_way), flags=("--sort-stamps",))]

@@ -191,13 +191,15 @@ DIMENSIONS = {"length": LENGTH, "angle": ANGLE, "time": TIME}
 ISO = "iso"
 """Unit of time for a column of dates."""
 
+STAMPS = ("t", "t1", "t2")
 QUANTITIES = {
-    "t": "time",
-    **dict.fromkeys(("x", "y", "dx", "dy", "range"), "length"),
-    **dict.fromkeys(("theta", "dtheta", "bearing"), "angle"),
+    **dict.fromkeys(STAMPS, "time"),
+    **dict.fromkeys(("x", "y", "dx", "dy", "range", "sx", "sy"), "length"),
+    **dict.fromkeys(("theta", "dtheta", "bearing", "stheta"), "angle"),
     "v": "length/time",
     "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
+    **dict.fromkeys(("frame1", "frame2", "source"), ""),
 }
 """Quantities of columns, and their dimensions; rates are per second by default."""
 
@@ -269,7 +271,7 @@ def quantity_with_unit(text: str, dimension: str, where: str) -> float:
     return value * (factor(dimension, unit, where) if unit else 1.0)
 
 
-ROLES = ("odometry", "observations", "map", "truth")
+ROLES = ("odometry", "observations", "map", "truth", "fixes", "closures")
 QUATERNION = ("qx", "qy", "qz", "qw")
 
 
@@ -364,13 +366,13 @@ class Columns:
         keep = ~empty if not may_be_blank else np.ones(len(file), bool)
         values: dict[str, Array] = {}
         for q, c in columns.items():
-            dates = q == "t" and self.units.is_date(role)
+            dates = q in STAMPS and self.units.is_date(role)
             values[q] = file.numbers(c, keep, stamps=dates) * self.units.factor(role, q)
         if role in self.offsets:
-            if "t" not in values:
+            if not any(q in values for q in STAMPS):
                 given = f"--time-offset {role}={self.offsets[role]:g}"
                 raise UsageError(f"{given}: {file.path.name} is read without stamps")
-            values["t"] = values["t"] + self.offsets[role]
+            values |= {q: values[q] + self.offsets[role] for q in STAMPS if q in values}
         table = Table(file.path, values, line=file.line[keep])
         for q, c in columns.items():
             fine = np.isfinite(values[q])

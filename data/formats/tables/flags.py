@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,6 +39,8 @@ class Wanted:
         sensor_pose: (3,) of the sensor in the body frame.
         sensed: a sensor read the labels.
         backward: a row's velocities held since the row before; else until the next one.
+        fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated.
+        fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes.
     """
 
     files: Mapping[str, Path]
@@ -57,11 +60,15 @@ class Wanted:
     sensor_pose: Array
     sensed: bool
     backward: bool = False
+    fix_sigma: Array | None = None
+    closure_sigma: Array | None = None
+    fix_lever: tuple[float, float] = (0.0, 0.0)
+    fix_rotation: float = 0.0
 
 
 TABLES = ("columns", "unit", "time-offset")
 """Flags of pairs KEY=VALUE, tables of a mapping file."""
-STAMPED = ("odometry", "observations", "truth")
+STAMPED = ("odometry", "observations", "truth", "fixes", "closures")
 """Roles of files with stamps."""
 POSE = ("length", "length", "angle")
 TRAVEL = ("length", "length", "angle", "angle")
@@ -152,8 +159,8 @@ def settle(given: Given) -> Wanted:
     if kind is not None and kind not in KINDS:
         raise UsageError(f"--odometry-kind {kind}: {unknown(str(kind), KINDS)}")
     kind = kind_of(read_text(files["odometry"]), columns, None if kind is None else str(kind))
-    seen = read_text(files["observations"])
-    polar = any(columns.find(seen, "observations", q) is not None for q in ("range", "bearing"))
+    seen = read_text(files["observations"]) if "observations" in files else None
+    polar = seen is not None and any(columns.find(seen, "observations", q) is not None for q in ("range", "bearing"))
     spread = given.get("prior-sigma")
     return Wanted(
         files=files,
@@ -162,7 +169,7 @@ def settle(given: Given) -> Wanted:
         wheels=_wheels(given, kind),
         noise=_noise(given, kind),
         model=_model(given, kind),
-        sigma=_observation_sigma(given, polar=polar),
+        sigma=np.ones(2) if seen is None else _observation_sigma(given, polar=polar),
         prior=_prior(given),
         prior_sigma=None if spread is None else _sigmas(spread, POSE, "prior-sigma", "x and y [m], heading [rad]"),
         map_pose=_pose(given, "map-transform"),
@@ -173,7 +180,35 @@ def settle(given: Given) -> Wanted:
         sensor_pose=_pose(given, "sensor-pose"),
         sensed=bool(given.get("labels-sensed", False)),
         backward=_backward(given, kind),
+        **_of_fixes(given, files),
     )
+
+
+def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
+    """What is stated of fixes and closures."""
+    for role, flags in (("fixes", ("fix-sigma", "fix-lever", "fix-rotation")), ("closures", ("closure-sigma",))):
+        for flag in flags:
+            if flag in given and role not in files:
+                raise UsageError(f"--{flag} {given[flag]}: there are none; --{role} FILE names them")
+    found: dict[str, Any] = {}
+    if "fix-sigma" in given:
+        text = given["fix-sigma"]
+        count = len(str(text).replace(",", " ").split())
+        entries = {1: [2], 2: [0, 1]}.get(count, [0, 1, 2])
+        sigma = np.full(3, np.nan)
+        what = "of x and y [m], of the heading [rad], or of all three, as in 0.5,0.5,2deg"
+        sigma[entries] = _sigmas(text, [POSE[k] for k in entries], "fix-sigma", what, zero=False)
+        found["fix_sigma"] = sigma
+    if "closure-sigma" in given:
+        what = "of dx and dy [m] and of the turn [rad], as in 0.1,0.1,1deg"
+        found["closure_sigma"] = _sigmas(given["closure-sigma"], POSE, "closure-sigma", what, zero=False)
+    if "fix-lever" in given:
+        x, y = numbers(given["fix-lever"], ("length",) * 2, "fix-lever", "x and y [m] in the body frame").tolist()
+        found["fix_lever"] = (x, y)
+    if "fix-rotation" in given:
+        what = "an angle [rad, or as in 90deg]"
+        found["fix_rotation"] = float(numbers(given["fix-rotation"], ("angle",), "fix-rotation", what)[0])
+    return found
 
 
 def _offsets(given: Given, files: Mapping[str, Path]) -> dict[str, float]:

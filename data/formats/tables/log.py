@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,11 +16,12 @@ from data.formats.open_log.writer import Recording, Samples
 from data.formats.recordings.laser import FLOOR
 from data.formats.tables.files import TextTable, headings, read_text, shared
 from data.formats.tables.flags import Wanted
+from data.formats.tables.measured import Measured, read_closures, read_fixes
 from data.formats.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
 from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
@@ -29,7 +30,7 @@ from data.truth import UNKNOWN_ID, Truth
 
 @dataclass(frozen=True, eq=False)
 class FrameObservations:
-    """Observations in the order of their stamps: z (M, 2), stamps or frames `at` (M,), whether range and bearing."""
+    """Observations in the order of their stamps `at` (M,) [s], as the odometry's: z (M, 2), if range and bearing."""
 
     table: Table
     texts: Mapping[str, list[str]]
@@ -37,11 +38,20 @@ class FrameObservations:
     at: Array
     polar: bool
     notes: tuple[str, ...]
+    what, one = "observations", "observation"
+
+    @property
+    def stamped(self) -> bool:
+        """At their own stamps, not at rows of the odometry."""
+        return "t" in self.table
 
     def part(self, rows: IntArray) -> FrameObservations:
         """Some of them, in this order."""
         texts = {q: [fields[i] for i in rows.tolist()] for q, fields in self.texts.items()}
         return replace(self, table=self.table.part(rows), texts=texts, z=self.z[rows], at=self.at[rows])
+
+
+Part = FrameObservations | Measured
 
 
 def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameObservations:
@@ -71,6 +81,7 @@ def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameOb
         rows = table.integers("frame", 0)
         last = len(odometry.time) - 1
         table.require(rows <= last, "frame", f"{{}} is out of range; the odometry has rows 0 to {last}")
+        at = odometry.time[rows]
     found = FrameObservations(table, texts, z, at, polar, tuple(notes))
     back = int((np.diff(at) < 0.0).sum())
     if back:
@@ -129,21 +140,33 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     odometry = read_odometry(texts["odometry"], columns, kind, wanted.wheels)
     if wanted.backward:
         odometry = odometry.held_backward()
-    seen = observations(texts["observations"], wanted, odometry)
+    if "observations" in texts:
+        seen = observations(texts["observations"], wanted, odometry)
+    else:
+        none = Table(texts["odometry"].path, {"t": np.zeros(0)})
+        seen = FrameObservations(none, {}, np.zeros((0, 2)), np.zeros(0), True, ())
     notes = [*odometry.notes, *seen.notes]
     if odometry.velocity is not None:
         way = "since the row before" if wanted.backward else "until the next row"
         other = "forward: until the next row" if wanted.backward else "backward: since the row before"
         notes.append(f"v and omega are taken to hold {way} (--hold {other})")
+    parts: list[Part] = [seen]
+    if "fixes" in texts:
+        parts.append(read_fixes(texts["fixes"], wanted, odometry, notes))
+    if "closures" in texts:
+        parts.append(read_closures(texts["closures"], wanted, odometry))
     true = _true_poses(texts["truth"], wanted, notes, stamped=odometry.stamped) if "truth" in texts else None
     if isinstance(wanted.prior, str) and true is not None:
-        odometry, seen = _from_truth_on(odometry, seen, true, notes)
-    time, frame, seen = _frames(odometry, seen, wanted, notes)
+        odometry, parts = _from_truth_on(odometry, parts, true, notes)
+    time, parts = _frames(odometry, parts, wanted, notes)
+    seen = next(part for part in parts if isinstance(part, FrameObservations))
+    frame = np.searchsorted(time, seen.at).astype(np.int64)
+    found = {part.what: part for part in parts if isinstance(part, Measured)}
     increments, gaps = odometry.increments(time, wanted.noise, wanted.model)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if odometry.velocity is None:
         floored += gaps  # of poses it counts floored covariances
-    as_recorded = odometry.velocity is not None and "t" in seen.table and not wanted.every_row
+    as_recorded = odometry.velocity is not None and all(p.stamped for p in parts) and not wanted.every_row
     if odometry.velocity is not None and gaps and not as_recorded:  # of odometry.csv loading says it
         many = counted(gaps, "gap")
         notes.append(f"odometry: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
@@ -151,10 +174,10 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     pose = None if true is None else _at_frames(true, texts["truth"], wanted, time)
     columns.check_used(list(dict.fromkeys(texts.values())))
     labels = {key: whole(seen.table, seen.texts[key], key) for key in ("true_id", "label") if key in seen.texts}
-    sensor = _sensor(wanted, seen, notes)
+    sensor = _sensor(wanted, seen, notes) if "observations" in texts else RangeBearing()
     R = np.tile(np.diag(wanted.sigma**2), (len(frame), 1, 1))
     inputs = Inputs(
-        prior=_prior(wanted, pose, known),
+        prior=_prior(wanted, pose, known, absolute="fixes" in found),
         time=time,
         increments=replace(increments, covariance=covariance),
         observations=Observations(frame, seen.z, R),
@@ -163,6 +186,8 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
         time_is_index=not odometry.stamped,
         covariance_floor=FLOOR,
         floored=floored,
+        fixes=found["fixes"].fixes(time, wanted.fix_lever, wanted.fix_rotation) if "fixes" in found else None,
+        closures=found["closures"].closures(time) if "closures" in found else None,
     )
     files = {role: path.name for role, path in wanted.files.items()}
     files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items()}
@@ -190,46 +215,51 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
 
 
 def _from_truth_on(
-    odometry: Odometry, seen: FrameObservations, true: TruePoses, notes: list[str]
-) -> tuple[Odometry, FrameObservations]:
-    """Odometry and observations since the first true pose, where a log with that prior begins."""
+    odometry: Odometry, parts: list[Part], true: TruePoses, notes: list[str]
+) -> tuple[Odometry, list[Part]]:
+    """Odometry and the rest since the first true pose, where a log with that prior begins."""
     begin = true.begin
     if begin is None or not odometry.time[0] < begin < odometry.time[-1]:
-        return odometry, seen
-    if "t" in seen.table:
-        later = seen.at >= begin
-    else:
-        row = int(np.searchsorted(odometry.time, begin))
-        begin, later = float(odometry.time[row]), seen.at >= row
-        seen = replace(seen, at=seen.at - row)
-    late, left_out = begin - odometry.time[0], counted(int((~later).sum()), "observation")
-    notes.append(f"the truth begins {late:.6g} s after the odometry; so does the log, without {left_out} before")
-    return odometry.since(begin), seen.part(np.flatnonzero(later))
+        return odometry, parts
+    if not all(part.stamped for part in parts):
+        begin = float(odometry.time[np.searchsorted(odometry.time, begin)])
+    later: list[BoolArray] = [np.asarray((_ends(part) >= begin).all(axis=1)) for part in parts]
+    left = [counted(int((~kept).sum()), part.one, part.what) for kept, part in zip(later, parts, strict=True)]
+    late = f"{begin - odometry.time[0]:.6g} s after the odometry"
+    notes.append(f"the truth begins {late}; so does the log, without {' and '.join(left)} before")
+    kept = [part.part(np.flatnonzero(fine)) for fine, part in zip(later, parts, strict=True)]
+    return odometry.since(begin), kept
 
 
-def _frames(
-    odometry: Odometry, seen: FrameObservations, wanted: Wanted, notes: list[str]
-) -> tuple[Array, IntArray, FrameObservations]:
-    """Time (N,) of the frames, the frame (M,) of each observation, and the observations with odometry."""
-    if "t" not in seen.table:
-        return odometry.time, seen.at.astype(np.int64), seen
+def _ends(part: Part) -> Array:
+    """Stamps (M, 1), or of both ends (M, 2)."""
+    return part.at if part.at.ndim == 2 else part.at[:, None]
+
+
+def _frames(odometry: Odometry, parts: Sequence[Part], wanted: Wanted, notes: list[str]) -> tuple[Array, list[Part]]:
+    """Time (N,) of the frames, and the parts that have odometry."""
+    if not any(part.stamped for part in parts):
+        return odometry.time, list(parts)
     first, last = float(odometry.time[0]), float(odometry.time[-1])
-    inside = (seen.at >= first) & (seen.at <= last)
-    if len(inside) and not inside.any():
-        apart = f"observations from {_span(seen.at)} s, odometry from {_span(odometry.time)} s do not overlap"
-        raise DataError.at(seen.table.path, f"{apart}; state the units as in --unit odometry.t=ms")
+    kept: list[Part] = []
+    for part in parts:
+        inside: BoolArray = np.asarray(((_ends(part) >= first) & (_ends(part) <= last)).all(axis=1))
+        if len(inside) and not inside.any():
+            apart = f"{part.what} from {_span(np.sort(part.at.ravel()))} s, odometry from {_span(odometry.time)} s"
+            raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in --unit odometry.t=ms")
+        if odometry.velocity is None and not inside.all():
+            some = f"{(~inside).sum()} of {len(inside)} {part.what}"
+            notes.append(f"{some} before or after all odometry, {_span(odometry.time)} s, dropped")
+        kept.append(part if odometry.velocity is not None else part.part(np.flatnonzero(inside)))
+    at = np.concatenate([part.at.ravel() for part in kept])
     if odometry.velocity is not None:  # without samples the covariance grows, as on loading
-        first, last = min(first, seen.at.min(initial=first)), max(last, seen.at.max(initial=last))
-    elif not inside.all():
-        some = f"{(~inside).sum()} of {len(inside)} observations"
-        notes.append(f"{some} before or after all odometry, {_span(odometry.time)} s, dropped")
-        seen = seen.part(np.flatnonzero(inside))
+        first, last = min(first, at.min(initial=first)), max(last, at.max(initial=last))
     if last - first > LONGEST:
         span = f"the stamps span {last - first:.6g} s, {(last - first) / 86400.0:.3g} days"
         raise DataError.at(odometry.table.path, f"{span}; state the unit as in --unit time=ns")
-    at = np.concatenate([seen.at, odometry.time]) if wanted.every_row else seen.at
-    time = frame_times(at, first, last)
-    return time, np.searchsorted(time, seen.at).astype(np.int64), seen
+    if wanted.every_row or not all(part.stamped for part in kept):
+        at = np.concatenate([at, odometry.time])
+    return frame_times(at, first, last), kept
 
 
 def _span(time: Array) -> str:
@@ -281,11 +311,12 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     return result
 
 
-def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None) -> Prior:
-    """Belief about the first pose."""
+def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, *, absolute: bool) -> Prior:
+    """Belief about the first pose; `absolute`: there are fixes."""
     if wanted.prior is None:
-        if pose is not None or known is not None:
-            what = f"unknown start in the frame of the {'map' if pose is None else 'truth'}"
+        if pose is not None or known is not None or absolute:
+            frame = "truth" if pose is not None else "fixes" if known is None else "map"
+            what = f"unknown start in the frame of the {frame}"
             right = "--prior X,Y,THETA (m, rad; or as in 90deg), or --prior truth for the first true pose, is needed"
             raise UsageError(f"{what}; {right}")
         return Prior(np.zeros(3), np.zeros((3, 3)))

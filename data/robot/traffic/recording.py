@@ -25,6 +25,7 @@ import tomli_w
 from data.errors import DataError, UsageError
 from data.formats.csv_table import bytes_of
 from data.formats.open_log.header import FORMAT
+from data.robot.walls import FITS, USUAL_FIT
 from data.toml_table import load_toml
 
 HEADER, PACKETS = "log.toml", "packets.bin"
@@ -53,6 +54,7 @@ class Recorded(NamedTuple):
         cut: bytes of an unfinished record at the end; 0 of a closed log.
         noise: stated slip [m per sqrt(m)] and sonar sigma [m]; empty if not stated.
         source: `[source]` of the header.
+        fit: of walls, see `data.robot.walls.FITS`.
     """
 
     records: list[Record]
@@ -60,6 +62,7 @@ class Recorded(NamedTuple):
     cut: int
     noise: tuple[float, ...]
     source: Mapping[str, object]
+    fit: str
 
 
 def to_microseconds(t: float) -> float:
@@ -70,8 +73,13 @@ def to_microseconds(t: float) -> float:
 class Recording:
     """A recording being written; `with` closes it."""
 
-    def __init__(self, folder: Path, *, framed: bool = False, noise: tuple[float, ...] = ()) -> None:
-        """Create both files; `noise` as of `Recorded`. UsageError if the folder holds a log: nothing is overwritten."""
+    def __init__(
+        self, folder: Path, *, framed: bool = False, noise: tuple[float, ...] = (), fit: str = USUAL_FIT
+    ) -> None:
+        """Create both files; `noise` and `fit` as of `Recorded`.
+
+        UsageError if the folder holds a log: nothing is overwritten.
+        """
         if (folder / HEADER).exists() or (folder / PACKETS).exists():
             raise UsageError(f"{folder}: the folder holds a log already; name another folder")
         folder.mkdir(parents=True, exist_ok=True)
@@ -81,6 +89,8 @@ class Recording:
         self._file.write(MAGIC)
         with (folder / HEADER).open("wb") as file:
             source = {"kind": SOURCE, "framed": framed, **dict(zip(NOISE, noise, strict=False))}
+            if fit != USUAL_FIT:
+                source["fit"] = fit
             tomli_w.dump({"format": FORMAT, "name": folder.absolute().name, "source": source}, file)
 
     def append(self, record: Record) -> None:
@@ -117,12 +127,15 @@ def read_recording(folder: Path) -> Recorded:
     noise = tuple(source[key] for key in NOISE if key in source)
     if len(noise) == 1 or not all(isinstance(v, float | int) and 0.0 <= v < math.inf for v in noise):
         raise DataError.at(header, f"[source] {' and '.join(NOISE)}: two numbers from 0 up, or neither")
+    fit = source.get("fit", USUAL_FIT)
+    if fit not in FITS:
+        raise DataError.at(header, f"[source] fit {fit!r}: {' or '.join(FITS)} is needed")
     path = folder / PACKETS
     data = bytes_of(path)
     if not data.startswith(MAGIC) and not MAGIC.startswith(data):
         raise DataError.at(path, f"begins with {data[: len(MAGIC)]!r}; {MAGIC!r} is needed")
     records, end = _records(path, data)
-    return Recorded(records, source["framed"], len(data) - end, noise, source)
+    return Recorded(records, source["framed"], len(data) - end, noise, source, fit)
 
 
 def _records(path: Path, data: bytes) -> tuple[list[Record], int]:

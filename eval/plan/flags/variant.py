@@ -33,7 +33,8 @@ class Variant:
         own_odometry, gapless, skip_led_by: see `data.formats.mrclam.load.Grid`.
         filled_prior: all nine entries of the prior's covariance equal its variance.
         gain_before_prediction, running_minimum: faults of the programs, see `eval.plan.tutorials`.
-        original: sum of squared position errors [m^2] and position RMSE [m] of the original program on `original_log`.
+        original: sum of squared position errors [m^2] and position RMSE [m] of the original program on `original_log`
+            with the landmark file of SHA-256 `original_landmarks`.
         notes: differences of the original from the algorithm it teaches, and what is not reproduced.
     """
 
@@ -60,6 +61,7 @@ class Variant:
     running_minimum: bool = row(False, switch)
     original: tuple[float, float] | None = row(None, numbers(2))
     original_log: str = row("", text("a name"))
+    original_landmarks: str = row("", text("a SHA-256"))
     notes: tuple[str, ...] = row((), texts)
 
     def __post_init__(self) -> None:

@@ -36,7 +36,14 @@ class Opened:
 
 
 def opened(
-    place: str, optimize: bool | None, draws: int = DRAWS, seed: int = 0, *, full: bool = False, resolve: int = 0
+    place: str,
+    optimize: bool | None,
+    draws: int = DRAWS,
+    seed: int = 0,
+    *,
+    full: bool = False,
+    resolve: int = 0,
+    noise: str | None = None,
 ) -> Opened:
     """The audit of a graph file, or of a `FILE.py:FUNCTION`.
 
@@ -47,6 +54,7 @@ def opened(
         seed: as of `audit`.
         full: as of `audit`.
         resolve: as of `audit`, of a small graph.
+        noise: as of `read_graph_file`.
     """
     script, _, function = place.rpartition(":")
     with threadpool_limits(1):
@@ -55,7 +63,9 @@ def opened(
             return Opened(
                 _audit(graph, values, None, bool(optimize), draws, seed, full, resolve)[0], graph, values, None
             )
-        return _of_file(read_graph_file(Path(place)), optimize is not False, draws, seed, full=full, resolve=resolve)
+        return _of_file(
+            read_graph_file(Path(place), noise), optimize is not False, draws, seed, full=full, resolve=resolve
+        )
 
 
 def _of_file(

@@ -17,7 +17,7 @@ from data.log import Log
 from data.result import Run
 from data.se2 import Array, dead_reckoned
 from eval.figures.error import error_figure, longest_sigma
-from eval.figures.map import map_figure
+from eval.figures.map import enlarged, map_figure
 from eval.figures.plane import along_path, draw_ellipses
 from eval.figures.style import save, series
 from eval.figures.visual import contact_sheet, draw_pictures, plan_figure
@@ -84,7 +84,7 @@ def _motion(folder: Path, output: Output, trial: Trial) -> Section:
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#motion', q=q)}**"]
     if not output.no_plots:
         what = "dead reckoning alone, 3σ ellipses in their size"
-        blocks.append(_plan(folder, output, trial, ("dead-reckoning",), "lab-motion", what))
+        blocks.append(_plan(folder, trial, _shown(trial, ("dead-reckoning",)), "lab-motion", what))
     blocks += [MOTION.formula, f"{MOTION.about} {constants(trial.log)}"]
     heading = "Question 1: How does the robot move, and how does its uncertainty grow?"
     return Section(heading, tuple(blocks), facts=q)
@@ -117,9 +117,10 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
     q = {name: rmse.get(key, math.nan) for name, key in keys.items()}
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#estimate', q=q)}**"]
     if not output.no_plots:
-        factor = output.ellipse_factor
-        what = f"3σ ellipses {'in their size' if factor == 1 else 'enlarged as the legend says'}"
-        blocks.append(_plan(folder, output, trial, ("dead-reckoning", "ekf"), "lab-plan", what, factor))
+        shown = _shown(trial, ("dead-reckoning", "ekf"))
+        factor = enlarged(log, shown, output.ellipse_factor)
+        what = f"3σ ellipses {'in their size' if factor == 1 else f'drawn {factor} times larger'}"
+        blocks.append(_plan(folder, trial, shown, "lab-plan", what, factor))
         if run is not None and log.truth.known_poses:
             save(error_figure(log, [replace(run, final=None)]), folder / "figures", "lab-error")
             caption = f"`{log.name}`: the filter's error with its ±3σ."
@@ -135,14 +136,18 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
     )
 
 
-def _plan(
-    folder: Path, output: Output, trial: Trial, names: Sequence[str], stem: str, what: str, factor: int | None = 1
-) -> Picture:
+def _shown(trial: Trial, names: Sequence[str]) -> list[Run]:
+    """The runs of estimators that got to the end, without their final phase."""
+    runs = [r for n in names if (r := _run(trial, n)) is not None]
+    return [replace(r, final=None) if r.online is not None else r for r in runs]
+
+
+def _plan(folder: Path, trial: Trial, runs: Sequence[Run], stem: str, what: str, factor: int = 1) -> Picture:
     log = trial.log
     assert log.evidence is not None  # a log made from images
-    runs = [replace(r, final=None) if r.online is not None else r for n in names if (r := _run(trial, n)) is not None]
     corners = log.evidence.setup.corners
-    if list(names) == ["dead-reckoning"] and runs:  # the map figure shows how sure estimators are, and that is none
+    # the map figure shows how sure estimators are, and dead reckoning is none
+    if [r.estimator for r in runs] == ["dead-reckoning"]:
         figure = map_figure(log, runs, surveyed=lambda ax: [*draw_pictures(ax, corners), *_grown(ax, runs[0])])
     else:
         figure = plan_figure(log, runs, corners, factor=factor)

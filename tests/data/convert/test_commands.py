@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -24,7 +25,7 @@ from data.log import Log
 from data.visual.opening import Camera
 from data.worlds.arena import Arena, simulate
 from tests.data.formats.mrclam import world
-from tests.data.formats.mrclam.world import replace_row, save_folder
+from tests.data.formats.mrclam.world import exchange, replace_row, save_folder
 
 ROOT = Path(__file__).parents[3]
 
@@ -43,6 +44,26 @@ def convert(source: Path, tmp_path: Path) -> Callable[..., Log]:
         return load_folder(tmp_path / "out")
 
     return run
+
+
+def test_corrected_landmarks_beside_a_dataset_are_taken_and_said(
+    source: Path, convert: Callable[..., Log], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    survey = world.texts()["Landmark_Groundtruth.dat"]
+    corrected = tmp_path / "Landmark_Groundtruth.corrected.dat"
+    corrected.write_text(exchange(survey, 11, 17))
+    published, log = load_mrclam(source, 1).recorded.map, convert()
+    assert published is not None
+    assert log.recorded.map is not None
+    swapped = published.xy[[published.id.tolist().index({11: 17, 17: 11}.get(n, n)) for n in published.id.tolist()]]
+    assert log.recorded.map.xy.tolist() == swapped.tolist()
+    assert log.source["landmarks"] == corrected.name
+    assert f"Landmarks are read from {corrected.name} beside the dataset" in capsys.readouterr().out
+    shutil.rmtree(tmp_path / "out")
+    given = convert("--landmarks", str(source / "Landmark_Groundtruth.dat")).recorded.map
+    assert given is not None
+    assert given.xy.tolist() == published.xy.tolist()
+    assert "Landmarks are read" not in capsys.readouterr().out
 
 
 def same(a: Log, b: Log) -> bool:

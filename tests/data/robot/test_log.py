@@ -14,7 +14,9 @@ from data.robot.driving import WallFollower
 from data.robot.log import Framing, Noise, complete
 from data.robot.packets import command_of
 from data.robot.simulated.wire import Faults
-from data.robot.traffic.recording import HEADER, PACKETS, Recording
+from data.robot.traffic.recording import HEADER, PACKETS, Recording, read_recording
+from data.robot.traffic.stream import decoded
+from data.robot.walls import FITS, USUAL_FIT
 from tests.data.robot.line import linked
 
 NOISE = Noise(0.004, 0.006)
@@ -110,6 +112,31 @@ def test_noise_that_is_none_is_said(folder, noise):
     header.write_text(f'format = 1\nname = "log"\n[source]\nkind = "robot link"\nframed = false\n{noise}\n')
     with pytest.raises(DataError, match=r"slip and sonar_sigma: two numbers"):
         open_log(str(folder))
+
+
+def test_walls_are_fitted_as_the_recording_says(driven, folder):
+    """A recording of before names no fit; one by the author's is replayed by it."""
+    usual = open_log(str(driven[0])).recorded.observations.z
+    header = folder / HEADER
+    told = header.read_text()
+    header.write_text(told.replace("[source]\n", '[source]\nfit = "author"\n'))
+    records = read_recording(folder).records
+    framing = Framing(NOISE, "author")
+    frames = [framing.frame(packet) for packet in decoded(records, framed=False)[0]]
+    expected = np.concatenate([frame.observations.z for frame in frames])
+    found = open_log(str(folder)).recorded.observations.z
+    assert found.tobytes() == expected.tobytes()
+    assert found.shape != usual.shape or not np.allclose(found, usual, atol=1e-4)
+    header.write_text(told.replace("[source]\n", '[source]\nfit = "best"\n'))
+    with pytest.raises(DataError, match=r"fit 'best': weighted or author is needed"):
+        open_log(str(folder))
+
+
+def test_a_recording_names_its_fit_where_it_is_not_the_usual_one(tmp_path):
+    for fit in FITS:
+        Recording(tmp_path / fit, fit=fit).close()
+        assert ("fit" in (tmp_path / fit / HEADER).read_text()) == (fit != USUAL_FIT)
+        assert read_recording(tmp_path / fit).fit == fit
 
 
 def test_the_noise_it_was_told_counts(driven):

@@ -108,9 +108,10 @@ def test_errors_of_many_are_as_large_as_their_covariance_says(slip):
 
 def test_no_reading_is_in_two_observations(monkeypatch):
     heard, _ = packets(WALL, [(STEP, 0.0)] * 60, np.random.default_rng(2))
-    fits, observer, used, walls = [], WallObserver(), [], 0
-    fit = observe.fit_weighted
-    monkeypatch.setattr(observe, "fit_weighted", lambda at, r, sigma: (fits.append(r), fit(at, r, sigma))[1])
+    fits, used, walls = [], [], 0
+    fit = observe.FITS["weighted"]
+    monkeypatch.setitem(observe.FITS, "weighted", lambda at, r, sigma: (fits.append(r), fit(at, r, sigma))[1])
+    observer = WallObserver()
     for packet in heard:
         fits.clear()
         seen = observer.observe(packet)

@@ -13,18 +13,32 @@ from scipy.stats import norm
 from data.robot.packets import CONE_HALF_ANGLE, RIGHT, SONARS
 from data.robot.simulated.room import Room, cast
 from data.robot.walls import (
+    FADING,
     MIRROR,
     NORMAL_MEDIAN,
     SIGMA,
     WELSCH,
     echo_points,
+    fit_author,
     fit_weighted,
     predicted_ranges,
     sensor_poses,
     visible,
 )
 from data.se2 import compose, wrap_angle
-from tests.data.robot.wall_study import INLIER, TRUNCATED, Row, fit_ransac, on_axis, passing, study, table
+from tests.data.robot.wall_study import (
+    FEW,
+    INLIER,
+    TRUNCATED,
+    Row,
+    fit_brute_force,
+    fit_ransac,
+    on_axis,
+    passing,
+    study,
+    table,
+    truncated,
+)
 
 OFF = (-0.38, -0.2, -0.1, 0.0, 0.05, 0.13, 0.3)
 """rad, of the wall's normal from the sonar's axis."""
@@ -152,7 +166,10 @@ def test_both_fits_withstand_a_fifth_of_outliers_and_say_how_good_they_are():
         assert 1.0 < row.nees < 4.5
     assert (rows["weighted", 0.2].rmse < 1.1 * rows["ransac", 0.2].rmse).all()
     assert rows["axis", 0.0].bias[0] < -5 * abs(rows["weighted", 0.0].bias[0])
-    assert len(table(list(rows.values())).splitlines()) == 6
+    # an echo of another ping comes too early, so the author's weights prefer it
+    assert rows["author", 0.2].lost > 0.5
+    assert rows["author", 0.0].bias[0] == pytest.approx(rows["axis", 0.0].bias[0], abs=0.003)
+    assert len(table(list(rows.values())).splitlines()) == 8
 
 
 def test_rows_of_the_study_are_what_their_fits_make_them():
@@ -162,7 +179,8 @@ def test_rows_of_the_study_are_what_their_fits_make_them():
     for share in shares:
         for _ in range(trials):
             sensors, ranges, truth = passing(share, rng)
-            lines = {"weighted": fit_weighted(sensors, ranges), "ransac": fit_ransac(sensors, ranges, rng)}
+            lines = {"weighted": fit_weighted(sensors, ranges), "author": fit_author(sensors, ranges)}
+            lines["ransac"] = fit_ransac(sensors, ranges, rng)
             if share == 0.0:
                 lines["axis"] = on_axis(sensors, ranges)
             for name, line in lines.items():
@@ -187,6 +205,44 @@ def test_rows_of_the_study_are_what_their_fits_make_them():
     assert 0.0 < lost["weighted", 0.5] < 1.0
     assert lost["weighted", 0.75] == 1.0
     assert lost["weighted", 0.0] == lost["ransac", 0.0] == lost["axis", 0.0] == 0.0
+
+
+def test_the_author_s_fit_is_least_squares_with_weights_by_the_range_to_the_robot():
+    """Oracle: scipy on the echoes on their axes. Square to the wall it is exact; the covariance is what errors have."""
+    rng = np.random.default_rng(3)
+    sensors, exact = passed(SONARS[RIGHT, 2])
+    assert fit_author(sensors, exact)[:2] == pytest.approx((0.8, SONARS[RIGHT, 2]), abs=1e-12)
+    nees = []
+    for _ in range(200):
+        ranges = exact + SIGMA * rng.standard_normal(len(exact))
+        fit = fit_author(sensors, ranges)
+        error = np.array([fit.rho - 0.8, fit.alpha - SONARS[RIGHT, 2]])
+        nees.append(error @ np.linalg.solve(fit.cov, error))
+    # 12 readings: Student's t makes 2 x 10 / 8
+    assert np.mean(nees) == pytest.approx(2.5, abs=0.5)
+    points = echo_points(sensors, ranges, sensors[:, 2])
+    r = np.hypot(*points.T)
+    weights = np.exp(-(r**2) / FADING)
+    np.testing.assert_allclose(fit.weights, weights / weights.max(), rtol=1e-12)
+
+    def cost(line):
+        return np.sqrt(weights) * (points @ (math.cos(line[1]), math.sin(line[1])) - line[0])
+
+    found = least_squares(cost, [0.8, SONARS[RIGHT, 2]], xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    assert fit[:2] == pytest.approx(tuple(found.x), abs=1e-8)
+    assert np.isinf(fit_author(sensors[:2], ranges[:2]).cov).all()
+
+
+def test_no_line_through_eight_readings_has_less_truncated_cost_than_brute_force():
+    rng = np.random.default_rng(4)
+    for _ in range(6):
+        sensors, ranges, _ = passing(0.25, rng, FEW)
+        least = truncated(sensors, ranges, fit_brute_force(sensors, ranges))
+        others = [fit_weighted(sensors, ranges), fit_author(sensors, ranges), fit_ransac(sensors, ranges, rng)]
+        costs = [truncated(sensors, ranges, line) for line in others]
+        assert least <= min(costs) + 1e-9
+    (row,) = (r for r in study(2, rng, shares=(0.25,), readings=FEW) if r.method == "brute")
+    assert row.lost == 0.0
 
 
 def test_the_table_of_the_study_is_in_millimetres_and_milliradians():

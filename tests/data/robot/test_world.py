@@ -56,6 +56,15 @@ def test_the_same_name_is_the_same_log_and_a_room_may_be_chosen(log):
         open_log("walls:0:range_sigma=0")
 
 
+def test_a_world_s_walls_may_be_fitted_by_the_author_s_weights():
+    one, other = (open_log(f"walls:0:frames=60{more}").recorded for more in ("", "+fit=author"))
+    assert (one.increments.mean == other.increments.mean).all()
+    assert len(other.observations.z) > 0
+    assert one.observations.z.tobytes() != other.observations.z.tobytes()
+    with pytest.raises(UsageError, match="fit = 'ransac'"):
+        open_log("walls:0:fit=ransac")
+
+
 def test_it_is_written_and_read_again_with_its_walls(log, tmp_path):
     write_folder(log, tmp_path / "walls")
     back = load_folder(tmp_path / "walls")

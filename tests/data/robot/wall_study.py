@@ -1,15 +1,17 @@
-"""Weighted fit against RANSAC: bias and spread of a wall from the same readings, by share of outliers.
+"""Fits of a wall to the same readings, by share of outliers: weighted, the robot author's, RANSAC, and brute force.
 
     python -m tests.data.robot.wall_study [TRIALS]
 
 A robot passes a wall of random distance and direction; outliers are echoes of another sonar's ping, too early by any
-amount, as in `data.robot.simulated.physics`.
+amount, as in `data.robot.simulated.physics`. Twenty readings first; then eight, as few as brute force can take.
 """
 
 from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Callable
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -25,6 +27,7 @@ from data.robot.walls import (
     _least_squares,
     _line,
     echo_points,
+    fit_author,
     fit_weighted,
     predicted_ranges,
     total_least_squares,
@@ -33,7 +36,7 @@ from data.se2 import Array, compose, wrap_angle
 
 SHARES = (0.0, 0.1, 0.2, 0.3, 0.4)
 """Of outliers among the readings."""
-READINGS = 20
+READINGS, FEW = 20, 8
 PASSED = 1.0
 """m, way of the robot over which they are taken."""
 DISTANCES = (0.4, 2.0)
@@ -71,11 +74,35 @@ def fit_ransac(sensors: Array, ranges: Array, rng: np.random.Generator, sigma: f
     return _line(sensors, ranges, (line_rho, line_alpha), d, weights, TRUNCATED * weights)
 
 
+def truncated(sensors: Array, ranges: Array, line: Line, sigma: float = SIGMA) -> float:
+    """What RANSAC and brute force minimize: squared distances over those of inliers, at most 1 each."""
+    d = _distances(sensors, ranges, line.rho, line.alpha)
+    return float(np.minimum((d / (INLIER * sigma)) ** 2, 1.0).sum())
+
+
+def fit_brute_force(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
+    """The line of least truncated cost among the least-squares lines of every three readings or more."""
+    n, best = len(ranges), (math.inf, (), 0.0, 0.0)
+    for size in range(3, n + 1):
+        for chosen in combinations(range(n), size):
+            rows = list(chosen)
+            rho, alpha = 0.0, float(sensors[rows[0], 2])
+            for _ in range(4):  # the first places the echoes on their axes
+                rho, alpha = _least_squares(sensors[rows], ranges[rows], np.ones(size), alpha)
+            agree = np.minimum((_distances(sensors, ranges, rho, alpha) / (INLIER * sigma)) ** 2, 1.0)
+            best = min(best, (float(agree.sum()), chosen, rho, alpha))
+    _, _, rho, alpha = best
+    d = _distances(sensors, ranges, rho, alpha)
+    weights = (np.abs(d) < INLIER * sigma).astype(float)
+    return _line(sensors, ranges, (rho, alpha), d, weights, TRUNCATED * weights)
+
+
 class Row(NamedTuple):
     """What T fits were worth.
 
     Attributes:
-        method: "weighted", "ransac" or "axis" (least squares through points on the sonars' axes, for the cone's bias).
+        method: "weighted", "author", "ransac", "brute" (force, of few readings) or "axis" (least squares through points
+            on the sonars' axes, for the cone's bias).
         share: of outliers.
         bias: (2,) mean error of rho and alpha [m, rad].
         spread: (2,) standard deviation of the errors [m, rad].
@@ -93,13 +120,13 @@ class Row(NamedTuple):
     nees: float
 
 
-def passing(share: float, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+def passing(share: float, rng: np.random.Generator, readings: int = READINGS) -> tuple[Array, Array, Array]:
     """A wall passed on the right: sensors (N, 3), ranges (N,), true (rho, alpha), in the last body frame.
 
     The normal is at most the cone and `MIRROR` off the sonar's axis; the readings nearest the share, drawn at random,
     are outliers.
     """
-    x = np.linspace(-PASSED, 0.0, READINGS)
+    x = np.linspace(-PASSED, 0.0, readings)
     sensors = compose(np.stack([x, 0.0 * x, 0.0 * x], axis=-1), SONARS[RIGHT])
     while True:
         alpha = float(SONARS[RIGHT, 2] + rng.uniform(-1.0, 1.0) * (CONE_HALF_ANGLE + MIRROR))
@@ -107,8 +134,8 @@ def passing(share: float, rng: np.random.Generator) -> tuple[Array, Array, Array
         ranges = predicted_ranges(sensors, rho, alpha)
         if ranges.min() > 0.1 and ranges.max() < LONGEST_RANGE:
             break
-    ranges = ranges + SIGMA * rng.standard_normal(READINGS)
-    wrong = rng.permutation(READINGS)[: round(share * READINGS)]
+    ranges = ranges + SIGMA * rng.standard_normal(readings)
+    wrong = rng.permutation(readings)[: round(share * readings)]
     ranges[wrong] *= rng.random(len(wrong))
     return sensors, ranges, np.array([rho, alpha])
 
@@ -120,20 +147,26 @@ def on_axis(sensors: Array, ranges: Array) -> Line:
     return Line(rho, wrap_angle(alpha), np.full((2, 2), np.inf), ones, 0.0 * ones)
 
 
-def study(trials: int, rng: np.random.Generator, shares: tuple[float, ...] = SHARES) -> list[Row]:
-    """A row per method and share of outliers; the methods see the same readings."""
+def study(
+    trials: int, rng: np.random.Generator, shares: tuple[float, ...] = SHARES, readings: int = READINGS
+) -> list[Row]:
+    """A row per method and share of outliers; the methods see the same readings. Brute force takes `FEW` at most."""
+    fits: dict[str, Callable[[Array, Array], Line]] = {
+        "weighted": fit_weighted,
+        "author": fit_author,
+        "ransac": lambda sensors, ranges: fit_ransac(sensors, ranges, rng),
+    }
+    if readings <= FEW:
+        fits["brute"] = fit_brute_force
     rows = []
     for share in shares:
-        errors: dict[str, list[Array]] = {"weighted": [], "ransac": []}
-        nees: dict[str, list[float]] = {"weighted": [], "ransac": []}
-        if share == 0.0:
-            errors["axis"], nees["axis"] = [], []
+        used = fits | ({"axis": on_axis} if share == 0.0 else {})
+        errors: dict[str, list[Array]] = {method: [] for method in used}
+        nees: dict[str, list[float]] = {method: [] for method in used}
         for _ in range(trials):
-            sensors, ranges, truth = passing(share, rng)
-            lines = {"weighted": fit_weighted(sensors, ranges), "ransac": fit_ransac(sensors, ranges, rng)}
-            if "axis" in errors:
-                lines["axis"] = on_axis(sensors, ranges)
-            for method, line in lines.items():
+            sensors, ranges, truth = passing(share, rng, readings)
+            for method, fit in used.items():
+                line = fit(sensors, ranges)
                 error = np.array([line.rho - truth[0], wrap_angle(line.alpha - truth[1])])
                 errors[method].append(error)
                 finite = np.isfinite(line.cov).all()
@@ -159,15 +192,18 @@ def _row(method: str, share: float, errors: Array, nees: Array) -> Row:
 
 def table(rows: list[Row]) -> str:
     """The rows as text: mm and mrad."""
-    lines = ["outliers  method    bias mm  mrad  spread mm   mrad    RMSE mm   mrad   lost   NEES(2)"]
+    lines = ["outliers  method    bias mm    mrad  spread mm    mrad    RMSE mm    mrad   lost   NEES(2)"]
     for r in rows:
         b, s, e = 1000.0 * r.bias, 1000.0 * r.spread, 1000.0 * r.rmse
         lines.append(
-            f"{r.share:7.0%}   {r.method:8}{b[0]:9.2f}{b[1]:6.2f}{s[0]:11.2f}{s[1]:7.2f}{e[0]:11.2f}{e[1]:7.2f}"
+            f"{r.share:7.0%}   {r.method:8}{b[0]:9.2f}{b[1]:8.2f}{s[0]:11.2f}{s[1]:8.2f}{e[0]:11.2f}{e[1]:8.2f}"
             f"{r.lost:7.1%}{r.nees:9.2f}"
         )
     return "\n".join(lines)
 
 
 if __name__ == "__main__":
-    sys.stdout.write(table(study(int(sys.argv[1]) if len(sys.argv) > 1 else 300, np.random.default_rng(0))) + "\n")
+    asked = int(sys.argv[1]) if len(sys.argv) > 1 else 300
+    for count in (READINGS, FEW):
+        made = table(study(asked, np.random.default_rng(0), readings=count))
+        sys.stdout.write(f"{count} readings\n{made}\n\n")

@@ -14,6 +14,7 @@ from data.errors import UsageError
 from data.formats.open_log.reader import load_folder
 from data.logs import open_log
 from data.robot.traffic.recording import GONE, OPENED, read_recording
+from data.robot.walls import FITS
 from eval import run_all
 from eval.live import __main__
 from eval.replay.run import compare
@@ -197,6 +198,12 @@ def test_the_examples_call_it_by_the_name_it_was_called_by(name):
     said = __main__.parser(name).format_help()
     assert f"  {name} --link /dev/ttyUSB0 --estimator" in said
     assert (__main__.PROG in said) == (name == __main__.PROG)
+
+
+def test_the_fits_of_walls_that_are_offered_are_those_there_are(tmp_path):
+    link = ["--link", "robot", "--out", str(tmp_path / "log")]
+    assert tuple(FITS) == __main__.FITTED
+    assert [__main__.read([*link, *more]).fit for more in ([], ["--fit", "author"])] == ["weighted", "author"]
 
 
 def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, capsys):

@@ -17,19 +17,69 @@ from eval.stepping.text import Step, lab_block, run_text
 LAB = Setup(new_gate=0.99)
 
 
+RULE = "-" * 62
+
+
+def _outcomes(*names: str) -> np.ndarray:
+    return np.array([OUTCOMES.index(name) for name in names])
+
+
 def test_a_step_is_said_word_for_word():
-    truth = TruthRow(np.array([2, 11, -1, 4]), np.array([OUTCOMES.index(o) for o in ("tp", "fp", "tn", "fn")]))
+    truth = TruthRow(np.array([2, 11, -1, 4]), _outcomes("tp", "fp", "tn", "fn"))
     text = lab_block(Step(4, truth, np.array([2, 3, -1, -2]), np.array([-1, -1, 5, -1])))
     assert text.split("\n") == [
-        "--------------------------------------------------------------",
+        RULE,
         "Step: 5",
         "GROUND  TRUTH:  3  12   0   5  ",
         "MY HYPOTHESIS:  3   4   0   0  ",
         "Correct (1/0)?  1   0   1   0  ",
+        "",
+        "NEW:  3   ",
+        "Hypothesis not in agreement with ground truth",
+        "True positives: 1",
+        "True negatives: 1",
+        "False positives: 1",
+        "False negatives: 1",
     ]
     assert lab_block(Step(0, truth, np.array([-1]), np.array([0]))) == ""
     blind = lab_block(Step(4, None, np.array([2, -2]), np.array([-1, -1])))
     assert blind.split("\n")[1:] == ["Step: 5", "MY HYPOTHESIS:  3   0  "]
+
+
+def test_the_worked_example_has_counts_4_1_1_1():
+    """Four right pairings, a new landmark, a neighbour's landmark, and a known landmark that is taken for new."""
+    truth = TruthRow(np.array([0, 1, 2, 3, -1, 4, 5]), _outcomes("tp", "tp", "tp", "tp", "tn", "fp", "fn"))
+    text = lab_block(Step(1, truth, np.array([0, 1, 2, 3, -1, 5, -1]), np.array([-1, -1, -1, -1, 8, -1, 9])))
+    assert text.split("\n") == [
+        RULE,
+        "Step: 2",
+        "GROUND  TRUTH:  1   2   3   4   0   5   6  ",
+        "MY HYPOTHESIS:  1   2   3   4   0   6   0  ",
+        "Correct (1/0)?  1   1   1   1   1   0   0  ",
+        "",
+        "NEW:  5    7   ",
+        "Hypothesis not in agreement with ground truth",
+        "True positives: 4",
+        "True negatives: 1",
+        "False positives: 1",
+        "False negatives: 1",
+    ]
+
+
+def test_counts_are_left_out_where_the_hypothesis_is_right():
+    truth = TruthRow(np.array([2, -1]), _outcomes("tp", "tn"))
+    discarded = lab_block(Step(4, truth, np.array([2, -2]), np.array([-1, -1])))
+    assert discarded.split("\n")[2:] == [
+        "GROUND  TRUTH:  3   0  ",
+        "MY HYPOTHESIS:  3   0  ",
+        "Correct (1/0)?  1   1  ",
+    ]
+    created = lab_block(Step(4, truth, np.array([2, -1]), np.array([-1, 3])))
+    assert created.split("\n")[-2:] == ["", "NEW:  2   "]
+    wrong = TruthRow(np.array([2]), _outcomes("fn"))
+    missed = lab_block(Step(4, wrong, np.array([-2]), np.array([-1]))).split("\n")
+    assert missed[5:7] == ["", "Hypothesis not in agreement with ground truth"]
+    assert missed[-1] == "False negatives: 1"
 
 
 @pytest.mark.parametrize("method", ["nn", "jcbb-first"])

@@ -19,16 +19,7 @@ from data.motion.velocity import VelocityModel, VelocityNoise
 from data.truth_windows import misplaced
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.loading import MEASURED, TRUTH, noted, starts_at
-from tests.data.formats.mrclam.world import Texts, save_zip
-
-
-def exchange(survey: str, one: int, other: int) -> str:
-    """A landmark file with the numbers of two rows exchanged."""
-    return (
-        survey.replace(f" {one:2d} \t", " AA \t")
-        .replace(f" {other:2d} \t", f" {one:2d} \t")
-        .replace(" AA \t", f" {other:2d} \t")
-    )
+from tests.data.formats.mrclam.world import Texts, exchange, save_zip
 
 
 class TestWithoutGroundTruth:

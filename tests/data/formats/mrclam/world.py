@@ -95,3 +95,12 @@ def replace_row(text: str, row: int, new: str | None) -> tuple[str, int]:
     at = data[row]
     lines[at : at + 1] = [] if new is None else [new]
     return "\n".join(lines) + "\n", at + 1
+
+
+def exchange(survey: str, one: int, other: int) -> str:
+    """A landmark file with the numbers of two rows exchanged."""
+    return (
+        survey.replace(f" {one:2d} \t", " AA \t")
+        .replace(f" {other:2d} \t", f" {one:2d} \t")
+        .replace(" AA \t", f" {other:2d} \t")
+    )

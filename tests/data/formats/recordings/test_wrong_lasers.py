@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import bz2
 import math
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
+from data.convert import recordings
+from data.convert.__main__ import main as convert
+from data.convert.__main__ import parser
+from data.convert.again import again
 from data.errors import DataError, UsageError
 from data.formats.recordings.beams import on_one_set
 from data.formats.recordings.carmen import largest_range, load_carmen
@@ -60,6 +64,9 @@ def test_a_right_log_is_asked_nothing(driven, load):
 
 WRONG = {
     "odometry in mm": (lambda p, t, r: (p * [1e3, 1e3, 1], t, r), Code.ODOMETRY_UNIT, {"odometry_unit": "mm"}),
+    "odometry in cm": (lambda p, t, r: (p * [1e2, 1e2, 1], t, r), Code.ODOMETRY_UNIT, {"odometry_unit": "cm"}),
+    "headings in degrees": (lambda p, t, r: (p * [1, 1, math.degrees(1)], t, r), Code.HEADING_UNIT, {"angle": "deg"}),
+    "stamps in ms": (lambda p, t, r: (p, 1e3 * t, r), Code.TIME_UNIT, {"time": "ms"}),
     "no odometry": (lambda p, t, r: (0.0 * p, t, r), Code.NO_ODOMETRY, {"odometry": False}),
     "beams from left to right": (lambda p, t, r: (p, t, r[:, ::-1]), Code.MOUNTING, {"clockwise": True}),
     "laser backward": (lambda p, t, r: (_turned(p), t, r), Code.MOUNTING, {"laser_turned": 180.0}),
@@ -86,7 +93,10 @@ def _interleaved(pose, stamp, ranges):
     return pose[order], stamp[order], ranges[order]
 
 
-@pytest.mark.parametrize("fault", WRONG)
+SLOWER = ("odometry in cm", "headings in degrees", "stamps in ms")
+
+
+@pytest.mark.parametrize("fault", [pytest.param(f, marks=[pytest.mark.slow] * (f in SLOWER)) for f in WRONG])
 def test_a_fault_is_asked_for_by_name_and_gone_with_its_flag(driven, load, fault):
     spoil, code, mending = WRONG[fault]
     lines = text(*spoil(*driven))
@@ -188,9 +198,63 @@ def test_a_stated_resolution_is_not_the_noise(driven, load):
 def test_a_stamp_far_above_those_that_follow_does_not_stop_the_clock():
     stamp = np.arange(20.0)
     stamp[5] = 2.0**32
-    mended, broken = without_jumps(stamp)
-    assert broken == 1
+    mended, *broken = without_jumps(stamp)
+    assert broken == [1, 0]
     assert made_increasing(mended).tolist() == list(range(20))
+
+
+def test_a_clock_that_is_set_back_goes_on_and_a_lost_stamp_is_interpolated(driven, load):
+    pose, stamp, ranges = (a[:60] for a in driven)
+    right = load(text(pose, stamp, ranges)).recorded.time
+    for wrong in (np.where(np.arange(60) < 30, stamp, stamp - 80.0), np.where(np.arange(60) % 20 == 7, 0.0, stamp)):
+        log = load(text(pose, wrong, ranges))
+        assert asked(log) == set()
+        assert log.recorded.time == pytest.approx(right, abs=1e-3)
+        assert any("clock was set back at frame 30" in n or "far below" in n for n in log.notes)
+
+
+def test_a_clock_that_does_not_run_is_none(driven, load):
+    pose, stamp, ranges = (a[:60] for a in driven)
+    log = load(text(pose, 0.0 * stamp, ranges))
+    assert log.recorded.time_is_index
+    assert asked(log) == set()
+
+
+@pytest.mark.parametrize("flags", [["--unit", "angle=grad"], ["--unit", "length=mm"], ["--unit", "deg"]])
+def test_a_unit_that_is_none_is_refused_with_those_that_are(flags, capsys):
+    with pytest.raises(SystemExit):
+        convert(["carmen", "made.log", "out", *flags])
+    assert "as in angle=deg,time=ms" in capsys.readouterr().err
+
+
+PAIRS = [
+    *(("beams from left to right", fault) for fault in ("odometry in mm", "odometry in cm", "interleaved stretches")),
+    *(("laser backward", fault) for fault in ("odometry in mm", "stamps in ms", "beams from left to right")),
+    *(("no odometry", fault) for fault in ("interleaved stretches", "stamps in ms")),
+]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("faults", PAIRS)
+def test_two_faults_at_once_are_both_mended_by_the_flags_that_are_named(driven, load, faults):
+    given, names = driven, {}
+    for fault in faults:
+        spoil, _, mending = WRONG[fault]
+        given, names = spoil(*given), names | mending
+    lines, found = text(*given), list[str]()
+    for _ in range(4):
+        command = again(["carmen", "a", "b", *found], ask(load(lines, **mending_of(found))), parser(simulators=False))
+        if not command:
+            break
+        found = command[3:]
+    assert mending_of(found) == names
+
+
+def mending_of(flags):
+    """What the flags of a command ask for, besides the defaults."""
+    args = parser(simulators=False).parse_args(["carmen", "a", "b", *flags])
+    mending = recordings._mending(args)
+    return {f.name: v for f in fields(Mending) if (v := getattr(mending, f.name)) != f.default}
 
 
 def test_a_laser_turned_on_the_robot_stays_in_its_place():

@@ -162,12 +162,24 @@ def test_the_first_plan_shows_dead_reckoning_with_ellipses_in_their_size_and_the
 
 
 @pytest.mark.parametrize(
-    ("factor", "said"), [("1", "3σ ellipses in their size"), ("5", "3σ ellipses enlarged as the legend says")]
+    ("asked", "scale", "drawn"), [("1", 1.0, 1), ("5", 1.0, 5), ("auto", 1.0, 1), ("auto", 1e-2, 50)]
 )
-def test_a_plan_says_whether_its_ellipses_are_enlarged(factor, said, saved, tmp_path):
-    sections = visual.visual_hand_in(tmp_path, Output(formats=("csv",), quick=True, ellipses=factor), [trial()])
+def test_the_caption_and_the_legend_of_a_plan_state_one_factor(asked, scale, drawn, saved, tmp_path):
+    runs = [replace(r, online=smaller(r.online, scale), final=smaller(r.final, scale)) for r in RUNS]
+    sections = visual.visual_hand_in(
+        tmp_path, Output(formats=("csv",), quick=True, ellipses=asked), [trial(tuple(runs))]
+    )
     (caption,) = (b.caption for b in sections[2].blocks if isinstance(b, Picture) and b.stem == "lab-plan")
-    assert caption == f"`visual:1`: {said}. World frame, no alignment."
+    larger = f"drawn {drawn} times larger"
+    said = "in their size" if drawn == 1 else larger
+    assert caption == f"`visual:1`: 3σ ellipses {said}. World frame, no alignment."
+    legend = [t.get_text() for t in saved["lab-plan"][0].legends[0].get_texts()]
+    assert ("3σ ellipses" if drawn == 1 else f"3σ ellipses, {larger}") in legend
+
+
+def smaller(path, scale):
+    """A path whose standard deviations are `scale` times as large."""
+    return path and replace(path, covariance=scale**2 * path.covariance)
 
 
 def test_the_sheet_shows_the_first_and_the_last_of_the_frames_kept(saved, monkeypatch, tmp_path):

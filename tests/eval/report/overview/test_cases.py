@@ -9,7 +9,7 @@ import pytest
 
 import slamref
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
-from data.log import Log
+from data.log import Log, shortened
 from data.logs import open_log
 from data.sensors import RangeBearing
 from data.truth import Truth
@@ -65,6 +65,24 @@ def test_a_motion_model_that_integrates_otherwise_takes_the_tick():
     assert facts.filtered.nees > 9
     assert mark.tone != "good"
     assert f"NEES {facts.smoothed.nees:.3g}" in mark.note
+
+
+def test_a_smoother_other_than_batch_is_compared_and_not_denied():
+    """Without truth the tests need batch; iSAM2 beside the filter is a smoother all the same."""
+    log = shortened(open_log("arena:0"), 60)
+    blind = replace(log, truth=replace(log.truth, pose=None))
+    ekf, isam2 = compare(blind.inputs(labels=True).without_map(), "slam", ("ekf", "isam2"), "known")
+
+    def judged(*runs):
+        trial = Trial(blind, "slam", runs)
+        facts = facts_of(trial, score([trial]), ())
+        return facts, trust_mark(facts)
+
+    facts, mark = judged(ekf, isam2)
+    assert mark.note == "no ground truth, and only batch gives the tests that need none"
+    off = ekf.online.pose[:, :2] - isam2.final.pose[:, :2]
+    assert facts.apart == pytest.approx(np.sqrt(np.mean(np.sum(off**2, axis=1))), rel=1e-12)
+    assert judged(ekf)[1].note == "no smoother ran"
 
 
 @pytest.mark.slow  # renders a recording

@@ -1,0 +1,142 @@
+"""Fixes and closures in tables of another program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.convert.__main__ import main
+from data.formats.open_log.reader import load_folder
+from data.log import Log
+from data.pose_measurements import FixKind
+
+VELOCITIES = "t,v,omega\n0,1,0\n1,1,0.1\n2,1,0\n3,1,0\n"
+POSES = "t,x,y,theta\n0,0,0,0\n1,1,0,0\n2,2,0,0\n3,3,0,0\n"
+NOISE = ("--prior", "0,0,0", "--prior-sigma", "1,1,0.1")
+OF = {VELOCITIES: ("--odometry-sigma", "0.1,0.1"), POSES: ("--odometry-sigma", "0.1,0.1,0.1,0.1")}
+
+
+@pytest.fixture
+def convert(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Callable[..., tuple[int, str]]:
+    """`convert(odometry, {role: text}, *words)`: exit status and what was said."""
+
+    def run(odometry: str, parts: dict[str, str], *words: str) -> tuple[int, str]:
+        (tmp_path / "odo.csv").write_text(odometry)
+        given = ["table", str(tmp_path / "odo.csv"), str(tmp_path / "out"), *OF[odometry], *NOISE, *words]
+        for role, text in parts.items():
+            (tmp_path / f"{role[:3]}.csv").write_text(text)
+            given += [f"--{role}", str(tmp_path / f"{role[:3]}.csv")]
+        status = main(given)
+        said = capsys.readouterr()
+        return status, said.err if status else said.out
+
+    return run
+
+
+def made(tmp_path: Path) -> Log:
+    return load_folder(tmp_path / "out")
+
+
+@pytest.mark.parametrize("odometry", [VELOCITIES, POSES])
+def test_what_a_row_fills_is_what_it_measures(convert, tmp_path, odometry):
+    text = "t,x,y,theta,sx,sy,source\n0.5,1,2,,,,\n1.25,,,90,,,compass\n2,3,4,45,0.5,0.25,\n2.5,,,,,,\n"
+    words = ("--fix-sigma", "1,2,3deg", "--unit", "fixes.theta=deg", "--fix-lever", "0.3,-10cm")
+    status, said = convert(odometry, {"fixes": text}, *words)
+    assert status == 0, said
+    assert "fix.csv: 1 row without a fix" in said
+    r = made(tmp_path).recorded
+    assert r.time[r.fixes.frame].tolist() == [0.5, 1.25, 2.0]
+    assert r.fixes.kind.tolist() == [FixKind.POSITION, FixKind.HEADING, FixKind.POSE]
+    assert r.fixes.z == pytest.approx(np.array([[1, 2, 0], [0, 0, np.pi / 2], [3, 4, np.pi / 4]]))
+    three = np.radians(3.0)
+    sigma = np.sqrt(np.diagonal(r.fixes.covariance, axis1=1, axis2=2))
+    assert sigma == pytest.approx(np.array([[1, 2, 0], [0, 0, three], [0.5, 0.25, three]]))
+    assert [(s.name, s.lever) for s in r.fixes.sources] == [("fix", (0.3, -0.1)), ("compass", (0.3, -0.1))]
+    assert len(r.observations.frame) == 0
+
+
+def test_frames_are_the_instants_of_observations_fixes_and_closures(convert, tmp_path):
+    parts = {
+        "observations": "t,range,bearing\n0.75,2,0.1\n2,2,0.2\n",
+        "fixes": "t,x,y\n0.5,1,2\n2,1,2\n",
+        "closures": "t1,t2,dx,dy,dtheta\n2.5,0.25,-1,0,0.1\n0.5,1,1,0,0\n",
+    }
+    words = ("--fix-sigma", "1,1", "--closure-sigma", "0.1,0.2,1deg", "--observation-sigma", "0.1,0.1")
+    for odometry in (VELOCITIES, POSES):
+        status, said = convert(odometry, parts, *words)
+        assert status == 0, said
+        r = made(tmp_path).recorded
+        assert r.time.tolist() == [0.0, 0.25, 0.5, 0.75, 1.0, 2.0, 2.5, 3.0]
+        assert r.time[r.observations.frame].tolist() == [0.75, 2.0]
+        assert r.time[r.fixes.frame].tolist() == [0.5, 2.0]
+        assert r.time[r.closures.frame1].tolist() == [0.5, 2.5]
+        assert r.time[r.closures.frame2].tolist() == [1.0, 0.25]
+        assert np.allclose(r.closures.covariance[0], np.diag([0.01, 0.04, np.radians(1.0) ** 2]))
+
+
+def test_rows_of_the_odometry_name_instants_too(convert, tmp_path):
+    parts = {"fixes": "frame,theta,stheta\n1,0.5,0.1\n", "closures": "frame1,frame2,dx,dy,dtheta\n0,3,3,0,0\n"}
+    status, said = convert(POSES, parts, "--closure-sigma", "1,1,1")
+    assert status == 0, said
+    r = made(tmp_path).recorded
+    assert r.time.tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert r.fixes.frame.tolist() == [1]
+    assert (r.closures.frame1.tolist(), r.closures.frame2.tolist()) == ([0], [3])
+
+
+def test_fixes_and_closures_beyond_the_odometry_are_left_out_and_said(convert, tmp_path):
+    parts = {"fixes": "t,x,y\n-1,0,0\n1,1,2\n", "closures": "t1,t2,dx,dy,dtheta\n0,9,1,0,0\n0,1,1,0,0\n"}
+    status, said = convert(POSES, parts, "--fix-sigma", "1,1", "--closure-sigma", "1,1,1")
+    assert status == 0, said
+    assert "1 of 2 fixes before or after all odometry" in said
+    assert "1 of 2 closures before or after all odometry" in said
+    assert (len(made(tmp_path).recorded.fixes), len(made(tmp_path).recorded.closures)) == (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("parts", "words", "said"),
+    [
+        ({"fixes": "t,x,y\n0.5,1,2\n"}, (), "fix.csv:2: unknown noise of this fix; --fix-sigma SX,SY (m), STHETA"),
+        ({"fixes": "t,theta\n0.5,1\n"}, ("--fix-sigma", "1,1"), "fix.csv:2: unknown noise of this fix"),
+        ({"fixes": "t,x\n0.5,1\n"}, ("--fix-sigma", "1,1"), "no fixes: columns t, x; x and y, or a heading theta"),
+        ({"fixes": "t,x,y\n0.5,1,\n"}, ("--fix-sigma", "1,1"), "fix.csv:2: column y: blank; both x and y, or neither"),
+        ({"fixes": "t,x,y\n0.5,1,east\n"}, ("--fix-sigma", "1,1"), ":2: column y: 'east' is not a number"),
+        ({"fixes": "when,x,y\n0.5,1,1\n"}, ("--fix-sigma", "1,1"), "no column 't' for t"),
+        ({"fixes": "frame,x,y\n4,1,1\n"}, ("--fix-sigma", "1,1"), ":2: column frame: 4 is out of range; the odometry"),
+        ({"fixes": "t,x,y,sx\n0.5,1,1,-1\n"}, ("--fix-sigma", "1,1"), ":2: column sx: -1 is no standard deviation > 0"),
+        ({"fixes": "t,x,y\n99,1,1\n"}, ("--fix-sigma", "1,1"), "fixes from 99 to 99 s, odometry from 0 to 3 s do not"),
+        ({"fixes": "t,x,y\n0.5,1,1\n"}, ("--fix-sigma", "0,1"), "--fix-sigma 0,1: must be more than 0"),
+        ({"fixes": "t,x,y\n0.5,1,1\n"}, ("--fix-sigma", "1,1", "--fix-lever", "1"), "--fix-lever 1: 2 numbers"),
+        ({"fixes": 't;x;y;source\n0.5;1;1;a,b\n'}, ("--fix-sigma", "1,1"), "'a,b' holds a comma or a quote"),
+        ({"closures": "t1,t2,dx,dy,dtheta\n1,1,1,0,0\n"}, ("--closure-sigma", "1,1,1"), ":2: column t2: 1 is t1, too"),
+        ({"closures": "t1,t2,dx,dy,dtheta\n1,2,1,0,\n"}, ("--closure-sigma", "1,1,1"), ":2: column dtheta: blank"),
+        ({"closures": "t1,t2,dx,dy,dtheta\n1,2,1,0,0\n"}, (), ":2: unknown noise of this closure; --closure-sigma"),
+        ({"fixes": "t,x,y\n0.5,1,1\n"}, ("--closure-sigma", "1,1,1"), "--closure-sigma 1,1,1: there are none"),
+    ],
+)  # fmt: skip
+def test_one_line_says_what_is_wrong(convert, parts, words, said):
+    status, text = convert(POSES, parts, *words)
+    assert status == 2
+    assert text.count("\n") == 1
+    assert said in text
+
+
+def test_fixes_need_a_prior_in_their_frame(tmp_path, capsys):
+    (tmp_path / "odo.csv").write_text(POSES)
+    (tmp_path / "gps.csv").write_text("t,x,y\n0.5,1,1\n")
+    words = ["table", str(tmp_path / "odo.csv"), str(tmp_path / "out"), *OF[POSES], "--fix-sigma", "1,1"]
+    assert main([*words, "--fixes", str(tmp_path / "gps.csv")]) == 2
+    assert "unknown start in the frame of the fixes; --prior X,Y,THETA" in capsys.readouterr().err
+
+
+def test_the_file_is_the_source_and_offsets_move_its_stamps(convert, tmp_path):
+    status, said = convert(
+        VELOCITIES, {"fixes": "t,x,y\n0.5,1,2\n"}, "--fix-sigma", "1,1", "--time-offset", "fixes=0.25"
+    )
+    assert status == 0, said
+    r = made(tmp_path).recorded
+    assert r.time[r.fixes.frame].tolist() == [0.75]
+    assert r.fixes.sources[0].name == "fix"
