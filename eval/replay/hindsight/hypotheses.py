@@ -104,7 +104,8 @@ class Hypotheses:
     def predict(self, increment: Increment) -> None:
         """Move all by an increment; the pose before it stays in the state if a later closure names its frame."""
         clones = self._clones
-        kept = [i for i, frame in enumerate(clones.frames) if frame not in clones.over()]
+        over = clones.over()
+        kept = [i for i, frame in enumerate(clones.frames) if frame not in over]
         if len(kept) < len(clones.frames) or clones.wanted:
             poses = [0, *(1 + i for i in kept), *([0] if clones.wanted else [])]
             states = (3 * np.array(poses)[:, None] + np.arange(3)).ravel()
