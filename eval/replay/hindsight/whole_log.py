@@ -26,8 +26,9 @@ from eval.replay.hindsight.noise import Restated, with_shares
 from eval.replay.hindsight.opportunities import recounted
 from eval.replay.hindsight.record import Record
 from eval.replay.hindsight.same_place import same_landmarks
+from eval.replay.poses import PoseRecords
 from eval.replay.settings import Given, Setup
-from graph.batch import Start, smooth
+from graph.batch import Rejected, Start, smooth
 from graph.factors import UnderConstrained
 
 
@@ -42,6 +43,7 @@ class WholeLog:
         self.gate = math.inf  # squared distance under the noise as `restated` beyond which nothing was re-associated
         self.smoothed: Smoothed | None = None  # the final decisions
         self.odds = -math.inf  # log odds of the decisions of `jcbb` against those in hindsight
+        self.poses = PoseRecords(given.fixes, given.closures)  # which of them the mapper's filter used
         self._given, self._view = given, given.sensor
         self._frames: list[Frame] = []
         self._loosened: dict[int, Array] = {}
@@ -154,7 +156,8 @@ class WholeLog:
     ) -> Smoothed:
         """Smooth and re-associate, with the landmarks as they are."""
         log = self._inputs(restated, systematic)
-        found = smooth(log, number, np.full(len(number), -1), start)
+        out = Rejected(self.poses.fixes.rejected, self.poses.closures.rejected)
+        found = smooth(log, number, np.full(len(number), -1), start, rejected=out)
         assert found.map is not None
         places = start.landmark.copy()
         places[found.map.number] = found.map.xy
@@ -202,6 +205,7 @@ class WholeLog:
         return Inputs(
             self._given.prior, np.arange(n, dtype=float), Increments(mean, covariance),
             Observations(seen.frame, seen.z, R), self._given.sensor, systematic=systematic,
+            fixes=self._given.fixes, closures=self._given.closures,
         )  # fmt: skip
 
 
