@@ -80,7 +80,7 @@ class SourceScore:
         outlying: accepted ones that contradict all others, each surely (`SURE` for the source).
         formed: accepted and rejected ones at their turn; those not formed cannot be rejected.
         tp, tn, fp, fn: inliers accepted, outliers rejected, outliers accepted, inliers rejected; None: no truth,
-            or the source was not used.
+            or none was decided about.
     """
 
     source: str
@@ -115,8 +115,11 @@ def score_source(run: Run, source: Source, phase: str, truth: Truth | None = Non
     if found is None:
         return SourceScore(source.name, source.kind, phase, len(source.rows), 0)
     used: BoolArray = found.used[source.rows]
+    decided = used | np.isfinite(found.nis[source.rows])  # the frame of a closure may be no longer known
     inlier = None if truth is None else truth.closure_inlier if source.of_closures else truth.fix_inlier
-    outcomes = None if inlier is None else outcomes_of(used, inlier[source.rows])
+    outcomes = None
+    if inlier is not None and decided.any():
+        outcomes = outcomes_of(used[decided], inlier[source.rows][decided])
     bare = SourceScore(source.name, source.kind, phase, len(source.rows), int(used.sum()), outcomes=outcomes)
     nis, dof, white = found.nis[source.rows], found.dof[source.rows], found.white[source.rows]
     formed = np.isfinite(nis)
