@@ -73,7 +73,7 @@ def absorb(
         if (np.abs(point - moved) <= 1e-6 * sigma).all():
             break
     V = np.ascontiguousarray(np.linalg.solve(L, H @ rows))
-    status = _correct(mean, P, d, V, white, rule.retraction, rule.clones, rule.clones_end)
+    status = correct_all(mean, P, d, V, white, rule.retraction, rule.clones, rule.clones_end)
     return PoseOutcome(status, True, nis, own)
 
 
@@ -96,7 +96,7 @@ def _innovation(
 
 
 @numba.njit(cache=True)
-def _correct(
+def correct_all(
     mean: Array, P: Array, d: int, V: Array, white: Array, retraction: int, clones: int, clones_end: int
 ) -> int:
     """The Kalman update: mean += V' white (or see `move`), P -= V' V, for V (m, d); returns a status."""
@@ -222,6 +222,17 @@ class Clones:
         self.frames: list[int] = []  # of the clones, by place
         self._last: dict[int, int] = {}
         self._ends: dict[int, list[int]] = {}
+        self._held = set[int]()
+
+    def hold(self, frame: int) -> None:
+        """Keep a frame, the present one or one that is kept already, until it is released."""
+        self._held.add(frame)
+
+    def release(self, frame: int) -> None:
+        """Keep a frame no longer than later closures need it."""
+        self._held.discard(frame)
+        if self._last.get(frame, -1) <= self.now:
+            self._ends.setdefault(self.now, []).append(frame)
 
     def keep(self, last_use: dict[int, int]) -> None:
         """The frames to keep, each with the frame of its last use."""
@@ -232,13 +243,14 @@ class Clones:
     @property
     def expected(self) -> bool:
         """Whether there are frames to keep."""
-        return bool(self._last)
+        return bool(self._last or self._held)
 
     @property
     def wanted(self) -> bool:
         """Whether the present frame is to be kept."""
-        return self._last.get(self.now, -1) > self.now
+        return self.now in self._held or self._last.get(self.now, -1) > self.now
 
     def over(self) -> list[int]:
         """The frames in the state that were used for the last time in the present frame."""
-        return [frame for frame in self._ends.get(self.now, []) if frame in self.frames]
+        ends = dict.fromkeys(self._ends.pop(self.now, []))
+        return [frame for frame in ends if frame in self.frames and frame not in self._held]

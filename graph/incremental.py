@@ -15,10 +15,11 @@ from gtsam.symbol_shorthand import L, X
 
 from association.candidates import in_view, view_radius
 from association.expectation import Expectation
+from data.blocks import block_diagonal
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior, Systematic
 from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated
-from data.se2 import Array, BoolArray, world_from_body
+from data.se2 import Array, BoolArray, world_from_body, worlds_from_bodies
 from data.sensors import Sensor
 from graph import expected
 from graph.calibration.open_end import CalibratedEnd
@@ -298,6 +299,44 @@ class Isam2Smoother:
         before = self._end.mean
         self._end.read(self._engine)
         self._candidates.corrected(self._end.mean[:2] - before[:2])
+
+    def hold(self, frame: int) -> None:
+        """Nothing to do: every pose is a variable."""
+
+    def release(self, frame: int) -> None:
+        """See `hold`."""
+
+    def held(self, frames: IntArray) -> tuple[Array, Array]:
+        """Poses (n, 3) of frames, and their joint covariance (3n, 3n), in the world."""
+        self._complete()
+        once, which = np.unique(frames, return_inverse=True)
+        pose = np.array([self._engine.pose(X(k)) for k in once.tolist()])
+        turn = worlds_from_bodies(pose[:, 2])
+        B = block_diagonal(turn)
+        joint = B @ self._engine.covariance([X(k) for k in once.tolist()]) @ B.T
+        rows = (3 * which[:, None] + np.arange(3)).ravel()
+        return pose[which], joint[np.ix_(rows, rows)]
+
+    def initialize(
+        self, frames: IntArray, sensors: Sequence[Sensor], observations: FrameObservations, xy: Array
+    ) -> tuple[int, float, int, float]:
+        """A new landmark that starts at xy (2,), with all its observations (m) by sensors (m), from frames (m,).
+
+        Returns its number; a smoother forms no innovations, so NaN, 0 and NaN.
+        """
+        number, values, present = self.created, gtsam.Values(), self.sensor
+        self.created += 1
+        values.insert(L(number), xy)
+        found = list[ObservationFactors]()
+        for i, sensor in enumerate(sensors):
+            row = slice(i, i + 1)
+            seen = FrameObservations(observations.z[row], observations.R[row])
+            self.look(sensor)
+            found += self._observed.factors_of(seen, frames[row], np.array([number]), self._end, self._engine, values)
+        self.look(present)
+        self._add([], found, values, late=True)
+        self.refine()
+        return number, np.nan, 0, np.nan
 
     def remove(self, numbers: IntArray) -> None:
         """Remove landmarks with all their observations."""

@@ -59,6 +59,11 @@ def sources_of(inputs: Inputs) -> list[Source]:
     return found
 
 
+def has_sources(inputs: Inputs) -> bool:
+    """Whether a log has fixes or closures."""
+    return inputs.fixes is not None or inputs.closures is not None
+
+
 @dataclass(frozen=True)
 class SourceScore:
     """What a run did with a source in a phase: a row of sources.csv, and why it may deserve a notice.

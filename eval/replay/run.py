@@ -175,6 +175,7 @@ def driven(
             frame = inputs.frame(k)
             through(front, frame, record.update, each=each, observer=observer)
             record.poses.enter(frame, front.poses)
+            record.begin(front)
             observer.updated(front, record.decisions, record.created)
             record.estimate(front)
         if finish:
