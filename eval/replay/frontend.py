@@ -141,7 +141,7 @@ class FrontEnd:
         """Give the decisions to this estimator, before its first frame."""
         self.estimator, self.can = estimator, capabilities(estimator)  # gets the decisions; its capabilities
         self.foreign = estimator if isinstance(estimator, Adapter) else None  # if it is foreign
-        self.poses = PoseMeasurements(self.given, self.can, self.setup.gate_poses)  # its fixes and closures
+        self.poses = PoseMeasurements(self.given, self.can.fixable, self.can.closable, self.setup.gate_poses)
         self.own: OwnInnovations | None = None  # its innovations
         if self.foreign is not None:
             expect = self.foreign.expect if self.foreign.has("expect") else None

@@ -25,6 +25,7 @@ from ekf.slam import EkfSlam
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.final_association import Reassociation
 from eval.replay.hindsight.persistence import Kept, evidence, kept_at_end
+from eval.replay.poses import PoseMeasurements
 from eval.replay.settings import Given, Setup
 
 
@@ -76,10 +77,12 @@ def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> Pla
     It is lost then, and takes long.
     """
     held = EkfSlam(given.prior, given.sensor)
+    poses = PoseMeasurements(given, held, held, setup.gate_poses)
     numbers, path = [], []
     for frame in frames:
         if frame.increment is not None:
             held.predict(frame.increment)
+        poses.use(frame)
         if len(frame.observations.z):
             e = held.expect(frame.observations)
             decisions = decide("jcbb", e, setup.gate, setup.new_gate).decisions

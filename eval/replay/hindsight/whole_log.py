@@ -25,8 +25,9 @@ from eval.replay.hindsight.floor import Smoothed, likelier, observed_again, plai
 from eval.replay.hindsight.noise import Restated, with_shares
 from eval.replay.hindsight.opportunities import recounted
 from eval.replay.hindsight.record import Record
+from eval.replay.poses import PoseRecords
 from eval.replay.settings import Given, Setup
-from graph.batch import Start, smooth
+from graph.batch import Rejected, Start, smooth
 from graph.factors import UnderConstrained
 
 
@@ -41,6 +42,7 @@ class WholeLog:
         self.gate = math.inf  # squared distance under the noise as `restated` beyond which nothing was re-associated
         self.smoothed: Smoothed | None = None  # the final decisions
         self.odds = -math.inf  # log odds of the decisions of `jcbb` against those in hindsight
+        self.poses = PoseRecords(given.fixes, given.closures)  # which of them the mapper's filter used
         self._given, self._view = given, given.sensor
         self._frames: list[Frame] = []
         self._loosened: dict[int, Array] = {}
@@ -129,7 +131,8 @@ class WholeLog:
         log = self._inputs(restated, systematic)
         places = np.full((int(known.id.max()) + 1, 2), np.nan)
         places[known.id] = known.xy
-        found = smooth(log, number, np.full(len(number), -1), Start(path, places))
+        out = Rejected(self.poses.fixes.rejected, self.poses.closures.rejected)
+        found = smooth(log, number, np.full(len(number), -1), Start(path, places), rejected=out)
         assert found.map is not None
         pose, xy, sensor = found.trajectory.pose, found.map.xy, restated.widened(log.sensor)
         if systematic is not None and found.systematic is not None:
@@ -174,6 +177,7 @@ class WholeLog:
         return Inputs(
             self._given.prior, np.arange(n, dtype=float), Increments(mean, covariance),
             Observations(seen.frame, seen.z, R), self._given.sensor, systematic=systematic,
+            fixes=self._given.fixes, closures=self._given.closures,
         )  # fmt: skip
 
 
