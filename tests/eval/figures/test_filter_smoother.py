@@ -105,6 +105,7 @@ def test_nothing_is_cut_and_no_text_is_covered(names):
     assert within(legend.get_window_extent(), fig.bbox)
 
 
+@pytest.mark.slow
 def test_a_longer_legend_takes_nothing_from_the_axes():
     heights = []
     for names in (("ekf",), ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "isam2", "fixed-lag")):

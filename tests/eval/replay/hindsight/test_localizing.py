@@ -83,6 +83,7 @@ def test_events_come_in_the_order_of_frames_and_name_their_reason(runs):
         assert {e.new for e in run.events if e.why != REASSOCIATED} == {DISCARD}
 
 
+@pytest.mark.slow
 def test_without_people_nothing_is_taken_back():
     log = named_log("corridor:1")
     run = compare(log.inputs(), "slam", ["ekf"], METHOD)[0]
@@ -92,6 +93,7 @@ def test_without_people_nothing_is_taken_back():
     assert confusion_of(run, log, "final").fp == 0
 
 
+@pytest.mark.slow
 def test_a_batch_smoother_gets_the_decisions_as_revised(people):
     log = people[0]
     front, batch = compare(log.inputs(), "slam", ["isam2", "batch"], METHOD)

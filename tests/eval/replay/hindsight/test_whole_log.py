@@ -41,6 +41,7 @@ def wrong(log, run):
     return confuse(o.frame, log.truth.landmark_of, run.final_decisions, run.initialized, None, run.removed).fp
 
 
+@pytest.mark.slow
 def test_fewer_pairings_are_wrong_than_without(crowded, monkeypatch):
     log, (run, *_) = crowded
     monkeypatch.setattr(whole_log.WholeLog, "reassociate", lambda *_: None)
