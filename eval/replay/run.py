@@ -37,6 +37,7 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
+from eval.replay.poses import PoseMeasurements
 from eval.replay.recorder import Apart, Observer, ObserverError, Recorder, Writing, missing_run
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, TASKS, Given, Setup
 from graph.factors import UnderConstrained
@@ -392,12 +393,15 @@ def landmark_sigmas(inputs: Inputs, run: Run) -> Array | None:
         return None
     inputs = inputs.without_map().without_labels()
     estimator = EkfSlam(inputs.prior, inputs.sensor, OPTIONS[run.estimator], systematic=inputs.systematic)
+    gates = [done.gate for done in (run.fixes, run.closures) if done is not None]
+    poses = PoseMeasurements(inputs, estimator, estimator, gates[0] if gates else None)
     count = int(run.created.max(initial=-1)) + 1
     sigma = np.full((len(inputs), count), math.nan)
     for k in range(len(inputs)):
         frame = inputs.frame(k)
         if frame.increment is not None:
             estimator.predict(frame.increment)
+        poses.use(frame)
         rows = slice(frame.first, frame.first + len(frame.observations.z))
         if rows.stop > rows.start:
             done = estimator.update(frame.observations, run.decisions[rows])
