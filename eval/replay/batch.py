@@ -8,6 +8,7 @@ from functools import partial
 
 import numpy as np
 
+from association.expectation import gate_threshold
 from data.inputs import Inputs, IntArray
 from data.notice import Code, Severity, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate
@@ -16,7 +17,7 @@ from graph.batch import Start, smooth
 from graph.chordal import chordal_path
 from graph.factors import UnderConstrained
 from graph.optimum import NotConvergedError, Smoothed
-from graph.robust import gnc
+from graph.robust import PROBABILITY, gnc
 
 LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
 LOWER = 1e-6  # relative difference of cost by which a lower minimum is another one
@@ -55,10 +56,11 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
         starts.insert(int((final >= 0).any()), lambda: _chordal(inputs, initialized))
     try:
         if name == "gnc":
-            result, accepted = gnc(inputs, final, initialized, start)
+            result, accepted = _least_truncated(inputs, final, initialized, starts)
             left_out = _left_out(final, initialized, accepted)
             rejected = int((~accepted & (np.where(initialized >= 0, initialized, final) >= 0)).sum())
-            notes.append(notice(Code.OBSERVATIONS_REJECTED, Severity.INFO, observations=rejected))
+            if decides:
+                notes.append(notice(Code.OBSERVATIONS_REJECTED, Severity.INFO, observations=rejected))
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
             result = _lowest(inputs, final, initialized, starts, LOSSES[name])
@@ -75,6 +77,25 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
         begun=None if front.begun is None else initialized, gated_final=front.gated_final,
         left=front.left, fixes_final=result.fixes, closures_final=result.closures,
     )  # fmt: skip
+
+
+def _least_truncated(
+    inputs: Inputs, final: IntArray, initialized: IntArray, starts: Sequence[Callable[[], Start | None]]
+) -> tuple[Smoothed, BoolArray]:
+    """`gnc` from the first start; with closures also from the second, and the lowest truncated cost counts."""
+    found = list[tuple[float, Smoothed, BoolArray]]()
+    for each in starts[: 1 if inputs.closures is None else 2]:
+        start = each()
+        assert start is not None  # the first ones are no other runs'
+        result, accepted = gnc(inputs, final, initialized, start)
+        out = int((~accepted & (np.where(initialized >= 0, initialized, final) >= 0)).sum())
+        cost = result.cost + out * gate_threshold(PROBABILITY)
+        for of in (result.fixes, result.closures):
+            if of is not None:
+                cost += sum(gate_threshold(PROBABILITY, d) for d in of.dof[~of.used].tolist())
+        found.append((cost, result, accepted))
+    _, result, accepted = min(found, key=lambda each: each[0])
+    return result, accepted
 
 
 def _lowest(

@@ -12,6 +12,7 @@ from data.log import Log
 from data.se2 import compose
 from data.sensors import Bearing, EachSensor, Range, RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
+from eval.referee.score import confusion_of
 from eval.replay.run import compare, step_by_step
 
 LIDAR = RangeBearing(max_range=12.0, translation=(-0.2, 0.0), label="lidar", sees="tree")
@@ -179,6 +180,9 @@ def test_slam_begins_landmarks_once_their_observations_locate_them(sensors: tupl
         nis, dof = run.total_nis
         assert dof == int(inputs.measured()[used].sum()) - 2 * len(run.map)
         assert abs(nis - dof) < 4.0 * np.sqrt(2.0 * dof)
+    scored = confusion_of(run, log, "final" if run.final is not None else "online")
+    assert scored is not None
+    assert scored.fp == 0
     path = run.trajectory(run.phases[-1])
     off = path.pose[-1] - log.truth.pose[-1]
     off[2] = (off[2] + np.pi) % (2.0 * np.pi) - np.pi
