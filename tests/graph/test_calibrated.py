@@ -60,7 +60,7 @@ def compare(inputs, decisions, created, start):
     return found
 
 
-@both_tasks
+@pytest.mark.parametrize("task", ["slam", pytest.param("localization", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", [RangeBearing, pytest.param(RelativePoint, marks=pytest.mark.slow)])
 def test_all_errors_at_once_have_the_optimum_and_the_covariances_of_dense_least_squares(task, kind):
     """A sensor that is mounted off the robot's centre; a drift of several knots."""

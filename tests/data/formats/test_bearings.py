@@ -48,7 +48,7 @@ def circle(path, points, *, frames=FRAMES, reach=12.0, seed=0):
     return np.array(true)
 
 
-@pytest.mark.parametrize("points", ["true", "zero", "none"])
+@pytest.mark.parametrize("points", ["none", *(pytest.param(p, marks=pytest.mark.slow) for p in ("true", "zero"))])
 def test_a_graph_of_bearings_is_solved_whatever_its_vertices(points, tmp_path):
     """Seen: diverged, 40.8 m, and a question about landmarks within 1788 m of another."""
     true = circle(tmp_path / "b.g2o", points)

@@ -54,7 +54,9 @@ def test_a_healthy_run_is_not_lost_whatever_its_stated_noise(task, association, 
     assert found(wrecks.stated(world("arena:1"), factor), task, association) is None
 
 
-@pytest.mark.parametrize("name", ["corridor:0", "corridor:1:people", "corridor:2:people"])
+@pytest.mark.parametrize("name", [
+    "corridor:1:people", *(pytest.param(name, marks=pytest.mark.slow) for name in ("corridor:0", "corridor:2:people"))
+])  # fmt: skip
 @pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
 def test_new_places_and_people_in_the_way_are_no_reason_to_be_lost(name, association):
     assert found(world(name), "slam", association) is None

@@ -38,7 +38,7 @@ def alone(name, association, inputs, setup):
     return decisions, poses
 
 
-@pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
+@pytest.mark.parametrize("association", ["known", pytest.param("jcbb", marks=pytest.mark.slow), "jcbb-hindsight"])
 @pytest.mark.parametrize("task", ["localization", "slam"])
 @pytest.mark.parametrize("name", ["ekf", "isam2", pytest.param("fixed-lag", marks=pytest.mark.slow)])
 def test_a_run_needs_no_more_than_a_frame_at_a_time(inputs, name, task, association):

@@ -57,7 +57,11 @@ def test_a_wide_prior_on_the_motion_loses_the_plain_filter_and_nobody_who_reline
     assert off(isam2, log) < 0.1
 
 
-@pytest.mark.parametrize("name", ["arena:1", "corridor:1", "corridor:0:no-odometry+forward", "park:0:frames=500"])
+@pytest.mark.parametrize("name", [
+    "arena:1", *(pytest.param(name, marks=pytest.mark.slow) for name in (
+        "corridor:1", "corridor:0:no-odometry+forward", "park:0:frames=500"
+    ))
+])  # fmt: skip
 def test_batch_and_isam2_end_in_the_same_optimum(name):
     inputs = open_log(name).inputs(labels=True)
     isam2, batch = compare(inputs, "slam", ["isam2", "batch"])

@@ -59,7 +59,9 @@ def told(sensor: Sensor, frames) -> Shares:
     return shares
 
 
-@pytest.mark.parametrize("sensor", [RangeBearing(max_range=6.0), RelativePoint(max_range=6.0)])
+@pytest.mark.parametrize("sensor", [
+    RangeBearing(max_range=6.0), pytest.param(RelativePoint(max_range=6.0), marks=pytest.mark.slow),
+])  # fmt: skip
 @pytest.mark.parametrize("times", [Shares(3.0, 1.0, 1.0), Shares(1.0, 3.0, 1.0), Shares(1.0, 1.0, 3.0)])
 def test_it_is_told_which_noise_is_understated(sensor, times):
     shares = told(sensor, drive(sensor, times, 65, 1, clutter=1, detection=0.8))

@@ -30,7 +30,9 @@ def test_a_corridor_that_is_mapped_several_times_is_said_to_be(index):
     assert note.named == {"over": None}
 
 
-@pytest.mark.parametrize("name", ["corridor:0", "corridor:0:people", "arena:0:frames=150"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("corridor:0", marks=pytest.mark.slow), "corridor:0:people", "arena:0:frames=60"]
+)
 def test_where_all_is_well_nothing_is_said(name):
     run = step_by_step("ekf", named_log(name).inputs().without_map(), "slam", "jcbb-hindsight")
     assert not {Code.MAP_RESTARTED, Code.RETRACTED} & {note.code for note in run.notes}

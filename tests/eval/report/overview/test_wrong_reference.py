@@ -96,6 +96,7 @@ def test_utias_dataset_1_as_published_is_not_lost_but_has_swapped_rows(mrclam):
     assert trust_mark(facts).note.startswith("map rows 11 and 17 look swapped")
 
 
+@pytest.mark.slow
 def test_utias_dataset_9_is_scored_without_its_bad_truth(mrclam):
     log = load_mrclam(mrclam / "MRCLAM_Dataset9.zip", 3)
     facts, _ = judged(without_bad_truth(log))
