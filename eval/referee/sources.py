@@ -189,12 +189,11 @@ def source_notices(run: Run, inputs: Inputs) -> list[Notice]:
 
     Each is tested at the level `SURE`: a log has many sources and estimators.
     """
-    found = [
-        n
-        for s in scores_of(run, inputs)
-        for n in (_unused(s) if s.phase == run.phases[-1] else None, _inconsistent(s), _rejected(s), _outlying(s))
-        if n is not None
-    ]
+    told = any(n.code is Code.POSES_UNUSED for n in run.notes)
+    found: list[Notice] = []
+    for s in scores_of(run, inputs):
+        unused = _unused(s) if s.phase == run.phases[-1] and not told else None
+        found += [n for n in (unused, _inconsistent(s), _rejected(s), _outlying(s)) if n is not None]
     return [n.about(estimator=run.estimator, association=run.association) for n in found]
 
 
