@@ -39,6 +39,7 @@ from data.formats.graph_file import (
     Edge,
     read_graph_file,
 )
+from data.formats.open_log.named import definite
 from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
@@ -175,7 +176,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
         time_is_index=True,
         covariance_floor=FLOOR,
         floored=floored,
-        closures=_closures(graph.motion, ids, used),
+        closures=_closures(graph.path, graph.motion, ids, used),
         fixes=_fixes(graph, ids),
     )
     truth = Truth(pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None)
@@ -242,6 +243,10 @@ def _fixes(graph: Graph, ids: IntArray) -> Fixes | None:
     kind = np.repeat([int(FixKind.POSE), int(FixKind.POSITION)], [len(pose), len(graph.position)])
     order = np.argsort(frame, kind="stable")
     P = 0.5 * (P + P.transpose(0, 2, 1))
+    of_pose = definite(P[: len(pose)])
+    if not of_pose.all():
+        what = f"{PRIOR}: its covariance is singular to rounding; directions of similar information are needed"
+        raise DataError.at(graph.path, what, line=int(graph.prior.line[pose[np.argmin(of_pose)]]))
     sources = (FixSource(PRIOR), FixSource(POSITION))
     source = (kind == FixKind.POSITION).astype(np.int64)
     return Fixes(frame[order], kind[order], source[order], z[order], P[order], sources)
@@ -367,7 +372,7 @@ def _of_vertices(graph: Graph, rays: Edges) -> Array:
     return np.asarray(np.where(aside < CONTRADICTED, np.hypot(*off.T), np.nan))
 
 
-def _closures(edges: Edges, ids: IntArray, used: IntArray) -> Closures | None:
+def _closures(path: Path, edges: Edges, ids: IntArray, used: IntArray) -> Closures | None:
     """EDGE_SE2 outside the chain, by their later frame."""
     rest = np.setdiff1d(np.arange(len(edges)), used)
     if not len(rest):
@@ -379,6 +384,10 @@ def _closures(edges: Edges, ids: IntArray, used: IntArray) -> Closures | None:
     # the edge's error is seen from its measured end
     covariance = se2.covariances_in_world(edges.measured[rest, 2], edges.covariance[rest])
     covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    fine = definite(covariance)
+    if not fine.all():
+        what = f"{MOTION}: its covariance is singular to rounding; directions of similar information are needed"
+        raise DataError.at(path, what, line=int(edges.line[rest[np.argmin(fine)]]))
     return Closures(
         frame[:, 0], frame[:, 1], edges.measured[rest], covariance, np.zeros(len(rest), np.int64), (MOTION,)
     )
