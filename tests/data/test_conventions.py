@@ -137,7 +137,7 @@ def thinned(inputs, n):
     return replace(inputs, time=inputs.time[::n], increments=increments, observations=none)
 
 
-@pytest.mark.parametrize("name", ["ekf", "batch"])
+@pytest.mark.parametrize("name", [slow("ekf"), "batch"])
 def test_the_headline_says_neither_and_why(name, converted):
     log = converted("turn-first")
     trial = slamref.Trial(log, "slam", tuple(slamref.compare(log.inputs(), "slam", ["ekf", "batch"], "nn")))

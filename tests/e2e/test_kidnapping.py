@@ -115,6 +115,7 @@ def test_a_textbook_filter_does_not_come_back():
     assert front.localizer.found
 
 
+@pytest.mark.slow
 def test_decisions_made_while_it_was_lost_are_revised():
     for seed in range(1, 4):
         inputs, _, who = kidnapped(seed)
@@ -204,6 +205,7 @@ def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estima
     assert Code.MOVED_UNSEEN in [note.code for note in front.notes()]
 
 
+@pytest.mark.slow
 def test_what_was_initialized_before_the_place_was_found_is_merged_with_what_it_is():
     front, off = mapped(13, frames=70)
     told = front.mapper.kidnapping

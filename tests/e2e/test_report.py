@@ -186,6 +186,7 @@ def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(arguments, words, t
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_command_exits_with_that_status_and_says_no_more(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "eval.run_all", "--log", ".", "--out", str(tmp_path / "r"), "--runs", "0"],

@@ -195,6 +195,7 @@ def test_joint_expectation_works_on_the_chosen_landmarks_alone(monkeypatch):
     assert sizes == [(7, (7, 7))]
 
 
+@pytest.mark.slow
 def test_victoria_park_with_landmarks_parked_that_are_unseen_for_a_minute():
     """The log has no stamps: a minute is taken as sixty of its time units, its frames."""
     frames, unseen = 1500, 60.0

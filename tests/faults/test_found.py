@@ -89,6 +89,7 @@ def test_an_array_that_says_it_is_larger_than_it_is_gets_no_room(laser):
     assert most < 4 << 20
 
 
+@pytest.mark.slow
 def test_a_bomb_is_not_inflated(laser, tmp_path):
     bomb = bomb_entry("frame.npy", npy_header((1 << 25,), "<f8"))
     most, said = peak(open_log, laser(archive({"ranges.npy": b""})[:0] + bomb))

@@ -241,6 +241,7 @@ def plausible(chi, squares, nees, level):
         assert level / 2 < stats.chi2.sf(total, dof) < 1 - level / 2
 
 
+@pytest.mark.slow
 def test_in_simulated_worlds_the_errors_are_covered_and_the_cost_is_a_chi_square():
     plausible(*simulated(range(20), "slam", ERRORS, frames=20), level=1e-3)
 

@@ -48,6 +48,7 @@ def test_a_stiff_path_is_smoothed_to_the_same_optimum_from_the_filters_path_and_
     assert 0.9 < a.cost / a.dof < 1.1
 
 
+@pytest.mark.slow
 def test_no_optimizer_of_gtsam_finds_anything_lower():
     _, inputs, decisions, created = labelled("park:1:frames=535")
     problem = build(inputs, decisions, created)

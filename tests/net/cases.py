@@ -150,7 +150,6 @@ CASES: dict[str, Case] = {
     "laser": Case(
         "--log in --relations {given}/relations.csv --estimator dead-reckoning,ekf,isam2,batch",
         "scans matched, loops closed, an open log folder, reference relations",
-        short=True,
         before=("convert floorplan in --seed 0 --frames 600 --thin 5 --beams 90",),
     ),
     "laser-back-ends": Case(

@@ -252,6 +252,7 @@ def test_optimized_leaves_what_is_not_determined(written):
     assert graph.error(better) < graph.error(values)
 
 
+@pytest.mark.slow
 def test_a_cure_is_applied_and_proved(written, tmp_path, capsys):
     path = written(grid(seed=4, wrong=6.0, odometry=2.0))
     out = tmp_path / "better.g2o"

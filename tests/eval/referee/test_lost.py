@@ -11,6 +11,7 @@ from data.logs import open_log
 from eval.referee.lost import lost
 from eval.replay.run import compare
 from tests.eval.referee import wrecks
+from tests.quick import slow
 
 
 @cache
@@ -47,7 +48,7 @@ def test_a_kidnapped_robot_is_lost_from_there_on():
         assert found(log, task, association).frame == 100
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.0, 1.5])
+@pytest.mark.parametrize("factor", [slow(0.7), slow(1.0), 1.5])
 @pytest.mark.parametrize("association", ["known", "jcbb", "nn"])
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_a_healthy_run_is_not_lost_whatever_its_stated_noise(task, association, factor):

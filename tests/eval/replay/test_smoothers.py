@@ -46,6 +46,7 @@ def test_a_fixed_lag_longer_than_the_log_is_isam2_and_a_short_one_is_near(clean,
     assert short.map is None or len(short.map) == len(isam2.map)
 
 
+@pytest.mark.slow
 def test_a_wide_prior_on_the_motion_loses_the_plain_filter_and_nobody_who_relinearizes():
     """Without odometry a step is anything from standing still to a turn on the spot; the labels say where."""
     log = open_log("corridor:3:no-odometry+forward")

@@ -42,6 +42,7 @@ def anchored(graph, values):
     return out
 
 
+@pytest.mark.slow
 def test_the_noise_of_odometry_is_put_down_to_odometry():
     found = []
     for seed in range(12):

@@ -122,6 +122,7 @@ def test_nothing_is_told_where_a_nearest_neighbour_may_be_any(seed):
     assert max(told(inputs.sensor, ((f.increment, f.observations) for f in frames))[:2]) < constants.UNDERSTATED**2
 
 
+@pytest.mark.slow
 def test_nothing_after_the_last_step_that_is_looked_at_counts():
     sensor = RangeBearing(max_range=6.0)
     differences = Differences(sensor)

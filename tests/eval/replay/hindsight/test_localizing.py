@@ -11,6 +11,7 @@ from eval.referee.score import confusion_of
 from eval.replay.hindsight.ledger import REASSOCIATED
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
+from tests.quick import slow
 
 METHOD = "jcbb-hindsight"
 
@@ -83,6 +84,7 @@ def test_events_come_in_the_order_of_frames_and_name_their_reason(runs):
         assert {e.new for e in run.events if e.why != REASSOCIATED} == {DISCARD}
 
 
+@pytest.mark.slow
 def test_without_people_nothing_is_taken_back():
     log = named_log("corridor:1")
     run = compare(log.inputs(), "slam", ["ekf"], METHOD)[0]
@@ -92,6 +94,7 @@ def test_without_people_nothing_is_taken_back():
     assert confusion_of(run, log, "final").fp == 0
 
 
+@pytest.mark.slow
 def test_a_batch_smoother_gets_the_decisions_as_revised(people):
     log = people[0]
     front, batch = compare(log.inputs(), "slam", ["isam2", "batch"], METHOD)
@@ -100,7 +103,9 @@ def test_a_batch_smoother_gets_the_decisions_as_revised(people):
     np.testing.assert_allclose(batch.final.pose, front.final.pose, atol=1e-3)
 
 
-@pytest.mark.parametrize("setup", [Setup(maintain=True), Setup(forget_after=8.0), Setup(deactivate_after=8.0)])
+@pytest.mark.parametrize(
+    "setup", [Setup(maintain=True), slow(Setup(forget_after=8.0)), slow(Setup(deactivate_after=8.0))]
+)
 def test_hindsight_goes_with_the_other_ways_out_of_the_map(people, setup):
     log = people[0]
     run = compare(log.inputs(), "slam", ["ekf"], METHOD, setup)[0]

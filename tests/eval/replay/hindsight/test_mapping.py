@@ -128,6 +128,7 @@ def test_merging_goes_with_the_other_ways_out_of_the_map(world, setup):
     assert any(e.why == MERGED for e in run.events) != (setup.forget_after is not None)
 
 
+@pytest.mark.slow
 def test_the_odometrys_errors_are_found_on_the_way(world):
     inputs, _, _ = world
     front = MappingFrontEnd("ekf", METHOD, inputs, Setup())

@@ -33,7 +33,7 @@ def healthy_frames(rng, n, seen=(1, 9), share=0.99, scale=1.0):
 @pytest.mark.parametrize(
     ("share", "scale"),
     [
-        pytest.param(0.99, 1.0, id="plain"),
+        pytest.param(0.99, 1.0, id="plain", marks=pytest.mark.slow),
         pytest.param(0.99, 0.05, id="conservative", marks=pytest.mark.slow),
         pytest.param(0.9, 1.0, id="10%", marks=pytest.mark.slow),
         pytest.param(0.7, 1.0, id="30%"),

@@ -102,6 +102,7 @@ def test_the_decider_gets_readings_with_the_noise_that_there_is(monkeypatch):
     assert np.trace(known[0]) > 2.0 * np.trace(known[1])
 
 
+@pytest.mark.slow
 def test_an_honest_log_is_decided_as_before():
     log = named_log("arena:0:frames=60")
     run = step_by_step("ekf", log.inputs().without_map(), "slam", HINDSIGHT)

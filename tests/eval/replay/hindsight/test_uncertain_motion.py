@@ -58,6 +58,7 @@ def test_moving_people_do_not_lose_it():
 
 
 @pytest.mark.parametrize("name", [pytest.param("corridor:4", marks=pytest.mark.slow), "corridor:4:people"])
+@pytest.mark.slow
 def test_no_frame_is_placed_where_odometry_is_good_enough(name):
     log = named_log(name)
     (run,) = compare(log.inputs(), "slam", ["ekf"], METHOD)
@@ -127,6 +128,7 @@ def test_a_smoother_begins_where_it_is_told_to(begun):
     assert np.abs(pose_error(isam2.estimate().mean, pose)).max() < 0.05
 
 
+@pytest.mark.slow
 def test_a_landmark_that_is_there_no_longer_is_missed_in_placed_frames(primed):
     log = primed[0]
     inputs, own = log.inputs(), log.truth.landmark_of
