@@ -71,8 +71,9 @@ class Log:
         """The labels (M,) of known association: the sensor's, else the true ids; None: there are none."""
         if self.label is None and self.truth.landmark_of is not None:
             return np.where(self.truth.landmark_of == UNKNOWN_ID, UNLABELLED, self.truth.landmark_of)
-        if self.label is None and not len(self.recorded.observations.frame) and self.recorded.scans is None:
-            return np.zeros(0, np.int64)  # of a log of fixes and closures alone, nothing is left to decide
+        r = self.recorded
+        if self.label is None and not len(r.observations.frame) and not (r.fixes is None and r.closures is None):
+            return np.zeros(0, np.int64) if r.scans is None else None  # nothing is to be paired
         return self.label
 
     def inputs(self, *, labels: bool = False) -> Inputs:
