@@ -47,9 +47,8 @@ def test_boxes_in_an_image_are_pixels_in_either_version(centre):
 def test_only_a_tracked_number_tells_objects_apart():
     centre = Message(position=point(1.0, 0.0))
     boxes = [Message(header=header("lidar"), bbox=Message(center=centre), id=name) for name in ("", "cone", "-1", "12")]
-    seen = found(
-        BOXES, Message(header=header("map"), detections=[*boxes, Message(header=header(""), bbox=boxes[0].bbox)])
-    )
+    boxes.append(Message(header=header(""), bbox=boxes[0].bbox))
+    seen = found(BOXES, Message(header=header("map"), detections=boxes))
     assert [d.id for d in seen] == [-1, -1, -1, 12, -1]
     assert [d.frame for d in seen] == ["lidar"] * 4 + ["map"]
 
