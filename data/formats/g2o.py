@@ -25,7 +25,7 @@ import numpy as np
 
 from data import se2
 from data.digest import source_file
-from data.errors import DataError
+from data.errors import LARGEST, DataError
 from data.formats.bearings import PARALLAX, triangulate
 from data.formats.graph_file import (
     COVARIANCE,
@@ -107,7 +107,7 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
     both = sorted(file.poses.keys() & file.points.keys())
     if both:
         raise DataError.at(path, f"vertex {both[0]} is repeated; ids must be unique")
-    polar = _edges([e for e in file.edges if e.tag == RANGED], 2)
+    polar = _edges(path, [e for e in file.edges if e.tag == RANGED], 2)
     polar = replace(polar, measured=polar.measured[:, ::-1], covariance=polar.covariance[:, ::-1, ::-1])
     pairs = {
         kind: [e for e in file.edges if file.kind(e)[1] == kind and e.tag not in (RANGED, BEARING)]
@@ -116,9 +116,10 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
     priors = [Edge(PRIOR, (p.pose, p.pose), p.measured, p.information, p.line) for p in file.priors]
     return Graph(
         path, _vertices(file.poses, 3), _vertices(file.points, 2), np.array(file.fixed, np.int64),
-        _edges(pairs[POSE2], 3), _edges(pairs[POINT2], 2), _edges([e for e in file.edges if e.tag == BEARING], 1),
-        polar, _edges([e for e in priors if e.measured.size == 3], 3),
-        _edges([e for e in priors if e.measured.size == 2], 2),
+        _edges(path, pairs[POSE2], 3), _edges(path, pairs[POINT2], 2),
+        _edges(path, [e for e in file.edges if e.tag == BEARING], 1), polar,
+        _edges(path, [e for e in priors if e.measured.size == 3], 3),
+        _edges(path, [e for e in priors if e.measured.size == 2], 2),
         file.other, file.noise,
     )  # fmt: skip
 
@@ -128,13 +129,16 @@ def _vertices(found: Mapping[int, tuple[str, Array]], d: int) -> tuple[IntArray,
     return np.array(list(found), np.int64), values
 
 
-def _edges(found: Sequence[Edge], d: int) -> Edges:
+def _edges(path: Path, found: Sequence[Edge], d: int) -> Edges:
     ends, measured = np.array([e.ends for e in found], np.int64), np.array([e.measured for e in found])
-    return Edges(
-        ends.reshape(-1, 2), measured.reshape(-1, d),
-        np.linalg.inv(np.array([e.information for e in found]).reshape(-1, d, d)).astype(np.float64),
-        np.array([e.line for e in found], np.int64),
-    )  # fmt: skip
+    with np.errstate(over="ignore"):
+        covariance = np.linalg.inv(np.array([e.information for e in found]).reshape(-1, d, d)).astype(np.float64)
+    for edge, P in zip(found, covariance, strict=True):
+        if not (np.abs(P) <= LARGEST).all():
+            what = f"{edge.tag}: its information is nearly none; variances up to {LARGEST:g} are needed"
+            raise DataError.at(path, what, line=edge.line)
+    line = np.array([e.line for e in found], np.int64)
+    return Edges(ends.reshape(-1, 2), measured.reshape(-1, d), covariance, line)
 
 
 SHOWN = 5  # landmarks without a place that are named

@@ -211,12 +211,17 @@ def _inconsistent(s: SourceScore) -> Notice | None:
     return notice(Code.SOURCE_NIS, Severity.WARNING, None, source=s.source, kind=s.kind, **nis)
 
 
+def chance_of_rejections(s: SourceScore) -> float:
+    """Probability that a gate rejects as many right ones, or more; 1 without a gate."""
+    if s.gate is None or s.formed <= s.used:
+        return 1.0
+    return float(special.bdtrc(s.formed - s.used - 1, s.formed, 1.0 - s.gate))
+
+
 def _rejected(s: SourceScore) -> Notice | None:
+    if s.phase != "online" or s.gate is None or chance_of_rejections(s) >= SURE:
+        return None
     rejected = s.formed - s.used
-    if s.phase != "online" or s.gate is None or rejected <= 0:
-        return None
-    if float(special.bdtrc(rejected - 1, s.formed, 1.0 - s.gate)) >= SURE:
-        return None
     counts: dict[str, Value] = {"rejected": rejected, "count": s.formed, "expected": s.formed * (1.0 - s.gate)}
     return notice(Code.SOURCE_REJECTED, Severity.WARNING, None, source=s.source, kind=s.kind, gate=s.gate, **counts)
 

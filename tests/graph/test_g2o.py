@@ -307,6 +307,7 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
             "VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n",
             ":2: EDGE_SE2: both ends are 3; two variables are needed",
         ),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 0 1e-320\n", ":2: EDGE_SE2_XY: its information is nearly none"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_BEARING_SE2_XY 0 9 1 4\n", "no VERTEX_XY"),
         ("hello\n", "no edge of a graph"),
     ],
