@@ -193,7 +193,7 @@ def test_a_source_has_statistics_of_its_own():
 
 
 @pytest.mark.parametrize(
-    ("gate", "rejected", "sigmas"), [(0.99, 2, (0.0, 1.0)), (0.99, 9, (6.0, 9.0)), (0.9999, 2, (4.0, 5.0))]
+    ("gate", "rejected", "sigmas"), [(0.99, 2, (1.0, 1.5)), (0.99, 9, (5.0, 7.0)), (0.9999, 2, (4.0, 5.0))]
 )
 def test_rejections_beyond_the_gate_have_the_significance_of_the_binomial_law(gate, rejected, sigmas):
     used = np.arange(60) >= rejected
