@@ -80,6 +80,7 @@ def test_numbers_do_not_depend_on_the_number_of_processes(small, tmp_path):
     assert {"pose", "nis", "whiteness", "landmarks", "coverage_95"} <= set(table["quantity"])
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_never_done_again_and_more_runs_add_to_it(small, tmp_path, monkeypatch):
     assert study(small, tmp_path / "r", "--jobs", "1", runs=4) == 0
     done = []
@@ -174,6 +175,7 @@ def test_what_makes_no_sense_is_one_line_and_exit_2(arguments, words, tmp_path, 
     assert not (tmp_path / "r").exists()
 
 
+@pytest.mark.slow
 def test_a_stored_run_is_replayed_to_its_tolerance(shared_data, tmp_path):
     out = tmp_path / "r"
     given = ["--scenario", "esde-replay", "--data", str(shared_data), "--estimator", "ekf,ekf-invariant,batch"]
@@ -235,6 +237,7 @@ def test_a_cluster_gives_the_same_numbers_though_a_worker_is_killed(small, tmp_p
     same(tmp_path / "here" / "r", tmp_path / "there" / "r")
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_numbers(small, tmp_path):
     from distributed import LocalCluster
 

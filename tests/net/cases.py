@@ -62,7 +62,6 @@ CASES: dict[str, Case] = {
         "--log arena:3:frames=40+clutter=1+detection=0.9 --task slam --estimator ekf"
         " --association nn,ml,ml-ratio,singles,gnn,jcbb,jcbb-first,jcbb-hindsight",
         "every association method, among clutter and misses",
-        short=True,
     ),
     "methods-in-a-map": Case(
         "--log arena:3:frames=40+clutter=1+detection=0.9 --task localization --estimator ekf"
@@ -78,7 +77,6 @@ CASES: dict[str, Case] = {
         "--log arena:1:frames=40+sensor=relative_point --task localization,slam"
         " --estimator ekf,ekf-invariant,batch --association known,jcbb",
         "the Cartesian sensor",
-        short=True,
     ),
     "linear": Case(
         "--log linear:0:frames=50 --task slam --estimator ekf,ekf-iterated,isam2,batch",
@@ -96,7 +94,6 @@ CASES: dict[str, Case] = {
         "--log arena:0:frames=120 --task slam --estimator ekf,ekf-iterated --association known,jcbb"
         " --deactivate-after 10",
         "landmarks that are parked and taken back",
-        short=True,
     ),
     "forgotten": Case(
         "--log arena:0:frames=120 --task slam --estimator ekf,ekf-fej --association known,jcbb --forget-after 10",
@@ -119,7 +116,6 @@ CASES: dict[str, Case] = {
     "gate-known": Case(
         "--log arena:5:frames=40 --task localization,slam --estimator ekf,isam2,batch --gate-known 0.9",
         "labels that are gated",
-        short=True,
     ),
     "gate-known-filters": Case(
         "--log arena:5:frames=40 --task slam --estimator ekf,isam2,batch --gate-known 0.9 --no-gate-smoothers",
@@ -133,7 +129,6 @@ CASES: dict[str, Case] = {
     "corridor-maintained": Case(
         "--log corridor:0:people --task slam --estimator ekf --association nn,singles,jcbb --maintain --gate 0.95",
         "landmarks seen once are removed",
-        short=True,
     ),
     "corridor-blind": Case(
         "--log corridor:1:people+no-odometry --task slam --estimator ekf,isam2 --association jcbb",
@@ -148,13 +143,11 @@ CASES: dict[str, Case] = {
     "walls": Case(
         "--log walls:0:frames=150 --estimator ekf,ekf-fej,isam2,batch --association known,jcbb",
         "walls as landmarks",
-        short=True,
         close=LOST,
     ),
     "laser": Case(
         "--log in --relations {given}/relations.csv --estimator dead-reckoning,ekf,isam2,batch",
         "scans matched, loops closed, an open log folder, reference relations",
-        short=True,
         before=("convert floorplan in --seed 0 --frames 600 --thin 5 --beams 90",),
     ),
     "laser-back-ends": Case(

@@ -77,6 +77,7 @@ def test_a_jump_is_found_at_its_frame_with_its_size(usual):
     assert found.size == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_change_of_the_noise_is_found_with_its_frames(usual):
     log = usual[0]
     frame = log.recorded.observations.frame
@@ -132,6 +133,7 @@ def test_late_observations_are_one_error(usual):
         assert found.size == pytest.approx(0.3, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_correction_takes_the_explanation_away(usual):
     log = usual[0]
     twice = with_noise(log, noise_of(log))

@@ -12,8 +12,11 @@ from data.pose_measurements import Closures, Fixes, FixKind, FixSource, PoseInno
 from data.words import sentence
 from eval.referee import consistency
 from eval.referee.diagnostics import notices, unused
+from eval.referee.headline import Objection, Verdict
 from eval.referee.score import Trial, score
 from eval.referee.sources import outcomes_of, score_source, source_notices, sources_of
+from eval.referee.trust import of_online
+from eval.report.overview_facts import facts_of
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 DOF = {FixKind.POSITION: 2, FixKind.HEADING: 1, FixKind.POSE: 3}
@@ -176,3 +179,48 @@ def test_only_an_estimate_that_used_closures_is_more_than_dead_reckoning():
     assert unused(replace(run, closures_final=found), log.recorded) is None
     rejected = replace(found, used=np.zeros(20, bool))
     assert unused(replace(run, closures=rejected), log.recorded).code == Code.UNUSED
+
+
+def statistics(found, log):
+    return of_online(run_with(fixes=found), None, log.recorded)
+
+
+def test_a_source_has_statistics_of_its_own():
+    log, found = log_with(fixes()), drawn(np.random.default_rng(6), 60, 2, gate=0.99)
+    own = statistics(found, log)
+    assert own["nis_position:gps"].value == pytest.approx(found.nis[found.used].sum() / (2 * found.used.sum()))
+    assert own["nis_position:gps"].expected == pytest.approx(0.9535, abs=1e-4)
+    lag1 = own["innovation_position:gps_lag1"]
+    assert abs(lag1.value) < 4.0 * lag1.se
+
+
+@pytest.mark.parametrize(
+    ("gate", "rejected", "sigmas"), [(0.99, 2, (1.0, 1.5)), (0.99, 9, (5.0, 7.0)), (0.9999, 2, (4.0, 5.0))]
+)
+def test_rejections_beyond_the_gate_have_the_significance_of_the_binomial_law(gate, rejected, sigmas):
+    used = np.arange(60) >= rejected
+    found = replace(drawn(np.random.default_rng(7), 60, 2), used=used, gate=gate)
+    m = statistics(found, log_with(fixes()))["rejected_position:gps"]
+    z = (m.value - m.expected) / m.se
+    assert sigmas[0] < z < sigmas[1]
+    p = scipy.stats.binom.sf(rejected - 1, 60, 1.0 - gate)
+    assert scipy.stats.norm.sf(z) == pytest.approx(p, rel=1e-6)
+
+
+def test_fewer_rejections_than_expected_are_no_statistic():
+    found = drawn(np.random.default_rng(8), 60, 2)
+    assert "rejected_position:gps" not in statistics(replace(found, gate=0.99), log_with(fixes()))
+    assert "rejected_position:gps" not in statistics(found, log_with(fixes()))
+
+
+def test_copies_of_dead_reckoning_beside_closures_are_not_trusted():
+    log, run = nothing_seen(of_closures=closures())
+    log = replace(log, truth=replace(log.truth, pose=None))
+    smoother = replace(run, estimator="batch", online=None, final=run.online)
+    bare = facts_of(Trial(log, "slam", (run, smoother)), score([Trial(log, "slam", (run, smoother))]), ())
+    assert (bare.verdict, bare.empty) == (Verdict.NEITHER, False)
+    assert [o.objection for o in bare.objections] == [Objection.IDLE, Objection.IDLE]
+    found = drawn(np.random.default_rng(0), 20, 3)
+    used = replace(run, closures=found), replace(smoother, closures_final=found)
+    trusted = facts_of(Trial(log, "slam", used), score([Trial(log, "slam", used)]), ())
+    assert not trusted.objections

@@ -29,6 +29,7 @@ def a_(k):
     return gtsam.symbol("x", k)
 
 
+@pytest.mark.slow
 def test_ten_wrong_loops_that_agree_are_a_cluster():
     found = 0
     for seed in range(5):
@@ -56,6 +57,7 @@ def test_the_test_of_a_cluster_is_that_of_its_residuals_without_it():
     assert c.moved > 0.05
 
 
+@pytest.mark.slow
 def test_clean_graphs_have_no_cluster():
     rejected = 0
     for seed in range(20):

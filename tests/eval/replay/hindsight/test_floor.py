@@ -20,6 +20,7 @@ from eval.replay.hindsight.floor import Smoothed, likelier, log_likelihood, obse
 from eval.replay.hindsight.persistence import evidence
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
+from graph.batch import Start
 
 VIEW = RelativePoint(max_range=10.0, min_angle=-1.0, max_angle=1.0)
 SIGMA = 0.1
@@ -35,7 +36,15 @@ def decided(number, z, xy, looks=None, motion=0.0, share=1.0):
     found = Reassociation(number, np.ones(m, np.bool_))
     known = LandmarkMap(ids, np.asarray(xy, float))
     return Smoothed(
-        VIEW, np.zeros((m, 3)), known, seen, found, share, motion, looks or dict.fromkeys(ids.tolist(), SEEN)
+        VIEW,
+        np.zeros((m, 3)),
+        known,
+        seen,
+        found,
+        share,
+        motion,
+        looks or dict.fromkeys(ids.tolist(), SEEN),
+        Start(np.zeros((m, 3)), known.xy),
     )
 
 
@@ -114,6 +123,7 @@ def test_plain_decisions_are_those_of_jcbb():
     np.testing.assert_allclose(found.path, run.online.pose, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_where_they_are_likelier_the_decisions_of_jcbb_are_the_final_ones_and_it_is_said(monkeypatch):
     log = named_log("arena:2:frames=60")
     inputs = log.inputs(labels=False).without_map()
