@@ -197,9 +197,14 @@ class Filter:
         return done
 
     @property
+    def kept(self) -> int:
+        """Number of states that are poses of earlier frames."""
+        return 3 * len(self._clones.frames)
+
+    @property
     def _clone_range(self) -> tuple[int, int]:
         """Offsets where the kept poses begin and end."""
-        return self.size, self.size + 3 * len(self._clones.frames)
+        return self.size, self.size + self.kept
 
     def inflate(self, covariance: Array) -> None:
         """Add covariance (3, 3), world frame, to the pose's after an unreliable motion."""

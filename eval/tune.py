@@ -201,6 +201,8 @@ def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fi
     else:
         record = origin._asdict()
         note = f"Noise and biases are those that `slamref tune` fitted to log {origin.fitted_to!r}."
+    if inputs.fixes is not None or inputs.closures is not None:
+        note += " Fixes and closures took no part in the fit."
     return replace(
         log,
         recorded=inputs.without_labels(),

@@ -189,12 +189,11 @@ def source_notices(run: Run, inputs: Inputs) -> list[Notice]:
 
     Each is tested at the level `SURE`: a log has many sources and estimators.
     """
-    found = [
-        n
-        for s in scores_of(run, inputs)
-        for n in (_unused(s) if s.phase == run.phases[-1] else None, _inconsistent(s), _rejected(s), _outlying(s))
-        if n is not None
-    ]
+    told = any(n.code is Code.POSES_UNUSED for n in run.notes)
+    found: list[Notice] = []
+    for s in scores_of(run, inputs):
+        unused = _unused(s) if s.phase == run.phases[-1] and not told else None
+        found += [n for n in (unused, _inconsistent(s), _rejected(s), _outlying(s)) if n is not None]
     return [n.about(estimator=run.estimator, association=run.association) for n in found]
 
 
@@ -212,12 +211,17 @@ def _inconsistent(s: SourceScore) -> Notice | None:
     return notice(Code.SOURCE_NIS, Severity.WARNING, None, source=s.source, kind=s.kind, **nis)
 
 
+def chance_of_rejections(s: SourceScore) -> float:
+    """Probability that a gate rejects as many right ones, or more; 1 without a gate."""
+    if s.gate is None or s.formed <= s.used:
+        return 1.0
+    return float(special.bdtrc(s.formed - s.used - 1, s.formed, 1.0 - s.gate))
+
+
 def _rejected(s: SourceScore) -> Notice | None:
+    if s.phase != "online" or s.gate is None or chance_of_rejections(s) >= SURE:
+        return None
     rejected = s.formed - s.used
-    if s.phase != "online" or s.gate is None or rejected <= 0:
-        return None
-    if float(special.bdtrc(rejected - 1, s.formed, 1.0 - s.gate)) >= SURE:
-        return None
     counts: dict[str, Value] = {"rejected": rejected, "count": s.formed, "expected": s.formed * (1.0 - s.gate)}
     return notice(Code.SOURCE_REJECTED, Severity.WARNING, None, source=s.source, kind=s.kind, gate=s.gate, **counts)
 

@@ -23,11 +23,14 @@ from data.se2 import Array, BoolArray
 from eval.referee import effects, residuals, source_residuals
 from eval.referee.consistency import gated, lag1_correlation
 from eval.referee.score import nis_of
-from eval.referee.sources import score_source, sources_of
+from eval.referee.sources import SourceScore, chance_of_rejections, score_source, sources_of
 
 SHARE = 0.01  # least reduction of the filter's variance by later data, as a share, in a direction that is compared
 TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f
 SINGULAR = 1e-11  # smallest eigenvalue of the correlation matrix of a filter that is compared
+REJECTED = "rejected_"
+"""How statistics begin that are shares of fixes, or closures, rejected by a gate."""
+LEAST_SIGMAS = 0.01
 COORDINATES = ("x", "y", "theta")
 Key = tuple[str, str]  # estimator and statistic
 
@@ -136,16 +139,30 @@ def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measu
         if math.isfinite(r):
             result["innovation_lag1"] = Measured(r, 0.0, error)
     for source in sources_of(inputs):
-        scored, key = score_source(run, source, "online"), source_residuals.key_of(source)
-        if scored.nis_dof:
-            result[f"nis_{key}"] = Measured(scored.nis_mean, scored.expected)
-        if math.isfinite(scored.lag1):
-            result[f"innovation_{key}_lag1"] = Measured(scored.lag1, 0.0, scored.lag1_se)
+        result |= _of_source(score_source(run, source, "online"), source_residuals.key_of(source))
     if run.online is not None and smoother is not None and smoother.final is not None:
         result |= filter_smoother(difference(run.online, smoother.final))
     if run.online is not None and run.final is not None:
         result |= filter_smoother(difference(run.online, run.final), "own_smoother")
     return result
+
+
+def _of_source(scored: SourceScore, key: str) -> dict[str, Measured]:
+    """NIS and correlation of the fixes or closures of a source; the share rejected, where it is more than expected.
+
+    The standard error of the share is that of a Gaussian with the binomial probability of as many rejections.
+    """
+    found: dict[str, Measured] = {}
+    if scored.nis_dof:
+        found[f"nis_{key}"] = Measured(scored.nis_mean, scored.expected)
+    if math.isfinite(scored.lag1):
+        found[f"innovation_{key}_lag1"] = Measured(scored.lag1, 0.0, scored.lag1_se)
+    if scored.gate is not None and scored.formed:
+        share, expected = (scored.formed - scored.used) / scored.formed, 1.0 - scored.gate
+        if share > expected:
+            sigmas = max(-float(special.ndtri(chance_of_rejections(scored))), LEAST_SIGMAS)
+            found[f"{REJECTED}{key}"] = Measured(share, expected, (share - expected) / sigmas)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

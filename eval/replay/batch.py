@@ -13,7 +13,7 @@ from data.inputs import Inputs, IntArray
 from data.notice import Code, Severity, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate
 from data.se2 import Array, BoolArray
-from graph.batch import Start, smooth
+from graph.batch import Rejected, Start, smooth
 from graph.chordal import chordal_path
 from graph.factors import UnderConstrained
 from graph.optimum import NotConvergedError, Smoothed
@@ -28,8 +28,9 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
 
     If this finds no minimum, or a suspiciously high one, it also starts from the paths of `others` in turn, runs with
     the same landmark numbers or without a map. The lowest minimum counts. `gnc` discards rejected pairings, and
-    landmarks without any observation left. Fixes and closures are used whatever `front` did with them; where there are
-    closures a chordal path is a further start, and without observations the first one.
+    landmarks without any observation left, and tests fixes and closures anew; the others leave out those that the front
+    end's gate rejected, as they do with observations. Without observations there is no such front end, and all are
+    used. Where there are closures a chordal path is a further start, and without observations the first one.
     """
     begin = time.perf_counter()
 
@@ -63,7 +64,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
                 notes.append(notice(Code.OBSERVATIONS_REJECTED, Severity.INFO, observations=rejected))
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
-            result = _lowest(inputs, final, initialized, starts, LOSSES[name])
+            result = _lowest(inputs, final, initialized, starts, LOSSES[name], _rejected(front))
     except UnderConstrained as stop:
         return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
@@ -104,6 +105,7 @@ def _lowest(
     initialized: IntArray,
     starts: Sequence[Callable[[], Start | None]],
     loss: str,
+    rejected: Rejected,
 ) -> Smoothed:
     """The minimum from the first start, or the lowest of those from others, as long as it is suspicious. Under a robust
     loss wrong closures hide in a low cost: two starts then.
@@ -118,7 +120,7 @@ def _lowest(
             continue
         tried += 1
         try:
-            found = smooth(inputs, final, initialized, start, loss=loss)
+            found = smooth(inputs, final, initialized, start, loss=loss, rejected=rejected)
         except NotConvergedError as fault:
             stop = fault
         else:
@@ -128,6 +130,12 @@ def _lowest(
         assert stop is not None
         raise stop
     return result
+
+
+def _rejected(front: Run) -> Rejected:
+    """Fixes and closures outside the front end's gate; those that it could not use are none of these."""
+    found = [None if each is None else np.isfinite(each.nis) & ~each.used for each in (front.fixes, front.closures)]
+    return Rejected(*found)
 
 
 def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -> BoolArray:

@@ -88,7 +88,7 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     values = np.array([real.measured[k].value for k in keys])
     drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
     z = np.array([_in_errors(real.measured[k]) for k in keys])
-    theory = np.array([name.startswith("slope_") for _, name in keys], bool) & np.isfinite(z)
+    theory = np.array([name.startswith(("slope_", trust.REJECTED)) for _, name in keys], bool) & np.isfinite(z)
     compared = np.array([not name.endswith(SHARES) for _, name in keys], bool)
     family = np.full(len(keys), np.nan)
     correlation = _correlation(keys, inputs_of(log, task, association), smoother) if theory.any() else np.eye(len(keys))
@@ -204,11 +204,14 @@ def _estimators(twins: Sequence[Sample]) -> list[Finding]:
     return found + [f for f in attribution.innovation_errors(nis) if f.name not in convicted]
 
 
+Tried = tuple[float, Finding, Inputs]
+"""Logarithm of the odds of an explanation, and the inputs corrected by it."""
 ROUNDS = 4  # explanations, one after the other
 REPLICATES = 4  # of the corrected log in a round: they give the spread of residuals to 2 % on a log of 200 frames
 TRIED = 3  # explanations of a kind whose likelihood is computed
 HOPELESS = 10.0  # the likelihood is not computed where the log odds are less than the best ones over this
 FEWEST_OUTLIERS = 2  # one outlier is no evidence for another model
+REFINED = 2  # explanations of a log with sources that are estimated anew
 FAR = 10.0  # standard errors of a systematic error beyond which it is linearized anew
 STANDS_OUT = 6.0  # standard deviations, above which a statistic of a corrected log still stands out
 REMOVED = 0.5  # share of the strongest objection that an explanation has to take away
@@ -217,7 +220,7 @@ REMOVED = 0.5  # share of the strongest objection that an explanation has to tak
 def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding], bool]:
     """Explanations one after the other, each with earlier ones corrected, and whether they remove the objections."""
     inputs = replace(corrected_inputs(inputs, smoother.errors_final), systematic=None)
-    smoother = replace(smoother, errors_final=None)
+    smoother = with_all_sources(replace(smoother, errors_final=None), inputs)
     names = dict.fromkeys((*residuals.COMPONENTS, *(n for s in made.twins for n in s.typical)))
     certain = {n: _spread([s.typical[n] for s in made.twins if n in s.typical]) for n in names}
     twins = [_statistics(s.measured) for s in made.twins]
@@ -247,15 +250,24 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
     return findings, after < max(REMOVED * before, STANDS_OUT)
 
 
+def with_all_sources(smoother: Run, inputs: Inputs) -> Run:
+    """The smoother with the fixes and closures, too, that a gate left out: they may be outliers of their source."""
+    found = (each for each in (smoother.fixes_final, smoother.closures_final) if each is not None)
+    if all(each.used.all() for each in found):
+        return smoother
+    return _refitted(inputs, smoother) or smoother
+
+
 def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, Inputs] | None:
     """The explanation with the best odds, and the inputs corrected by it; None where none has better odds than none.
 
     Those with a model of the inputs have the likelihood of a filter's innovations. Of each kind a few are tried.
     """
     found = sorted([*explanations(e, taken), *source_explanations(e)], key=lambda x: -x.net)
-    stated = _likelihood(e.inputs, e.used, smoother)
+    linear = has_sources(e.inputs)
+    stated = _linear(e.inputs, e) if linear else _likelihood(e.inputs, e.used, smoother)
     count = Counter[str]()
-    tried: list[tuple[float, Finding, Inputs]] = []
+    tried: list[Tried] = []
     for x in [*found, mirrored(e)]:
         count[x.finding.kind] += 1
         promising = x.finding.kind == "mirrored" or x.net > max(found[0].net / HOPELESS, 0.0)
@@ -263,11 +275,14 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
             continue
         of_source = ":" in x.finding.name and x.finding.kind != "systematic"
         finding, inputs = x.finding, (source_corrected if of_source else corrected)(e, x.finding)
-        if finding.kind == "systematic" and abs(finding.size) > FAR * finding.error:
-            inputs, finding = _again(inputs, smoother, finding)
+        if not linear:
+            inputs, finding = _exactly(inputs, smoother, finding)
         if finding.kind in MODELLED:
-            finding = replace(finding, gain=_likelihood(inputs, e.used, smoother) - stated)
+            now = _linear(inputs, e) if linear else _likelihood(inputs, e.used, smoother)
+            finding = replace(finding, gain=now - stated)
         tried.append((x.net - x.finding.gain + finding.gain, finding, inputs))
+    if linear:
+        tried = _refined(tried, e, smoother, stated)
     mispaired = _mispaired(e, smoother, stated)
     # outliers that fit another landmark are no tails
     tried = [t for t in tried if t[0] > 0.0 and not (mispaired and t[1].kind == "tails")]
@@ -275,7 +290,32 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
     return max(tried, key=lambda t: t[0])[1:] if tried else None
 
 
-def _false(e: Evidence, smoother: Run, stated: float) -> list[tuple[float, Finding, Inputs]]:
+def _exactly(inputs: Inputs, smoother: Run, finding: Finding) -> tuple[Inputs, Finding]:
+    """A systematic error that is too large for one linearization once more, others as they are."""
+    if finding.kind == "systematic" and abs(finding.size) > FAR * finding.error:
+        return _again(inputs, smoother, finding)
+    return inputs, finding
+
+
+def _refined(tried: Sequence[Tried], e: Evidence, smoother: Run, stated: float) -> list[Tried]:
+    """The same with the best ones estimated anew: with many sources this is too slow for all."""
+    order = sorted(tried, key=lambda t: -t[0])
+    refined = []
+    for net, rough, linear in [t for t in order if t[1].kind in MODELLED][:REFINED]:
+        inputs, finding = _exactly(linear, smoother, rough)
+        gain = _likelihood(inputs, e.used, smoother) - stated
+        refined.append((net - rough.gain + gain, replace(finding, gain=gain), inputs))
+    return refined + [t for t in order if t[1].kind not in MODELLED]
+
+
+def _linear(inputs: Inputs, e: Evidence) -> float:
+    """Log-likelihood of inputs with fixes or closures, at the smoothed solution of the stated ones."""
+    of_poses = effects.poses_of(inputs, e.used)
+    assert of_poses is not None
+    return evidence(inputs, e.used.number, e.path, e.used.landmarks, of_poses)
+
+
+def _false(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
     """Outliers among the fixes or closures of each source, left out; they are those of a robust smoother."""
     inputs, outliers = e.inputs, dict[str, BoolArray]()
     for _ in range(ROUNDS if has_sources(inputs) else 0):
@@ -296,7 +336,7 @@ def _false(e: Evidence, smoother: Run, stated: float) -> list[tuple[float, Findi
     return tried
 
 
-def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[tuple[float, Finding, Inputs]]:
+def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
     """Outliers most of which fit another landmark, left out; they are those of a robust smoother, as others bend.
 
     Some are only seen once others are left out.

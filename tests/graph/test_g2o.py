@@ -292,7 +292,13 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
         ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "in space"),
         ("VERTEX_SE2 0 0 0\n", ":1: VERTEX_SE2 with 3 numbers; 4 are needed"),
         ("VERTEX_SE2 0 0 0 x\n", "'x' is not a number"),
+        (
+            "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
+            "EDGE_SE2 1 0 -1 0 1 9 0 0 1e30 0 7\n",
+            ":4: EDGE_SE2: its covariance is singular to rounding",
+        ),
         ("VERTEX_SE2 0.5 0 0 0\n", "'0.5' is not an id"),
+        (f"VERTEX_SE2 {'9' * 5000} 0 0 0\n", "is not an id, a whole number from 0 up"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 is repeated"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: EDGE_SE2_XY: vertex 5 is missing"),
@@ -301,6 +307,7 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
             "VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n",
             ":2: EDGE_SE2: both ends are 3; two variables are needed",
         ),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 0 1e-320\n", ":2: EDGE_SE2_XY: its information is nearly none"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_BEARING_SE2_XY 0 9 1 4\n", "no VERTEX_XY"),
         ("hello\n", "no edge of a graph"),
     ],

@@ -14,6 +14,7 @@ from eval.referee import consistency
 from eval.referee.diagnostics import notices, unused
 from eval.referee.score import Trial, score
 from eval.referee.sources import outcomes_of, score_source, source_notices, sources_of
+from eval.referee.trust import of_online
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 DOF = {FixKind.POSITION: 2, FixKind.HEADING: 1, FixKind.POSE: 3}
@@ -176,3 +177,35 @@ def test_only_an_estimate_that_used_closures_is_more_than_dead_reckoning():
     assert unused(replace(run, closures_final=found), log.recorded) is None
     rejected = replace(found, used=np.zeros(20, bool))
     assert unused(replace(run, closures=rejected), log.recorded).code == Code.UNUSED
+
+
+def statistics(found, log):
+    return of_online(run_with(fixes=found), None, log.recorded)
+
+
+def test_a_source_has_statistics_of_its_own():
+    log, found = log_with(fixes()), drawn(np.random.default_rng(6), 60, 2, gate=0.99)
+    own = statistics(found, log)
+    assert own["nis_position:gps"].value == pytest.approx(found.nis[found.used].sum() / (2 * found.used.sum()))
+    assert own["nis_position:gps"].expected == pytest.approx(0.9535, abs=1e-4)
+    lag1 = own["innovation_position:gps_lag1"]
+    assert abs(lag1.value) < 4.0 * lag1.se
+
+
+@pytest.mark.parametrize(
+    ("gate", "rejected", "sigmas"), [(0.99, 2, (0.0, 1.0)), (0.99, 9, (6.0, 9.0)), (0.9999, 2, (4.0, 5.0))]
+)
+def test_rejections_beyond_the_gate_have_the_significance_of_the_binomial_law(gate, rejected, sigmas):
+    used = np.arange(60) >= rejected
+    found = replace(drawn(np.random.default_rng(7), 60, 2), used=used, gate=gate)
+    m = statistics(found, log_with(fixes()))["rejected_position:gps"]
+    z = (m.value - m.expected) / m.se
+    assert sigmas[0] < z < sigmas[1]
+    p = scipy.stats.binom.sf(rejected - 1, 60, 1.0 - gate)
+    assert scipy.stats.norm.sf(z) == pytest.approx(p, rel=1e-6)
+
+
+def test_fewer_rejections_than_expected_are_no_statistic():
+    found = drawn(np.random.default_rng(8), 60, 2)
+    assert "rejected_position:gps" not in statistics(replace(found, gate=0.99), log_with(fixes()))
+    assert "rejected_position:gps" not in statistics(found, log_with(fixes()))
