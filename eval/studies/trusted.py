@@ -99,7 +99,8 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
         m, own = real.measured[estimator, name], drawn[:, i]
         known = own[np.isfinite(own)]
         expected = m.expected if math.isfinite(m.expected) or not len(known) else float(np.median(known))
-        p_family = float(family[i]) if len(known) else math.nan
+        # a share of rejections that no twin has is judged by theory alone
+        p_family = float(family[i]) if len(known) or (theory[i] and name.startswith(trust.REJECTED)) else math.nan
         rows.append(Row(estimator, name, m, expected, len(known), battery.rank_p(m.value, own), p_family))
     notices = _failures(log, real, twins)
     if smoother is not None and smoother.estimator == STAND_IN:
