@@ -13,12 +13,13 @@ import pytest
 
 from data import se2
 from data.convert.__main__ import main
-from data.errors import DataError
+from data.errors import DataError, UsageError
 from data.formats.g2o import log_of, read_graph
 from data.formats.g2o_out import graph_text, labelled
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.log import Log
+from data.sensors import Range
 from data.truth import Relations
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import compare
@@ -358,3 +359,30 @@ def test_the_measured_pose_of_the_first_vertex_is_the_prior(tmp_path):
     assert prior.covariance == pytest.approx(np.diag([0.04, 0.01, 0.0025]), abs=1e-12)
     (tmp_path / "a.g2o").write_text(f"{text}EDGE_PRIOR_SE2 0 5 6 0 100 0 0 25 0 400\nFIX 0\n")
     assert not log_of("a", read_graph(tmp_path / "a.g2o")).recorded.prior.covariance.any()
+
+
+def test_several_sensors_become_points_of_each_and_ranges_alone_are_refused():
+    log = log_of_two_sensors()
+    text = graph_text(log.recorded, labelled(log))
+    edges = [numbers(line) for line in text.splitlines() if line.startswith("EDGE_SE2_XY")]
+    assert [e[2:4] for e in edges] == [pytest.approx([2.5, 0.0]), pytest.approx([0.0, 2.0])]
+    alone = replace(log.recorded, sensors=(log.recorded.sensors[0], Range(label="radio")))
+    with pytest.raises(UsageError, match="the log has observations of range alone"):
+        graph_text(alone, labelled(log))
+
+
+def log_of_two_sensors() -> Log:
+    """A laser ahead of the robot's centre, and tags seen by a camera that looks to the left."""
+    return Log.from_arrays(
+        "two",
+        (np.zeros(3), np.zeros(3)),
+        [
+            {"name": "laser", "kind": "range_bearing", "translation": [-0.5, 0.0], "sigma": [0.1, 0.1]},
+            {"name": "tags", "kind": "relative_point", "rotation": -math.pi / 2, "sigma": [0.1, 0.1]},
+        ],
+        [[0, 2.0, 0.0], [0, 2.0, 0.0]],
+        observed_by=["laser", "tags"],
+        label=[3, 4],
+        increments=np.zeros((2, 3)),
+        covariance=[0.1, 0.1, 0.1],
+    )
