@@ -17,11 +17,12 @@ from association.scans.points import beams_of, scan_points
 from association.scans.redundant import redundant, without
 from association.scans.uncertainty import learned_scale, residuals, spanned
 from data.errors import UsageError
+from data.formats.recordings.laser import time_steps
 from data.inputs import Increments, Inputs
 from data.result import Run
-from data.se2 import Array, between, compose, dead_reckoned, transform_points
+from data.se2 import Array, between, compose, dead_reckoned, transform_points, wrap_angle
 from eval.replay.laser.backends import NAMES, Solved, backend
-from eval.replay.laser.closures import LoopCloser
+from eval.replay.laser.closures import Closure, LoopCloser
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.tracker import Tracker
 from eval.replay.settings import Setup
@@ -56,8 +57,7 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
     row[scans.frame] = np.arange(len(scans.frame))
     nothing = np.zeros(scans.ranges.shape[1])
     step = np.zeros(count) if inputs.time_is_index else np.diff(inputs.time, prepend=inputs.time[0])
-    if unknown and float(np.mean(step[1:] < BURST * step[1:].mean())) > BURST:
-        step[1:] = step[1:].mean() or 1.0
+    step = time_steps(inputs.time) if unknown else step
 
     frames: list[int] = []
     motions: list[Array] = []
@@ -65,7 +65,7 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
     key = np.zeros(count, np.int64)
     since, since_covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
     online, seconds = np.zeros((count, 3)), np.zeros(count)
-    poses, waiting = np.zeros((0, 3)), 0
+    poses, waiting, far, updated = np.zeros((0, 3)), False, False, 0
     for frame in range(count):
         began = time.perf_counter()
         if frame:
@@ -93,11 +93,12 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
                     np.array([c.key1 for c in believed]), np.array([c.key2 for c in believed]),
                     np.array([c.relative for c in believed]), np.array([c.covariance for c in believed]),
                 )  # fmt: skip
-                waiting += 1
-            # in large graphs several key poses have an update in common, so that each costs as much as in a small one
-            if waiting and frames[-1] and len(frames) % (1 + len(frames) // AMORTIZED) == 0:
+                waiting, far = True, far or any(is_far(c, poses) for c in believed)
+            # an update costs time with the size of the graph: in large ones key poses have one in common
+            due = len(frames) - updated > (len(frames) - LARGE) // AMORTIZED
+            if waiting and (far or due):
                 graph.update()
-                poses, waiting = graph.poses(), 0
+                poses, waiting, far, updated = graph.poses(), False, False, len(frames)
                 closer.moved(poses)
         key[frame] = len(frames) - 1
         since[frame], since_covariance[frame] = tracker.pose, tracker.covariance
@@ -112,8 +113,18 @@ def is_unknown(increments: Increments) -> bool:
     return not increments.mean.any() and bool(np.median(increments.covariance[1:, 0, 0]) > UNKNOWN**2)
 
 
-AMORTIZED = 1500  # key poses from which on loop closures wait for each other
-BURST = 0.1  # of the mean time between frames, and share of shorter ones, from which on stamps come in bursts
+LARGE, AMORTIZED = 1500, 300
+"""Key poses from which on loop closures wait for others, and how many more make them wait for one more key pose."""
+FAR = np.array([0.1, 0.1, 0.03])  # m, m, rad: loop closures that disagree so much with the estimate do not wait
+
+
+def is_far(closure: Closure, poses: Array) -> bool:
+    """Whether a loop closure disagrees with the estimate of the key poses (K, 3)."""
+    error = between(poses[closure.key1], poses[closure.key2]) - closure.relative
+    error[2] = wrap_angle(float(error[2]))
+    return bool((np.abs(error) > FAR).any())
+
+
 UNKNOWN = 0.01  # m, above the error of a step of any odometry that is at rest
 
 
