@@ -40,11 +40,11 @@ def diagonal_blocks(P: NDArray[np.floating[Any]]) -> Any:
 
 
 def block_diagonal(blocks: Array) -> Array:
-    """Joint covariance (2n, 2n) of independent points with covariances (n, 2, 2)."""
-    n = len(blocks)
-    whole = np.zeros((n, 2, n, 2))
+    """Matrix (na, nb) with blocks (n, a, b) on its diagonal, as the joint covariance of independent points."""
+    n, a, b = blocks.shape
+    whole = np.zeros((n, a, n, b))
     whole[np.arange(n), :, np.arange(n), :] = blocks
-    return whole.reshape(2 * n, 2 * n)
+    return whole.reshape(n * a, n * b)
 
 
 def add_to_diagonal(P: Array, blocks: Array) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from typing import Any, TypeVar, cast
@@ -86,20 +86,26 @@ class Log:
 
     @staticmethod
     def from_arrays(
-        name: str, prior: tuple[ArrayLike, ArrayLike], sensor: Mapping[str, Any], observations: ArrayLike, **more: Any
+        name: str,
+        prior: tuple[ArrayLike, ArrayLike],
+        sensor: Mapping[str, Any] | Sequence[Mapping[str, Any]],
+        observations: ArrayLike,
+        **more: Any,
     ) -> Log:
         """A log from arrays, checked as a log folder is (docs/logs.md); errors name array and row, from 0.
 
         Args:
             name: unique in a run.
             prior: mean (3,) of the first pose, and its covariance (3, 3) or sigmas (3,).
-            sensor: the keys of [sensor] in log.toml, as in `{"kind": "range_bearing", "sigma": [0.1, 0.02]}`.
+            sensor: the keys of [sensor] in log.toml, as in `{"kind": "range_bearing", "sigma": [0.1, 0.02]}`; or those
+                of several sensors, each with a name.
             observations: (M, 3): frame from 0 (with `odometry`: time [s]), z1, z2, ascending.
             more: increments (N, 3), row 0 zero, with covariance (N, 3, 3), (3, 3) or sigmas (3,), and time (N,) [s]
                 (None: frames without stamps); or odometry (K, 3): t, v, omega, with motion: the keys of [motion].
                 R (M, 2, 2) or (2, 2) instead of the sensor's sigma. landmarks (L, 3): id, x, y. truth (N, 3), NaN where
                 unknown (with odometry (K, 4): t, x, y, theta). true_id (M,): -1 false alarm, NaN unknown. label (M,),
-                NaN unknown. labels_are_sensed: bool. fixes, closures: columns of fixes.csv or closures.csv by name,
+                NaN unknown. labels_are_sensed: bool. observed_by (M,): names of sensors. kinds (L,) of landmarks.
+                fixes, closures: columns of fixes.csv or closures.csv by name,
                 each (K,) or one value for all rows, NaN blank, and sources, tables as [[fix]] or [[closure]], as in
                 `{"frame": [0, 9], "kind": "position", "x": [0.0, 4.1], "y": [0.1, 3.9], "sources": [{"name": "gps",
                 "sigma": [0.5, 0.5]}]}`.
@@ -133,7 +139,7 @@ class Log:
             ("frames", f"{len(r)} ({span})"),
             ("observations", str(len(r.observations.frame))),
             *measured,
-            ("sensor", r.sensor.name),
+            ("sensor", ", ".join(f"{s.label} ({s.name})" for s in r.sensors) or r.sensor.name),
             ("map", "none" if r.map is None else f"{len(r.map.id)} landmarks"),
             ("truth", f"in {truth.known_poses} frames" if truth.known_poses else "none"),
             ("labels", "yes" if self.has_labels else "none"),
@@ -168,7 +174,7 @@ def shortened(log: Log, n: int) -> Log:
         r,
         time=r.time[:n],
         increments=replace(r.increments, mean=r.increments.mean[:n], covariance=r.increments.covariance[:n]),
-        observations=replace(o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m]),
+        observations=replace(o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m], sensor=_rows(o.sensor, slice(m))),
     )
     if r.scans is not None:
         k = int(np.searchsorted(r.scans.frame, n))

@@ -119,6 +119,7 @@ class Code(StrEnum):
     SOURCE_UNUSED = "source-unused"
     SOURCE_NIS = "source-nis"
     SOURCE_REJECTED = "source-rejected"
+    SOURCE_OUTLIERS = "source-outliers"
     # implausible, and where it began
     NIS = "nis"
     PATH_TOO_FAR = "path-too-far"

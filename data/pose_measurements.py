@@ -5,6 +5,7 @@ Both have a covariance each and a named source. Neither is ground truth: `data.t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -109,6 +110,13 @@ class FrameClosures(NamedTuple):
     source: IntArray
     row: IntArray
 
+    def only(self, chosen: NDArray[np.bool_]) -> FrameClosures:
+        """A selection (c,) of them."""
+        return FrameClosures(
+            self.frame1[chosen], self.frame2[chosen], self.relative[chosen], self.covariance[chosen],
+            self.source[chosen], self.row[chosen],
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, eq=False)
 class Closures(Locked):
@@ -202,3 +210,9 @@ class PoseUpdated(NamedTuple):
     nis: Array
     dof: IntArray
     white: Array
+
+
+def not_used(dof: Sequence[int]) -> PoseUpdated:
+    """The result of an update with measurements (f,) of these degrees of freedom before any is used."""
+    f = len(dof)
+    return PoseUpdated(np.zeros(f, np.bool_), np.full(f, np.nan), np.array(dof, np.int64), np.full((f, 3), np.nan))

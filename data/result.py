@@ -63,7 +63,10 @@ class Systematics(NamedTuple):
 
 
 class Finished(NamedTuple):
-    """The end of a run: final trajectory (None for a filter), last map (None in localization); others as of `Run`."""
+    """The end of a run: final trajectory (None for a filter), last map (None in localization); others as of `Run`.
+
+    fixes, closures: `fixes_final` and `closures_final` there.
+    """
 
     final: Trajectory | None
     map: MapState | None
@@ -71,6 +74,8 @@ class Finished(NamedTuple):
     iterations: int | None = None
     last_step_sigma: float | None = None
     systematic: Systematics | None = None
+    fixes: PoseInnovations | None = None
+    closures: PoseInnovations | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -113,11 +113,14 @@ def _mounted(point: str, sensor: Sensor | Scanner) -> str:
 
 
 def _observations(log: Log) -> list[Line]:
-    inputs = log.recorded
-    sensor, o = inputs.sensor, inputs.observations
-    low, high = np.degrees([sensor.min_angle, sensor.max_angle])
-    reach = f"up to {sensor.max_range:g} m" if np.isfinite(sensor.max_range) else "any range"
-    lines = [("sensor", f"{sensor.name}, {reach}, {low:.4g} to {high:.4g} deg{_mounted('p_sensor', sensor)}")]
+    inputs, o = log.recorded, log.recorded.observations
+    lines = []
+    for sensor in inputs.sensors or (inputs.sensor,):
+        low, high = np.degrees([sensor.min_angle, sensor.max_angle])
+        reach = f"up to {sensor.max_range:g} m" if np.isfinite(sensor.max_range) else "any range"
+        text = f"{sensor.label}: {sensor.name}" if sensor.label else sensor.name
+        text += f", {reach}, {low:.4g} to {high:.4g} deg{_mounted('p_sensor', sensor)}"
+        lines.append(("sensor", text + (f"; sees each {sensor.sees}" if sensor.sees else "")))
     m, per_frame = len(o.frame), np.diff(inputs.start)
     if m == 0:
         return [*lines, ("observations", "none")]
@@ -129,14 +132,25 @@ def _observations(log: Log) -> list[Line]:
     without = _share(int((per_frame == 0).sum()), len(per_frame))
     where = f"; longest stretch {counted(blind, 'frame')} from frame {first}" if blind else ""
     lines.append(("blind frames", f"{without} without observation{where}"))
-    polar = sensor.polar(o.z)
+    outside = np.isin(np.arange(m), _out_of_view(log))
+    for i, sensor in enumerate(inputs.sensors or (inputs.sensor,)):
+        rows = np.arange(m) if o.sensor is None else np.flatnonzero(o.sensor == i)
+        if len(rows):
+            lines.append(("measured", _measured(sensor, o.z[rows], int(outside[rows].sum()))))
+    return lines
+
+
+def _measured(sensor: Sensor, z: Array, outside: int) -> str:
+    """Spans of what a sensor measured (m, 2)."""
+    polar = sensor.polar(z)
     bearing = np.degrees(polar[:, 1])
-    text = f"range {polar[:, 0].min():.4g} to {polar[:, 0].max():.4g} m, "
-    text += f"bearing {bearing.min():.4g} to {bearing.max():.4g} deg"
-    return [
-        *lines,
-        ("measured", f"{text}; {_share(len(_out_of_view(log)), m)} outside the stated range or field of view"),
-    ]
+    spans = (
+        f"range {polar[:, 0].min():.4g} to {polar[:, 0].max():.4g} m",
+        f"bearing {bearing.min():.4g} to {bearing.max():.4g} deg",
+    )
+    name = f"{sensor.label}: {len(z)}, " if sensor.label else ""
+    text = name + ", ".join(spans[q] for q in sensor.measures)
+    return f"{text}; {_share(outside, len(z))} outside the stated range or field of view"
 
 
 def _fixes(log: Log) -> list[Line]:
@@ -218,7 +232,7 @@ def _relations(log: Log) -> list[Line]:
 
 def _out_of_view(log: Log) -> IntArray:
     """Observations (indices) outside the sensor's stated range or angles."""
-    return np.flatnonzero(~log.recorded.sensor.in_view(log.recorded.observations.z))
+    return np.flatnonzero(~log.recorded.sensor_of().in_view(log.recorded.observations.z))
 
 
 def _labels(log: Log) -> list[Line]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,12 +12,12 @@ from association.expectation import Expectation, gate_threshold
 from data.blocks import coordinates_from
 from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic
 from data.motion.systematic import SensorFrame, sensor_frame
-from data.pose_measurements import MEASURED, FixKind, FixSource, FrameClosures, FrameFixes, PoseUpdated
+from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated, not_used
 from data.result import PoseEstimate, Updated
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
 from ekf import kernels, pose_updates, systematic, updates
-from ekf.pose_updates import Clones, Measure, PoseRule
+from ekf.pose_updates import Clones, Measured, PoseRule
 from ekf.walls import WallFrame
 
 
@@ -166,47 +167,34 @@ class Filter:
 
     def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """Update with absolute measurements of the pose, one after another; those outside the gate are not used."""
-        done = pose_updates.not_used([len(MEASURED[FixKind(kind)]) for kind in fixes.kind.tolist()])
-        for i, (kind, source) in enumerate(zip(fixes.kind.tolist(), fixes.source.tolist(), strict=True)):
-            rows = list(MEASURED[FixKind(kind)])
-            R = fixes.covariance[i][np.ix_(rows, rows)]
-            measure = pose_updates.measure_fix(self._frame, kind, sources[source], fixes.z[i, rows])
-            self._absorb(done, i, rows, np.arange(self.base), measure, R, gate)
-        return done
+        return self._absorb(pose_updates.of_fixes(self._frame, fixes, sources), gate)
 
     def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
         """Update with relative poses, one after another; those outside the gate are not used.
 
         Nor are those of a frame whose pose is not in the state.
         """
-        done = pose_updates.not_used([3] * len(closures.frame1))
-        present, both = np.arange(self.base), (closures.frame1.tolist(), closures.frame2.tolist())
-        for i, (frame1, frame2) in enumerate(zip(*both, strict=True)):
-            earlier = frame1 if frame2 == self._clones.now else frame2
-            if self._clones.now not in (frame1, frame2) or earlier not in self._clones.frames:
-                continue
-            at = np.concatenate([present, self.size + 3 * self._clones.frames.index(earlier) + np.arange(3)])
-            measure = pose_updates.measure_closure(self._frame, closures.relative[i], forward=earlier == frame1)
-            self._absorb(done, i, [0, 1, 2], at, measure, closures.covariance[i], gate)
-        return done
+        return self._absorb(pose_updates.of_closures(self._frame, closures, self._clones.now), gate)
 
-    def _absorb(
-        self, done: PoseUpdated, i: int, rows: list[int], at: IntArray, measure: Measure, R: Array, gate: float | None
-    ) -> None:
-        """Update with one measurement of the states `at`, whose entries are `rows` of (x, y, theta); enter the
-        outcome as number i.
-        """
-        self._version += 1
-        linearized = None
-        if len(self._first):
-            linearized = self._mean[at]
-            poses = (at < 3) | (at >= self.base)  # errors have no first estimates
-            linearized[poses] = self._first[at[poses]]
-        rule = PoseRule(gate_threshold(gate, len(rows)), *self._rule, *self._clone_range)
-        found = pose_updates.absorb(self._mean, self._P, self._used, at, measure, R, rule, linearized)
-        if found.status != kernels.OK:
-            raise FilterDivergedError(kernels.FAILURES[found.status])
-        done.used[i], done.nis[i], done.white[i, rows] = found.used, found.nis, found.white
+    def _absorb(self, measured: Sequence[Measured], gate: float | None) -> PoseUpdated:
+        """Update with measurements of the pose, one after another."""
+        done = not_used([len(m.rows) for m in measured])
+        for i, m in enumerate(measured):
+            at = self._clones.at(m, self.base, self.size)
+            if at is None:
+                continue
+            self._version += 1
+            linearized = None
+            if len(self._first):
+                linearized = self._mean[at]
+                poses = (at < 3) | (at >= self.base)  # errors have no first estimates
+                linearized[poses] = self._first[at[poses]]
+            rule = PoseRule(gate_threshold(gate, len(m.rows)), *self._rule, *self._clone_range)
+            found = pose_updates.absorb(self._mean, self._P, self._used, at, m, rule, linearized)
+            if found.status != kernels.OK:
+                raise FilterDivergedError(kernels.FAILURES[found.status])
+            done.used[i], done.nis[i], done.white[i, m.rows] = found.used, found.nis, found.white
+        return done
 
     @property
     def _clone_range(self) -> tuple[int, int]:

@@ -19,7 +19,15 @@ import numpy as np
 
 from data.inputs import IntArray
 from data.motion.systematic import SensorFrame
-from data.pose_measurements import FixKind, FixSource, PoseUpdated, expected_closure, expected_fix
+from data.pose_measurements import (
+    MEASURED,
+    FixKind,
+    FixSource,
+    FrameClosures,
+    FrameFixes,
+    expected_closure,
+    expected_fix,
+)
 from data.se2 import Array, wrap_angle
 from data.sensors import wrap_angle_jit
 from ekf.kernels import NOT_PSD, OK, healthy
@@ -27,6 +35,19 @@ from ekf.updates import ADDITIVE, move
 
 Measure = Callable[[Array, Array], tuple[Array, Array]]
 """Innovation (m,) and Jacobian (m, q) for the states (q,) that are measured, and for those to take the Jacobian at."""
+
+
+class Measured(NamedTuple):
+    """A measurement of the pose, or of the pose relative to an earlier one.
+
+    rows: entries of (x, y, theta) that are measured, m of them; measure: of the states pose and errors, and the earlier
+    pose if there is one; R: (m, m); earlier: its frame, None: there is none.
+    """
+
+    rows: list[int]
+    measure: Measure
+    R: Array
+    earlier: int | None = None
 
 
 class PoseRule(NamedTuple):
@@ -40,29 +61,30 @@ class PoseRule(NamedTuple):
 
 
 class PoseOutcome(NamedTuple):
-    """Result of one measurement; white (m,) whitened innovation, of the first linearization."""
+    """Result of one measurement; white (m,) whitened innovation and log det S, of the first linearization."""
 
     status: int
     used: bool
     nis: float
     white: Array
+    log_det: float = math.nan
 
 
 def absorb(
-    mean: Array, P: Array, d: int, at: IntArray, measure: Measure, R: Array, rule: PoseRule, linearized: Array | None
+    mean: Array, P: Array, d: int, at: IntArray, measured: Measured, rule: PoseRule, linearized: Array | None = None
 ) -> PoseOutcome:
-    """Update `d` states with one measurement of the states `at` (q,) with covariance R (m, m), if inside the gate.
+    """Update `d` states with one measurement of the states `at` (q,), if it is inside the gate.
 
     `linearized` (q,): where to take the Jacobian; None: at the mean. As `ekf.updates.correct`: P -= W W', which stays
     symmetric to the bit.
     """
-    prior, rows = mean[at], P[at, :d]
+    (_, measure, R, _), prior, rows = measured, mean[at], P[at, :d]
     nu, H, L, white = _innovation(measure, prior, prior, prior if linearized is None else linearized, rows[:, at], R)
     if L is None:
         return PoseOutcome(NOT_PSD, False, math.nan, np.full(len(nu), math.nan))
-    nis, own = float(white @ white), white
+    nis, own, log_det = float(white @ white), white, 2.0 * float(np.log(np.diag(L)).sum())
     if not nis < rule.threshold:
-        return PoseOutcome(OK, False, nis, own)
+        return PoseOutcome(OK, False, nis, own, log_det)
     point, sigma = prior, np.sqrt(np.maximum(np.diag(P)[at], 0.0))
     for _ in range(rule.iterations - 1):
         W = np.linalg.solve(L, H @ rows[:, at])
@@ -73,8 +95,8 @@ def absorb(
         if (np.abs(point - moved) <= 1e-6 * sigma).all():
             break
     V = np.ascontiguousarray(np.linalg.solve(L, H @ rows))
-    status = _correct(mean, P, d, V, white, rule.retraction, rule.clones, rule.clones_end)
-    return PoseOutcome(status, True, nis, own)
+    status = correct_all(mean, P, d, V, white, rule.retraction, rule.clones, rule.clones_end)
+    return PoseOutcome(status, True, nis, own, log_det)
 
 
 def _innovation(
@@ -96,7 +118,7 @@ def _innovation(
 
 
 @numba.njit(cache=True)
-def _correct(
+def correct_all(
     mean: Array, P: Array, d: int, V: Array, white: Array, retraction: int, clones: int, clones_end: int
 ) -> int:
     """The Kalman update: mean += V' white (or see `move`), P -= V' V, for V (m, d); returns a status."""
@@ -105,16 +127,16 @@ def _correct(
     for i in range(m):
         for r in range(d):
             shift[r] += V[i, r] * white[i]
-    row = np.empty(d)
-    for r in range(d):
-        for c in range(d):
-            row[c] = 0.0
-        for i in range(m):
-            weight = V[i, r]
-            for c in range(d):
-                row[c] += weight * V[i, c]
-        for c in range(d):
-            P[r, c] -= row[c]
+    for r in range(d):  # the order of factors does not matter to a bit, so P stays symmetric
+        if m == 3:
+            a, b, c = V[0, r], V[1, r], V[2, r]
+            for j in range(d):
+                P[r, j] -= a * V[0, j] + b * V[1, j] + c * V[2, j]
+        else:
+            for i in range(m):
+                a = V[i, r]
+                for j in range(d):
+                    P[r, j] -= a * V[i, j]
     if retraction == ADDITIVE:
         for r in range(d):
             mean[r] += shift[r]
@@ -161,10 +183,25 @@ def replace_pose(mean: Array, P: Array, d: int, at: int, first: Array) -> None:
             P[j, at + q] = P[at + q, j]
 
 
-def not_used(dof: list[int]) -> PoseUpdated:
-    """The result of an update with measurements (f,) before any is used."""
-    f = len(dof)
-    return PoseUpdated(np.zeros(f, np.bool_), np.full(f, np.nan), np.array(dof, np.int64), np.full((f, 3), np.nan))
+def of_fixes(frame: SensorFrame, fixes: FrameFixes, sources: tuple[FixSource, ...]) -> list[Measured]:
+    """The fixes (f,) of a frame, for states in `frame`."""
+    found = []
+    for kind, source, z, C in zip(fixes.kind.tolist(), fixes.source.tolist(), fixes.z, fixes.covariance, strict=True):
+        rows = list(MEASURED[FixKind(kind)])
+        measure = measure_fix(frame, kind, sources[source], z[rows])
+        found.append(Measured(rows, measure, C[np.ix_(rows, rows)]))
+    return found
+
+
+def of_closures(frame: SensorFrame, closures: FrameClosures, now: int) -> list[Measured]:
+    """The closures (c,) known at frame `now`, for states in `frame`."""
+    found = []
+    both = zip(closures.frame1.tolist(), closures.frame2.tolist(), closures.relative, closures.covariance, strict=True)
+    for frame1, frame2, relative, covariance in both:
+        earlier = frame1 if frame2 == now else frame2
+        measure = measure_closure(frame, relative, forward=earlier == frame1)
+        found.append(Measured([0, 1, 2], measure, covariance, earlier))
+    return found
 
 
 def measure_fix(frame: SensorFrame, kind: int, source: FixSource, z: Array) -> Measure:
@@ -222,6 +259,17 @@ class Clones:
         self.frames: list[int] = []  # of the clones, by place
         self._last: dict[int, int] = {}
         self._ends: dict[int, list[int]] = {}
+        self._held = set[int]()
+
+    def hold(self, frame: int) -> None:
+        """Keep a frame, the present one or one that is kept already, until it is released."""
+        self._held.add(frame)
+
+    def release(self, frame: int) -> None:
+        """Keep a frame no longer than later closures need it."""
+        self._held.discard(frame)
+        if self._last.get(frame, -1) <= self.now:
+            self._ends.setdefault(self.now, []).append(frame)
 
     def keep(self, last_use: dict[int, int]) -> None:
         """The frames to keep, each with the frame of its last use."""
@@ -229,16 +277,29 @@ class Clones:
         for frame, last in self._last.items():
             self._ends.setdefault(last, []).append(frame)
 
+    def at(self, measured: Measured, base: int, size: int) -> IntArray | None:
+        """States (q,) that are measured: pose and errors, the leading `base`, and an earlier pose from `size` on.
+
+        None: the earlier pose is not in the state.
+        """
+        present = np.arange(base)
+        if measured.earlier is None:
+            return present
+        if measured.earlier not in self.frames:
+            return None
+        return np.concatenate([present, size + 3 * self.frames.index(measured.earlier) + np.arange(3)])
+
     @property
     def expected(self) -> bool:
         """Whether there are frames to keep."""
-        return bool(self._last)
+        return bool(self._last or self._held)
 
     @property
     def wanted(self) -> bool:
         """Whether the present frame is to be kept."""
-        return self._last.get(self.now, -1) > self.now
+        return self.now in self._held or self._last.get(self.now, -1) > self.now
 
     def over(self) -> list[int]:
         """The frames in the state that were used for the last time in the present frame."""
-        return [frame for frame in self._ends.get(self.now, []) if frame in self.frames]
+        ends = dict.fromkeys(self._ends.pop(self.now, []))
+        return [frame for frame in ends if frame in self.frames and frame not in self._held]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from association.expectation import Expectation
@@ -9,9 +11,9 @@ from data.blocks import coordinates, coordinates_from
 from data.inputs import FrameObservations, IntArray, Prior, Systematic
 from data.result import NEW, Finished, MapState, Updated
 from data.se2 import Array, wrap_angle
-from data.sensors import Sensor
-from ekf import kernels, systematic
-from ekf.filter import DEFAULT, Filter, FilterOptions
+from data.sensors import EachSensor, Sensor
+from ekf import delayed_landmarks, kernels, systematic
+from ekf.filter import DEFAULT, Filter, FilterDivergedError, FilterOptions
 from ekf.nearby import EMPTY, MARGIN, may_be_observed, parked_bounds
 from ekf.parking import LONGEST, Parked, symmetric
 
@@ -249,13 +251,7 @@ class EkfSlam(Filter):
             kernels.augment(self._kind, self._extrinsic, self._mean, self._P, end, z, R, variance, self._first)
             end += 2
         if self._carried and len(fresh):
-            d, e = self.size, self._used
-            order = np.concatenate([np.arange(e, end), np.arange(d, e)])
-            self._mean[d:end] = self._mean[order]
-            self._P[:end, d:end] = self._P[:end, order]
-            self._P[d:end, :end] = self._P[order, :end]
-            if len(self._first):
-                self._first[d:end] = self._first[order]
+            self._before_carried(self.size, self._used, end)
         for i in fresh:
             self._offset[self.created] = self.size
             updated.created[i] = self.created
@@ -263,6 +259,61 @@ class EkfSlam(Filter):
             self.created += 1
             self.size += 2
         return updated
+
+    def hold(self, frame: int) -> None:
+        """Keep the present frame's pose for `initialize`, until `release`; no landmark can be parked meanwhile."""
+        self._clones.hold(frame)
+
+    def release(self, frame: int) -> None:
+        """Keep a frame's pose no longer for `initialize`."""
+        self._clones.release(frame)
+
+    def _at_poses(self, frames: IntArray) -> IntArray:
+        """Offsets (3n,) of the poses of frames (n,), kept or the present one."""
+        places = [0 if k == self._clones.now else self.size + 3 * self._clones.frames.index(k) for k in frames.tolist()]
+        return np.asarray((np.array(places, np.int64)[:, None] + np.arange(3)).ravel())
+
+    def held(self, frames: IntArray) -> tuple[Array, Array]:
+        """Poses (n, 3) of frames, kept or the present one, and their joint covariance (3n, 3n), in the world."""
+        at = self._at_poses(frames)
+        return self._mean[at].reshape(-1, 3), self._P[np.ix_(at, at)]
+
+    def initialize(
+        self, frames: IntArray, sensors: Sequence[Sensor], observations: FrameObservations, xy: Array
+    ) -> tuple[int, float, int, float]:
+        """A new landmark near xy (2,), from all its observations (m) by sensors (m), from frames (m,), kept or present.
+
+        Returns its number, and NIS, degrees of freedom and log-likelihood of what updated the poses.
+        """
+        self._version += 1
+        self._grow(1)
+        at, d, n = self._at_poses(frames), self._used, len(frames)
+        each, points = EachSensor(tuple(sensors), np.arange(n)), np.repeat(xy[None], n, axis=0)
+        z_hat, Hx, Hl = each.linearize(self._mean[at].reshape(-1, 3), points)
+        if len(self._first):
+            Hx, Hl = each.jacobians(self._first[at].reshape(-1, 3), points)
+            self._first[d : d + 2] = xy
+        split = delayed_landmarks.whitened(each.residual(observations.z, z_hat), Hx, Hl, observations.R)
+        measured = sum(len(s.measures) for s in sensors)
+        rule = self._rule[0], *self._clone_range
+        done = delayed_landmarks.initialize(self._mean, self._P, d, at, split, xy, measured, rule)
+        if done.status != kernels.OK:
+            raise FilterDivergedError(kernels.FAILURES[done.status])
+        self._before_carried(self.size, d, d + 2)
+        self._number = np.append(self._number, self.created)
+        self._offset[self.created] = self.size
+        self.created += 1
+        self.size += 2
+        return self.created - 1, done.nis, done.dof, done.log_likelihood
+
+    def _before_carried(self, d: int, e: int, end: int) -> None:
+        """Move new landmarks at the offsets from e to end in front of the carried states, which begin at d."""
+        order = np.concatenate([np.arange(e, end), np.arange(d, e)])
+        self._mean[d:end] = self._mean[order]
+        self._P[:end, d:end] = self._P[:end, order]
+        self._P[d:end, :end] = self._P[order, :end]
+        if len(self._first):
+            self._first[d:end] = self._first[order]
 
     def remove(self, numbers: IntArray) -> None:
         """Marginalize landmarks out, active or parked."""

@@ -160,23 +160,27 @@ def move(mean: Array, P: Array, d: int, shift: Array, base: int, clones: int, cl
             own = shift[r + 2]
             _step(mean, shift, r, own, *_exponential(own), step, column)
             step[r + 2] = own
-            heading[r], heading[r + 1] = r + 2, r + 2
+            heading[r], heading[r + 1], heading[r + 2] = r + 2, r + 2, r + 2
             r += 3
         else:
             _step(mean, shift, r, angle, a, b, step, column)
             r = base if r == 0 else r + 2
     for r in range(3, base):
         step[r] = shift[r]
-    for i in range(d):
-        for j in range(d):
-            P[i, j] += column[i] * P[heading[i], j]
-    for i in range(d):
-        for j in range(d):
-            P[i, j] += P[i, heading[j]] * column[j]
-    for i in range(d):
-        for j in range(i):
-            mid = 0.5 * (P[i, j] + P[j, i])
-            P[i, j], P[j, i] = mid, mid
+    # rows, then columns, of each row of a point, then of the headings, which the others need as they were
+    for headings in (False, True):
+        for i in range(d):
+            if (heading[i] == i) == headings:
+                for j in range(d):
+                    P[i, j] += column[i] * P[heading[i], j]
+                for j in range(d):
+                    P[i, j] += P[i, heading[j]] * column[j]
+    for top in range(0, d, TILE):
+        for left in range(0, top + 1, TILE):
+            for i in range(top, min(top + TILE, d)):
+                for j in range(left, min(left + TILE, i)):
+                    mid = 0.5 * (P[i, j] + P[j, i])
+                    P[i, j], P[j, i] = mid, mid
     for i in range(d):
         mean[i] += step[i]
     mean[2] += angle

@@ -9,20 +9,15 @@ import numpy as np
 
 from data.errors import UsageError
 from data.inputs import Inputs, IntArray, LandmarkMap
-from data.motion.systematic import SensorFrame, sensor_frame
+from data.motion.systematic import sensor_frame
 from data.pose_measurements import FrameClosures, FrameFixes
 from data.se2 import Array, BoolArray
 from graph.factors import LOSSES, ObservationFactors, between_factors, known_landmark_factors, landmark_factors
 from graph.optimum import Smoothed, optimize
 from graph.pose_factors import PoseFactor, closure_factors, fix_factors
 from graph.problem import Problem
-from graph.systematic import Calibrated
+from graph.systematic import Calibrated, refuse_pose_measurements
 from graph.walls import line_factors, refuse
-
-NO_SENSOR_ERRORS = (
-    "systematic errors of range or bearing are not estimated beside fixes or closures: those of odometry are "
-    "(--calibrate scale,curvature,left,right,drift)"
-)
 
 
 class Start(NamedTuple):
@@ -84,14 +79,15 @@ def build(
     """The factors of a log under given decisions."""
     calibrated, sensor = None, inputs.sensor
     refuse(inputs.systematic, sensor)
+    of_poses = _of_poses(inputs, loss, rejected)
     if inputs.systematic is None:
         motion, _ = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
     else:
         frame = sensor_frame(inputs.systematic, inputs.sensor, inputs.prior)
         calibrated, sensor = Calibrated(inputs.systematic, frame, inputs.increments), frame.sensor(inputs.sensor)
-        refuse_pose_measurements(inputs, calibrated.frame)
+        if of_poses:
+            refuse_pose_measurements(frame)
         motion = calibrated.motion()
-    of_poses = _of_poses(inputs, loss, rejected)
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     o = inputs.observations
@@ -124,12 +120,6 @@ def _without(factors: list[PoseFactor], rejected: BoolArray | None) -> list[Pose
     if rejected is None:
         return factors
     return [p.left_out() if out else p for p, out in zip(factors, rejected.tolist(), strict=True)]
-
-
-def refuse_pose_measurements(inputs: Inputs, frame: SensorFrame) -> None:
-    """Raise UsageError for fixes or closures beside errors of the sensor, whose frame is not the world."""
-    if (inputs.fixes is not None or inputs.closures is not None) and not frame.same:
-        raise UsageError(NO_SENSOR_ERRORS)
 
 
 def _of_several(inputs: Inputs, used: IntArray, number: IntArray, loss: str) -> list[ObservationFactors]:

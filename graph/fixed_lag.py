@@ -10,11 +10,13 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior, Systematic
+from data.pose_measurements import PoseUpdated
 from data.result import Finished, Trajectory
 from data.sensors import Sensor
 from graph.engine import Window
 from graph.incremental import SKIP, THRESHOLD, Isam2Smoother
 from graph.optimum import in_world
+from graph.pose_factors import PoseFactor
 
 SLACK = 0.1  # share of the lag by which the oldest pose may exceed it, before all older ones are marginalized together
 
@@ -75,6 +77,20 @@ class FixedLagSmoother(Isam2Smoother):
     def _extend(self, observations: FrameObservations, number: IntArray) -> None:
         """Add the motion since the anchor and these observations, then marginalize what is too old."""
         super()._extend(observations, number)
+        self._marginalize_old()
+
+    def _measure(self, factors: list[PoseFactor], done: PoseUpdated) -> None:
+        """As `Isam2Smoother`, then marginalize what is too old."""
+        super()._measure(factors, done)
+        self._of_poses.clear()
+        if done.used.any():
+            self._marginalize_old()
+
+    def _held(self, frames: IntArray) -> IntArray:
+        """A closure to a frame that left the window is not used."""
+        return frames[frames >= self._oldest]
+
+    def _marginalize_old(self) -> None:
         now = self._time[-1]
         if now - self._time[self._oldest - self._timed] > (1.0 + self.slack) * self.lag:
             self._marginalize_before(self._timed + bisect_left(self._time, now - self.lag))

@@ -7,25 +7,30 @@ next observation. So every frame is a variable, with the same estimate.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import gtsam
 import numpy as np
-from gtsam.symbol_shorthand import L
+from gtsam.symbol_shorthand import L, X
 
 from association.candidates import in_view, view_radius
 from association.expectation import Expectation
+from data.blocks import block_diagonal
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior, Systematic
+from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated
-from data.se2 import Array, BoolArray
+from data.se2 import Array, BoolArray, world_from_body, worlds_from_bodies
 from data.sensors import Sensor
 from graph import expected
 from graph.calibration.open_end import CalibratedEnd
 from graph.engine import Engine
-from graph.factors import Factor, ObservationFactors
+from graph.factors import Factor, ObservationFactors, is_exact
+from graph.in_turn import closures_of, fixes_of, in_turn
 from graph.observed import Observed
 from graph.open_end import OpenEnd
 from graph.optimum import optimize
-from graph.systematic import errors_of
+from graph.pose_factors import PoseFactor, closure_factors, fix_factors
+from graph.systematic import errors_of, refuse_pose_measurements
 from graph.walls import refuse
 
 THRESHOLD = 0.05  # m, rad. Relinearize variables that moved further than this, ...
@@ -62,6 +67,7 @@ class Isam2Smoother:
         self._end = OpenEnd(prior)
         if errors := None if systematic is None else errors_of(systematic, sensor, prior):
             self._end, self.sensor = CalibratedEnd(prior, errors), errors.frame.sensor(sensor)
+        self._of_poses, self._systematic = list[PoseFactor](), errors  # fixes and closures so far
         self._observed = Observed(self.sensor, known, loss, errors)
         self._candidates = expected.Candidates(self.sensor, known)
         low = np.linalg.eigvalsh(prior.covariance)
@@ -202,6 +208,68 @@ class Isam2Smoother:
         handles = self._engine.add([*motion, *self._observed.add(seen, values, late=late)], values)
         self._observed.hold(seen, handles[len(motion) :])
 
+    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+        """Add the fixes of the newest pose that are inside the gate. Raises UsageError beside errors of the sensor."""
+        self._refuse()
+        done = in_turn(self._end.mean, self._end.P, fixes_of(fixes, sources), gate)
+        self._measure(fix_factors([self.frame] * len(done.used), fixes, sources, self.loss), done)
+        return done
+
+    def keep(self, last_use: dict[int, int]) -> None:
+        """Every frame stays in the graph."""
+
+    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+        """As `fix`, with closures of the newest pose."""
+        self._refuse()
+        first, second = closures.frame1, closures.frame2
+        earlier = self._held(np.unique(np.concatenate([first[first != self.frame], second[second != self.frame]])))
+        frames = np.append(earlier, self.frame)
+        measured = closures_of(closures, frames)
+        if len(earlier) and earlier[-1] > self._end.anchor:
+            self._complete()
+        done = in_turn(*self._poses(earlier), measured, gate)
+        self._measure(closure_factors(closures, ("closures",), self.loss), done)
+        return done
+
+    def _refuse(self) -> None:
+        if self._systematic is not None:
+            refuse_pose_measurements(self._systematic.frame)
+
+    def _held(self, frames: IntArray) -> IntArray:
+        """Those of some frames (k,) that are in the graph, or join it with the newest pose."""
+        return frames
+
+    def _poses(self, frames: IntArray) -> tuple[Array, Array]:
+        """Poses of frames (k,) in the graph and the newest one, stacked, with their joint covariance, world frame."""
+        pose = np.array([self._engine.pose(X(k)) for k in frames.tolist()]).reshape(-1, 3)
+        exact = is_exact(self.prior) and len(frames) > 0 and frames[0] == 0
+        asked = frames[1:] if exact else frames
+        keys = self._end.keys
+        others = [X(k) for k in asked.tolist() if k != self._end.anchor]
+        J = self._engine.covariance([*keys, *others])
+        if len(others) < len(asked):  # the newest of them is the anchor, which is the first of the keys
+            again = np.append(np.arange(len(J)), np.arange(3))
+            J = J[np.ix_(again, again)]
+        J = self._end.carried(J)
+        T = np.eye(len(J))
+        for i, theta in enumerate(pose[len(pose) - len(asked) :, 2].tolist(), 1):
+            T[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = world_from_body(theta)
+        J = T @ J @ T.T
+        # the newest one last, and the first one with its exact pose
+        P = np.zeros((3 * len(frames) + 3,) * 2)
+        order = np.concatenate([np.arange(3, len(J)), np.arange(3)])
+        P[len(P) - len(J) :, len(P) - len(J) :] = J[np.ix_(order, order)]
+        return np.append(pose.ravel(), self._end.mean), 0.5 * (P + P.T)
+
+    def _measure(self, factors: list[PoseFactor], done: PoseUpdated) -> None:
+        """Add those factors (f) of the newest pose that are used to the graph, and read the newest pose."""
+        self._of_poses += [p if yes else p.left_out() for p, yes in zip(factors, done.used.tolist(), strict=True)]
+        if done.used.any():
+            motion, values = self._flush()
+            used = [p.factor for p, yes in zip(factors, done.used.tolist(), strict=True) if yes]
+            self._engine.add([*motion, *used], values)
+            self._read()
+
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
         """Replace the pairings of frames (m,) up to now by observations (m) and decisions (m,), negative for none. In
         SLAM this is only for `finish`, and for all observations.
@@ -232,6 +300,44 @@ class Isam2Smoother:
         before = self._end.mean
         self._end.read(self._engine)
         self._candidates.corrected(self._end.mean[:2] - before[:2])
+
+    def hold(self, frame: int) -> None:
+        """Nothing to do: every pose is a variable."""
+
+    def release(self, frame: int) -> None:
+        """See `hold`."""
+
+    def held(self, frames: IntArray) -> tuple[Array, Array]:
+        """Poses (n, 3) of frames, and their joint covariance (3n, 3n), in the world."""
+        self._complete()
+        once, which = np.unique(frames, return_inverse=True)
+        pose = np.array([self._engine.pose(X(k)) for k in once.tolist()])
+        turn = worlds_from_bodies(pose[:, 2])
+        B = block_diagonal(turn)
+        joint = B @ self._engine.covariance([X(k) for k in once.tolist()]) @ B.T
+        rows = (3 * which[:, None] + np.arange(3)).ravel()
+        return pose[which], joint[np.ix_(rows, rows)]
+
+    def initialize(
+        self, frames: IntArray, sensors: Sequence[Sensor], observations: FrameObservations, xy: Array
+    ) -> tuple[int, float, int, float]:
+        """A new landmark that starts at xy (2,), with all its observations (m) by sensors (m), from frames (m,).
+
+        Returns its number; a smoother forms no innovations, so NaN, 0 and NaN.
+        """
+        number, values, present = self.created, gtsam.Values(), self.sensor
+        self.created += 1
+        values.insert(L(number), xy)
+        found = list[ObservationFactors]()
+        for i, sensor in enumerate(sensors):
+            row = slice(i, i + 1)
+            seen = FrameObservations(observations.z[row], observations.R[row])
+            self.look(sensor)
+            found += self._observed.factors_of(seen, frames[row], np.array([number]), self._end, self._engine, values)
+        self.look(present)
+        self._add([], found, values, late=True)
+        self.refine()
+        return number, np.nan, 0, np.nan
 
     def remove(self, numbers: IntArray) -> None:
         """Remove landmarks with all their observations."""
@@ -291,9 +397,9 @@ class Isam2Smoother:
         """Final path and map with exact marginals: the optimum of all data, reached from the present estimate."""
         self._complete()
         values = self._engine.values()
-        problem = self._observed.problem(self._end, values)
+        problem = replace(self._observed.problem(self._end, values), pose_factors=self._of_poses)
         for n in [] if self.map is not None else np.setdiff1d(self.numbers, problem.numbers).tolist():
             values.erase(L(n))
         found = optimize(problem, self._end.start(values, problem), loss=self.loss)
-        effort = found.iterations, found.last_step
-        return Finished(found.trajectory, found.map, found.total_nis, *effort, found.systematic)
+        effort = found.iterations, found.last_step, found.systematic
+        return Finished(found.trajectory, found.map, found.total_nis, *effort, found.fixes, found.closures)

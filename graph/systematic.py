@@ -9,11 +9,17 @@ from functools import cached_property
 import gtsam
 import numpy as np
 
+from data.errors import UsageError
 from data.inputs import Increments, IntArray, Prior, Systematic
 from data.motion.systematic import BETWEEN_KNOTS, SensorFrame, corrected_all, knots, places, sensor_frame
 from data.se2 import Array
 from data.sensors import Sensor
 from graph.factors import between_factors
+
+NO_SENSOR_ERRORS = (
+    "systematic errors of range or bearing are not estimated beside fixes or closures: those of odometry are "
+    "(--calibrate scale,curvature,left,right,drift)"
+)
 
 CONSTANTS = gtsam.symbol("c", 0)  # key of all constant systematic errors, a vector in units of their prior sigmas
 
@@ -84,6 +90,12 @@ class Errors:
         if self.drift >= 0:
             found.append((drift_key(knot), J[:, self.drift : self.drift + 1]))
         return found
+
+
+def refuse_pose_measurements(frame: SensorFrame) -> None:
+    """Raise UsageError for fixes or closures beside errors of the sensor, whose frame is not the world."""
+    if not frame.same:
+        raise UsageError(NO_SENSOR_ERRORS)
 
 
 def errors_of(systematic: Systematic, sensor: Sensor, prior: Prior) -> Errors:

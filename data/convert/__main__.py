@@ -26,6 +26,7 @@ EXAMPLES = """\
 examples:
   python -m data.convert mrclam MRCLAM_Dataset9.zip logs/nine --robot 3 --exclude-truth 755:836 --exclude-truth 945:1050
   python -m data.convert victoria-park logs/victoria
+  python -m data.convert plaza 1 logs/plaza-1
   python -m data.convert carmen intel.log.gz logs/intel
   python -m data.convert rosbag robot.bag logs/robot --scan /scan --odom /odom
   python -m data.convert table robot.csv logs/robot --columns t=stamp,v=speed --unit angle=deg,time=ns  (and more)

@@ -1,4 +1,4 @@
-"""Recordings with few flags as open logs: CARMEN, ROS bags (with `rosbags`), the visual lab, Victoria Park."""
+"""Recordings with few flags as open logs: CARMEN, ROS bags (with `rosbags`), the visual lab, Victoria Park, Plaza."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ if TYPE_CHECKING:
     from data.formats.recordings.mending import Mending
     from data.log import Log
 
-KINDS = ("victoria-park", "carmen", "rosbag", "lab")
+KINDS = ("victoria-park", "plaza", "carmen", "rosbag", "lab")
+PLAZA = """\
+examples:
+  python -m data.convert plaza 1 logs/plaza-1
+  python -m data.convert plaza 2 logs/plaza-2-raw --range-scale 1 --range-sigma 3
+"""
 CARMEN = """\
 examples:
   python -m data.convert carmen intel.log.gz logs/intel                       relations: intel.relations.csv beside it
@@ -39,6 +44,17 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
         description="Victoria Park: 6969 frames of a car among trees, from the installed gtsam wheel. No ground truth.",
         epilog="example:\n  python -m data.convert victoria-park logs/victoria",
     )
+    plaza = add(
+        "plaza",
+        help="a Plaza range-only log that gtsam bundles",
+        description="Ranges to four radio beacons at known places, wheel odometry with a gyro, and RTK GPS as ground "
+        "truth, from the installed gtsam wheel.",
+        epilog=PLAZA,
+    )
+    plaza.add_argument("set", metavar="SET", type=int, choices=(1, 2), help="1 or 2")
+    text = "ranges are divided by it (default: 1.07, which the ground truth of both sets tells)"
+    plaza.add_argument("--range-scale", metavar="S", type=float, default=1.07, help=text)
+    plaza.add_argument("--range-sigma", metavar="M", type=float, default=0.5, help="noise of a range (default: 0.5)")
     carmen = add(
         "carmen",
         help="a CARMEN log with laser scans (.log, .clf, also .gz, .bz2)",
@@ -60,7 +76,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
         epilog=LAB,
     )
     lab.add_argument("source", metavar="FOLDER", type=Path, help="with configuration, log file and folder landmark/")
-    for each in (park, carmen, rosbag, lab):
+    for each in (park, plaza, carmen, rosbag, lab):
         each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     text = "poses are a particle filter's: recover the raw odometry"
     carmen.add_argument("--undo-correction", action="store_true", help=text)
@@ -122,6 +138,14 @@ def convert(args: argparse.Namespace) -> Log:
         from data.formats.recordings.victoria_park import load_victoria_park
 
         return load_victoria_park()
+    if args.kind == "plaza":
+        from data.errors import UsageError
+        from data.formats.recordings.plaza import load_plaza
+
+        for flag, value in (("--range-scale", args.range_scale), ("--range-sigma", args.range_sigma)):
+            if not 0.0 < value < 1e3:
+                raise UsageError(f"{flag} {value:g}: a number above 0 is needed")
+        return load_plaza(args.set, args.range_scale, args.range_sigma)
     if args.kind == "carmen":
         from data.formats.recordings.carmen import load_carmen
 

@@ -269,7 +269,8 @@ def _writable(locked: Any) -> Any:
     """A copy of a frozen dataclass with writable arrays."""
     copy = replace(locked)
     for f in fields(copy):
-        object.__setattr__(copy, f.name, np.array(getattr(copy, f.name)))
+        if isinstance(value := getattr(copy, f.name), np.ndarray):
+            object.__setattr__(copy, f.name, np.array(value))
     return copy
 
 

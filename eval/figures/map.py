@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -16,6 +17,7 @@ from matplotlib.patheffects import withStroke
 
 from data.inputs import IntArray
 from data.log import Log
+from data.pose_measurements import FixKind
 from data.result import MapEstimate, Run
 from data.se2 import Array, dead_reckoned
 from eval.figures import plane
@@ -26,6 +28,8 @@ from eval.referee.given.runs import is_truth_alone
 
 MOST_IDS = 30
 LONG_LABEL = 24
+FAINT = "#b0b0b0"
+"""Of fixes and closures."""
 GREY = "#606060"
 """What the legend shows of every estimator."""
 AMBIGUOUS: dict[str, Any] = {"color": "black", "marker": "D", "fillstyle": "none", "linestyle": "none"}
@@ -103,6 +107,7 @@ def map_figure(
     handles: list[Line2D | Patch] = _draw_paths(ax, made)
     handles += _draw_true_landmarks(ax, made) if surveyed is None else surveyed(ax)
     handles += _draw_estimates(ax, made)
+    handles += _draw_sources(ax, made)
     handles += plane.draw_start(ax, log.recorded.prior.mean)
     _fit(fig, ax, made, runs, width or page_width(), handles)
     return fig
@@ -127,6 +132,20 @@ def _draw_paths(ax: Axes, m: _Map) -> list[Line2D | Patch]:
         flaw = None if s is None else s.run.flaw
         name = label if flaw is None else f"{label}:\n{flaw.status} at frame {flaw.frame}"
         handles += ax.plot(*path.T, color=colour, linestyle=line, linewidth=1.0, label=name, zorder=3)
+    return handles
+
+
+def _draw_sources(ax: Axes, m: _Map) -> list[Line2D]:
+    """Faintly, places that fixes state, and closures between the poses of the last path."""
+    handles: list[Line2D] = []
+    fixes, closures = m.log.recorded.fixes, m.log.recorded.closures
+    if fixes is not None and len(places := fixes.z[fixes.kind != FixKind.HEADING, :2]):
+        handles += ax.plot(*places.T, "x", color=FAINT, markersize=3.0, markeredgewidth=0.6, label="fixes", zorder=1.5)
+    if closures is not None and len(closures) and m.paths:
+        path = list(m.paths.values())[-1]
+        ends = np.stack([path[closures.frame1], path[closures.frame2]], axis=1)
+        ax.add_collection(LineCollection(list(ends), colors=FAINT, linewidths=0.6, zorder=1.5), autolim=False)
+        handles.append(Line2D([], [], color=FAINT, linewidth=0.9, label="closures"))
     return handles
 
 

@@ -77,7 +77,9 @@ def names_of(inputs: Inputs, smoother: Run) -> tuple[str, ...]:
 
 def hypotheses(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
     """Effects of the battery, with the exact errors of odometry (left and right turns separate)."""
-    found = [e for e in effects.effects(inputs, path, used) if e.name not in LESS_WELL]
+    of_sources = ("fixes", "closures")  # nothing here estimates their errors
+    plain = (e for e in effects.effects(inputs, path, used) if all(getattr(e, part) is None for part in of_sources))
+    found = [e for e in plain if e.name not in LESS_WELL]
     step = se2.between(path[:-1], path[1:])
     column = np.zeros((len(path), 3, len(ERRORS)))
     # of the smoothed steps: the noise of measured ones is correlated with the residuals

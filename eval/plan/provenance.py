@@ -107,6 +107,7 @@ def input_digest(log: Log) -> str:
     for landmarks in (r.map, t.landmarks):
         if landmarks is not None:
             arrays += [landmarks.id, landmarks.xy]
+            digest.update(repr(landmarks.kind).encode() if landmarks.kind is not None else b"")
     if r.scans is not None:
         arrays += [r.scans.frame, r.scans.ranges]
         digest.update(repr(r.scans.scanner).encode())

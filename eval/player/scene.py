@@ -18,6 +18,7 @@ from association.expectation import gate_threshold
 from association.scans.constraints import LaserRun
 from data.inputs import IntArray
 from data.log import Log
+from data.pose_measurements import FixKind
 from data.result import Run
 from data.se2 import Array, wrap_angle
 from eval.figures.laser import LOOP_STATES, loop_states
@@ -303,6 +304,12 @@ def _add_log(pack: Pack, log: Log, quantum: float) -> None:
     if t.pose is not None:
         pack.add("truth", t.pose[:, :2], fine)
         pack.add("truth_theta", wrap_angle(t.pose[:, 2]), ANGLE)
+    if r.fixes is not None:
+        some = r.fixes.kind != FixKind.HEADING
+        pack.add("fix_frame", r.fixes.frame[some])
+        pack.add("fix_xy", r.fixes.z[some, :2], fine)
+    if r.closures is not None:
+        pack.add("closure_frames", np.column_stack([r.closures.earlier, r.closures.later]))
     if t.landmark_of is not None:
         pack.add("true_id", t.landmark_of)
     granted = log.granted

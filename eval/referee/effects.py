@@ -16,21 +16,28 @@ import numpy as np
 
 from data import se2
 from data.inputs import Inputs, IntArray
+from data.pose_measurements import Closures, Fixes
 from data.result import Systematics
 from data.se2 import Array
 from data.sensors import RELATIVE_POINT
 from eval.referee.residuals import Used
+from eval.referee.source_residuals import columns
+from graph.qr.of_poses import OfPoses
 from graph.qr.score_test import Score, systematic
 
 DELAYS = ("latency", "latency_growth")
 
 
 class Effect(NamedTuple):
-    """Derivative of the increments (N, 3) or the observations (M, 2) with respect to a systematic error."""
+    """Derivative of the increments (N, 3), the observations (M, 2), the fixes (F, 3) or the closures (K, 3) with
+    respect to a systematic error.
+    """
 
     name: str
     motion: Array | None = None
     observations: Array | None = None
+    fixes: Array | None = None
+    closures: Array | None = None
 
 
 def effects(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
@@ -42,10 +49,11 @@ def effects(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
     step's turn that was driven before its way. For observations, `constant` is a bias in the component's unit and
     `range` grows with the range; for points, z1 is then along the ray (a share) and z2 across it (an angle). `latency`
     is the delay [s] of both coordinates, `latency_growth` its growth [s/s], `mount_{x,y}` a displacement of the sensor
-    [m]; in a known map, `map_scale` is a share.
+    [m]; in a known map, `map_scale` is a share. Those of fixes and closures are in `source_residuals.columns`.
     """
     found = [Effect(f"odometry_{name}", motion=column) for name, column in _motion(inputs, path).items()]
     found += [Effect(name, observations=column) for name, column in _observations(inputs, path, used).items()]
+    found += [Effect(name, fixes=fixes, closures=closures) for name, fixes, closures in columns(inputs, path)]
     return [e for e in found if any(column is not None and np.any(column != 0.0) for column in e[1:])]
 
 
@@ -139,8 +147,26 @@ def score_of(
     inputs: Inputs, path: Array, used: Used, hypotheses: Sequence[Effect], along: Systematics | None = None
 ) -> Scored:
     """Scores of given systematic errors."""
-    score = systematic(inputs, used.number, path, used.landmarks, *_columns(inputs, hypotheses), along)
+    motion, observed = _columns(inputs, hypotheses)
+    of_poses = poses_of(inputs, used, hypotheses)
+    score = systematic(inputs, used.number, path, used.landmarks, motion, observed, along, of_poses)
     return Scored(tuple(e.name for e in hypotheses), score)
+
+
+def poses_of(inputs: Inputs, used: Used, hypotheses: Sequence[Effect] = ()) -> OfPoses | None:
+    """The used fixes and closures with the effect of hypotheses on them; None: the log has none."""
+    if inputs.fixes is None and inputs.closures is None:
+        return None
+    f, k = (0 if each is None else len(each) for each in (inputs.fixes, inputs.closures))
+    by_fixes, by_closures = np.zeros((f, 3, len(hypotheses))), np.zeros((k, 3, len(hypotheses)))
+    for i, e in enumerate(hypotheses):
+        if e.fixes is not None:
+            by_fixes[:, :, i] = e.fixes
+        if e.closures is not None:
+            by_closures[:, :, i] = e.closures
+    fixes = np.zeros(f, bool) if used.fixes is None else used.fixes
+    closures = np.zeros(k, bool) if used.closures is None else used.closures
+    return OfPoses(fixes, by_fixes, closures, by_closures)
 
 
 def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float]) -> Inputs:
@@ -155,7 +181,31 @@ def without(inputs: Inputs, path: Array, used: Used, sizes: Mapping[str, float])
     z = o.z - observations @ size - _delayed(inputs, *(sizes.get(name, 0.0) if exact else 0.0 for name in DELAYS))
     if sensor.kind != RELATIVE_POINT:
         z = np.column_stack([np.abs(z[:, 0]), se2.wrap_angle(z[:, 1])])
+    found_in = poses_of(inputs, used, found)
+    if found_in is not None:
+        inputs = replace(
+            inputs, fixes=_fixes_less(inputs.fixes, found_in.by_fixes @ size),
+            closures=_closures_less(inputs.closures, found_in.by_closures @ size),
+        )  # fmt: skip
     return replace(inputs, increments=replace(increments, mean=mean), observations=replace(o, z=z))
+
+
+def _fixes_less(fixes: Fixes | None, off: Array) -> Fixes | None:
+    """Fixes without errors (F, 3)."""
+    if fixes is None:
+        return None
+    z = fixes.z - off
+    z[:, 2] = se2.wrap_angle(z[:, 2])
+    return replace(fixes, z=z)
+
+
+def _closures_less(closures: Closures | None, off: Array) -> Closures | None:
+    """Closures without errors (K, 3)."""
+    if closures is None:
+        return None
+    relative = closures.relative - off
+    relative[:, 2] = se2.wrap_angle(relative[:, 2])
+    return replace(closures, relative=relative)
 
 
 def _delayed(inputs: Inputs, delay: float, growth: float) -> Array:

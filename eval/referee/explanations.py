@@ -81,10 +81,10 @@ def explanations(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
 
 def mirrored(e: Evidence) -> Explanation:
     """Bearings, or the y of points, to the other side: its gain is that of the corrected inputs alone."""
-    return Explanation(Finding(NOISE, "mirrored", "z2", -1.0, gain=0.0), -_penalty(e, 1))
+    return Explanation(Finding(NOISE, "mirrored", "z2", -1.0, gain=0.0), -penalty(e, 1))
 
 
-def _penalty(e: Evidence, parameters: int, places: int = 1) -> float:
+def penalty(e: Evidence, parameters: int, places: int = 1) -> float:
     """Of the Bayesian information criterion, and the logarithm of the number of places that were searched."""
     known = np.isfinite(e.residuals.observations).sum() + np.isfinite(e.residuals.odometry).sum()
     return 0.5 * parameters * math.log(max(int(known), 2)) + math.log(max(places, 1))
@@ -117,7 +117,7 @@ def _linear(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
             float(np.hypot(*sizes[:2])) if finding.kind in ("jump", "displaced") and len(own) > 1 else float(sizes[i])
         )
         named = replace(finding, size=size, error=float(errors[i]), gain=gain)
-        net = gain - _penalty(e, len(columns), places)
+        net = gain - penalty(e, len(columns), places)
         found.append(Explanation(named, net, tuple(own.tolist())))
     return [replace(x, finding=replace(x.finding, other=_ties(x, found, left))) for x in found]
 
@@ -216,7 +216,7 @@ def _displaced(e: Evidence) -> list[tuple[Finding, tuple[Effect, ...], int]]:
 # noises
 
 
-def _of_variance(squares: ArrayLike, dof: ArrayLike) -> Array:
+def of_variance(squares: ArrayLike, dof: ArrayLike) -> Array:
     """Gain of a variance of its own, (F - 1 - ln F) dof / 2, with F the mean square over the expected one."""
     F = np.maximum(squares, 1e-12)
     return np.asarray(0.5 * np.asarray(dof) * (F - 1.0 - np.log(F)))
@@ -231,8 +231,8 @@ def _spreads(e: Evidence) -> list[Explanation]:
         if len(known) < FEWEST or not spread > 0.0:
             continue
         factor = float(known.std())
-        gain = float(_of_variance(factor**2, min(0.5 / spread**2, len(known))))
-        found.append(Explanation(Finding(NOISE, "sigma", name, factor, gain=gain), gain - _penalty(e, 1)))
+        gain = float(of_variance(factor**2, min(0.5 / spread**2, len(known))))
+        found.append(Explanation(Finding(NOISE, "sigma", name, factor, gain=gain), gain - penalty(e, 1)))
     return found
 
 
@@ -256,12 +256,12 @@ def _changes(e: Evidence) -> list[Explanation]:
                 continue
             within = float(total[at[j]] - total[at[i]]) / (2 * inside)
             rest = float(total[-1] - total[at[j]] + total[at[i]]) / (2 * outside)
-            gain = float(_of_variance(within, 2 * inside) + _of_variance(rest, 2 * outside))
+            gain = float(of_variance(within, 2 * inside) + of_variance(rest, 2 * outside))
             if gain > best[0] and within > rest:
                 best = gain, int(cuts[i]), int(cuts[j]) - 1, math.sqrt(within / rest)
     gain, first, last, factor = best
     finding = Finding(NOISE, "change", "z", factor, gain=gain, frames=((first, last),))
-    return [Explanation(finding, gain - _penalty(e, 2, CUTS**2))] if math.isfinite(gain) else []
+    return [Explanation(finding, gain - penalty(e, 2, CUTS**2))] if math.isfinite(gain) else []
 
 
 def _correlations(e: Evidence) -> list[Explanation]:
@@ -277,11 +277,11 @@ def _correlations(e: Evidence) -> list[Explanation]:
         r = (r - e.lag1.get(name, 0.0)) / (1.0 - r * e.lag1.get(name, 0.0))
         known = values[np.isfinite(values)]
         ordered += -0.5 * len(before) * math.log1p(-min(r * r, 0.9999))
-        gain += float(_of_variance(float(known.var()), len(known)))
+        gain += float(of_variance(float(known.var()), len(known)))
         both.append(r)
     finding = Finding(NOISE, CORRELATION, "z", max(both), gain=gain + ordered)
     apart = max(both) > 0.0 and ordered > SLIGHT * gain
-    return [Explanation(finding, gain + ordered - _penalty(e, 4))] if apart else []
+    return [Explanation(finding, gain + ordered - penalty(e, 4))] if apart else []
 
 
 def _are_of(e: Evidence, landmark: Explanation) -> bool:
@@ -309,7 +309,7 @@ def _tails(e: Evidence, observations: Array) -> list[Explanation]:
         best = max(best, (likelihood, dof))
     gain, dof = best
     outlying = int((e.residuals.squared > OUTLYING).sum())
-    return [Explanation(Finding(NOISE, "tails", "readings", dof, gain=gain, outliers=outlying), gain - _penalty(e, 2))]
+    return [Explanation(Finding(NOISE, "tails", "readings", dof, gain=gain, outliers=outlying), gain - penalty(e, 2))]
 
 
 def _landmarks(e: Evidence) -> list[Explanation]:
@@ -318,14 +318,14 @@ def _landmarks(e: Evidence) -> list[Explanation]:
     number, squared = e.used.number[rows], (e.observations[rows] ** 2).sum(axis=1)
     sums = np.bincount(number, np.minimum(squared, 1e6), minlength=len(e.used.landmarks))
     counts = np.bincount(number, minlength=len(sums))
-    gains = np.where(counts >= FEWEST, _of_variance(sums / np.maximum(2 * counts, 1), 2 * counts), -np.inf)
+    gains = np.where(counts >= FEWEST, of_variance(sums / np.maximum(2 * counts, 1), 2 * counts), -np.inf)
     gains = np.where(sums > 2 * counts, gains, -np.inf)
     if not np.isfinite(gains).any():
         return []
     i = int(np.argmax(gains))
     factor = math.sqrt(float(sums[i]) / (2 * int(counts[i])))
     finding = Finding(NOISE, "landmark", str(e.used.identity[i]), factor, gain=float(gains[i]))
-    return [Explanation(finding, float(gains[i]) - _penalty(e, 1, len(sums)))]
+    return [Explanation(finding, float(gains[i]) - penalty(e, 1, len(sums)))]
 
 
 CORRELATION = "correlation"

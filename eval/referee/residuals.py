@@ -26,11 +26,13 @@ FITTING = float(special.chdtri(2, 0.01))  # squared residual inside which an obs
 
 @dataclass(frozen=True, eq=False)
 class Used:
-    """The pairings of a run's last map."""
+    """The pairings of a run's last map, and the fixes and closures that it stands on."""
 
     number: IntArray  # (M,) row of `landmarks` for every observation of the log; -1: not paired
     landmarks: Array  # (L, 2)
     identity: IntArray  # (L,) landmark numbers; in localization the map's ids
+    fixes: BoolArray | None = None  # (F,) which of the log's fixes were used; None: none
+    closures: BoolArray | None = None  # (K,) the same of its closures
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +57,8 @@ def used_by(run: Run, inputs: Inputs) -> Used:
     known = np.isin(number, identity)
     order = np.argsort(identity)
     row[known] = order[np.searchsorted(identity, number[known], sorter=order)]
-    return Used(row, xy, identity)
+    fixes, closures = run.fixes_final or run.fixes, run.closures_final or run.closures
+    return Used(row, xy, identity, None if fixes is None else fixes.used, None if closures is None else closures.used)
 
 
 def smoothed_residuals(inputs: Inputs, path: Array, used: Used) -> Residuals:

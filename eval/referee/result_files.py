@@ -319,24 +319,22 @@ RELATIONS = File(
     ),
     when="logs with reference relations",
 )
+OF_SOURCES = "inliers accepted, outliers rejected, outliers accepted, inliers rejected"
 SOURCES = File(
     "sources.csv",
-    "Fixes and closures by source, one row per run, phase and source.",
+    "[Fixes and closures](verdicts.md#fixes-and-closures) by source.",
     (
         *RUN,
         text("source", "name of the source"),
-        text("kind", "what it measures: `position`, `heading`, `pose` or `closure`"),
+        text("kind", "`position`, `heading`, `pose` or `closure`"),
         count("count", "measurements in the log"),
         count("used", "accepted ones"),
         Column("nis_mean", "NIS of the accepted ones per degree of freedom"),
         count("nis_dof", "their degrees of freedom"),
-        Column("nis_low", "95 % bounds behind the gate; online only"),
-        Column("nis_high", "95 % bounds behind the gate; online only"),
-        text("verdict", "a word of [verdicts](verdicts.md) on the innovations; online only"),
-        count("tp", "inliers accepted"),
-        count("tn", "outliers rejected"),
-        count("fp", "outliers accepted"),
-        count("fn", "inliers rejected"),
+        Column("nis_low", "95 % bounds behind the gate"),
+        Column("nis_high", "95 % bounds behind the gate"),
+        text("verdict", "a word of [verdicts](verdicts.md)"),
+        *(count(name, OF_SOURCES) for name in ("tp", "tn", "fp", "fn")),
     ),
     when="logs with fixes or closures",
 )

@@ -104,8 +104,11 @@ def confusion_of(run: Run, log: Log, phase: str) -> Confusion | None:
     known = log.recorded.map if run.task == "localization" else None
     decisions, created = decided(run, phase)
     final = run.final_decisions if phase == "online" else None
-    frame = log.recorded.observations.frame
-    return confuse(frame, log.truth.landmark_of, decisions, created, known, run.removed, final)
+    o, sensors = log.recorded.observations, max(len(log.recorded.sensors), 1)
+    # the decisions about one sensor's observations of a frame are made together, after those of the sensor before
+    instant = sensors * o.frame + (0 if o.sensor is None else o.sensor)
+    removed = None if run.removed is None else np.where(run.removed < 0, -1, sensors * run.removed + sensors - 1)
+    return confuse(instant, log.truth.landmark_of, decisions, created, known, removed, final)
 
 
 def nis_of(run: Run, phase: str) -> tuple[float, int] | None:

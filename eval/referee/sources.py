@@ -2,7 +2,8 @@
 
 A filter takes fixes and closures one after another, so the NIS of each at its turn is a chi-square variable of its own
 degrees of freedom, independent of the others (Bar-Shalom, Li, Kirubarajan 5.4.2); behind a gate it is truncated
-(`association.truncated`). Residuals after all data are correlated, so their mean square has no verdict.
+(`association.truncated`). After all data each is chi-square by itself, too, against the estimate without it, but they
+are correlated, so their mean has no verdict; outliers among them are told by Bonferroni's bound.
 """
 
 from __future__ import annotations
@@ -59,6 +60,11 @@ def sources_of(inputs: Inputs) -> list[Source]:
     return found
 
 
+def has_sources(inputs: Inputs) -> bool:
+    """Whether a log has fixes or closures."""
+    return inputs.fixes is not None or inputs.closures is not None
+
+
 @dataclass(frozen=True)
 class SourceScore:
     """What a run did with a source in a phase: a row of sources.csv, and why it may deserve a notice.
@@ -71,9 +77,10 @@ class SourceScore:
         verdict: a word on the innovations; empty: none.
         lag1, lag1_se: correlation of successive innovations and its standard error; NaN: too few.
         gate: chi-square probability of the gate; None: no gate.
+        outlying: accepted ones that contradict all others, each surely (`SURE` for the source).
         formed: accepted and rejected ones at their turn; those not formed cannot be rejected.
         tp, tn, fp, fn: inliers accepted, outliers rejected, outliers accepted, inliers rejected; None: no truth,
-            or the source was not used.
+            or none was decided about.
     """
 
     source: str
@@ -93,6 +100,7 @@ class SourceScore:
     gate: float | None = None
     formed: int = 0
     outcomes: tuple[int, int, int, int] | None = None
+    outlying: int = 0
 
 
 def innovations_of(run: Run, source: Source, phase: str) -> PoseInnovations | None:
@@ -107,8 +115,11 @@ def score_source(run: Run, source: Source, phase: str, truth: Truth | None = Non
     if found is None:
         return SourceScore(source.name, source.kind, phase, len(source.rows), 0)
     used: BoolArray = found.used[source.rows]
+    decided = used | np.isfinite(found.nis[source.rows])  # the frame of a closure may be no longer known
     inlier = None if truth is None else truth.closure_inlier if source.of_closures else truth.fix_inlier
-    outcomes = None if inlier is None else outcomes_of(used, inlier[source.rows])
+    outcomes = None
+    if inlier is not None and decided.any():
+        outcomes = outcomes_of(used[decided], inlier[source.rows][decided])
     bare = SourceScore(source.name, source.kind, phase, len(source.rows), int(used.sum()), outcomes=outcomes)
     nis, dof, white = found.nis[source.rows], found.dof[source.rows], found.white[source.rows]
     formed = np.isfinite(nis)
@@ -123,7 +134,8 @@ def score_source(run: Run, source: Source, phase: str, truth: Truth | None = Non
         formed=int(formed.sum()),
     )  # fmt: skip
     if phase != "online":
-        return scored
+        chance = special.chdtrc(dof[taken], nis[taken])
+        return replace(scored, outlying=int((chance < SURE / taken.sum()).sum()))
     low, high = nis_bounds(total, (expected, variance))
     lag1, error = math.nan, math.nan
     if taken.sum() >= FEWEST:
@@ -173,14 +185,14 @@ def source_rows(run: Run, log: Log) -> Iterator[dict[str, object]]:
 
 
 def source_notices(run: Run, inputs: Inputs) -> list[Notice]:
-    """Sources that a run did not use, whose NIS is inconsistent, or that it rejected more often than expected.
+    """Sources that a run did not use, with inconsistent NIS, rejected more often than expected, or with outliers.
 
     Each is tested at the level `SURE`: a log has many sources and estimators.
     """
     found = [
         n
         for s in scores_of(run, inputs)
-        for n in (_unused(s) if s.phase == run.phases[-1] else None, _inconsistent(s), _rejected(s))
+        for n in (_unused(s) if s.phase == run.phases[-1] else None, _inconsistent(s), _rejected(s), _outlying(s))
         if n is not None
     ]
     return [n.about(estimator=run.estimator, association=run.association) for n in found]
@@ -208,6 +220,12 @@ def _rejected(s: SourceScore) -> Notice | None:
         return None
     counts: dict[str, Value] = {"rejected": rejected, "count": s.formed, "expected": s.formed * (1.0 - s.gate)}
     return notice(Code.SOURCE_REJECTED, Severity.WARNING, None, source=s.source, kind=s.kind, gate=s.gate, **counts)
+
+
+def _outlying(s: SourceScore) -> Notice | None:
+    if not s.outlying:
+        return None
+    return notice(Code.SOURCE_OUTLIERS, source=s.source, kind=s.kind, outliers=s.outlying, count=s.used)
 
 
 def uses_sources(run: Run) -> bool:

@@ -20,9 +20,10 @@ from data.inputs import Inputs
 from data.motion.systematic import corrected_inputs
 from data.result import Run, Trajectory
 from data.se2 import Array, BoolArray
-from eval.referee import effects, residuals
+from eval.referee import effects, residuals, source_residuals
 from eval.referee.consistency import gated, lag1_correlation
 from eval.referee.score import nis_of
+from eval.referee.sources import score_source, sources_of
 
 SHARE = 0.01  # least reduction of the filter's variance by later data, as a share, in a direction that is compared
 TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f
@@ -134,6 +135,12 @@ def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measu
         r, error = lag1_correlation(i.white, inputs.observations.frame, run.decisions)
         if math.isfinite(r):
             result["innovation_lag1"] = Measured(r, 0.0, error)
+    for source in sources_of(inputs):
+        scored, key = score_source(run, source, "online"), source_residuals.key_of(source)
+        if scored.nis_dof:
+            result[f"nis_{key}"] = Measured(scored.nis_mean, scored.expected)
+        if math.isfinite(scored.lag1):
+            result[f"innovation_{key}_lag1"] = Measured(scored.lag1, 0.0, scored.lag1_se)
     if run.online is not None and smoother is not None and smoother.final is not None:
         result |= filter_smoother(difference(run.online, smoother.final))
     if run.online is not None and run.final is not None:
@@ -157,8 +164,9 @@ def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
     used = residuals.used_by(run, inputs)
     rest = corrected_inputs(inputs, run.errors_final)
     found = residuals.smoothed_residuals(rest, path, used)
-    for name, value in residuals.summaries(found, rest, used).items():
+    every = residuals.summaries(found, rest, used) | source_residuals.summaries(rest, path, used)
+    for name, value in every.items():
         result[name] = Measured(value, 0.0 if name.endswith("_mean") else math.nan)
     for name, (value, error) in effects.scored(inputs, path, used, run.errors_final).slopes().items():
         result[f"slope_{name}"] = Measured(value, 0.0, error)
-    return Smoothed(result, residuals.typical(found))
+    return Smoothed(result, residuals.typical(found) | source_residuals.typical(rest, path, used))

@@ -148,5 +148,7 @@ def _places(inputs: Inputs, pose: Array, initialized: IntArray) -> Array:
     """Landmarks (L, 2) where they were initialized, seen from poses (N, 3)."""
     places, o = np.full((int(initialized.max(initial=-1)) + 1, 2), np.nan), inputs.observations
     for i in np.flatnonzero(initialized >= 0):
-        places[initialized[i]] = inputs.sensor_at(int(i)).inverse(pose[o.frame[i]], o.z[i : i + 1])[0][0]
+        sensor = inputs.sensor_at(int(i))
+        if sensor.locates:
+            places[initialized[i]] = sensor.inverse(pose[o.frame[i]], o.z[i : i + 1])[0][0]
     return places

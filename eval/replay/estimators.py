@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -171,6 +172,25 @@ class Looking(Protocol):
 
 
 @runtime_checkable
+class Delaying(Protocol):
+    """SLAM: it can initialize a landmark from observations of several frames."""
+
+    def hold(self, frame: int) -> None:
+        """Keep the present frame's pose, until `release`."""
+
+    def release(self, frame: int) -> None:
+        """Keep it no longer."""
+
+    def held(self, frames: IntArray) -> tuple[Array, Array]:
+        """Poses (n, 3) of frames that are kept, or the present one, and their joint covariance (3n, 3n)."""
+
+    def initialize(
+        self, frames: IntArray, sensors: Sequence[Sensor], observations: FrameObservations, xy: Array
+    ) -> tuple[int, float, int, float]:
+        """A landmark near xy (2,) from all its observations (m): its number; NIS, dof and log-likelihood, or NaN."""
+
+
+@runtime_checkable
 class Fixable(Protocol):
     """It can use absolute measurements of the pose."""
 
@@ -205,13 +225,14 @@ class Capabilities(NamedTuple):
     inflatable: Inflatable | None
     resettable: Resettable | None
     looking: Looking | None
+    delaying: Delaying | None
     fixable: Fixable | None
     closable: Closable | None
 
 
 CAPABILITIES: tuple[Any, ...] = (
     *(Timed, Stateful, Calibrating, Parkable, Removable),
-    *(Revisable, Amendable, Inflatable, Resettable, Looking, Fixable, Closable),
+    *(Revisable, Amendable, Inflatable, Resettable, Looking, Delaying, Fixable, Closable),
 )
 """In the order of the fields of `Capabilities`."""
 

@@ -21,7 +21,7 @@ from data.result import DISCARD, NEW, Event, MapState, Updated
 from data.se2 import Array
 from ekf.filter import FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, Estimator, capabilities, make_estimator, needed
+from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, Delaying, Estimator, capabilities, make_estimator, needed
 from eval.replay.external.adapter import Adapter
 from eval.replay.external.innovations import OwnInnovations
 from eval.replay.external.load import load
@@ -30,6 +30,7 @@ from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.map_management import AutomaticParking, MapManagement, Parking, automatic_parking
 from eval.replay.poses import PoseMeasurements
 from eval.replay.settings import HINDSIGHT, Beginning, Given, Setup
+from eval.replay.waiting import Begun, WaitingLandmarks
 
 
 class KnownAssociation:
@@ -55,6 +56,10 @@ class KnownAssociation:
         for i in (created >= 0).nonzero()[0].tolist():
             label, number = int(frame.label[i]), int(created[i])
             self._number_of[label], self._label_of[number] = number, label
+
+    def begun(self, label: int, number: int) -> None:
+        """A landmark began by observations of several frames."""
+        self._number_of[label], self._label_of[number] = number, label
 
     def removed(self, numbers: IntArray) -> None:
         """Forget landmarks (r,): their labels may initialize others."""
@@ -118,7 +123,10 @@ class FrontEnd:
                 self.parking = Parking(self.estimator, self.can, self.map_management, given.sensor, within)
             if kept.maintain or kept.forget_after is not None:
                 needed(self.can.removable, "`remove`", "--maintain" if kept.maintain else "--forget-after")
-        if self.parking is None and given.closures is None:
+        partial = self.slam and not all(s.locates for s in given.sensors or (given.sensor,))
+        self.waiting = WaitingLandmarks() if partial else None  # landmarks that are not located yet
+        self.begun: list[Begun] = []  # those that began in this frame
+        if self.parking is None and given.closures is None and not partial:
             self.parking = automatic_parking(self.estimator, association, setup)
         self.faces = Faces(given.sensor) if self.slam and not given.sensor.sees_points else None
         self.known = KnownAssociation(given.map) if association == "known" else None
@@ -133,7 +141,7 @@ class FrontEnd:
         """Give the decisions to this estimator, before its first frame."""
         self.estimator, self.can = estimator, capabilities(estimator)  # gets the decisions; its capabilities
         self.foreign = estimator if isinstance(estimator, Adapter) else None  # if it is foreign
-        self.poses = PoseMeasurements(self.given, self.can, self.setup.gate_poses)  # its fixes and closures
+        self.poses = PoseMeasurements(self.given, self.can.fixable, self.can.closable, self.setup.gate_poses)
         self.own: OwnInnovations | None = None  # its innovations
         if self.foreign is not None:
             expect = self.foreign.expect if self.foreign.has("expect") else None
@@ -167,8 +175,9 @@ class FrontEnd:
         """Decide about (a part of) this frame's observations."""
         if self.known is not None:
             decisions = self.known.decide(frame)
-            if self.slam and not self.sensor.locates:  # it initializes no landmark
-                decisions[decisions == NEW] = DISCARD
+            if self.waiting is not None and not self.sensor.locates:
+                self.waiting.add(frame, np.flatnonzero(decisions == NEW), self.sensor, self._delaying)
+                decisions = np.where(decisions == NEW, DISCARD, decisions)
             return Pairing(decisions)
         expectation = self.expect(frame.observations)
         decisions, complete = self.decide(expectation)
@@ -255,8 +264,17 @@ class FrontEnd:
         whole = S is not None and len(S) // 2 * len(measures) == dof
         return accepted_moments(S, self.passed, self.k, measures) if S is not None and whole else None
 
+    @property
+    def _delaying(self) -> Delaying:
+        return needed(self.can.delaying, "`initialize`", "SLAM with bearings or ranges alone")
+
     def tidy(self) -> None:
-        """The end of a frame: remove landmarks by the rules of the setup."""
+        """The end of a frame: waiting landmarks begin, and others leave by the rules of the setup."""
+        if self.waiting is not None:
+            self.begun = self.waiting.begin(self._delaying)
+            assert self.known is not None  # or these sensors were refused
+            for each in self.begun:
+                self.known.begun(each.label, each.number)
         if self.parking is not None:
             self.parking.measure()
         if self.map_management is None:

@@ -7,7 +7,8 @@ import numpy as np
 from data.inputs import Frame
 from data.notice import Code, Notice, notice
 from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, FrameClosures, PoseInnovations, PoseUpdated
-from eval.replay.estimators import Capabilities
+from data.se2 import BoolArray
+from eval.replay.estimators import Closable, Fixable
 from eval.replay.settings import Given
 
 
@@ -16,11 +17,11 @@ class PoseMeasurements:
     used.
     """
 
-    def __init__(self, given: Given, can: Capabilities, gate: float | None) -> None:
-        """`gate`: of each, a chi-square probability, None: all are used."""
+    def __init__(self, given: Given, fixable: Fixable | None, closable: Closable | None, gate: float | None) -> None:
+        """The estimator as `fixable` and `closable`; `gate`: of each, a chi-square probability, None: all are used."""
         self.gate = gate
         self._fixes, self._closures = given.fixes, given.closures
-        self._fixable, self._closable = can.fixable, can.closable
+        self._fixable, self._closable = fixable, closable
         # what became of the present frame's; None: it has none, or they were not used
         self.fixed: PoseUpdated | None = None
         self.closed: PoseUpdated | None = None
@@ -56,6 +57,11 @@ class PoseRecord:
         self._given = True
         self._used[rows], self._nis[rows], self._white[rows] = done.used, done.nis, done.white
 
+    @property
+    def rejected(self) -> BoolArray:
+        """Those (f,) that were not used."""
+        return ~self._used
+
     def innovations(self, gate: float | None) -> PoseInnovations | None:
         """Of all; None: they were not used."""
         return PoseInnovations(self._used, self._nis, self._dof, self._white, gate) if self._given else None
@@ -67,21 +73,21 @@ class PoseRecords:
     def __init__(self, fixes: Fixes | None, closures: Closures | None) -> None:
         kinds = [] if fixes is None else fixes.kind.tolist()
         self._gate: float | None = None
-        self._fixes = PoseRecord([len(MEASURED[FixKind(kind)]) for kind in kinds])
-        self._closures = PoseRecord([3] * (0 if closures is None else len(closures)))
+        self.fixes = PoseRecord([len(MEASURED[FixKind(kind)]) for kind in kinds])
+        self.closures = PoseRecord([3] * (0 if closures is None else len(closures)))
 
     def enter(self, frame: Frame, poses: PoseMeasurements) -> None:
         """Those of a frame."""
         self._gate = poses.gate
         if frame.fixes is not None and poses.fixed is not None:
             first = frame.fixes.first
-            self._fixes.enter(slice(first, first + len(frame.fixes.kind)), poses.fixed)
+            self.fixes.enter(slice(first, first + len(frame.fixes.kind)), poses.fixed)
         if frame.closures is not None and poses.closed is not None:
-            self._closures.enter(_rows(frame.closures), poses.closed)
+            self.closures.enter(_rows(frame.closures), poses.closed)
 
     def innovations(self) -> tuple[PoseInnovations | None, PoseInnovations | None]:
         """Of fixes and of closures."""
-        return self._fixes.innovations(self._gate), self._closures.innovations(self._gate)
+        return self.fixes.innovations(self._gate), self.closures.innovations(self._gate)
 
 
 def _rows(closures: FrameClosures) -> slice:

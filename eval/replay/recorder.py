@@ -76,12 +76,24 @@ class Recorder:
         self.decisions[rows] = np.where((decisions >= 0) & ~done.used, DISCARD, decisions)
         if done.white is not None:
             self._white[rows] = done.white
-        if np.isfinite(done.nis):
+        self._enter(k, done.nis, done.dof, done.log_likelihood, done.moments)
+
+    def _enter(self, k: int, nis: float, dof: int, log_likelihood: float, moments: tuple[float, float] | None) -> None:
+        """Add innovations to those of a frame, if they were formed."""
+        if np.isfinite(nis):
             formed = np.isfinite(self._nis[k])
-            self._nis[k] = self._nis[k] + done.nis if formed else done.nis
-            self._likelihood[k] = self._likelihood[k] + done.log_likelihood if formed else done.log_likelihood
-            self._dof[k] += done.dof
-            self._moments += (done.dof, 2.0 * done.dof) if done.moments is None else done.moments
+            self._nis[k] = self._nis[k] + nis if formed else nis
+            self._likelihood[k] = self._likelihood[k] + log_likelihood if formed else log_likelihood
+            self._dof[k] += dof
+            self._moments += (dof, 2.0 * dof) if moments is None else moments
+
+    def begin(self, front: FrontEnd) -> None:
+        """Record landmarks that began in this frame by observations of several: the first one initialized them."""
+        for begun in front.begun:
+            self.created[begun.rows[0]] = begun.number
+            self.decisions[begun.rows] = begun.number
+            self.decisions[begun.rows[0]] = NEW
+            self._enter(front.k, begun.nis, begun.dof, begun.log_likelihood, None)
 
     def estimate(self, front: FrontEnd) -> None:
         """Record the estimate at the end of a frame."""
@@ -123,6 +135,7 @@ class Recorder:
             removed, events, self._gated(), finished.iterations, finished.last_step_sigma,
             errors_online=self._errors_online(), errors_final=finished.systematic, begun=begun,
             gated_final=front.gated_final, left=front.left, fixes=fixes, closures=closures,
+            fixes_final=finished.fixes, closures_final=finished.closures,
         )  # fmt: skip
 
     def _errors_online(self) -> Systematics | None:

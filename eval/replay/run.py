@@ -175,6 +175,7 @@ def driven(
             frame = inputs.frame(k)
             through(front, frame, record.update, each=each, observer=observer)
             record.poses.enter(frame, front.poses)
+            record.begin(front)
             observer.updated(front, record.decisions, record.created)
             record.estimate(front)
         if finish:
@@ -382,12 +383,14 @@ def landmark_sigmas(inputs: Inputs, run: Run) -> Array | None:
     """Standard deviation (N, L) [m] of each landmark along its least certain direction after every frame.
 
     NaN before a landmark is initialized and after it was removed. None unless the run is a complete EKF-SLAM of ours
-    without parking, small enough for a second pass.
+    without parking, small enough for a second pass, by one sensor and without fixes or closures.
     """
     size = run.state_size
     if run.estimator not in FILTERS or run.task != "slam" or run.failure is not None or size is None:
         return None
     if float(np.sum(np.asarray(size, float) ** 2)) > MOST_WORK or run.events:
+        return None
+    if inputs.several_or_partial or inputs.fixes is not None or inputs.closures is not None:
         return None
     inputs = inputs.without_map().without_labels()
     estimator = EkfSlam(inputs.prior, inputs.sensor, OPTIONS[run.estimator], systematic=inputs.systematic)

@@ -16,6 +16,8 @@ from eval.referee.diagnostics import unused
 from eval.referee.errors import position_distance, rms
 from eval.referee.headline import Claim, Headline, Objected, Objection, Preference, Verdict, headline, usable
 from eval.referee.score import Scores, Trial
+from eval.referee.source_residuals import source_in
+from eval.referee.sources import has_sources
 from eval.replay.settings import INCREMENTAL
 from eval.report.answer import LINEARIZATION, chosen_association, pick
 from eval.report.comparison import difference_of
@@ -205,7 +207,9 @@ def log_facts(
         filtered=filtered,
         smoothed=smoothed,
         trusted=trusted,
-        empty=not len(trial.log.recorded.observations.frame) and trial.log.recorded.scans is None,
+        empty=not len(trial.log.recorded.observations.frame)
+        and trial.log.recorded.scans is None
+        and not has_sources(trial.log.recorded),
         unused=tuple(
             r.estimator for r in (filtered, smoothed) if r is not None and (r.estimator, r.association) in idle and r.ok
         ),
@@ -329,7 +333,7 @@ def cause_word(trust: Trust) -> str:
 
 
 def side_of(found: Finding) -> str:
-    """What a finding is a fault of: odometry, sensor, map or time stamps."""
+    """What a finding is a fault of: odometry, sensor, map, time stamps, or a source of fixes or closures."""
     if found.name in LATE:
         return "time stamps"
     if found.kind in ("displaced", "landmark") or found.name == "map_scale":
@@ -338,7 +342,9 @@ def side_of(found: Finding) -> str:
 
 
 def side(component: str) -> str:
-    """Whether a component belongs to odometry or sensor."""
+    """Whether a component belongs to odometry, to the sensor, or to a source of fixes or closures (its name)."""
+    if (source := source_in(component)) is not None:
+        return source
     return ODOMETRY if component.startswith("odometry") else SENSOR
 
 

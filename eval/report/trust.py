@@ -19,6 +19,7 @@ from eval.plan.flags.table import Output
 from eval.referee import battery
 from eval.referee.attribution import NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.score import Trial
+from eval.referee.source_residuals import source_in
 from eval.replay.settings import ESTIMATORS, FILTERS, HINDSIGHT
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import written_table
@@ -191,6 +192,7 @@ UNITS = {
     "map_scale": SHARE,
     "latency_growth": RATE,
 }  # a person's unit of each systematic error and its factor from SI; those not named here are times
+OF_SOURCES = {"theta": ANGLE, "scale": SHARE, "latency": SECONDS}  # of fixes and closures, by error; else METRES
 OF_POINTS = {"z2_constant": METRES, "z2_range": ANGLE}
 OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
 """Units of a log without stamps, whose time is the number of the frame."""
@@ -216,7 +218,10 @@ class Terms:
 
     def unit(self, name: str) -> tuple[str, float]:
         """The unit of a systematic error for a person, and its factor from SI."""
-        unit = UNITS.get(name, SECONDS) if self.polar else OF_POINTS.get(name, UNITS.get(name, SECONDS))
+        if ":" in name:
+            unit = OF_SOURCES.get(name.rpartition("/")[2], METRES)
+        else:
+            unit = UNITS.get(name, SECONDS) if self.polar else OF_POINTS.get(name, UNITS.get(name, SECONDS))
         return unit if self.stamped else OF_FRAMES.get(unit, unit)
 
 
@@ -261,6 +266,7 @@ class Step(StrEnum):
     SHIFT = "shift"
     MOUNT = "mount"
     BY_HAND = "by-hand"
+    SOURCE = "source"
     REVISE = "revise"
     ROBUST = "robust"
     DECIDE_OTHERWISE = "decide-otherwise"
@@ -279,6 +285,7 @@ class Advice:
     labels: bool  # whether known association can be granted
     revised: bool  # whether later frames revise the pairings already
     iterated: bool  # whether `ekf-iterated` is among those that are off
+    sources: tuple[str, ...] = ()  # names of sources of fixes or closures that were found wrong
 
 
 @dataclass(frozen=True)
@@ -443,7 +450,8 @@ def _done(done: Mapping[str, float], terms: Terms) -> tuple[Explanation, ...]:
 
 def groups_of(findings: Sequence[Finding]) -> tuple[str, ...]:
     """Groups of `eval.tune --fit` that have parameters for what was found."""
-    wanted = {"motion" if f.name.startswith("odometry") else "sensor" for f in findings if f.kind == "sigma"}
+    own = [f for f in findings if source_in(f.name) is None]
+    wanted = {"motion" if f.name.startswith("odometry") else "sensor" for f in own if f.kind == "sigma"}
     wanted |= {FITTED[f.name] for f in findings if f.kind == "systematic" and f.name in FITTED}
     return tuple(name for name in GROUPS if name in wanted)
 
@@ -454,7 +462,9 @@ def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", 
     `correlated`: innovations are.
     """
     groups, kinds = groups_of(findings), {f.kind for f in findings}
-    unfitted = [f.name for f in findings if f.kind == "systematic" and f.name not in FITTED]
+    of_sources = [(f, name) for f in findings if (name := source_in(f.name)) is not None]
+    systematic = [f.name for f in findings if f.kind == "systematic" and source_in(f.name) is None]
+    unfitted = [name for name in systematic if name not in FITTED]
     by_hand = tuple(name for name in unfitted if name not in LATE)
     off = tuple(dict.fromkeys(f.name for f in findings if f.kind in ("linearization", "innovations")))
     filters = any(name in FILTERS for name in off)
@@ -466,12 +476,14 @@ def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", 
         Step.SHIFT: len(unfitted) > len(by_hand),
         Step.MOUNT: any(f.kind == "systematic" and f.name in MOUNTED for f in findings),
         Step.BY_HAND: bool(by_hand),
+        Step.SOURCE: bool(of_sources),
         Step.REVISE: "pairings" in kinds and (labels or not revised),
-        Step.ROBUST: "tails" in kinds,
+        Step.ROBUST: "tails" in kinds or "outliers" in kinds,
         Step.DECIDE_OTHERWISE: "decisions" in kinds and (labels or not revised),
         Step.RELINEARIZE: filters,
         Step.DISTRUST: bool(off) and not filters,
     }
     return Advice(
-        tuple(step for step, wanted in steps.items() if wanted), groups, by_hand, off, labels, revised, ITERATED in off
-    )
+        tuple(step for step, wanted in steps.items() if wanted), groups, by_hand, off, labels, revised, ITERATED in off,
+        tuple(dict.fromkeys(name for _, name in of_sources)),
+    )  # fmt: skip

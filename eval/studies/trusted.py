@@ -26,11 +26,15 @@ from eval.referee.plausibility import with_plausibility
 from eval.referee.residuals import Used
 from eval.referee.result_files import TRUST
 from eval.referee.score import frame_of
+from eval.referee.source_explanations import left_out, of_outliers, outlying, source_corrected, source_explanations
+from eval.referee.source_residuals import of_sources
+from eval.referee.sources import has_sources
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
 from eval.replay.settings import Setup
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
 from eval.studies.twins import corrected_log, inputs_of, smoothed_twin, source_of
+from graph.qr.score_test import evidence
 
 COLUMNS = TRUST.names
 SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
@@ -214,7 +218,8 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
     """Explanations one after the other, each with earlier ones corrected, and whether they remove the objections."""
     inputs = replace(corrected_inputs(inputs, smoother.errors_final), systematic=None)
     smoother = replace(smoother, errors_final=None)
-    certain = {n: _spread([s.typical[n] for s in made.twins if n in s.typical]) for n in residuals.COMPONENTS}
+    names = dict.fromkeys((*residuals.COMPONENTS, *(n for s in made.twins for n in s.typical)))
+    certain = {n: _spread([s.typical[n] for s in made.twins if n in s.typical]) for n in names}
     twins = [_statistics(s.measured) for s in made.twins]
     usual, typical = _usual(twins), _usual([s.typical for s in made.twins])
     spread = {n: float(np.std([t[n] for t in twins if n in t])) for n in usual}
@@ -223,7 +228,7 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
     for _ in range(ROUNDS):
         used, path = residuals.used_by(smoother, inputs), _path(smoother)
         found = residuals.smoothed_residuals(inputs, path, used)
-        lag1 = {n: usual.get(f"residual_{n}_lag1", 0.0) for n in residuals.COMPONENTS}
+        lag1 = {n[len("residual_") : -len("_lag1")]: r for n, r in usual.items() if n.endswith("_lag1")}
         evidence = Evidence(inputs, path, used, found, typical, lag1, certain)
         best = _best(evidence, smoother, [f.name for f in findings if f.kind == "systematic"])
         if best is None:
@@ -247,7 +252,8 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
 
     Those with a model of the inputs have the likelihood of a filter's innovations. Of each kind a few are tried.
     """
-    found, stated = explanations(e, taken), _likelihood(e.inputs, e.used)
+    found = sorted([*explanations(e, taken), *source_explanations(e)], key=lambda x: -x.net)
+    stated = _likelihood(e.inputs, e.used, smoother)
     count = Counter[str]()
     tried: list[tuple[float, Finding, Inputs]] = []
     for x in [*found, mirrored(e)]:
@@ -255,17 +261,39 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
         promising = x.finding.kind == "mirrored" or x.net > max(found[0].net / HOPELESS, 0.0)
         if count[x.finding.kind] > TRIED or not promising:
             continue
-        finding, inputs = x.finding, corrected(e, x.finding)
+        of_source = ":" in x.finding.name and x.finding.kind != "systematic"
+        finding, inputs = x.finding, (source_corrected if of_source else corrected)(e, x.finding)
         if finding.kind == "systematic" and abs(finding.size) > FAR * finding.error:
             inputs, finding = _again(inputs, smoother, finding)
         if finding.kind in MODELLED:
-            finding = replace(finding, gain=_likelihood(inputs, e.used) - stated)
+            finding = replace(finding, gain=_likelihood(inputs, e.used, smoother) - stated)
         tried.append((x.net - x.finding.gain + finding.gain, finding, inputs))
     mispaired = _mispaired(e, smoother, stated)
     # outliers that fit another landmark are no tails
     tried = [t for t in tried if t[0] > 0.0 and not (mispaired and t[1].kind == "tails")]
-    tried += [t for t in mispaired if t[0] > 0.0]
+    tried += [t for t in (*mispaired, *_false(e, smoother, stated)) if t[0] > 0.0]
     return max(tried, key=lambda t: t[0])[1:] if tried else None
+
+
+def _false(e: Evidence, smoother: Run, stated: float) -> list[tuple[float, Finding, Inputs]]:
+    """Outliers among the fixes or closures of each source, left out; they are those of a robust smoother."""
+    inputs, outliers = e.inputs, dict[str, BoolArray]()
+    for _ in range(ROUNDS if has_sources(inputs) else 0):
+        robust = with_plausibility(batch(STAND_IN, inputs, _as_front(smoother)), inputs)
+        if robust.flaw is not None:
+            return []
+        found = outlying(of_sources(inputs, _path(robust), residuals.used_by(robust, inputs)), inputs)
+        for key, rows in found.items():
+            outliers[key] = outliers.get(key, np.zeros(len(rows), bool)) | rows
+            inputs = left_out(inputs, key, rows)
+        if not found:
+            break
+    tried = []
+    for key, rows in outliers.items():
+        inputs = left_out(e.inputs, key, rows)
+        x = of_outliers(e, key, int(rows.sum()), _likelihood(inputs, e.used, smoother) - stated)
+        tried.append((x.net, x.finding, inputs))
+    return tried
 
 
 def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[tuple[float, Finding, Inputs]]:
@@ -284,17 +312,19 @@ def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[tuple[float, F
         outlying, elsewhere, _ = residuals.misfits(inputs, path, used, found)
         if not outlying:
             break
-        o, left_out = inputs.observations, found.squared > residuals.OUTLYING
-        R = np.where(left_out[:, None, None], UNINFORMATIVE * o.R, o.R)
+        o, far = inputs.observations, found.squared > residuals.OUTLYING
+        R = np.where(far[:, None, None], UNINFORMATIVE * o.R, o.R)
         inputs = replace(inputs, observations=replace(o, R=R))
         wrong, all_of_them = wrong + elsewhere, all_of_them + outlying
     if all_of_them < FEWEST_OUTLIERS or 2 * wrong < all_of_them:
         return []
     # a landmark that begins with such an observation would be linearized anywhere, so they are not paired at all; each
     # has the density of a measurement that says nothing
-    left_out = inputs.observations.R[:, 0, 0] > e.inputs.observations.R[:, 0, 0]
-    density = -math.log(2.0 * math.pi) - 0.5 * np.linalg.slogdet(inputs.observations.R[left_out])[1]
-    gain = _likelihood(inputs, _without(e.used, left_out)) + float(density.sum()) - stated
+    unused = inputs.observations.R[:, 0, 0] > e.inputs.observations.R[:, 0, 0]
+    density = -math.log(2.0 * math.pi) - 0.5 * np.linalg.slogdet(inputs.observations.R[unused])[1]
+    gain = _likelihood(inputs, _without(e.used, unused), smoother) + float(density.sum()) - stated
+    if has_sources(inputs):  # these have a density of their own there, as they stay
+        gain -= float(density.sum())
     return [(gain, Finding(ASSOCIATIONS, "pairings", "readings", wrong, gain=gain), inputs)]
 
 
@@ -302,8 +332,19 @@ def _without(used: Used, left_out: BoolArray) -> Used:
     return replace(used, number=np.where(left_out, -1, used.number))
 
 
-def _likelihood(inputs: Inputs, used: Used) -> float:
-    """Log-likelihood of the innovations of a filter with given pairings; minus infinity where it fails."""
+def _likelihood(inputs: Inputs, used: Used, smoother: Run) -> float:
+    """Log-likelihood of the innovations of a filter with given pairings; minus infinity where it fails.
+
+    With fixes or closures that of all data, at the smoothed solution of these inputs (`graph.qr.score_test.evidence`).
+    """
+    if has_sources(inputs):
+        again = _refitted(inputs, smoother)
+        if again is None:
+            return -math.inf
+        now = residuals.used_by(again, inputs)
+        of_poses = effects.poses_of(inputs, now)
+        assert of_poses is not None
+        return evidence(inputs, now.number, _path(again), now.landmarks, of_poses)
     o = inputs.observations
     label = np.where(used.number >= 0, used.identity[np.maximum(used.number, 0)], CLUTTER)
     labelled = replace(inputs, observations=LabelledObservations(o.frame, o.z, o.R, label))

@@ -1,8 +1,9 @@
 """Twins of a log: parametric bootstrap replicates, drawn from its own noise model.
 
 Path and map of the batch smoother are the truth. Prior, increments and observations are drawn with the stated
-covariances, at the same frames, of the same landmarks; unused observations that fit none are copied. So every
-statistic of the log has a reference distribution that includes linearization, geometry and gates.
+covariances, at the same frames, of the same landmarks; unused observations that fit none are copied. All fixes and
+closures are drawn, so no twin has outliers among them. So every statistic of the log has a reference distribution that
+includes linearization, geometry and gates.
 
 Twins do not show an error that the smoother absorbed into this truth, such as a scale common to distances and
 observations.
@@ -25,6 +26,7 @@ from data.errors import UsageError
 from data.inputs import CLUTTER, Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.systematic import corrected_inputs
+from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, expected_fix
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RELATIVE_POINT
@@ -88,7 +90,8 @@ def source_of(
     if smoother.errors_final is not None:
         less = corrected_inputs(log.recorded, smoother.errors_final)
         log = replace(log, recorded=replace(less, systematic=log.recorded.systematic))
-    if not (used.number >= 0).any():
+    known = any(mask is not None and mask.any() for mask in (used.number >= 0, used.fixes, used.closures))
+    if not known:
         raise UsageError(f"no twins of {log.name}: batch used no observation, so nothing is known beside the odometry")
     landmarks = LandmarkMap(used.identity, used.landmarks)
     row = np.where(used.number >= 0, used.number, _gated(inputs, smoother.final.pose, used))
@@ -120,8 +123,8 @@ def _gated(inputs: Inputs, path: Array, used: residuals.Used) -> IntArray:
 def twin(source: Source, seed: int) -> Log:
     """A twin: same frames, same landmarks seen, everything else drawn. Same seed, same bytes."""
     r = source.log.recorded
-    streams = np.random.SeedSequence([seed, STREAM]).spawn(3)
-    prior_rng, odometry_rng, sensor_rng = (np.random.default_rng(s) for s in streams)
+    streams = np.random.SeedSequence([seed, STREAM]).spawn(4)
+    prior_rng, odometry_rng, sensor_rng, pose_rng = (np.random.default_rng(s) for s in streams)
     path = source.path
     mean = path[0] + _root(r.prior.covariance[None])[0] @ prior_rng.standard_normal(3)
     mean[2] = se2.wrap_angle(mean[2])
@@ -147,14 +150,37 @@ def twin(source: Source, seed: int) -> Log:
         prior=Prior(mean, r.prior.covariance),
         increments=Increments(motion, r.increments.covariance),
         observations=Observations(o.frame, z, o.R),
+        fixes=None if r.fixes is None else _drawn_fixes(r.fixes, path, pose_rng),
+        closures=None if r.closures is None else _drawn_closures(r.closures, path, pose_rng),
     )
     name = f"{source.log.name}:twin={seed}"
     origin = {"kind": "twin", "twin_of": source.log.name, "seed": seed, "task": source.task}
     note = f"Drawn from batch's path and map of {source.log.name}, with the covariances as stated; batch is its truth."
-    truth = Truth(path, source.landmarks, source.landmark_of)
+    inlier = [None if each is None else np.ones(len(each), np.int64) for each in (r.fixes, r.closures)]
+    truth = Truth(path, source.landmarks, source.landmark_of, fix_inlier=inlier[0], closure_inlier=inlier[1])
     # none is misread, but they are treated as those of the log
     sensed = source.log.labels_are_sensed
     return Log(name, recorded, truth, labels_are_sensed=sensed, source=origin, notes=(note,))
+
+
+def _drawn_fixes(fixes: Fixes, path: Array, rng: np.random.Generator) -> Fixes:
+    """All fixes about a path (N, 3), with their covariances: none is an outlier."""
+    z = fixes.z.copy()
+    noise = np.einsum("fij,fj->fi", _root(fixes.covariance), rng.standard_normal(z.shape))
+    for i, (frame, kind) in enumerate(zip(fixes.frame.tolist(), fixes.kind.tolist(), strict=True)):
+        entries = list(MEASURED[FixKind(kind)])
+        z_hat, _ = expected_fix(path[frame], kind, fixes.sources[int(fixes.source[i])])
+        z[i, entries] = z_hat + noise[i, entries]
+    z[:, 2] = se2.wrap_angle(z[:, 2])
+    return replace(fixes, z=z)
+
+
+def _drawn_closures(closures: Closures, path: Array, rng: np.random.Generator) -> Closures:
+    """All closures between poses of a path (N, 3), with their covariances: none is an outlier."""
+    relative = np.einsum("kij,kj->ki", _root(closures.covariance), rng.standard_normal(closures.relative.shape))
+    relative += se2.between(path[closures.frame1], path[closures.frame2])
+    relative[:, 2] = se2.wrap_angle(relative[:, 2])
+    return replace(closures, relative=relative)
 
 
 def _root(covariance: Array) -> Array:
@@ -174,6 +200,14 @@ def digest_of(source: Source) -> str:
     o, places = r.observations, source.landmarks
     stated = r.prior.covariance, r.time, r.increments.covariance, o.frame, o.z, o.R
     for array in (*stated, source.path, places.id, places.xy, source.landmark_of):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    arrays: list[Array | IntArray] = []
+    if (fixes := r.fixes) is not None:
+        digest.update(repr(fixes.sources).encode())
+        arrays += [fixes.frame, fixes.kind, fixes.source, fixes.z, fixes.covariance]
+    if (closures := r.closures) is not None:
+        arrays += [closures.frame1, closures.frame2, closures.source, closures.relative, closures.covariance]
+    for array in arrays:
         digest.update(np.ascontiguousarray(array).tobytes())
     return digest.hexdigest()
 
@@ -240,5 +274,8 @@ def smoothed_twin(source: Source, seed: int) -> trust.Smoothed | None:
 def corrected_log(log: Log, inputs: Inputs) -> Log:
     """The log with the corrected parts of the inputs, with its map, without labels."""
     o = inputs.observations
-    recorded = replace(log.recorded, increments=inputs.increments, observations=Observations(o.frame, o.z, o.R))
+    recorded = replace(
+        log.recorded, increments=inputs.increments, observations=Observations(o.frame, o.z, o.R), fixes=inputs.fixes,
+        closures=inputs.closures,
+    )  # fmt: skip
     return replace(log, recorded=recorded)

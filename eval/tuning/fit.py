@@ -311,11 +311,12 @@ def _head(inputs: Inputs, frames: int) -> Inputs:
     if not isinstance(o, LabelledObservations):
         raise ValueError("known association was not granted to these inputs")
     fixes, closures = inputs.fixes, inputs.closures
+    which = None if o.sensor is None else o.sensor[:rows]
     return replace(
         inputs,
         time=inputs.time[:frames],
         increments=Increments(inputs.increments.mean[:frames], inputs.increments.covariance[:frames]),
-        observations=replace(o, frame=o.frame[:rows], z=o.z[:rows], R=o.R[:rows], label=o.label[:rows]),
+        observations=replace(o, frame=o.frame[:rows], z=o.z[:rows], R=o.R[:rows], label=o.label[:rows], sensor=which),
         fixes=None if fixes is None else fixes.before(frames),
         closures=None if closures is None else closures.before(frames),
     )

@@ -21,7 +21,8 @@ from data.se2 import Array, between, compose, pose_error, worlds_from_bodies
 from data.sensors import RANGE_BEARING
 from graph.factors import UnderConstrained, root_information
 from graph.qr.calibrated import drift_rows, first_frames, with_drift
-from graph.qr.elimination import NO_DRIFT, Rows, eliminate, ordering, structure
+from graph.qr.elimination import NO_DRIFT, Rows, Triangle, eliminate, ordering, structure
+from graph.qr.of_poses import OfPoses, blocks_of_poses
 from graph.qr.rows import put_prior
 
 
@@ -137,6 +138,7 @@ def systematic(
     motion: Array,
     observed: Array,
     found: Systematics | None = None,
+    of_poses: OfPoses | None = None,
 ) -> Score:
     """Score of p hypothetical errors phi, linearized at a smoothed path (N, 3) with landmarks (L, 2), world frame.
 
@@ -146,13 +148,79 @@ def systematic(
     solution: measured values share the residuals' noise, which biases a scale (in the arena by 7 sigma). `number` (M,)
     is the row of `landmarks` of each observation, -1: not used; inputs with a map have exact landmarks.
 
+    `of_poses`: fixes and closures that the solution stands on as well, and what the errors do to them.
+
     `found` are the errors of `inputs.systematic` that were estimated. `motion` and `observed` are then of the corrected
     log, and an estimated error shows as far as its prior held it back.
 
     Raises UnderConstrained for a landmark or pose that the data do not determine, LinAlgError for a singular
     observation covariance.
     """
-    n, p = len(path), motion.shape[2]
+    problem = _linearized(inputs, number, path, landmarks, motion, observed, found, of_poses)
+    p = motion.shape[2]
+    _, left = _eliminated(problem)
+    b = problem.rows.b
+    return _score(np.einsum("bij,bij->j", b[:, :, : 1 + p], b[:, :, : 1 + p]), left)
+
+
+def evidence(inputs: Inputs, number: IntArray, path: Array, landmarks: Array, of_poses: OfPoses) -> float:
+    """Logarithm of the marginal likelihood of all data, up to a constant of the frames and the landmarks used.
+
+    Path and map are integrated out around a smoothed solution (Laplace's method): minus half the least cost, minus the
+    logarithm of the determinant of its triangle, and those of the stated noises. Arguments as of `systematic`.
+    """
+    nothing = np.zeros((len(path), 3, 0)), np.zeros((len(inputs.observations.frame), 2, 0))
+    triangle, left = _eliminated(_linearized(inputs, number, path, landmarks, *nothing, None, of_poses))
+    diagonal = np.abs(np.einsum("vii->vi", triangle.R))
+    noises = [inputs.increments.covariance[1:], inputs.observations.R[number >= 0]]
+    if inputs.fixes is not None:
+        noises.append(inputs.fixes.covariance[of_poses.fixes])
+    if inputs.closures is not None:
+        noises.append(inputs.closures.covariance[of_poses.closures])
+    stated = sum(_log_determinants(each) for each in noises)
+    return -0.5 * float(left[0, 0]) - float(np.log(diagonal[diagonal > 0.0]).sum()) - 0.5 * stated
+
+
+def _log_determinants(covariance: Array) -> float:
+    """Sum of the logarithms of all eigenvalues of covariances (n, d, d), without those of zero."""
+    size = np.linalg.eigvalsh(covariance)
+    return float(np.log(size[size > 0.0]).sum())
+
+
+class _Problem(NamedTuple):
+    """A linearized problem: rows without drifts, rows with them, order, and what of it is named how."""
+
+    rows: Rows
+    whole: Rows
+    order: IntArray
+    frames: int
+    seen: IntArray
+    now: Array | None
+
+
+def _eliminated(problem: _Problem) -> tuple[Triangle, Array]:
+    """Triangle, and products of residuals and columns that are left, without estimated errors."""
+    rows, n = problem.whole, problem.frames
+    triangle = eliminate(rows, structure(rows.variable, problem.order))
+    if triangle.free >= 0:
+        free = triangle.free
+        name = f"pose of frame {free}" if free < n else f"landmark in row {problem.seen[free - n]}"
+        raise UnderConstrained(f"{name} is not determined by the observations")
+    return triangle, triangle.left if problem.now is None else without_errors(triangle.left, problem.now)
+
+
+def _linearized(
+    inputs: Inputs,
+    number: IntArray,
+    path: Array,
+    landmarks: Array,
+    motion: Array,
+    observed: Array,
+    found: Systematics | None,
+    of_poses: OfPoses | None,
+) -> _Problem:
+    """Arguments as of `systematic`."""
+    n = len(path)
     stated = inputs
     if found is not None:
         inputs = corrected_inputs(inputs, found)
@@ -185,19 +253,24 @@ def systematic(
     if inputs.map is None:
         variable[n:, 1] = n + slot
         A[n:, :2, 3:5] = white @ Hl
+    height = np.repeat(np.array([3, 2]), [n, m])
+    chain = n
+    if of_poses is not None:
+        more = blocks_of_poses(inputs, path, of_poses)
+        wide = np.zeros((len(more.b), 3, b.shape[2]))  # estimated errors do not act on these
+        wide[:, :, : more.b.shape[2]] = more.b
+        variable, A = np.concatenate([variable, more.variable]), np.concatenate([A, more.A])
+        b, height = np.concatenate([b, wide]), np.concatenate([height, more.height])
+        chain = 0 if of_poses.closures.any() else n  # a bare chain's order would fill in
     variance, axes = np.linalg.eigh(inputs.prior.covariance)
     root = axes * np.sqrt(np.maximum(variance, 0.0))
     put_prior(variable, A, b, moved[0], np.zeros(3), root)
-    rows = Rows(variable, A, b, np.repeat(np.array([3, 2]), [n, m]), np.where(np.arange(size) < n, 3, 2))
+    rows = whole = Rows(variable, A, b, height, np.where(np.arange(size) < n, 3, 2))
     drift = NO_DRIFT
     if along is not None and len(along.own):
-        rows, drift = _with_drift(rows, along, of_motion @ B[1:]), first_frames(along.of, len(along.own))
-    triangle = eliminate(rows, structure(rows.variable, ordering(rows.variable, n, len(rows.dim), drift)))
-    if triangle.free >= 0:
-        name = f"pose of frame {triangle.free}" if triangle.free < n else f"landmark in row {seen[triangle.free - n]}"
-        raise UnderConstrained(f"{name} is not determined by the observations")
-    left = triangle.left if along is None else without_errors(triangle.left, along.now)
-    return _score(np.einsum("bij,bij->j", b[:, :, : 1 + p], b[:, :, : 1 + p]), left)
+        whole, drift = _with_drift(rows, along, of_motion @ B[1:]), first_frames(along.of, len(along.own))
+    order = ordering(whole.variable, chain, len(whole.dim), drift)
+    return _Problem(rows, whole, order, n, seen, None if along is None else along.now)
 
 
 def _with_drift(rows: Rows, along: Estimated, white: Array) -> Rows:

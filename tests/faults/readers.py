@@ -34,6 +34,7 @@ from tests.data.formats.mrclam import world
 from tests.data.formats.open_log.measured import measured_files
 from tests.data.formats.open_log.test_corruption import assert_sound
 from tests.data.formats.open_log.test_scans import GOOD
+from tests.data.formats.open_log.test_sensors import files_of as files_of_sensors
 from tests.data.formats.recordings.carmen_text import SMALL
 from tests.data.robot.line import linked
 from tests.faults.mutations import BYTES, MAT, NPY, TABLE, TOML, Fault, Files, zipped
@@ -91,7 +92,8 @@ def open_logs() -> list[Files]:
     line = small_files("frames", "range_bearing")
     line["log.toml"] = line["log.toml"].replace("range_bearing", "line")
     measured = [encoded(measured_files(source)) for source in ("frames", "odometry")]
-    return [*(encoded(small_files(*kind)) for kind in kinds), encoded(line), dict(GOOD), *measured]
+    several = [encoded(files_of_sensors(source)) for source in ("frames", "odometry")]
+    return [*(encoded(small_files(*kind)) for kind in kinds), encoded(line), dict(GOOD), *measured, *several]
 
 
 def datasets() -> list[Files]:

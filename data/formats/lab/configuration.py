@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from data.errors import LARGEST, DataError, UsageError
-from data.formats.lab.matlab import Struct, Value, Variable, read
+from data.formats.lab.matlab import Struct, Variable, read
 from data.inputs import IntArray, Prior
 from data.pictures import CORNERS, VisualSetup
 from data.se2 import Array, inverse, rotation, transform_points, wrap_angle
@@ -51,8 +51,39 @@ def camera_from_body(R: Array, T: Array, *, translation_unit: str, reading: str)
     return angle, (float(T[0]), float(T[1]))
 
 
-def read_configuration(variables: Iterable[Variable], *, translation_unit: str, reading: str) -> VisualSetup:
-    """The setup from the variables of a file; its corners have a row for each picture of the map.
+Parts = Mapping[str, Mapping[str, object]]
+"""Fields of the structs, by names as in `PARTS`: numbers, or what a file has instead."""
+
+
+def parts_of(variables: Iterable[Variable]) -> Parts:
+    """The structs of a MATLAB file, those that are there. DataError if one is no struct."""
+    found: dict[str, Mapping[str, object]] = {}
+    for variable in variables:
+        if variable.name in PARTS:
+            size = "x".join(map(str, variable.shape))
+            found[variable.name] = struct_of(variable.path, variable.name, read(variable), variable.kind, size)
+    return found
+
+
+def struct_of(path: Path, name: str, value: object, kind: str, size: str) -> Mapping[str, object]:
+    """The fields of one struct; DataError for anything else, of which `kind` and `size` tell."""
+    if not isinstance(value, Struct) or len(value.elements) != 1:
+        raise DataError.at(path, f"{name}: {kind} of size {size}; one struct is needed")
+    return value.elements[0]
+
+
+def parts_by_name(values: Mapping[str, object]) -> Parts:
+    """The structs of NumPy's arrays: dicts or records of the structs' names, or the fields by their own names."""
+    known = {name: value for name, value in values.items() if name in PARTS and isinstance(value, Mapping)}
+    for name, fields in PARTS.items():
+        alone = {field: values[field] for field in fields if field in values}
+        if name not in known and alone:
+            known[name] = alone
+    return known
+
+
+def read_configuration(path: Path, parts: Parts, *, translation_unit: str, reading: str) -> VisualSetup:
+    """The setup from the structs of a file; its corners have a row for each picture of the map.
 
     Raises DataError for missing or invalid fields, UsageError for an unknown unit or reading.
     """
@@ -60,7 +91,7 @@ def read_configuration(variables: Iterable[Variable], *, translation_unit: str, 
         raise UsageError(f"unit of T {translation_unit!r}; known: {', '.join(TRANSLATION_UNITS)}")
     if reading not in READINGS:
         raise UsageError(f"reading of camera_to_body {reading!r}; known: {', '.join(READINGS)}")
-    values = _Values(tuple(variables))
+    values = _Values(path, parts)
     angle, translation = camera_from_body(
         values.rotation("camera_to_body", "R"),
         values.numbers("camera_to_body", "T", 2),
@@ -99,20 +130,13 @@ def configuration(setup: VisualSetup) -> dict[str, dict[str, Any]]:
 class _Values:
     """The fields of the file's structs, checked."""
 
-    def __init__(self, variables: tuple[Variable, ...]) -> None:
-        self._path = variables[0].path if variables else Path()
-        self._fields: dict[str, dict[str, Value]] = {}
-        known = {v.name: v for v in variables}
+    def __init__(self, path: Path, parts: Parts) -> None:
+        self._path, self._fields = path, parts
         for name, needed in PARTS.items():
-            if name not in known:
-                raise DataError.at(self._path, f"no struct {name}; {', '.join(PARTS)} are needed")
-            value = read(known[name])
-            if not isinstance(value, Struct) or len(value.elements) != 1:
-                size = "x".join(map(str, known[name].shape))
-                raise self.error(name, f"{known[name].kind} of size {size}; one struct is needed")
-            self._fields[name] = value.elements[0]
+            if name not in parts:
+                raise DataError.at(path, f"no struct {name}; {', '.join(PARTS)} are needed")
             for field in needed:
-                if field not in value.elements[0]:
+                if field not in parts[name]:
                     raise self.error(name, f"no field {field}; {', '.join(needed)} are needed")
 
     def error(self, place: str, what: str) -> DataError:
@@ -122,8 +146,10 @@ class _Values:
     def array(self, part: str, field: str) -> Array:
         """A field's numbers, all finite."""
         value = self._fields[part][field]
-        if not isinstance(value, np.ndarray):
-            kind = "a struct" if isinstance(value, Struct) else value.kind
+        if isinstance(value, int | float | list | tuple | np.generic):
+            value = np.asarray(value)
+        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
+            kind = "a struct" if isinstance(value, Struct | Mapping) else getattr(value, "kind", "no array of numbers")
             raise self.error(f"{part}.{field}", f"{kind}; numbers are needed")
         result: NDArray[np.float64] = value.astype(float)
         wrong = np.argwhere(~(np.abs(result) <= LARGEST))

@@ -5,7 +5,7 @@
       log.mat|.npy|.npz    timestamp [s], commands [m/s, rad/s], rgb, xyz [mm] per frame; see data.formats.lab.frames
       landmark/            a reference image for each row of landmark.xpos, in the order of their names
 
-The two files are recognized by content, not by name; one .mat may hold both.
+The two files are recognized by content, not by name; one file may hold both. Both may be in NumPy's forms, or pickles.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import shutil
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import IO, Any
 
 import numpy as np
 import scipy
@@ -32,9 +32,9 @@ from PIL import Image
 from data.errors import DataError, UsageError
 from data.formats.csv_table import bytes_of
 from data.formats.lab.configuration import PARTS, REFERENCES, configuration, read_configuration
-from data.formats.lab.frames import FIELDS, MM, LogFile, MatLog, check_fields, frames
-from data.formats.lab.matlab import Variable, variables, write_struct_array
-from data.formats.lab.numpy_files import NpyLog, NpzLog, npy_fields, npz_arrays
+from data.formats.lab.frames import FIELDS, MM, LogFile, check_fields, frames
+from data.formats.lab.matlab import write_struct_array
+from data.formats.lab.sources import LOG_VARIABLE, Sources
 from data.pictures import VisualFrame, VisualRecording, VisualSetup
 from data.whole import whole_folder
 
@@ -141,8 +141,6 @@ def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...])
 WRITERS: dict[str, Callable[[Path, VisualRecording], None]] = {"mat": _write_mat, "npy": _write_npy, "npz": _write_npz}
 
 
-T = TypeVar("T")
-LOG_VARIABLE = "log"
 MOST_PIXELS = 5e7
 """Most pixels of a reference image."""
 IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
@@ -192,8 +190,8 @@ def is_lab(folder: Path) -> bool:
         return False
     if (folder / REFERENCES).is_dir():
         return True
-    found = _Found(folder)
-    return bool(found.configurations or found.logs)
+    found = Sources(folder)
+    return bool(found.configurations or found.logs or any(p.suffix.lower() == ".npy" for p in found.untrusted))
 
 
 def open_lab(
@@ -205,7 +203,7 @@ def open_lab(
         folder: holds the configuration, the log and `landmark/`.
         translation_unit: of camera_to_body.T, which the format does not state: "cm", "mm" or "m".
         reading: "to-camera": p_c = R p_b + T, the lab's formula; "to-body": p_b = R p_c + T, the name's meaning.
-        trust_pickle: load a log of Python objects, which can run code.
+        trust_pickle: load files of Python objects, which can run code.
 
     Raises:
         DataError: a file, field or image is missing, ambiguous or wrong.
@@ -213,78 +211,25 @@ def open_lab(
     """
     if not folder.is_dir():
         raise DataError.at(folder, "not a folder")
-    found = _Found(folder)
-    known = found.the("configuration", found.configurations, f"a .mat with {', '.join(PARTS)}")
-    setup = read_configuration(known, translation_unit=translation_unit, reading=reading)
-    source = found.the("log", found.logs, f"a .mat with the struct array {LOG_VARIABLE}, or a .npy or .npz, its fields")
-    log = _open_log(source, trust_pickle=trust_pickle)
+    found = Sources(folder, trust_pickle=trust_pickle)
+    known = found.the("configuration", found.configurations, f"a .mat, .npy or .npz with {', '.join(PARTS)}")
+    setup = read_configuration(known.path, known.parts(), translation_unit=translation_unit, reading=reading)
+    right = f"a .mat with the struct array {LOG_VARIABLE}, or a .npy or .npz, its fields"
+    log = found.the("log", found.logs, right)()
     check_fields(log)
     images, others = _reference_files(folder / REFERENCES)
     if len(images) != len(setup.corners):
         names = ", ".join(p.name for p in images)
         what = f"{len(setup.corners)} rows, but {folder / REFERENCES} holds {len(images)} images ({names})"
         right = "a row per image is needed, in the order of their names"
-        raise DataError.at(known[0].path, f"landmark.xpos: {what}; {right}")
+        raise DataError.at(known.path, f"landmark.xpos: {what}; {right}")
     formula = "p_c = R p_b + T" if reading == "to-camera" else "p_b = R p_c + T"
     notes = [f"camera_to_body is read as {formula} with T in {translation_unit} (the format states neither)"]
     if others:
         notes.append(f"ignored in {REFERENCES}/, not images: {', '.join(others)}")
-    files = (known[0].path, log.path, *images)
+    files = (known.path, log.path, *images)
     pictures = [read_image(path) for path in images]
     return LabRecording(setup, pictures, folder, translation_unit, reading, tuple(notes), log, files)
-
-
-class _Found:
-    """Files of a folder that look like a configuration or a log, and errors of those that do not open."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self.configurations: dict[str, tuple[Variable, ...]] = {}
-        self.logs: dict[str, Variable | Path] = {}
-        self._faults: list[DataError] = []
-        self._names: list[str] = []
-        for path in sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")):
-            self._names.append(path.name)
-            try:
-                self._look(path)
-            except DataError as fault:
-                self._faults.append(fault)
-
-    def _look(self, path: Path) -> None:
-        suffix = path.suffix.lower()
-        if suffix == ".mat":
-            inside = variables(path)
-            if any(v.name in PARTS for v in inside):
-                self.configurations[path.name] = inside
-            for variable in inside:
-                if variable.name == LOG_VARIABLE or {"rgb", "xyz"} <= set(variable.fields):
-                    self.logs[f"{path.name}:{variable.name}"] = variable
-        elif suffix == ".npy":
-            fields = npy_fields(path)
-            if fields is None or set(fields) & set(FIELDS):
-                self.logs[path.name] = path
-        elif suffix == ".npz" and set(npz_arrays(path)) & set(FIELDS):
-            self.logs[path.name] = path
-
-    def the(self, what: str, candidates: Mapping[str, T], right: str) -> T:
-        """The only candidate; else DataError, with `right` as remedy."""
-        if len(candidates) == 1:
-            return next(iter(candidates.values()))
-        if candidates:
-            raise DataError.at(self._folder, f"{', '.join(candidates)} each hold a {what}; one per folder is needed")
-        # a file that does not open is the most likely reason
-        if self._faults:
-            raise self._faults[0]
-        names = ", ".join(self._names) or "no files"
-        raise DataError.at(self._folder, f"no {what} found (there: {names}); {right} is needed")
-
-
-def _open_log(source: Variable | Path, *, trust_pickle: bool) -> LogFile:
-    if isinstance(source, Variable):
-        return MatLog(source)
-    if source.suffix.lower() == ".npy":
-        return NpyLog(source, trust_pickle=trust_pickle)
-    return NpzLog(source, FIELDS, trust_pickle=trust_pickle)
 
 
 def _reference_files(folder: Path) -> tuple[list[Path], list[str]]:

@@ -125,8 +125,21 @@ def open_mat(path: Path) -> Iterator[tuple[BinaryIO, str]]:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from error
 
 
+def is_hdf5(path: Path) -> bool:
+    """Whether a file is of version 7.3. Raises DataError if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return _has_signature(file.read(HDF5_AT[-1] + len(HDF5_SIGNATURE)))
+    except OSError as error:
+        raise DataError.at(path, f"cannot be read: {error.strerror}") from error
+
+
+def _has_signature(head: bytes) -> bool:
+    return any(head[at : at + len(HDF5_SIGNATURE)] == HDF5_SIGNATURE for at in HDF5_AT)
+
+
 def _byte_order(path: Path, head: bytes) -> str:
-    hdf5 = any(head[at : at + len(HDF5_SIGNATURE)] == HDF5_SIGNATURE for at in HDF5_AT)
+    hdf5 = _has_signature(head)
     order = {b"IM": "<", b"MI": ">"}.get(head[ENDIAN_AT:HEADER_BYTES])
     version = struct.unpack(f"{order}H", head[VERSION_AT:ENDIAN_AT])[0] if order else 0
     if hdf5 or version >> 8 == 2:

@@ -6,8 +6,7 @@ Plain reads instead of a memory map keep the memory in use small.
 from __future__ import annotations
 
 import math
-import pickle
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from data.errors import DataError
+from data.formats.lab.objects import NEEDS_TRUST, flat_column, plain, unwrapped
 from data.formats.open_log.scans import BROKEN, open_archive
 
 Record: TypeAlias = "dict[str, NDArray[Any] | Mapping[str, Any]]"
-NEEDS_TRUST = (
-    "holds Python objects (a pickle), which can run code when loaded; save plain arrays, "
-    "or add --trust-pickle if you trust the file's author"
-)
 SMALL = 2
 """Most dimensions of arrays that are read whole (timestamps and commands)."""
 
@@ -38,22 +34,15 @@ class _Layout:
 
 
 class NpyLog:
-    """A structured array (N,) with the fields of a frame; or, if trusted, objects: dicts or records."""
+    """A structured array (N,) with the fields of a frame."""
 
-    def __init__(self, path: Path, *, trust_pickle: bool) -> None:
+    def __init__(self, path: Path) -> None:
         self.path = path
-        self._objects: list[Any] | None = None
         with _reading(path), path.open("rb") as file:
             layout = _layout(file)
             self._offset = file.tell()
             size = path.stat().st_size
         self._layout = layout
-        if layout.dtype.hasobject:
-            if not trust_pickle:
-                raise DataError.at(path, NEEDS_TRUST)
-            self._objects = _unpickled(path)
-            self.fields = _names(self._objects[0]) if self._objects else ()
-            return
         if layout.dtype.names is None or len(layout.shape) != 1:
             what = f"an array of {layout.dtype} and shape {layout.shape}"
             raise DataError.at(path, f"{what}; a structured array (N,) is needed")
@@ -64,7 +53,7 @@ class NpyLog:
         self.fields = layout.dtype.names
 
     def __len__(self) -> int:
-        return self._layout.shape[0] if self._objects is None else len(self._objects)
+        return self._layout.shape[0]
 
     def place(self, frame: int, field: str) -> str:
         """A frame's field in NumPy's notation."""
@@ -72,10 +61,6 @@ class NpyLog:
 
     def records(self) -> Iterator[Record]:
         """The frames' fields by name."""
-        if self._objects is not None:
-            for i, item in enumerate(self._objects):
-                yield {name: _plain(self.path, self.place(i, name), item[name]) for name in _names(item)}
-            return
         with _reading(self.path), self.path.open("rb") as file:
             file.seek(self._offset)
             for row in _rows(file, self._layout):
@@ -101,11 +86,14 @@ class NpzLog:
                     raise DataError.at(path, f"{name}: a single value; one row per frame is needed")
                 if layout.dtype.hasobject or (layout.fortran and len(layout.shape) <= SMALL):
                     with np.load(path, allow_pickle=layout.dtype.hasobject) as arrays:
-                        self._whole[name] = arrays[name]
+                        self._whole[name] = flat_column(arrays[name])
                 elif layout.fortran and len(layout.shape) > 1:
                     what = "frames are not contiguous in Fortran order; save numpy.ascontiguousarray of it"
                     raise DataError.at(path, f"{name}: {what}")
-        lengths = {name: layout.shape[0] for name, layout in self._layouts.items()}
+        lengths = {
+            name: len(self._whole[name]) if name in self._whole else layout.shape[0]
+            for name, layout in self._layouts.items()
+        }
         if len(set(lengths.values())) > 1:
             counts = ", ".join(f"{name} {n}" for name, n in lengths.items())
             raise DataError.at(path, f"rows: {counts}; as many rows as frames are needed in each")
@@ -132,7 +120,7 @@ class NpzLog:
                 streams.append(_rows(member, _layout(member)))
             for i, rows in enumerate(zip(*streams, strict=True)):
                 named = zip(self.fields, rows, strict=True)
-                yield {name: _plain(self.path, self.place(i, name), row) for name, row in named}
+                yield {name: plain(self.path, self.place(i, name), row) for name, row in named}
 
 
 def npy_fields(path: Path) -> tuple[str, ...] | None:
@@ -142,6 +130,23 @@ def npy_fields(path: Path) -> tuple[str, ...] | None:
     with _reading(path), path.open("rb") as file:
         dtype = _layout(file).dtype
     return None if dtype.hasobject else dtype.names or ()
+
+
+def npy_value(path: Path) -> object:
+    """A structured array of one record as a dict, records inside it too. Raises DataError if damaged."""
+    with _reading(path):
+        return unwrapped(np.load(path, allow_pickle=False))
+
+
+def npz_values(path: Path, names: Iterable[str], *, trust_pickle: bool) -> dict[str, object]:
+    """Whole arrays of an archive, unwrapped. Raises DataError if damaged, or if they are objects without trust."""
+    with _reading(path), open_archive(path, whole=True) as archive:
+        for name in names:
+            with archive.open(f"{name}.npy") as member:
+                if _layout(member).dtype.hasobject and not trust_pickle:
+                    raise DataError.at(path, f"{name} {NEEDS_TRUST}")
+        with np.load(path, allow_pickle=trust_pickle) as arrays:
+            return {name: unwrapped(arrays[name]) for name in names}
 
 
 def npz_arrays(path: Path) -> tuple[str, ...]:
@@ -182,37 +187,3 @@ def _rows(stream: IO[bytes], layout: _Layout) -> Iterator[Any]:
         if len(content) < size:
             raise EOFError(f"ends early: {layout.shape[0]} frames are announced and {i} are there")
         yield np.frombuffer(content, layout.dtype).reshape(shape)[()]
-
-
-def _unpickled(path: Path) -> list[Any]:
-    """The objects of a trusted array: its elements, or those of its only list."""
-    try:
-        array = np.load(path, allow_pickle=True)
-    except (pickle.UnpicklingError, EOFError, ImportError, AttributeError, ValueError, IndexError, TypeError) as error:
-        raise DataError.at(path, f"the pickle cannot be loaded: {error}") from error
-    items = array.item() if array.ndim == 0 and array.dtype.names is None else array.ravel()
-    if not isinstance(items, list | tuple | np.ndarray):
-        raise DataError.at(path, f"holds one {type(items).__name__}; a list of dicts, one per frame, is needed")
-    for i, item in enumerate(items):
-        if not isinstance(item, Mapping) and getattr(getattr(item, "dtype", None), "names", None) is None:
-            raise DataError.at(path, f"[{i}]: a {type(item).__name__}; a dict of the frame's fields is needed")
-    return list(items)
-
-
-def _names(item: Any) -> tuple[str, ...]:
-    return tuple(item) if isinstance(item, Mapping) else tuple(item.dtype.names)
-
-
-def _plain(path: Path, place: str, value: Any) -> NDArray[Any] | Mapping[str, Any]:
-    """A field as an array, or a mapping (commands may be one)."""
-    if isinstance(value, Mapping):
-        return value
-    if isinstance(value, np.ndarray) and value.dtype.hasobject and value.size == 1:
-        value = value.item()
-    try:
-        array = np.asarray(value)
-    except ValueError as error:
-        raise DataError.at(path, f"{place}: {error}") from error
-    if array.dtype.hasobject:
-        raise DataError.at(path, f"{place}: Python objects; numbers are needed")
-    return array

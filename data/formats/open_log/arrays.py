@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -18,8 +19,8 @@ from data.formats.open_log.header import FORMAT, LATEST, header_of
 from data.formats.open_log.named import COVARIANCE, INLIER, SOURCE
 from data.formats.open_log.reader import (
     IDS,
+    KIND,
     MEAN,
-    NOISE,
     Measured,
     frames_in,
     frames_of,
@@ -32,6 +33,8 @@ from data.formats.open_log.reader import (
     truth_per_frame,
     with_measured,
 )
+from data.formats.open_log.sensors import FIRST, NOISE
+from data.formats.open_log.sensors import TABLE as SENSOR
 from data.log import Log
 from data.se2 import Array
 from data.truth import Truth
@@ -44,7 +47,7 @@ SOURCES = "sources"
 def log_of_arrays(
     name: str,
     prior: tuple[ArrayLike, ArrayLike],
-    sensor: Mapping[str, Any],
+    sensor: Mapping[str, Any] | Sequence[Mapping[str, Any]],
     observations: ArrayLike,
     *,
     increments: ArrayLike | None = None,
@@ -58,6 +61,8 @@ def log_of_arrays(
     true_id: ArrayLike | None = None,
     label: ArrayLike | None = None,
     labels_are_sensed: bool = False,
+    observed_by: ArrayLike | None = None,
+    kinds: ArrayLike | None = None,
     fixes: Mapping[str, Any] | None = None,
     closures: Mapping[str, Any] | None = None,
 ) -> Log:
@@ -71,9 +76,10 @@ def log_of_arrays(
 
     mean, spread = (np.asarray(p, float) for p in prior)
     stated = {"sigma" if spread.ndim == 1 else "covariance": spread.tolist(), "mean": mean.tolist()}
-    latest = fixes is not None or closures is not None
+    parts = (fixes, closures, observed_by, kinds)
+    latest = any(part is not None for part in parts) or not isinstance(sensor, Mapping) or _is_latest(sensor)
     tables: dict[str, Any] = {"format": LATEST if latest else FORMAT, "name": name, "prior": stated}
-    tables["sensor"] = _plain(sensor)
+    tables["sensor"] = _plain(sensor) if isinstance(sensor, Mapping) else [_plain(each) for each in sensor]
     tables |= {"labels_are_sensed": labels_are_sensed, "time_is_index": increments is not None and time is None}
     if motion is not None:
         tables["motion"] = _plain(motion)
@@ -92,6 +98,8 @@ def log_of_arrays(
         if values.shape != (len(seen),):
             raise fault(f"{column} has shape {values.shape}; ({len(seen)},) is needed, one for each observation")
     seen = _joined(seen, extra)
+    if observed_by is not None:
+        seen = replace(seen, texts={SENSOR: _words(f"{name}: observed_by", observed_by, len(seen))})
     found = observations_of(seen, header, key)
     fixed = closed = None
     if fixes is not None:
@@ -136,7 +144,12 @@ def log_of_arrays(
         true = table("truth", truth, ("t", *POSE) if by_stamp else POSE)
         true.require_finite(POSE, blank=True)
         pose = stamped_truth(true, moved.time) if by_stamp else truth_per_frame(true, len(moved.time))
-    known = None if landmarks is None else landmarks_of(table("landmarks", landmarks, ("id", "x", "y")))[0]
+    known = None
+    if landmarks is not None:
+        places = table("landmarks", landmarks, ("id", "x", "y"))
+        if kinds is not None:
+            places = replace(places, texts={KIND: _words(f"{name}: kinds", kinds, len(places))})
+        known = landmarks_of(places)[0]
     recorded, inliers = with_measured(inputs_of(header, moved, frame, found, known), measured, key)
     return Log(
         name=name,
@@ -186,6 +199,19 @@ def _columns(
         else:
             columns[key] = np.array(np.broadcast_to(array, length))
     return Table(place, columns, line=np.arange(length), texts=texts)
+
+
+def _is_latest(sensor: Mapping[str, Any]) -> bool:
+    """Whether a sensor is of format 2 alone."""
+    return "name" in sensor or "sees" in sensor or sensor.get("kind") not in (None, *FIRST)
+
+
+def _words(place: str, values: ArrayLike, count: int) -> list[str]:
+    words = np.asarray(values, str)
+    if words.shape != (count,):
+        raise DataError(f"{place} has shape {words.shape}; ({count},) is needed, one for each row")
+    found: list[str] = words.tolist()
+    return found
 
 
 def _joined(table: Table, more: Mapping[str, Array]) -> Table:

@@ -10,7 +10,8 @@ Formats 1 and 2. Keys, with their defaults where they may be left out:
     labels_are_sensed = false           ids come from the sensor, e.g. barcodes
     notes = []                          sentences for the reader
     [prior]   mean = [x, y, theta]      and sigma = [3 numbers] or covariance = [[3], [3], [3]]
-    [sensor]  kind = "range_bearing", "relative_point" or "line" (z1 = distance [m], z2 = direction [rad] of a wall's
+    [sensor]  (in format 2 also [[sensor]], see `sensors`)
+              kind = "range_bearing", "relative_point" or "line" (z1 = distance [m], z2 = direction [rad] of a wall's
                                         normal in the sensor frame; landmarks.csv then holds rho, alpha as x, y)
               sigma = [2 numbers]       default noise; needed if observations.csv has no r11, r12, r22
               max_range = inf           m
@@ -38,8 +39,7 @@ In format 2 [sensor] may be left out where there is no observations.csv.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -47,14 +47,13 @@ from typing import Any
 import numpy as np
 
 from data.errors import DataError
-from data.formats.open_log import closures, fixes
-from data.formats.open_log.scans import KEYS, mounting, read_scanner
+from data.formats.open_log import closures, fixes, sensors
+from data.formats.open_log.scans import KEYS, read_scanner
 from data.inputs import Prior, Scanner
 from data.motion.motion_prior import PRIORS, MotionPrior
 from data.motion.velocity import MODELS, NOISES, WITH_ALPHAS, VelocityModel, VelocityNoise
-from data.se2 import Array
-from data.sensors import Line, RangeBearing, RelativePoint, Sensor
-from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative, positive
+from data.sensors import RangeBearing
+from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 
 FORMAT, LATEST = 1, 2
 """A log without parts of format 2 is written as format 1."""
@@ -66,10 +65,7 @@ KNOWN = {
         *("prior", "sensor", "scanner", "motion", "source", *LATER),
     ),
     "prior": ("mean", "sigma", "covariance"),
-    "sensor": (
-        *("kind", "sigma", "max_range", "min_angle", "max_angle", "field_of_view"),
-        *("rotation", "translation", "extrinsic"),
-    ),
+    "sensor": sensors.KEYS,
     "sensor.extrinsic": ("rotation", "translation"),
     "scanner": KEYS,
     fixes.TABLE: fixes.KEYS,
@@ -80,23 +76,20 @@ KNOWN = {
     ),
 }
 """Keys of each table."""
-SENSORS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, RelativePoint, Line)}
 
 
 @dataclass(frozen=True)
 class Header:
     """Contents of `log.toml`.
 
-    `sensor`: None where none is stated. `sigma` (2,): the sensor's default noise. `motion`: how odometry becomes
-    increments. `motion_prior`: model instead of odometry. `scanner`: of a laser log. `fixes`, `closures`: their
-    sources.
+    `sensors`: with their default noise, none where none is stated. `motion`: how odometry becomes increments.
+    `motion_prior`: model instead of odometry. `scanner`: of a laser log. `fixes`, `closures`: their sources.
     """
 
     name: str
     format: int
     prior: Prior
-    sensor: Sensor | None
-    sigma: Array | None
+    sensors: tuple[sensors.Stated, ...]
     motion: VelocityModel | None
     time_is_index: bool
     covariance_floor: float
@@ -139,37 +132,6 @@ def _prior(table: TomlTable) -> Prior:
     if (low := np.linalg.eigvalsh(P)[0]) < -1e-12 * np.trace(P):
         raise table.error("covariance", f"not positive semidefinite (smallest eigenvalue {low:.3g})")
     return Prior(mean, P)
-
-
-def _view(table: TomlTable) -> tuple[float, float]:
-    """Smallest and largest angle [rad] of the field of view."""
-    if "field_of_view" in table:
-        if "min_angle" in table or "max_angle" in table:
-            raise table.error("field_of_view", "give it or min_angle and max_angle, not both")
-        what = "an opening angle above 0 and up to 2 pi (radians)"
-        opening = table.number("field_of_view", math.inf, what, lambda v: 0.0 < v <= 2.0 * math.pi + 1e-9)
-        return -0.5 * opening, 0.5 * opening
-    low = table.number("min_angle", -math.pi, "a finite angle (radians)", finite)
-    high = table.number("max_angle", math.pi, "a finite angle (radians)", finite)
-    key = "min_angle" if "min_angle" in table else "max_angle"
-    if low >= high:
-        raise table.error(key, f"min_angle ({low!r}) must be smaller than max_angle ({high!r})")
-    if high - low > 2.0 * math.pi + 1e-9:
-        raise table.error(key, f"the field of view opens {high - low:.6g}, more than 2 pi; angles are in radians")
-    return low, high
-
-
-def _sensor(table: TomlTable) -> tuple[Sensor, Array | None]:
-    kind = table.one_of("kind", SENSORS)
-    sigma = None
-    if "sigma" in table:
-        sigma = table.numbers("sigma", 2, "two numbers > 0 are", positive)
-    max_range = table.number("max_range", math.inf, "a range > 0 [m]", lambda v: v > 0.0)
-    low, high = _view(table)
-    extrinsic = table.optional_table("extrinsic")
-    if extrinsic is not None and ("rotation" in table or "translation" in table):
-        raise table.error("extrinsic", "give rotation and translation here or in [sensor], not both")
-    return SENSORS[kind](max_range, low, high, *mounting(table if extrinsic is None else extrinsic)), sigma
 
 
 def _motion(table: TomlTable) -> VelocityModel:
@@ -222,12 +184,11 @@ def header_of(table: dict[str, Any], fault: Fault) -> Header:
     top = TomlTable(fault, table, KNOWN)
     lasers = top.optional_table("scanner")
     scanner = None if lasers is None else read_scanner(lasers)
-    sensor: Sensor | None = None
-    sigma = None
-    if "sensor" in top or (scanner is None and number == FORMAT):
-        sensor, sigma = _sensor(top.table_of("sensor"))
-    elif scanner is not None:
-        sensor = RangeBearing(scanner.max_range)
+    found = sensors.stated(top, first_format=number == FORMAT)
+    if not found and scanner is not None:
+        found = (sensors.Stated(RangeBearing(scanner.max_range), None),)
+    elif not found and number == FORMAT:
+        top.table_of("sensor")
     motion = top.optional_table("motion")
     notes = table.get("notes", [])
     if not isinstance(notes, list) or not all(isinstance(n, str) for n in notes):
@@ -239,8 +200,7 @@ def header_of(table: dict[str, Any], fault: Fault) -> Header:
         name=_name(top),
         format=LATEST if number == LATEST else FORMAT,
         prior=_prior(top.table_of("prior")),
-        sensor=sensor,
-        sigma=sigma,
+        sensors=found,
         motion=None if motion is None or "prior" in motion else _motion(motion),
         time_is_index=top.flag("time_is_index"),
         covariance_floor=top.number("covariance_floor", 1e-10, "a number >= 0", not_negative),

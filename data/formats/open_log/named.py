@@ -23,12 +23,17 @@ LEAST = 1e-12
 """Least eigenvalue of a correlation matrix."""
 
 
+def is_name(word: str) -> bool:
+    """Whether a field of a CSV can hold a word."""
+    return bool(word) and word == word.strip() and word.isprintable() and not set(word) & set(',"')
+
+
 def names_of(tables: Sequence[TomlTable]) -> list[str]:
-    """The name of each table, which a field of a CSV can hold; different from each other."""
+    """The name of each table, different from each other."""
     names: list[str] = []
     for table in tables:
         name = table.text("name")
-        if not name or name != name.strip() or not name.isprintable() or set(name) & set(',"'):
+        if not is_name(name):
             raise table.error("name", "a name without commas, quotes and outer spaces is needed")
         if name in names:
             raise table.error("name", "the name of two tables; each needs its own")
@@ -36,16 +41,16 @@ def names_of(tables: Sequence[TomlTable]) -> list[str]:
     return names
 
 
-def source_rows(table: Table, names: Sequence[str], key: str) -> IntArray:
+def source_rows(table: Table, names: Sequence[str], key: str, column: str = SOURCE) -> IntArray:
     """Row (K,) in `names` of the source of each row, 0 where blank; `key`: of the tables [[key]] that state them."""
-    given = table.texts.get(SOURCE)
+    given = table.texts.get(column)
     if given is None:
         return np.zeros(len(table), np.int64)
     row = {"": 0, **{name: k for k, name in enumerate(names)}}
     for k, name in enumerate(given):
         if name not in row:
-            known = unknown(name, names) if len(names) else f"stated nowhere; a table [[{key}]] in log.toml is needed"
-            raise table.error(k, SOURCE, f"{name!r} is {known}")
+            known = unknown(name, names) if any(names) else f"stated nowhere; a table [[{key}]] in log.toml is needed"
+            raise table.error(k, column, f"{name!r} is {known}")
     return np.array([row[name] for name in given], np.int64)
 
 

@@ -3,9 +3,10 @@
     log.toml            see `header`; a motion prior there replaces increments and odometry
     frames.csv          t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt        row 0: zero increment
     or odometry.csv     t,v,omega                                           preintegrated on loading
-    observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame
+    observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame;
+                        in format 2 also sensor, and blank fields (see `sensors`)
     truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
-    landmarks.csv       id,x,y[,sx,sy]                                      optional
+    landmarks.csv       id,x,y[,sx,sy]                                      optional; in format 2 also kind
     scans.npz           range scans (see `scans`); then observations.csv and [sensor] may be missing
     relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt]         optional
     fixes.csv           absolute measurements of the pose (see `fixes`)     format 2; then observations.csv and
@@ -31,30 +32,37 @@ from typing import NamedTuple
 import numpy as np
 
 from data.errors import DataError
-from data.formats.csv_table import Table, read_table
+from data.formats.csv_table import FIRST_ROW, Table, read_table
 from data.formats.open_log import closures as closures_file
 from data.formats.open_log import fixes as fixes_file
 from data.formats.open_log.closures import ClosureTable, read_closures
 from data.formats.open_log.fixes import POSE, FixTable, read_fixes
 from data.formats.open_log.header import FORMAT, LATEST, Header, read_header
-from data.formats.open_log.named import COVARIANCE
+from data.formats.open_log.named import COVARIANCE, is_name
 from data.formats.open_log.scans import read_scans
+from data.formats.open_log.sensors import NOISE, may_be_blank, observed
+from data.formats.open_log.sensors import TABLE as SENSOR
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations, Scans
 from data.log import Log
 from data.motion.motion_prior import MotionPrior, note_of
 from data.motion.velocity import VelocityModel, floor_covariances, preintegrate
 from data.se2 import Array
-from data.sensors import RangeBearing, RelativePoint
+from data.sensors import RangeBearing
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import CLUTTER, UNKNOWN_ID, Relations, Truth
 
+KIND = "kind"
 
-def read_landmarks(path: Path) -> tuple[LandmarkMap | None, bool]:
-    """landmarks.csv, ascending by id (None without the file), and whether a survey's sigmas were ignored."""
+
+def read_landmarks(path: Path, *, kinds: bool = False) -> tuple[LandmarkMap | None, bool]:
+    """landmarks.csv, ascending by id (None without the file), and whether a survey's sigmas were ignored.
+
+    `kinds`: with its column kind (format 2).
+    """
     if not path.exists():
         return None, False
-    return landmarks_of(read_table(path, ("id", "x", "y"), ("sx", "sy")))
+    return landmarks_of(read_table(path, ("id", "x", "y"), ("sx", "sy", *((KIND,) * kinds)), words=(KIND,)))
 
 
 def landmarks_of(table: Table) -> tuple[LandmarkMap, bool]:
@@ -69,7 +77,12 @@ def landmarks_of(table: Table) -> tuple[LandmarkMap, bool]:
     repeated[order[1:]] = number[order[1:]] == number[order[:-1]]
     table.require(~repeated, "id", "{} is the id of two landmarks")
     surveyed = any((table.columns[n] > 0.0).any() for n in sigmas)
-    return LandmarkMap(number[order], table.stack(("x", "y"))[order]), surveyed
+    given = table.texts.get(KIND)
+    for row, word in enumerate(given or ()):
+        if word and not is_name(word):
+            raise table.error(row, KIND, f"{word!r} holds a quote; a plain name is needed")
+    kind = None if given is None else tuple(given[k] for k in order.tolist())
+    return LandmarkMap(number[order], table.stack(("x", "y"))[order], kind), surveyed
 
 
 RELATIVE = ("x", "y", "theta")
@@ -134,7 +147,6 @@ FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, SCANS, RELATI
 
 MEAN = ("dx", "dy", "dtheta")
 STAMP = "stamp"
-NOISE = ("r11", "r12", "r22")
 IDS = ("true_id", "label")
 
 LONGEST = 1e6
@@ -175,7 +187,7 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
         pose = truth_per_frame(_truth_table(folder / TRUTH, POSE), len(motion.time))
     frame = frames_in(observations.table, key, motion.time)
-    landmarks, survey = read_landmarks(folder / LANDMARKS)
+    landmarks, survey = read_landmarks(folder / LANDMARKS, kinds=header.format == LATEST)
     scans = _scans(folder, header, len(motion.time), by_stamp=by_stamp)
     reference = folder / RELATIONS if relations is None else relations
     related = None
@@ -211,8 +223,9 @@ def inputs_of(
         prior=header.prior,
         time=motion.time,
         increments=Increments(motion.increments.mean, covariance),
-        observations=Observations(frame, observations.table.stack(("z1", "z2")), observations.R),
-        sensor=RangeBearing() if header.sensor is None else header.sensor,
+        observations=Observations(frame, observations.z, observations.R, sensor=observations.sensor),
+        sensor=header.sensors[0].sensor if header.sensors else RangeBearing(),
+        sensors=tuple(s.sensor for s in header.sensors) if len(header.sensors) > 1 else (),
         map=landmarks,
         time_is_index=header.time_is_index,
         covariance_floor=header.covariance_floor,
@@ -282,12 +295,28 @@ def with_measured(
 
 
 class FrameTable(NamedTuple):
-    """Observations without frames: R (M, 2, 2), true_id and label (M,) or None."""
+    """Observations without frames: z (M, 2), R (M, 2, 2), row of the sensor, true_id and label (M,) or None."""
 
     table: Table
+    z: Array
     R: Array
+    sensor: IntArray | None
     true_id: IntArray | None
     label: IntArray | None
+
+    def by_sensor(self, sensor: IntArray, key: str) -> FrameTable:
+        """Sorted by sensor (M,) within each frame; DataError unless `key` ascends."""
+        self.table.require_ascending(key, strictly=False)
+        by = np.lexsort((sensor, self.table.columns[key]))
+        line = by + FIRST_ROW if self.table.line is None else self.table.line[by]
+        return FrameTable(
+            replace(self.table.part(by), line=line),
+            self.z[by],
+            self.R[by],
+            sensor[by],
+            None if self.true_id is None else self.true_id[by],
+            None if self.label is None else self.label[by],
+        )
 
 
 def _require_semidefinite(table: Table, matrices: Array) -> None:
@@ -334,50 +363,35 @@ def frames_of(table: Table, prior: MotionPrior | None = None) -> Motion:
 
 def _observations(path: Path, header: Header, key: str, measured: Measured) -> FrameTable:
     """observations.csv, checked except for range and order of `key` (frame or t)."""
-    if header.sensor is None and (path.exists() or not measured):
+    if not header.sensors and (path.exists() or not measured):
         needed = f"{OBSERVATIONS} needs one" if path.exists() else f"one, {FIXES} or {CLOSURES} is needed"
         raise DataError.at(path.with_name(HEADER), f"no [sensor] table; {needed}")
     if (header.scanner is not None or measured) and not path.exists():
         nothing = Table(path, dict.fromkeys((key, "z1", "z2"), np.zeros(0)))
-        return FrameTable(nothing, np.zeros((0, 2, 2)), None, None)
+        which = np.zeros(0, np.int64) if len(header.sensors) > 1 else None
+        return FrameTable(nothing, np.zeros((0, 2)), np.zeros((0, 2, 2)), which, None, None)
     other = "t" if key == "frame" else "frame"
-    table = read_table(path, (key, "z1", "z2"), (*NOISE, *IDS, other), may_be_blank=(*IDS, other))
+    second = ("z2",) if any(s.sensor.locates for s in header.sensors) else ()
+    blank = may_be_blank(header.sensors)
+    optional = (*NOISE, *IDS, other, *(("z2", SENSOR) if blank else ()))
+    table = read_table(path, (key, "z1", *second), optional, may_be_blank=(*IDS, other, *blank), words=(SENSOR,))
     return observations_of(table, header, key)
 
 
 def observations_of(table: Table, header: Header, key: str) -> FrameTable:
     """Observations of a table with the columns of observations.csv, checked except for range and order of `key`."""
-    table.require_finite((key, "z1", "z2"))
+    table.require_finite((key,))
     table.require_finite([n for n in IDS if n in table], blank=True)
-    if not isinstance(header.sensor, RelativePoint):
-        table.require(table.columns["z1"] >= 0.0, "z1", "{} is a negative range")
-    return FrameTable(
+    z, R, sensor = observed(table, header.sensors)
+    found = FrameTable(
         table,
-        _noise(table, header),
+        z,
+        R,
+        sensor,
         table.integers("true_id", CLUTTER, blank=UNKNOWN_ID) if "true_id" in table else None,
         table.integers("label", CLUTTER, blank=UNLABELLED) if "label" in table else None,
     )
-
-
-def _noise(table: Table, header: Header) -> Array:
-    """R (M, 2, 2) of each observation: its own, else the sensor's."""
-    if not any(n in table for n in NOISE):
-        if header.sigma is None:
-            what = f"no columns {','.join(NOISE)}, and no sigma in [sensor] of {HEADER}"
-            raise DataError.at(table.path, f"{what}; one of them is needed")
-        return np.tile(np.diag(header.sigma**2), (len(table), 1, 1))
-    for name in NOISE:
-        if name not in table:
-            raise DataError.at(table.path, f"no such column; {','.join(NOISE)} come together", line=1, column=name)
-    table.require_finite(NOISE)
-    r11, r12, r22 = (table.columns[n] for n in NOISE)
-    table.require(r11 > 0.0, "r11", "variance {} must be positive")
-    table.require(r22 > 0.0, "r22", "variance {} must be positive")
-    # by the correlation, whatever the units of z1 and z2
-    largest = (1.0 - 1e-12) * np.sqrt(r11) * np.sqrt(r22)
-    what = "{} is too large for r11 and r22; the covariance must be positive definite"
-    table.require(np.abs(r12) < largest, "r12", what)
-    return table.symmetric(NOISE)
+    return found if sensor is None else found.by_sensor(sensor, key)
 
 
 def _scans(folder: Path, header: Header, frames: int, *, by_stamp: bool) -> Scans | None:

@@ -15,6 +15,7 @@ import tomli_w
 from data.errors import DataError
 from data.formats.open_log import closures as closures_file
 from data.formats.open_log import fixes as fixes_file
+from data.formats.open_log import sensors as sensors_file
 from data.formats.open_log.fixes import POSE
 from data.formats.open_log.header import FORMAT, LATEST
 from data.formats.open_log.named import COVARIANCE
@@ -26,7 +27,6 @@ from data.formats.open_log.reader import (
     HEADER,
     LANDMARKS,
     MEAN,
-    NOISE,
     OBSERVATIONS,
     ODOMETRY,
     RELATIONS,
@@ -120,15 +120,14 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
     else:
         files[ODOMETRY] = _csv(("t", *VELOCITIES), np.column_stack([samples.time, samples.velocity]).tolist())
         columns = {"t": inputs.time[observations.frame].tolist()}
-    R = observations.R
-    numbers = np.column_stack([observations.z, R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]]).T.tolist()
-    columns |= dict(zip(("z1", "z2", *NOISE), numbers, strict=True))
+    sensors = inputs.sensors or (inputs.sensor,)
+    columns |= sensors_file.columns_of(sensors, observations.z, observations.R, observations.sensor)
     if truth.landmark_of is not None:
         columns["true_id"] = _or_blank(truth.landmark_of, UNKNOWN_ID)
     if log.label is not None:
         columns["label"] = _or_blank(log.label, UNLABELLED)
     nothing_else = inputs.scans is None and inputs.fixes is None and inputs.closures is None
-    if nothing_else or len(observations.frame) or len(columns) > 3 + len(NOISE):
+    if nothing_else or len(observations.frame) or truth.landmark_of is not None or log.label is not None:
         files[OBSERVATIONS] = _csv(columns, zip(*columns.values(), strict=True))
     key = "frame" if samples is None else "t"
     at = np.arange(len(inputs)) if samples is None else inputs.time
@@ -147,7 +146,10 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
     landmarks = _landmarks(log)
     if landmarks is not None:
         x, y = landmarks.xy.reshape(-1, 2).T.tolist()
-        files[LANDMARKS] = _csv(("id", "x", "y"), zip(landmarks.id.tolist(), x, y, strict=True))
+        places: dict[str, Sequence[object]] = {"id": landmarks.id.tolist(), "x": x, "y": y}
+        if landmarks.kind is not None:
+            places["kind"] = landmarks.kind
+        files[LANDMARKS] = _csv(places, zip(*places.values(), strict=True))
     return files
 
 
@@ -168,18 +170,25 @@ def _landmarks(log: Log) -> LandmarkMap | None:
     known, true = log.recorded.map, log.truth.landmarks
     if known is None or true is None:
         return known if known is not None else true
-    if not (np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy)):
+    if not (np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy) and known.kind == true.kind):
         what = f"log {log.name!r}: its map differs from its true landmarks"
         raise DataError(f"{what}; {LANDMARKS} can hold only one of them")
     return known
 
 
+def _is_latest(log: Log) -> bool:
+    """Whether a log has parts that format 1 has not."""
+    inputs, sensor, known = log.recorded, log.recorded.sensor, _landmarks(log)
+    named = bool(sensor.label or sensor.sees) or (known is not None and known.kind is not None)
+    measured = inputs.fixes is not None or inputs.closures is not None
+    return measured or named or bool(inputs.sensors) or not sensor.locates
+
+
 def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
     """Contents of log.toml."""
     inputs = log.recorded
-    sensor = inputs.sensor
     plain: dict[str, object] = {
-        "format": FORMAT if inputs.fixes is None and inputs.closures is None else LATEST,
+        "format": LATEST if _is_latest(log) else FORMAT,
         "name": name,
         "time_is_index": inputs.time_is_index,
         "covariance_floor": inputs.covariance_floor,
@@ -187,14 +196,7 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
         "labels_are_sensed": log.labels_are_sensed,
         "notes": log.notes,
         "prior": {"mean": inputs.prior.mean, "covariance": inputs.prior.covariance},
-        "sensor": {
-            "kind": sensor.name,
-            "max_range": sensor.max_range,
-            "min_angle": sensor.min_angle,
-            "max_angle": sensor.max_angle,
-            "rotation": sensor.rotation,
-            "translation": sensor.translation,
-        },
+        "sensor": [sensors_file.table_of(s) for s in inputs.sensors] or sensors_file.table_of(inputs.sensor),
         "source": log.source,
     }
     if inputs.scans is not None:

@@ -39,16 +39,16 @@ COLUMNS = {
 }
 
 
-def bundled_file() -> Path:
-    """The file inside the installed gtsam wheel, found without importing gtsam; DataError if missing."""
+def bundled_file(name: str = FILE) -> Path:
+    """A file inside the installed gtsam wheel, found without importing gtsam; DataError if missing."""
     spec = importlib.util.find_spec("gtsam")
     if spec is None or not spec.submodule_search_locations:
-        raise DataError(f"{FILE}: gtsam is not installed, and its wheel holds this file; pip install gtsam")
+        raise DataError(f"{name}: gtsam is not installed, and its wheel holds this file; pip install gtsam")
     for folder in spec.submodule_search_locations:
-        path = Path(folder) / "Data" / FILE
+        path = Path(folder) / "Data" / name
         if path.is_file():
             return path
-    raise DataError.at(Path(spec.submodule_search_locations[0]) / "Data" / FILE, "no such file in the installed gtsam")
+    raise DataError.at(Path(spec.submodule_search_locations[0]) / "Data" / name, "no such file in the installed gtsam")
 
 
 def load_victoria_park(path: Path | None = None) -> Log:

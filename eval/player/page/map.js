@@ -27,6 +27,7 @@ function drawMap() {
   c.fillStyle = paper(); c.fillRect(0, 0, view.width, view.height);
   c.font = "11px system-ui, sans-serif"; c.lineJoin = "round";
   drawTruth(c, view);
+  drawSources(c, view, path(run).xy);
   for (const r of runs()) if (S.shown.has(r.key) && r !== run) drawRunPath(c, view, r, 1.2);
   drawRunPath(c, view, run, 2);
   if (run.loops && run.loops.length) drawLoops(c, view, run);
@@ -52,6 +53,20 @@ function drawTruth(c, view) {
   drawPath(c, view, truth[0], truth[1], 0, S.frame + 1);
   const theta = recording.column("truth_theta")[S.frame];
   if (Number.isFinite(theta)) robot(c, view, truth[0][S.frame], truth[1][S.frame], theta, 11, null, ink());
+}
+
+/** Fixes and closures up to now; closures between the poses of a path. */
+function drawSources(c, view, xy) {
+  const fix = recording.of("fix_xy"), when = recording.column("fix_frame"), pairs = recording.of("closure_frames");
+  c.strokeStyle = faint(); c.lineWidth = 0.8; c.setLineDash([]);
+  for (let i = 0; fix && i < fix[0].length && when[i] <= S.frame; i++) {
+    const x = view.px(fix[0][i]), y = view.py(fix[1][i]);
+    c.beginPath(); c.moveTo(x - 2, y - 2); c.lineTo(x + 2, y + 2); c.moveTo(x - 2, y + 2); c.lineTo(x + 2, y - 2); c.stroke();
+  }
+  for (let i = 0; pairs && xy && i < pairs[0].length && pairs[1][i] <= S.frame; i++) {
+    const [a, b] = [pairs[0][i], pairs[1][i]];
+    c.beginPath(); c.moveTo(view.px(xy[0][a]), view.py(xy[1][a])); c.lineTo(view.px(xy[0][b]), view.py(xy[1][b])); c.stroke();
+  }
 }
 
 function drawRunPath(c, view, run, width) {

@@ -61,21 +61,42 @@ SHADOW_WIDTH = 0.15  # m; half the width of a landmark that may occlude another
 
 # --- Persistent or transient landmarks (persistence.py) -------------------------------------------------------------
 
-PERSISTENCE_MEANS = (0.5, 0.5, 0.4, 0.5, 0.8)  # prior means of the fields of `Persistence`, ...
-PERSISTENCE_WORTH = (2.0, 2.0, 5.0, 4.0, 5.0)  # ... and their weights, in landmarks or detection opportunities
+PERSISTENCE_MEANS = (0.5, 0.5, 0.4, 0.5, 0.8, 0.5, 0.5, 0.5)  # prior means of the fields of `Persistence`, ...
+PERSISTENCE_WORTH = (
+    2.0,
+    2.0,
+    5.0,
+    4.0,
+    5.0,
+    4.0,
+    10.0,
+    10.0,
+)  # ... and their weights, in landmarks or detection opportunities
 PERSISTENCE_OWN = 10.0  # weight of the common rates against a landmark's own, in opportunities
 PERSISTENCE_CHANCE = 0.01  # detection probability of a landmark that has vanished
 PERSISTENCE_LEAVING = 0.001  # probability that a real landmark leaves before an opportunity
 PERSISTENCE_LATER_LEAST = 0.35  # smallest probability that a transient landmark vanishes before an opportunity
-FOLDED_SHARE = 0.5  # share of a map's landmarks that left, above which the map is folded
 PERSISTENCE_ROUNDS = 20  # rounds of expectation maximization
 PERSISTENT_FEWEST = 0.05  # share of the observations, of landmarks with the fewest, ignored in the required number
 REASSOCIATION_GATE = 0.999  # gate of the final re-association
 REASSOCIATION_QUANTILE = 0.9  # quantile of squared distances that gives the variance scale; a median ignores tails
 REASSOCIATION_OBSERVATIONS = 4  # observations of a landmark that counts for this scale
 
+# --- Two landmarks of the smoothed map that are one (same_place.py) --------------------------------------------------
+
+SAME_OBSERVATIONS = 2  # observations of a landmark that is compared
+SAME_NEAREST = 3  # neighbours that a landmark is compared with
+SAME_GATE = 0.99  # gate of the median squared distance of a landmark's observations to the other's place
+SAME_DETECTED = 0.5  # detection probability of two landmarks, if they are two
+SAME_CHANCE = 0.02  # probability that one landmark is observed twice in a frame, by clutter
+SAME_ODDS = 3.0  # log odds above which both are one
+SAME_ROUNDS = 2  # smoothings with merged landmarks: places agree better then
+
+# --- The floor (floor.py) -------------------------------------------------------------------------------------------
+
 PLAIN_MOST = 2  # landmarks of `jcbb` over those initialized in hindsight, above which it is not followed to its end
-PLAIN_ODDS = 10.0  # log odds from which the final decisions are those of `jcbb`
+PLAIN_ODDS = 40.0  # log odds from which the final decisions are those of `jcbb`, ...
+PLAIN_LEFT = 0.1  # ... whose map has no larger share of landmarks that left, or no more of them than that in hindsight
 
 # --- A frame without a prediction (placement.py) --------------------------------------------------------------------
 

@@ -25,7 +25,9 @@ from ekf.slam import EkfSlam
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.final_association import Reassociation
 from eval.replay.hindsight.persistence import Kept, evidence, kept_at_end
+from eval.replay.poses import PoseMeasurements
 from eval.replay.settings import Given, Setup
+from graph.batch import Start
 
 
 class Plain(NamedTuple):
@@ -41,7 +43,8 @@ class Smoothed(NamedTuple):
 
     sensor: without its systematic errors; pose (N, 3), known: path and map; seen: observations (M) with the noise as
     stated or estimated before the log; found: final decisions; share: variance of observations over that noise;
-    motion: chi-square of prior and odometry; opportunities: of each landmark, by number.
+    motion: chi-square of prior and odometry; opportunities: of each landmark, by number; start: all estimates, to
+    smooth again from.
     """
 
     sensor: Sensor
@@ -52,6 +55,7 @@ class Smoothed(NamedTuple):
     share: float
     motion: float
     opportunities: dict[int, bytes]
+    start: Start
 
     @property
     def times(self) -> tuple[IntArray, IntArray]:
@@ -62,7 +66,9 @@ class Smoothed(NamedTuple):
     def kept(self) -> Kept:
         """Which of the observed landmarks (n,) stay in the map."""
         numbers, times = self.times
-        return kept_at_end([self.opportunities[n] for n in numbers.tolist()], times)
+        rows = [np.flatnonzero(self.found.number == n)[[0, -1]] for n in numbers.tolist()]
+        spans = np.array(rows, np.int64).reshape(-1, 2)
+        return kept_at_end([self.opportunities[n] for n in numbers.tolist()], times, spans)
 
     @property
     def consistent(self) -> bool:
@@ -76,10 +82,12 @@ def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> Pla
     It is lost then, and takes long.
     """
     held = EkfSlam(given.prior, given.sensor)
+    poses = PoseMeasurements(given, held, held, setup.gate_poses)
     numbers, path = [], []
     for frame in frames:
         if frame.increment is not None:
             held.predict(frame.increment)
+        poses.use(frame)
         if len(frame.observations.z):
             e = held.expect(frame.observations)
             decisions = decide("jcbb", e, setup.gate, setup.new_gate).decisions

@@ -17,11 +17,14 @@ import numpy as np
 from association.expectation import gate_threshold
 from data import se2
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior
+from data.motion.systematic import sensor_frame
+from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated, not_used
 from data.result import DISCARD, PoseEstimate
 from data.se2 import Array
 from data.sensors import RANGE_BEARING, Sensor
 from ekf import kernels, updates
 from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
+from ekf.pose_updates import Clones, Measured, PoseRule, absorb, of_closures, of_fixes
 from eval.replay.hindsight.noise import learned, log_density, stated
 
 GATE = 0.9999  # gate of a single pairing; wide, because a wrong pairing is outweighed later and a missed one is not
@@ -47,7 +50,7 @@ class Choice(NamedTuple):
 
 @dataclass
 class Hypothesis:
-    """A pose (3,), its covariance (3, 3), logarithm of its weight, and its past.
+    """A pose, kept poses of earlier frames behind it (3 + 3c,), their covariance, logarithm of its weight, its past.
 
     taken, squares: landmarks paired in the newest frame, and squared innovations of these pairings.
     """
@@ -93,14 +96,54 @@ class Hypotheses:
         self._stray = math.log(STRAY / _view_area(sensor, self._reach))
         self._seen, self._expected = np.full(BINS, FIRST[0]), np.full(BINS, FIRST[1])
         self._at = np.full(len(self._xy), -1, np.int64)
+        self._frame, self._clones = sensor_frame(None, sensor, prior), Clones()
         self._gate = gate_threshold(GATE)
         self.noise = stated()
         self.members = [Hypothesis(prior.mean.copy(), prior.covariance.copy(), 0.0)]
 
     def predict(self, increment: Increment) -> None:
-        """Move all by an increment."""
+        """Move all by an increment; the pose before it stays in the state if a later closure names its frame."""
+        clones = self._clones
+        over = clones.over()
+        kept = [i for i, frame in enumerate(clones.frames) if frame not in over]
+        if len(kept) < len(clones.frames) or clones.wanted:
+            poses = [0, *(1 + i for i in kept), *([0] if clones.wanted else [])]
+            states = (3 * np.array(poses)[:, None] + np.arange(3)).ravel()
+            for h in self.members:
+                h.mean, h.P = h.mean[states], h.P[np.ix_(states, states)]
+            clones.frames[:] = [*(clones.frames[i] for i in kept), *([clones.now] if clones.wanted else [])]
+        clones.now += 1
         for h in self.members:
-            kernels.predict(h.mean, h.P, 3, increment.mean, increment.covariance, kernels.NEWEST)
+            kernels.predict(h.mean, h.P, len(h.mean), increment.mean, increment.covariance, kernels.NEWEST)
+
+    def keep(self, last_use: dict[int, int]) -> None:
+        """See `Filter.keep`."""
+        self._clones.keep(last_use)
+
+    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+        """Update all with absolute measurements of the pose, which also weigh them; the result is the leader's."""
+        return self._absorb(of_fixes(self._frame, fixes, sources), gate)
+
+    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+        """Update all with relative poses, which also weigh them; the result is the leader's."""
+        return self._absorb(of_closures(self._frame, closures, self._clones.now), gate)
+
+    def _absorb(self, measured: Sequence[Measured], gate: float | None) -> PoseUpdated:
+        """One after another; one outside a hypothesis's gate is as likely there as at the gate."""
+        done = not_used([len(m.rows) for m in measured])
+        for i, m in enumerate(measured):
+            at = self._clones.at(m, 3, 3)
+            if at is None:
+                continue
+            rule = PoseRule(gate_threshold(gate, len(m.rows)), updates.ADDITIVE, self._how.iterations, 0, 0)
+            for h in reversed(self.members):
+                found = absorb(h.mean, h.P, len(h.mean), at, m, rule)
+                if found.status != kernels.OK:
+                    raise FilterDivergedError(kernels.FAILURES[found.status])
+                h.weight -= 0.5 * (min(found.nis, rule.threshold) + found.log_det)
+            done.used[i], done.nis[i], done.white[i, m.rows] = found.used, found.nis, found.white
+        self._keep(self.members)
+        return done
 
     def observe(self, observations: FrameObservations, first_row: int) -> Standing:
         """Branch over the observations of a frame, which are the rows of the log from `first_row` on."""
@@ -182,7 +225,8 @@ class Hypotheses:
             mean, P, stats = h.mean.copy(), h.P.copy(), np.zeros(3)
             seen = kernels.Pairings(self._at[:1], self._xy[j : j + 1], z, R)
             done = updates.Outcome(np.ones(1, np.bool_), stats, np.empty((1, 2)))
-            status = updates.update(self.sensor.kind, self._extrinsic, mean, mean, P, 3, seen, 0, 1, self._how, done)
+            state = mean, mean, P, len(mean)
+            status = updates.update(self.sensor.kind, self._extrinsic, *state, seen, 0, 1, self._how, done)
             if status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[status])
             d2_there = float(stats[0])
@@ -214,18 +258,19 @@ class Hypotheses:
         """Mean and covariance of the mixture."""
         leader = self.members[0]
         if len(self.members) == 1:
-            return PoseEstimate(leader.mean.copy(), leader.P.copy())
+            return PoseEstimate(leader.mean[:3].copy(), leader.P[:3, :3].copy())
         share = np.exp([h.weight for h in self.members])
-        away = np.array([se2.pose_error(h.mean, leader.mean) for h in self.members])
+        away = np.array([se2.pose_error(h.mean[:3], leader.mean[:3]) for h in self.members])
         shift = share @ away
-        mean = leader.mean + shift
+        mean = leader.mean[:3] + shift
         mean[2] = se2.wrap_angle(float(mean[2]))
         spread = away - shift
-        P = np.einsum("h,hij->ij", share, np.array([h.P for h in self.members])) + (spread.T * share) @ spread
+        P = np.einsum("h,hij->ij", share, np.array([h.P[:3, :3] for h in self.members])) + (spread.T * share) @ spread
         return PoseEstimate(mean, 0.5 * (P + P.T))
 
     def restart(self, mean: Array, covariance: Array) -> None:
-        """One hypothesis at another pose, with the leader's past."""
+        """One hypothesis at another pose, with the leader's past; earlier poses are no longer known."""
+        self._clones.frames.clear()
         self.members = [Hypothesis(mean.copy(), covariance.copy(), 0.0, self.members[0].past)]
 
     def decisions(self, rows: int) -> IntArray:

@@ -193,7 +193,9 @@ class Ledger:
         """Retract landmarks (r,) that are transient, at the end of a run, by what is `recounted` or recorded."""
         every = list(self.records.items())
         observations = np.array([len(r.observations) for _, r in every], np.int64)
-        found = kept_at_end([recounted.get(n, r.opportunities) for n, r in every], observations)
+        rows = [[row for row, _ in r.observations] for _, r in every]
+        spans = np.array([[min(of), max(of)] for of in rows], np.int64).reshape(-1, 2)
+        found = kept_at_end([recounted.get(n, r.opportunities) for n, r in every], observations, spans)
         numbers = np.array([n for n, _ in every], np.int64)
         left = numbers[found.left].tolist()
         if found.folded:

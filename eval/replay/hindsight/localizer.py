@@ -20,20 +20,25 @@ from eval.replay.hindsight import constants
 from eval.replay.hindsight.hypotheses import Choice, Hypotheses
 from eval.replay.hindsight.lost import Health, recovered, watch
 from eval.replay.hindsight.relocalize import EMPTY, Place, Scan, extended, moved, relocalize
+from eval.replay.poses import PoseMeasurements
 from eval.replay.settings import Given
 
 
 class HindsightLocalizer:
-    """Decides about the observations of a log with a known map, frame by frame: `move`, `decide`; then `pose`."""
+    """Decides about the observations of a log with a known map, frame by frame: `move`, `decide`; then `pose`.
 
-    def __init__(self, given: Given) -> None:
-        """Start at the prior. Raises UsageError without a map."""
+    Fixes and closures (`use_poses`, after `move`) weigh the hypotheses.
+    """
+
+    def __init__(self, given: Given, gate_poses: float | None = None) -> None:
+        """Start at the prior; `gate_poses`: of fixes and closures. Raises UsageError without a map."""
         if given.map is None:
             raise UsageError("hypotheses of the pose alone need a known map")
         self.sensor, self.map = given.sensor, given.map
         self.bank = Hypotheses(
             given.prior, given.sensor, given.map, FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
         )
+        self.poses = PoseMeasurements(given, self.bank, self.bank, gate_poses)
         self.health = Health()
         self._scans = (EMPTY, EMPTY)  # observations since each cumulative sum left zero
         self.alarms: list[int] = []  # frames in which the monitor detected a lost robot
@@ -50,6 +55,12 @@ class HindsightLocalizer:
         if increment is not None:
             self.bank.predict(increment)
             self._scans = (moved(self._scans[0], increment), moved(self._scans[1], increment))
+
+    def use_poses(self, frame: Frame) -> None:
+        """Update with the frame's fixes and closures."""
+        past = self.bank.members[0].past
+        self.poses.use(frame)
+        self._revise(past, self.bank.members[0].past)
 
     def decide(self, frame: Frame) -> IntArray:
         """Decisions (m,) about observations of this frame: landmark id, or `DISCARD` where they are postponed."""

@@ -18,6 +18,7 @@ from association.expectation import Expectation, gate_threshold
 from association.truncated import Acceptance
 from data.inputs import Frame, FrameObservations, Increment, IntArray, Prior
 from data.notice import Notice
+from data.pose_measurements import MEASURED, FixKind, FixSource, FrameClosures, FrameFixes, PoseUpdated, not_used
 from data.result import DISCARD, Event, Finished, MapState, PoseEstimate, Systematics, Trajectory, Updated
 from data.se2 import Array, BoolArray
 from ekf.filter import FilterOptions
@@ -43,6 +44,7 @@ class Stretches:
         # first frame whose observations the present smoother has: those of its first frame are in its prior
         self._given = 0
         self._done: list[Finished] = []
+        self._last_use: dict[int, int] = {}
 
     def predict(self, increment: Increment) -> None:
         """Move by an increment."""
@@ -62,6 +64,33 @@ class Stretches:
     def update(self, observations: FrameObservations, decisions: IntArray, **options: Any) -> Updated:
         """Use the pairings."""
         return self._now.update(observations, decisions, **options)
+
+    def keep(self, last_use: dict[int, int]) -> None:
+        """The frames that later closures name; a later smoother keeps those that it has."""
+        self._last_use = last_use
+        if self._can.closable is not None:
+            first = self._first
+            mine = {frame - first: last - first for frame, last in last_use.items() if frame >= first}
+            self._can.closable.keep(mine)
+
+    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+        """Update with absolute measurements of the pose."""
+        if self._can.fixable is None:
+            return not_used([len(MEASURED[FixKind(kind)]) for kind in fixes.kind.tolist()])
+        return self._can.fixable.fix(fixes, sources, gate)
+
+    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+        """Update with relative poses; not used: those of a frame of an earlier stretch."""
+        done = not_used([3] * len(closures.row))
+        mine = np.minimum(closures.frame1, closures.frame2) >= self._first
+        if self._can.closable is None or not mine.any():
+            return done
+        part = closures.only(mine)
+        moved = part._replace(frame1=part.frame1 - self._first, frame2=part.frame2 - self._first)
+        found = self._can.closable.close_loops(moved, gate)
+        for every, own in zip(done, found, strict=True):
+            every[mine] = own
+        return done
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
         """Change the landmarks of what frames (m,) saw; earlier stretches stay as they are."""
@@ -97,6 +126,7 @@ class Stretches:
         self._first, self._given = self._frame, self._frame + 1
         self._now = self._begin(Prior(mean, covariance))
         self._can = capabilities(self._now)
+        self.keep(self._last_use)
         self.stamp(self._time)
 
     def finish(self) -> Finished:
@@ -145,7 +175,7 @@ class LocalizingFrontEnd(FrontEnd):
 
         Raises UsageError: without a map. Raises CannotError: the estimator has no `reset`.
         """
-        self.localizer = HindsightLocalizer(given)  # decides; its `events` are the revisions
+        self.localizer = HindsightLocalizer(given, setup.gate_poses)  # decides; its `events` are the revisions
         super().__init__(estimator, association, given, setup, options)
         self._decided = np.empty(0, np.int64)
         self._was_single, self._found_again = True, False
@@ -166,6 +196,23 @@ class LocalizingFrontEnd(FrontEnd):
         """Take the next frame."""
         super().move(frame)
         self.localizer.move(frame)
+
+    def use_poses(self, frame: Frame) -> None:
+        """Update with the frame's fixes and closures, in the hypotheses too.
+
+        After a reset a filter no longer knows the frames before; it is reset again where only the hypotheses can use a
+        closure.
+        """
+        super().use_poses(frame)
+        self.localizer.use_poses(frame)
+        own, theirs = self.poses.closed, self.localizer.poses.closed
+        if own is None or theirs is None or self.estimator.smooths:
+            return
+        lacking = np.isnan(own.nis) & np.isfinite(theirs.nis)
+        if lacking.any():
+            self._reset()
+            for each, other in zip(own, theirs, strict=True):
+                each[lacking] = other[lacking]
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
         """Decisions by the hypotheses, or by another method for comparison; a smoother gets only candidates

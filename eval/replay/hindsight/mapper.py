@@ -28,6 +28,7 @@ from eval.replay.hindsight.noise import AS_STATED, Restated
 from eval.replay.hindsight.two_models import TwoModels
 from eval.replay.hindsight.uncertain_motion import UncertainMotion
 from eval.replay.hindsight.whole_log import WholeLog
+from eval.replay.poses import PoseMeasurements
 from eval.replay.settings import Given, Setup
 
 TIGHT = Systematic(("scale", "curvature", "left", "right", "drift"), np.array([0.02, 2e-3, 0.05, 0.05, 1.25e-3]), 50.0)
@@ -89,6 +90,7 @@ class HindsightMapper:
         self.duplicates = Duplicates(self.ledger)  # landmarks initialized twice
         self.lost = Lost(self.ledger)  # plausibility of the map; decides nothing
         self.folded: list[int] = []  # frames in which landmarks of a folded map were last seen
+        self.poses = PoseMeasurements(given, self.filters, self.filters, setup.gate_poses)
         self.whole = WholeLog(given)  # the log, for the final re-association
 
     @property
@@ -105,6 +107,11 @@ class HindsightMapper:
             self.filters.predict(frame.increment)
             self.motion.move(frame.increment)
             self.kidnapping.move(frame.increment)
+
+    def use_poses(self, frame: Frame) -> None:
+        """Update with the frame's fixes and closures, after step 1."""
+        self.poses.use(frame)
+        self.whole.poses.enter(frame, self.poses)
 
     def decide(self, frame: Frame) -> Mapped:
         """Steps 2 to 7: decisions about observations of this frame, also used by the filter."""

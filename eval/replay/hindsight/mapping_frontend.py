@@ -51,6 +51,11 @@ class MappingFrontEnd(FrontEnd):
         super().move(frame)
         self.mapper.move(frame)
 
+    def use_poses(self, frame: Frame) -> None:
+        """Update with the frame's fixes and closures, in the mapper's own filter too."""
+        super().use_poses(frame)
+        self.mapper.use_poses(frame)
+
     def associate(self, frame: Frame) -> Pairing:
         """Decide about this frame's observations; the mapper has its own expectation."""
         decisions, complete, at, kidnapped, S = self.mapper.decide(frame)

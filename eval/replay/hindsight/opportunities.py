@@ -2,12 +2,12 @@
 
 A landmark may be hidden from most places: by others, by its own far side, by distance. So a missed detection counts by
 its viewpoint, the range and the side from which the landmark is looked at. A viewpoint is familiar if the landmark was
-detected before in the same cell of viewpoints or in one beside it. How often persistent landmarks are detected from
-familiar viewpoints and from others is learned for the log (`persistence.py`): where landmarks hide, misses from
-elsewhere tell nothing; where they do not, every miss counts.
+detected before in the same cell of viewpoints or in one beside it. Behind a mapped landmark it may be occluded. How
+often persistent landmarks are detected from familiar viewpoints, from others and behind others is learned for the log
+(`persistence.py`): where landmarks hide, misses from elsewhere tell nothing; where they do not, every miss counts.
 
 Online, the ledger collects opportunities with the path and the pairings of the moment; `recounted` does so with the
-smoothed path, the map and the pairings of the end.
+smoothed path, the map and the pairings of the end, and counts misses before the first detection, too.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
 from eval.replay.hindsight import constants
 
-MISSED, DETECTED, FAMILIAR = 0, 1, 2  # of an opportunity: the result, plus `FAMILIAR` if the viewpoint is
+MISSED, DETECTED = 0, 1  # of an opportunity: the result, ...
+FAMILIAR, BEHIND = 2, 4  # ... plus one of these if the viewpoint is familiar, or behind another landmark
+BEFORE = 6  # missed before the first detection
 
 
 def cell(distance: float, direction: float) -> int:
@@ -70,7 +72,7 @@ def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
 def recounted(
     sensor: Sensor, path: Array, known: LandmarkMap, seen: Observations, number: IntArray
 ) -> dict[int, bytes]:
-    """The opportunities of each landmark of a map in a log, by number, after its first observation.
+    """The opportunities of each landmark of a map in a log, by number, without its first observation.
 
     Args:
         sensor: its view is that in which observations were made.
@@ -90,15 +92,18 @@ def recounted(
         z_hat = sensor.predict(pose, known.xy[near])
         detected = np.isin(known.id[near], number[first:end])
         open_to = in_sight(sensor, z_hat, np.broadcast_to(noise, (len(near), 2, 2)), z)
-        free = detected | (open_to & ~behind_others(sensor, z_hat))
-        polar, elsewhere = sensor.polar(z_hat), np.hypot(*(place[near] - pose[:2]).T) >= apart
-        for q in np.flatnonzero(free & (detected | elsewhere)).tolist():
+        polar, behind = sensor.polar(z_hat), behind_others(sensor, z_hat)
+        elsewhere = np.hypot(*(place[near] - pose[:2]).T) >= apart
+        for q in np.flatnonzero(detected | (open_to & elsewhere)).tolist():
             i, found = int(near[q]), bool(detected[q])
             at, known_from = cell(polar[q, 0], pose[2] + polar[q, 1]), familiar[i]
-            if known_from and (elsewhere[q] or not result[i]):
-                result[i].append((DETECTED if found else MISSED) + (FAMILIAR if at in known_from else 0))
+            if known_from and (elsewhere[q] or not result[i].lstrip(bytes([BEFORE]))):
+                viewpoint = BEHIND if behind[q] else FAMILIAR if at in known_from else 0
+                result[i].append((DETECTED if found else MISSED) + viewpoint)
+            elif not (known_from or found):
+                result[i].append(BEFORE)
             if found:
                 known_from.update(beside(at))
-            if known_from and elsewhere[q]:
+            if elsewhere[q]:
                 place[i] = pose[:2]
     return {n: bytes(s) for n, s in zip(known.id.tolist(), result, strict=True)}

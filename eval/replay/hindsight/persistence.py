@@ -8,6 +8,8 @@ Each landmark has a sequence of opportunities (`opportunities.py`). Three kinds 
 * transient: clutter that vanishes right after its first observation, or people who vanish before each later
   opportunity with a much larger probability.
 
+Before its first detection a real landmark was missed, and a transient one had not appeared yet.
+
 The time of leaving is summed out, as in the persistence filter (Rosen, Mason and Leonard, ICRA 2016) with a geometric
 survival time. Shares and rates are fitted to all landmarks of the log by expectation maximization. Misses after the
 last detection do not count for the rates: the landmark may have left.
@@ -25,6 +27,7 @@ from numba import njit
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from eval.replay.hindsight import constants
+from eval.replay.hindsight.opportunities import BEFORE
 
 Opportunities = Sequence[bytes | bytearray]  # of each landmark, after its first observation; see `opportunities.py`
 
@@ -33,7 +36,8 @@ class Persistence(NamedTuple):
     """Common parameters of a log's landmarks.
 
     real: share of landmarks that are no transient ones; at_once, later: probabilities that a transient one vanishes
-    before the first and before each further opportunity; elsewhere, familiar: detection probabilities by viewpoint.
+    before the first and before each further opportunity; elsewhere, familiar, behind: detection probabilities by
+    viewpoint; first: of a landmark that was not detected before; appearing: probability that a transient one appears.
     """
 
     real: float
@@ -41,6 +45,9 @@ class Persistence(NamedTuple):
     later: float
     elsewhere: float
     familiar: float
+    behind: float
+    first: float
+    appearing: float
 
 
 class Kinds(NamedTuple):
@@ -77,8 +84,7 @@ def evidence(opportunities: Opportunities) -> Array:
 class Kept(NamedTuple):
     """Landmarks (n,) of a map that stay in it at the end of a log.
 
-    left: those that left the world before; folded: most would have left, which no world explains, so none of these
-    stays.
+    left: those that left the world before; folded: they were initialized again elsewhere, so none of these stays.
     """
 
     stays: BoolArray
@@ -86,16 +92,18 @@ class Kept(NamedTuple):
     folded: bool
 
 
-def kept_at_end(opportunities: Opportunities, observations: IntArray) -> Kept:
+def kept_at_end(opportunities: Opportunities, observations: IntArray, spans: IntArray) -> Kept:
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
     To drop a landmark unpairs all its observations; to keep a transient one keeps as many wrong pairings. So the
     expected cost is least where landmarks stay that are real with a probability above one half. A landmark observed
     twice among often observed ones is a person who came by at the end: fewer than `CONFIRMED` observations are not
-    enough where all such landmarks together have a small share of the observations. Where more than `FOLDED_SHARE`
-    would stay as landmarks that left, the map is folded: these were initialized again elsewhere, and are dropped.
+    enough where all such landmarks together have a small share of the observations.
 
-    observations (n,): number of each landmark.
+    A world where landmarks leave has few that appear, where there was nothing before. If more appeared after the median
+    landmark left than left, the map is folded: these were initialized again elsewhere, and are dropped.
+
+    observations (n,): number of each landmark; spans (n, 2): its first and its last observation.
     """
     p = persistence(opportunities)
     found = kinds(opportunities, p)
@@ -105,12 +113,16 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray) -> Kept:
         fewer = np.cumsum(times) > constants.PERSISTENT_FEWEST * times.sum()
         keep &= observations >= min(constants.CONFIRMED, int(times[fewer.argmax()]))
     left = keep & (found.left > found.persistent)
-    folded = bool(left.sum() > constants.FOLDED_SHARE * keep.sum())
-    if folded:  # leaving is no longer rare
-        often = float(left.sum()) / sum(len(s) for s in opportunities)
-        found = kinds(opportunities, p, often)
-        left = keep & (found.left > found.persistent)
-    return Kept(keep & ~left if folded else keep, left, folded)
+    if not left.any():
+        return Kept(keep, left, folded=False)
+    missed = np.array([len(s) - len(s.lstrip(bytes([BEFORE]))) for s in opportunities])  # before the first detection
+    appeared = keep & ~left & (missed >= constants.CONFIRMED) & (spans[:, 0] > np.median(spans[left, 1]))
+    if appeared.sum() <= left.sum():
+        return Kept(keep, left, folded=False)
+    often = float(left.sum()) / sum(len(s) for s in opportunities)  # leaving is not rare here
+    found = kinds(opportunities, p, often)
+    left = keep & (found.left > found.persistent)
+    return Kept(keep & ~left, left, folded=True)
 
 
 def _fixed() -> Array:
@@ -131,21 +143,36 @@ def _log_sum(terms: Array) -> float:
 
 
 @njit(cache=True)
+def _before(opportunities: IntArray) -> int:
+    """How many opportunities were before the first detection."""
+    k = 0
+    while k < len(opportunities) and opportunities[k] == BEFORE:
+        k += 1
+    return k
+
+
+@njit(cache=True)
 def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Array) -> Array:
     """Log-likelihoods (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
 
     expected (4,), written: a transient landmark vanished at once or not, if it has opportunities; it vanished later,
     and opportunities that it lasted.
     """
-    at_once, later, mean = p[1], p[2], p[3:5]
+    at_once, later, mean = p[1], p[2], p[3:6]
     own, chance, leaving = fixed[0], fixed[1], fixed[2]
+    before = _before(opportunities)
+    opportunities = opportunities[before:]
     n = len(opportunities)
     gone = np.zeros(n + 1)  # by chance alone from opportunity k on
     for k in range(n - 1, -1, -1):
         gone[k] = gone[k + 1] + (log(chance) if opportunities[k] % 2 else log(1.0 - chance))
     a, b = own * mean, own * (1.0 - mean)
     left, transient = np.full(n + 1, -np.inf), np.empty(n + 2)
-    there, passing = 0.0, log(1.0 - at_once)
+    # detected for the first time after so many misses: beta-geometric, and geometric
+    there, appearing = log(own * p[6]) - log(own + before), log(p[7]) + before * log(1.0 - p[7])
+    for k in range(before):
+        there += log(own * (1.0 - p[6]) + k) - log(own + k)
+    passing = appearing + log(1.0 - at_once)
     for k in range(n):
         left[k] = there + log(leaving) + gone[k]
         transient[k] = passing + log(later) + gone[k]
@@ -155,7 +182,7 @@ def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Arra
         passing += log(1.0 - later) + (log(mean[familiar]) if detected else log(1.0 - mean[familiar]))
         a[familiar] += detected
         b[familiar] += 1 - detected
-    transient[n], transient[n + 1] = passing, gone[0] + log(at_once)
+    transient[n], transient[n + 1] = passing, appearing + gone[0] + log(at_once)
     result = np.array([there, _log_sum(left) if n else -np.inf, _log_sum(transient)])
     expected[:] = 0.0
     if n:
@@ -200,7 +227,7 @@ def _probabilities(opportunities: IntArray, begin: IntArray, p: Array, fixed: Ar
 
 @njit(cache=True)
 def _fitted(opportunities: IntArray, begin: IntArray, prior: Array, fixed: Array, least: float, rounds: int) -> Array:
-    """`Persistence` as an array (5,); prior (2, 5): mean and weight of each."""
+    """`Persistence` as an array (8,); prior (2, 8): mean and weight of each."""
     p: Array = prior[0].copy()
     expected = np.empty(4)
     for _ in range(rounds):
@@ -215,10 +242,14 @@ def _fitted(opportunities: IntArray, begin: IntArray, prior: Array, fixed: Array
             every[1] += transient * (expected[0] + expected[1])
             yes[2] += transient * expected[2]
             every[2] += transient * (expected[2] + expected[3])
-            last = len(of)
-            while last and of[last - 1] % 2 == 0:
+            before, last = _before(of), len(of)
+            yes[6] += real
+            every[6] += real * (before + 1)
+            yes[7] += transient
+            every[7] += transient * (before + 1)
+            while last > before and of[last - 1] % 2 == 0:
                 last -= 1
-            for k in range(last):
+            for k in range(before, last):
                 yes[3 + of[k] // 2] += real * (of[k] % 2)
                 every[3 + of[k] // 2] += real
         p = yes / every

@@ -25,8 +25,10 @@ from eval.replay.hindsight.floor import Smoothed, likelier, observed_again, plai
 from eval.replay.hindsight.noise import Restated, with_shares
 from eval.replay.hindsight.opportunities import recounted
 from eval.replay.hindsight.record import Record
+from eval.replay.hindsight.same_place import same_landmarks
+from eval.replay.poses import PoseRecords
 from eval.replay.settings import Given, Setup
-from graph.batch import Start, smooth
+from graph.batch import Rejected, Start, smooth
 from graph.factors import UnderConstrained
 
 
@@ -41,6 +43,7 @@ class WholeLog:
         self.gate = math.inf  # squared distance under the noise as `restated` beyond which nothing was re-associated
         self.smoothed: Smoothed | None = None  # the final decisions
         self.odds = -math.inf  # log odds of the decisions of `jcbb` against those in hindsight
+        self.poses = PoseRecords(given.fixes, given.closures)  # which of them the mapper's filter used
         self._given, self._view = given, given.sensor
         self._frames: list[Frame] = []
         self._loosened: dict[int, Array] = {}
@@ -100,7 +103,8 @@ class WholeLog:
             other = self._smooth(number, found.path, found.known, restated, systematic)
         except (DataError, UnderConstrained, FilterDivergedError, SingularInnovationError):
             return None  # it comes to no end
-        if other.kept.folded:  # no better: no world explains it
+        ours, theirs = self.smoothed.kept.left.sum(), other.kept.left.sum()
+        if theirs > max(ours, constants.PLAIN_LEFT * other.kept.stays.sum()):  # no world explains it
             return None
         self.odds = likelier(self.smoothed, other, self._view)
         if self.odds < constants.PLAIN_ODDS:
@@ -125,12 +129,39 @@ class WholeLog:
     def _smooth(
         self, number: IntArray, path: Array, known: LandmarkMap, restated: Restated, systematic: Systematic | None
     ) -> Smoothed:
-        """Smooth observations of the landmarks (M,), from a path (N, 3) and a map, and re-associate them all."""
-        log = self._inputs(restated, systematic)
+        """Smooth observations of the landmarks (M,), from a path (N, 3) and a map, and re-associate them all.
+
+        Landmarks that are one are merged then, and all is smoothed again, while this makes the observations likelier.
+        """
         places = np.full((int(known.id.max()) + 1, 2), np.nan)
         places[known.id] = known.xy
-        found = smooth(log, number, np.full(len(number), -1), Start(path, places))
+        best = self._smooth_once(number, Start(path, places), restated, systematic)
+        for _ in range(constants.SAME_ROUNDS):
+            scaled = Observations(best.seen.frame, best.seen.z, best.share * best.seen.R)
+            view = narrower(best.sensor, self._view)
+            pairs = same_landmarks(view, best.pose, best.known, scaled, best.found.number)
+            if not pairs:
+                break
+            found, to = best.found.number, np.arange(len(places))
+            to[[away for away, _ in pairs]] = [kept for _, kept in pairs]
+            number = np.where(found >= 0, to[np.maximum(found, 0)], DISCARD)
+            merged = self._smooth_once(number, best.start, restated, systematic)
+            if likelier(best, merged, self._view) <= 0.0:
+                break
+            best = merged
+        return best
+
+    def _smooth_once(
+        self, number: IntArray, start: Start, restated: Restated, systematic: Systematic | None
+    ) -> Smoothed:
+        """Smooth and re-associate, with the landmarks as they are."""
+        log = self._inputs(restated, systematic)
+        out = Rejected(self.poses.fixes.rejected, self.poses.closures.rejected)
+        found = smooth(log, number, np.full(len(number), -1), start, rejected=out)
         assert found.map is not None
+        places = start.landmark.copy()
+        places[found.map.number] = found.map.xy
+        again = Start(found.trajectory.pose, places, None if found.systematic is None else found.systematic.mean)
         pose, xy, sensor = found.trajectory.pose, found.map.xy, restated.widened(log.sensor)
         if systematic is not None and found.systematic is not None:
             frame = sensor_frame(systematic, log.sensor, log.prior)
@@ -138,11 +169,11 @@ class WholeLog:
             pose, sensor = frame.poses_in(pose, found.systematic.mean), frame.sensor(sensor)
         known, seen = LandmarkMap(found.map.number, xy), log.observations
         share = noise_share(sensor, pose, known, seen, number)
-        motion = found.cost - squares(sensor, pose, known, seen, number)
+        motion = max(found.cost - squares(sensor, pose, known, seen, number), 0.0)
         scaled = Observations(seen.frame, seen.z, share * seen.R)
         paired = reassociate(sensor, pose, known, scaled)
         looks = recounted(narrower(sensor, self._view), pose, known, scaled, paired.number)
-        return Smoothed(sensor, pose, known, seen, paired, share, motion, looks)
+        return Smoothed(sensor, pose, known, seen, paired, share, motion, looks, again)
 
     @property
     def opportunities(self) -> dict[int, bytes]:
@@ -174,6 +205,7 @@ class WholeLog:
         return Inputs(
             self._given.prior, np.arange(n, dtype=float), Increments(mean, covariance),
             Observations(seen.frame, seen.z, R), self._given.sensor, systematic=systematic,
+            fixes=self._given.fixes, closures=self._given.closures,
         )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,10 @@ from eval.figures.style import save, series
 from eval.figures.visual import contact_sheet, draw_pictures, plan_figure
 from eval.plan.flags.table import Output
 from eval.referee.errors import position_distance, rms
-from eval.referee.score import Trial
+from eval.referee.score import Trial, metrics_row
 from eval.report.page.blocks import Block, Picture, Section
 from eval.report.page.files import written_table
+from eval.report.rows import value_of
 from eval.report.visual import MOTION, OBSERVATION, UPDATE, constants, statistics_of, summary, tiles_of, write_models
 from eval.report.words import paragraph
 
@@ -79,6 +80,37 @@ def estimates(trial: Trial) -> list[dict[str, Any]]:
     return found
 
 
+@dataclass(frozen=True)
+class Certainty:
+    """How sure a filter is online, and whether rightly; NaN: not known.
+
+    Attributes:
+        median, largest, last: of 3σ of the position along its least certain direction over the frames [m].
+        heading: 3σ of the heading at the end [deg].
+        inside: share of the frames with the true position inside the 3σ ellipse.
+        nees: mean pose NEES.
+    """
+
+    median: float
+    largest: float
+    last: float
+    heading: float
+    inside: float
+    nees: float
+
+
+def certainty(log: Log, run: Run) -> Certainty:
+    """The claims of an online path, beside the truth where there is one."""
+    path, row = run.trajectory("online"), metrics_row(run, "online", log, None)
+    sigma = 3.0 * longest_sigma(path)
+    known = sigma[np.isfinite(sigma)]
+    heading = 3.0 * math.degrees(math.sqrt(max(float(path.covariance[-1, 2, 2]), 0.0)))
+    inside, nees = (value_of(row, column) for column in ("inside_3sigma", "nees_pose"))
+    if not len(known):
+        return Certainty(math.nan, math.nan, math.nan, heading, inside, nees)
+    return Certainty(float(np.median(known)), float(known.max()), float(sigma[-1]), heading, inside, nees)
+
+
 def _motion(folder: Path, output: Output, trial: Trial) -> Section:
     q = reckoned(trial)
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#motion', q=q)}**"]
@@ -116,6 +148,9 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
     keys = {"commands": ("dead-reckoning", "online"), "filter": ("ekf", "online"), "smoother": ("batch", "final")}
     q = {name: rmse.get(key, math.nan) for name, key in keys.items()}
     blocks: list[Block] = [f"**{paragraph(f'{TEMPLATE}#estimate', q=q)}**"]
+    sure = None if run is None else certainty(log, run)
+    if sure is not None:
+        blocks.append(paragraph(f"{TEMPLATE}#certainty", c=sure))
     if not output.no_plots:
         shown = _shown(trial, ("dead-reckoning", "ekf"))
         factor = enlarged(log, shown, output.ellipse_factor)
@@ -132,7 +167,9 @@ def _filter(folder: Path, output: Output, trial: Trial) -> Section:
     blocks.append(written_table(table, folder, "lab-question-3", caption, output))
     blocks += [UPDATE.formula, UPDATE.about]
     return Section(
-        "Question 3: Where was the robot, and how sure is the filter of it?", tuple(blocks), facts={"runs": found}
+        "Question 3: Where was the robot, and how sure is the filter of it?",
+        tuple(blocks),
+        facts={"runs": found, "certainty": sure},
     )
 
 

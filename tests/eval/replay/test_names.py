@@ -70,8 +70,10 @@ def test_every_stepping_estimator_has_the_core_and_capabilities_that_are_its_own
         "amendable": smooths,
         "inflatable": True,
         "resettable": not smooths and task == "localization",
-        "fixable": not smooths,
-        "closable": not smooths,
+        "looking": True,
+        "delaying": smooths or task == "slam",
+        "fixable": True,
+        "closable": True,
     }
     assert {field: found is not None for field, found in can._asdict().items()} == expected
 

@@ -92,7 +92,7 @@ def test_missing_and_doubled_files_are_named(tmp_path: Path) -> None:
     refuse(folder, r"no log found \(there: settings.mat\); a .mat with the struct array log, or a .npy or .npz")
     (tmp_path / "log.mat").rename(folder / "log.mat")
     (folder / "settings.mat").unlink()
-    refuse(folder, r"no configuration found \(there: log.mat\); a .mat with camera_to_body, landmark, pose_init")
+    refuse(folder, r"no configuration found \(there: log.mat\); a .mat, .npy or .npz with camera_to_body")
 
 
 def test_two_logs_in_a_file_are_refused(tmp_path: Path) -> None:

@@ -173,7 +173,8 @@ class _Trap:
     ("content", "said"),
     [
         (np.array([1, "two"], object), r"\[0\]: a int; a dict of the frame's fields is needed"),
-        (np.array({"rgb": 1}, object), "holds one dict; a list of dicts"),
+        (np.array(7, object), "holds one int; a list of dicts, one per frame, or a dict of arrays"),
+        (np.array({"rgb": 1}, object), "the log has no timestamp"),
         (np.array([{"rgb": 1}], object), "the log has no timestamp"),
         (np.array([], object), "the log has no timestamp"),
     ],

@@ -19,10 +19,11 @@ from data.inputs import CLUTTER, UNLABELLED, IntArray
 from data.log import Log
 from data.pose_measurements import MEASURED, FixKind
 from data.se2 import Array
-from data.sensors import RangeBearing
+from data.sensors import RelativePoint
 from data.truth import UNKNOWN_ID
 from tests.data.conftest import Files
 from tests.data.formats.open_log.measured import measured_files
+from tests.data.formats.open_log.test_sensors import files_of
 
 
 def assert_definite(P: Array) -> None:
@@ -58,12 +59,23 @@ def assert_sound(log: Log) -> None:
     assert not inputs.increments.covariance[0].any()
     assert (np.diff(o.frame) >= 0).all()
     assert ((o.frame >= 0) & (o.frame < n)).all()
-    if isinstance(inputs.sensor, RangeBearing):
-        assert (o.z[:, 0] >= 0).all()
-    assert inputs.sensor.max_range > 0
-    assert inputs.sensor.min_angle < inputs.sensor.max_angle
-    assert math.isfinite(inputs.sensor.rotation)
-    assert np.isfinite(inputs.sensor.translation).all()
+    assert (o.sensor is None) == (inputs.sensors == ())
+    which = np.zeros(m, np.int64) if o.sensor is None else o.sensor
+    assert ((np.diff(which) >= 0) | (np.diff(o.frame) > 0)).all()
+    for i, sensor in enumerate(inputs.sensors or (inputs.sensor,)):
+        rows = which == i
+        if not isinstance(sensor, RelativePoint):
+            assert (o.z[rows, 0] >= 0).all()
+        if not sensor.locates:
+            unmeasured = 1 - sensor.measures[0]
+            assert not o.z[rows, unmeasured].any()
+            assert (o.R[rows, unmeasured, unmeasured] == 1.0).all()
+            assert not o.R[rows, 0, 1].any()
+        assert sensor.max_range > 0
+        assert sensor.min_angle < sensor.max_angle
+        assert math.isfinite(sensor.rotation)
+        assert np.isfinite(sensor.translation).all()
+    assert set(which.tolist()) <= set(range(max(len(inputs.sensors), 1)))
     if inputs.fixes is not None:
         f = inputs.fixes
         assert (np.diff(f.frame) >= 0).all()
@@ -164,6 +176,12 @@ def test_a_corrupted_folder_is_refused_with_its_place_or_read_soundly(small_log_
 @pytest.mark.parametrize("examples", [60, pytest.param(5000, marks=pytest.mark.slow)])
 def test_corrupted_fixes_and_closures_are_refused_with_their_place_or_read_soundly(save, source, examples):
     refused_or_sound(measured_files(source), save, examples)
+
+
+@pytest.mark.parametrize("source", ["frames", "odometry"])
+@pytest.mark.parametrize("examples", [60, pytest.param(5000, marks=pytest.mark.slow)])
+def test_corrupted_sensors_are_refused_with_their_place_or_read_soundly(save, source, examples):
+    refused_or_sound(files_of(source), save, examples)
 
 
 def refused_or_sound(files: Files, save: Callable[[Path, Files], Path], examples: int) -> None:

@@ -20,6 +20,7 @@ from eval.replay.hindsight.floor import Smoothed, likelier, log_likelihood, obse
 from eval.replay.hindsight.persistence import evidence
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
+from graph.batch import Start
 
 VIEW = RelativePoint(max_range=10.0, min_angle=-1.0, max_angle=1.0)
 SIGMA = 0.1
@@ -35,7 +36,15 @@ def decided(number, z, xy, looks=None, motion=0.0, share=1.0):
     found = Reassociation(number, np.ones(m, np.bool_))
     known = LandmarkMap(ids, np.asarray(xy, float))
     return Smoothed(
-        VIEW, np.zeros((m, 3)), known, seen, found, share, motion, looks or dict.fromkeys(ids.tolist(), SEEN)
+        VIEW,
+        np.zeros((m, 3)),
+        known,
+        seen,
+        found,
+        share,
+        motion,
+        looks or dict.fromkeys(ids.tolist(), SEEN),
+        Start(np.zeros((m, 3)), known.xy),
     )
 
 

@@ -115,7 +115,7 @@ def test_a_path_that_cannot_be_smoothed_leaves_decisions_as_they_are_and_says_so
     log = log_of(draw(10))
     inputs = log.inputs(labels=False).without_map()
 
-    def fails(*_):
+    def fails(*_, rejected):
         raise UnderConstrained("landmark 3 hangs in the air")
 
     monkeypatch.setattr(whole_log, "smooth", fails)
@@ -202,7 +202,7 @@ def test_where_the_sensors_errors_are_estimated_readings_are_judged_without_them
 def test_the_path_is_smoothed_with_the_noise_there_is_and_without_a_motion_that_nobody_knows(monkeypatch):
     asked = []
 
-    def smooth(log, *_):
+    def smooth(log, *_, rejected):
         asked.append(log)
         raise UnderConstrained("enough")
 

@@ -87,6 +87,27 @@ def test_the_table_has_a_row_for_each_phase_with_its_errors_and_its_sigma_at_the
     np.testing.assert_allclose(table["σ at the end [m]"].astype(float), [0.2, 1.0, 0.2])
 
 
+def test_the_third_question_says_how_sure_the_filter_is_and_whether_rightly(tmp_path):
+    """Sigmas grow linearly to 5 times at the end; the error is 5 cm, in a heading that is right."""
+    growing = replace(
+        RUNS[1].online, covariance=np.linspace(1.0, 5.0, FRAMES)[:, None, None] ** 2 * RUNS[1].online.covariance
+    )
+    runs = (RUNS[0], replace(RUNS[1], online=growing), RUNS[2])
+    section = answers(tmp_path, trial(runs), no_plots=True)[2]
+    c, widest = section.facts["certainty"], 3.0 * SIGMA[:2].max()
+    assert (c.last, c.largest, c.median) == pytest.approx((5.0 * widest, 5.0 * widest, 3.0 * widest))
+    assert c.heading == pytest.approx(15.0 * np.degrees(SIGMA[2]))
+    assert c.inside == 1.0
+    scale = np.linspace(1.0, 5.0, FRAMES) ** 2
+    assert c.nees == pytest.approx(np.mean(((0.03 / SIGMA[0]) ** 2 + (0.04 / SIGMA[1]) ** 2) / scale))
+    said = section.blocks[1]
+    assert f"is {5.0 * widest:.3g}" in said
+    assert "inside 3σ in 100 % of the frames (98.9 % expected)" in said
+    blind = answers(tmp_path, trial(runs, truth=False), no_plots=True)[2].blocks[1]
+    assert "How sure it is" in blind
+    assert "NEES" not in blind
+
+
 def test_without_a_true_path_no_error_is_said(tmp_path):
     sections = answers(tmp_path, trial(truth=False), no_plots=True)
     first, _, third = lines(sections)

@@ -199,7 +199,7 @@ def test_the_mathml_has_the_matrices_and_letters_of_the_latex(model):
 
 
 def test_the_update_equations_are_what_the_filter_computes():
-    """Equations 10 to 13 by their letters: nu = z - h(x), K = P H' (H P H' + R)^-1, x + K nu, (I - K H) P."""
+    """Equations 10 to 14 by their letters: nu = z - h(x), S = H P H' + R, K = P H' S^-1, x + K nu, (I - K H) P."""
     corner, R = np.array([3.0, 1.0]), np.diag([0.02, 0.05]) ** 2
     P = np.array([[0.04, 0.01, 0.0], [0.01, 0.09, 0.002], [0.0, 0.002, 0.01]])
     sensor = RelativePoint(rotation=0.3, translation=(0.1, -0.2))
@@ -214,12 +214,17 @@ def test_the_update_equations_are_what_the_filter_computes():
     filtered.update(seen, np.array([7]))
     H, _ = sensor.jacobians(x, corner[None])
     nu = seen.z[0] - sensor.predict(x, corner[None])[0]
-    K = P @ H[0].T @ np.linalg.inv(H[0] @ P @ H[0].T + R)
+    S = H[0] @ P @ H[0].T + R
+    K = P @ H[0].T @ np.linalg.inv(S)
     mean, covariance = filtered.estimate()
     assert mean == pytest.approx(x + K @ nu)
     assert covariance == pytest.approx((np.eye(3) - K @ H[0]) @ P)
-    text = visual.UPDATE.latex
-    assert all(f"({n})" in text for n in (10, 11, 12, 13))
+    numbered = [line.split("&=") for line in visual.UPDATE.latex.split("\n")[1:-1]]
+    assert [(left.strip(), int(re.search(r"\((\d+)\)", right)[1])) for left, right in numbered] == [
+        (r"\nu", 10), (r"\mathbf{S}", 11), (r"\mathbf{K}", 12), (r"\mathbf{x}^{+}", 13), (r"\mathbf{P}^{+}", 14),
+    ]  # fmt: skip
+    typeset = "".join(ElementTree.fromstring(visual.UPDATE.formula.mathml).itertext()).split()
+    assert re.findall(r"\((\d+)\)", "".join(typeset)) == ["10", "11", "12", "13", "14"]
 
 
 def test_the_words_of_a_model_are_set_in_latex_with_greek_letters_as_mathematics():

@@ -1,0 +1,142 @@
+"""Where a landmark is that was only observed by bearings or ranges, each from another pose: delayed initialization.
+
+The observations of a landmark wait until they determine its place well enough to linearize there (Bailey, "Constrained
+initialisation for bearing-only SLAM", ICRA 2003). All is relative to the newest pose, since an error that all poses
+share says nothing of the linearization.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from association.expectation import gate_threshold
+from data.blocks import block_diagonal
+from data.se2 import Array, between, compose, worlds_from_bodies
+from data.sensors import EachSensor, Sensor
+
+LINEAR = 0.1
+"""Largest standard deviation of the place over its distance from the nearest pose that observed it. A bearing then
+bends by (0.1)^2 / 2, half a per cent of that sigma's effect."""
+STEPS = 30  # of Gauss-Newton
+RIVAL = 2.0 * np.log(1000.0)
+"""Least difference of squared distances to another solution, such as the mirrored one of ranges: odds of 1000."""
+GATE = 0.999  # chi-square probability of the observations at the place found
+
+
+class Place(NamedTuple):
+    """A landmark in the world (2,), and in the frame of the newest pose its covariance (2, 2) and squared distance."""
+
+    xy: Array
+    covariance: Array
+    squared: float
+
+
+def triangulate(sensors: Sequence[Sensor], pose: Array, covariance: Array, z: Array, R: Array) -> Place | None:
+    """The place that observations z (m, 2) with R (m, 2, 2) by `sensors` (m) from poses (m, 3) agree on.
+
+    `covariance` (3m, 3m) of the poses, world frame; the last pose is the newest. None: not determined well enough yet,
+    or they contradict each other.
+    """
+    m, dof = len(z), sum(len(s.measures) for s in sensors) - 2
+    if dof < 1:
+        return None
+    each = EachSensor(tuple(sensors), np.arange(m))
+    relative, P = _relative(pose, covariance)
+    starts = _starts(each, relative, z)
+    found = [p for start in starts if (p := _search(each, relative, P, z, R, start)) is not None]
+    if not found:
+        return None
+    found.sort(key=lambda p: p.squared)
+    best = found[0]
+    sigma = np.sqrt(np.linalg.eigvalsh(best.covariance)[-1])
+    if best.squared > gate_threshold(GATE, dof) or sigma > LINEAR * np.hypot(*(relative[:, :2] - best.xy).T).min():
+        return None
+    for other in found[1:]:
+        apart = other.xy - best.xy
+        far = apart @ np.linalg.solve(best.covariance + other.covariance, apart) > gate_threshold(GATE)
+        if far and other.squared - best.squared < RIVAL:
+            return None
+    return best._replace(xy=compose(pose[-1], np.array([*best.xy, 0.0]))[:2])
+
+
+def _relative(pose: Array, covariance: Array) -> tuple[Array, Array]:
+    """Poses (m, 3) in the frame of the last one, and their covariance (3m, 3m)."""
+    m = len(pose)
+    found = between(pose[-1], pose)
+    turn = worlds_from_bodies(pose[-1:, 2])[0].T
+    J = block_diagonal(np.repeat(turn[None], m, axis=0))
+    for i in range(m):
+        to_last = np.array([[-1.0, 0.0, found[i, 1]], [0.0, -1.0, -found[i, 0]], [0.0, 0.0, -1.0]])
+        to_last[:2, :2] = -turn[:2, :2]
+        J[3 * i : 3 * i + 3, -3:] += to_last
+    return found, J @ covariance @ J.T
+
+
+def _starts(each: EachSensor, pose: Array, z: Array) -> list[Array]:
+    """Places that two of the observations have in common, for the two that are farthest apart, and for all bearings."""
+    m = len(z)
+    starts: list[Array] = []
+    own = [s.inverse(pose[i], np.array([[0.0, 0.0]]))[0][0] for i, s in enumerate(each.sensors)]  # of the sensors
+    centre = np.array(own)
+    ranges = [i for i in range(m) if 0 in each.sensors[i].measures]
+    if len(ranges) >= 2:
+        pairs = itertools.combinations(ranges, 2)
+        i, j = max(pairs, key=lambda p: float(np.hypot(*(centre[p[0]] - centre[p[1]]))))
+        starts += _circles(centre[i], z[i, 0], centre[j], z[j, 0])
+    bearings = [i for i in range(m) if 1 in each.sensors[i].measures]
+    if len(bearings) >= 2:
+        angle = np.array([z[i, 1] - each.sensors[i].rotation + pose[i, 2] for i in bearings])
+        normal = np.stack([-np.sin(angle), np.cos(angle)], 1)
+        A = normal.T @ normal
+        if np.linalg.eigvalsh(A)[0] > 1e-6:
+            starts.append(np.linalg.solve(A, normal.T @ np.einsum("mi,mi->m", normal, centre[bearings])))
+    if len(ranges) == 1 and bearings:
+        i, b = ranges[0], bearings[-1]
+        angle_b = float(z[b, 1] - each.sensors[b].rotation + pose[b, 2])
+        starts.append(centre[b] + z[i, 0] * np.array([np.cos(angle_b), np.sin(angle_b)]))
+    return starts
+
+
+def _circles(a: Array, ra: float, b: Array, rb: float) -> list[Array]:
+    """Where two circles meet, or where they come nearest to it."""
+    apart = b - a
+    d = float(np.hypot(*apart))
+    if d < 1e-9:
+        return []
+    along = (d * d + ra * ra - rb * rb) / (2.0 * d)
+    aside = np.sqrt(max(ra * ra - along * along, (0.1 * min(ra, rb)) ** 2))
+    u = apart / d
+    foot, across = a + along * u, np.array([-u[1], u[0]])
+    return [foot + aside * across, foot - aside * across]
+
+
+def _search(each: EachSensor, pose: Array, P: Array, z: Array, R: Array, start: Array) -> Place | None:
+    """Gauss-Newton from a start, each innovation weighted with the noise and the uncertainty of the poses."""
+    m, xy = len(z), start.astype(float)
+    step = np.full(2, np.inf)
+    for _ in range(STEPS):
+        z_hat, Hx, Hl = each.linearize(pose, np.repeat(xy[None], m, axis=0))
+        H = block_diagonal(Hx)
+        S = H @ P @ H.T + block_diagonal(R)
+        try:
+            L = np.linalg.cholesky(0.5 * (S + S.T))
+        except np.linalg.LinAlgError:
+            return None
+        nu = np.linalg.solve(L, each.residual(z, z_hat).ravel())
+        J = np.linalg.solve(L, Hl.reshape(-1, 2))
+        information = J.T @ J
+        if np.linalg.cond(information) > 1e12:
+            return None
+        if np.abs(step).max() < 1e-9 * (1.0 + np.abs(xy).max()):
+            break
+        step = np.linalg.solve(information, J.T @ nu)
+        reach = float(np.hypot(*(pose[:, :2] - xy).T).max())
+        size = float(np.hypot(*step))
+        xy = xy + step * min(1.0, 0.5 * reach / size if size > 0.0 else 1.0)
+    else:
+        return None
+    return Place(xy, np.linalg.inv(information), float(nu @ nu))

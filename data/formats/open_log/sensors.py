@@ -1,0 +1,226 @@
+"""Sensors of landmarks in `log.toml`, and what the rows of observations.csv measure with them.
+
+    [[sensor]]          or [sensor], where there is one
+    name = "camera"     needed where there are several, as column sensor of observations.csv names them (blank: the
+                        first); format 2
+    kind = "bearing"    "range_bearing", "relative_point", "line"; in format 2 also "bearing" and "range", whose number
+                        is z1 (and its variance r11), with z2, r12 and r22 blank
+    sees = "tree"       kind of landmark that it observes, as in column kind of landmarks.csv (default: all); format 2
+    sigma = [0.02]      default noise: one number for each that it measures
+    max_range, min_angle, max_angle or field_of_view, rotation, translation: see `header`
+
+Observations of a frame are sorted by sensor on reading.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from data.errors import DataError
+from data.formats.csv_table import Table
+from data.formats.open_log.named import column, is_name, names_of, source_rows
+from data.formats.open_log.scans import mounting
+from data.inputs import IntArray
+from data.se2 import Array, BoolArray
+from data.sensors import Bearing, Line, Range, RangeBearing, RelativePoint, Sensor
+from data.toml_table import TomlTable, finite, positive
+
+TABLE = "sensor"
+KEYS = (
+    *("kind", "sigma", "max_range", "min_angle", "max_angle", "field_of_view"),
+    *("rotation", "translation", "extrinsic", "name", "sees"),
+)
+KINDS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, RelativePoint, Line, Bearing, Range)}
+FIRST = tuple(s.name for s in (RangeBearing, RelativePoint, Line))
+"""Kinds of format 1."""
+NOISE = ("r11", "r12", "r22")
+
+
+class Stated(NamedTuple):
+    """A sensor, and sigma (d,) of what it measures, None: not stated."""
+
+    sensor: Sensor
+    sigma: Array | None
+
+
+def stated(top: TomlTable, *, first_format: bool) -> tuple[Stated, ...]:
+    """The sensors that `log.toml` states, none where there is no such table; `first_format`: as format 1 has them."""
+    several = isinstance(top.table.get(TABLE), list)
+    tables = top.tables_of(TABLE) if several else [found for found in [top.optional_table(TABLE)] if found is not None]
+    if first_format:
+        for table in tables:
+            for key in ("name", "sees"):
+                if key in table:
+                    raise table.error(key, "format = 2 is needed")
+        if several:
+            raise top.fault("[[sensor]] in format 1; format = 2, or one [sensor], is needed")
+    names = names_of(tables) if len(tables) > 1 else [""] * len(tables)
+    found = tuple(_sensor(table, name, first_format=first_format) for table, name in zip(tables, names, strict=True))
+    if len({s.sensor.sees_points for s in found}) > 1:
+        raise top.fault("[[sensor]]: lines beside points; landmarks are either walls or points")
+    return found
+
+
+def _sensor(table: TomlTable, name: str, *, first_format: bool) -> Stated:
+    kind = KINDS[table.one_of("kind", FIRST if first_format else KINDS)]
+    measured = len(kind().measures)
+    sigma = None
+    if "sigma" in table:
+        what = "two numbers > 0 are" if measured == 2 else "one number > 0 is"
+        sigma = table.numbers("sigma", measured, what, positive)
+    max_range = table.number("max_range", math.inf, "a range > 0 [m]", lambda v: v > 0.0)
+    low, high = _view(table)
+    extrinsic = table.optional_table("extrinsic")
+    if extrinsic is not None and ("rotation" in table or "translation" in table):
+        raise table.error("extrinsic", "give rotation and translation here or in [sensor], not both")
+    mounted = mounting(table if extrinsic is None else extrinsic)
+    words = {key: table.text(key) for key in ("name", "sees") if key in table}
+    for key, word in words.items():
+        if not is_name(word):
+            raise table.error(key, "a name without commas, quotes and outer spaces is needed")
+    return Stated(kind(max_range, low, high, *mounted, words.get("name", name), words.get("sees", "")), sigma)
+
+
+def _view(table: TomlTable) -> tuple[float, float]:
+    """Smallest and largest angle [rad] of the field of view."""
+    if "field_of_view" in table:
+        if "min_angle" in table or "max_angle" in table:
+            raise table.error("field_of_view", "give it or min_angle and max_angle, not both")
+        what = "an opening angle above 0 and up to 2 pi (radians)"
+        opening = table.number("field_of_view", math.inf, what, lambda v: 0.0 < v <= 2.0 * math.pi + 1e-9)
+        return -0.5 * opening, 0.5 * opening
+    low = table.number("min_angle", -math.pi, "a finite angle (radians)", finite)
+    high = table.number("max_angle", math.pi, "a finite angle (radians)", finite)
+    key = "min_angle" if "min_angle" in table else "max_angle"
+    if low >= high:
+        raise table.error(key, f"min_angle ({low!r}) must be smaller than max_angle ({high!r})")
+    if high - low > 2.0 * math.pi + 1e-9:
+        raise table.error(key, f"the field of view opens {high - low:.6g}, more than 2 pi; angles are in radians")
+    return low, high
+
+
+class Observed(NamedTuple):
+    """What rows measure: z (M, 2), R (M, 2, 2), row of the sensor (M,), None: there is one."""
+
+    z: Array
+    R: Array
+    sensor: IntArray | None
+
+
+def may_be_blank(sensors: Sequence[Stated]) -> tuple[str, ...]:
+    """Columns with fields that may be blank."""
+    whole = len(sensors) == 1 and sensors[0].sensor.locates
+    return () if whole else ("z2", *NOISE, TABLE)
+
+
+def observed(table: Table, sensors: Sequence[Stated]) -> Observed:
+    """Z and R of each row: its own noise, else the sensor's; `sensors`: at least one."""
+    number = source_rows(table, [s.sensor.label for s in sensors], TABLE, TABLE)
+    table.require_finite(("z1",))
+    table.require_finite([n for n in ("z2", *NOISE) if n in table], blank=bool(may_be_blank(sensors)))
+    _require_noise(table)
+    z, R = np.zeros((len(table), 2)), np.zeros((len(table), 2, 2))
+    for i, one in enumerate(sensors):
+        rows = np.flatnonzero(number == i)
+        part = table.part(rows)
+        if table.line is None:
+            part = Table(table.path, part.columns, line=rows + 2, texts=part.texts)
+        z[rows], R[rows] = _of_one(part, one)
+    return Observed(z, R, number if len(sensors) > 1 else None)
+
+
+def _of_one(table: Table, stated: Stated) -> tuple[Array, Array]:
+    """Z (m, 2) and R (m, 2, 2) of the rows of one sensor."""
+    sensor, (z1, z2) = stated.sensor, (column(table, name) for name in ("z1", "z2"))
+    if not isinstance(sensor, RelativePoint | Bearing):
+        table.require(z1 >= 0.0, "z1", "{} is a negative range")
+    r11, r12, r22 = (column(table, name) for name in NOISE)
+    own: BoolArray = np.asarray(~np.isnan(np.stack([r11, r12, r22])).all(axis=0))
+    if not own.all() and stated.sigma is None:
+        raise _no_noise(table, int(np.argmin(own)), sensor)
+    if sensor.locates:
+        for name, values, wanted in (("z2", z2, True), *zip(NOISE, (r11, r12, r22), (own,) * 3, strict=True)):
+            missing = np.isnan(values) & wanted
+            if missing.any():
+                what = f"blank, but {sensor.name} measures two numbers; a number is needed"
+                raise table.error(int(np.argmax(missing)), name, what)
+        sigma = np.ones(2) if stated.sigma is None else stated.sigma
+    else:
+        for name, values in (("z2", z2), ("r12", r12), ("r22", r22)):
+            if not np.isnan(values).all():
+                what = f"a value, but {sensor.name} measures one number, z1; leave the field blank"
+                raise table.error(int(np.argmin(np.isnan(values))), name, what)
+        sigma = np.ones(2)
+        if stated.sigma is not None:
+            sigma[0] = stated.sigma[0]
+        r12, r22 = np.zeros(len(table)), np.ones(len(table))
+        z2 = np.zeros(len(table))
+    R = np.empty((len(table), 2, 2))
+    R[:, 0, 0], R[:, 1, 1] = np.where(own, r11, sigma[0] ** 2), np.where(own, r22, sigma[1] ** 2)
+    R[:, 0, 1] = R[:, 1, 0] = np.where(own, r12, 0.0)
+    _require_positive(table, R, own)
+    z = np.stack([z1, z2], axis=-1)
+    if sensor.measures == (1,):
+        z, R = z[:, ::-1], R[:, ::-1, ::-1]
+    return z, R
+
+
+def _require_noise(table: Table) -> None:
+    there = [n for n in NOISE if n in table]
+    for name in NOISE:
+        if there and name not in table:
+            raise DataError.at(table.path, f"no such column; {','.join(NOISE)} come together", line=1, column=name)
+
+
+def _no_noise(table: Table, row: int, sensor: Sensor) -> DataError:
+    named = f"[[sensor]] {sensor.label!r}" if sensor.label else "[sensor]"
+    if NOISE[0] in table:
+        return table.error(row, NOISE[0], f"blank, and no sigma in {named} of log.toml; one of them is needed")
+    what = f"no columns {','.join(NOISE)}, and no sigma in {named} of log.toml"
+    return DataError.at(table.path, f"{what}; one of them is needed")
+
+
+def _require_positive(table: Table, R: Array, own: BoolArray) -> None:
+    """Raise unless the stated covariances are positive definite."""
+    if NOISE[0] not in table:
+        return
+    r11, r12, r22 = R[:, 0, 0], R[:, 0, 1], R[:, 1, 1]
+    table.require(~own | (r11 > 0.0), "r11", "variance {} must be positive")
+    table.require(~own | (r22 > 0.0), "r22", "variance {} must be positive")
+    # by the correlation, whatever the units of z1 and z2
+    largest = (1.0 - 1e-12) * np.sqrt(r11) * np.sqrt(r22)
+    what = "{} is too large for r11 and r22; the covariance must be positive definite"
+    table.require(~own | (np.abs(r12) < largest), "r12", what)
+
+
+def columns_of(sensors: Sequence[Sensor], z: Array, R: Array, number: IntArray | None) -> dict[str, list[Any]]:
+    """Columns by name, as `observed` reads them."""
+    which = np.zeros(len(z), np.int64) if number is None else number
+    place = np.array([s.measures[0] for s in sensors])[which]
+    both = np.array([s.locates for s in sensors])[which]
+    rows = np.arange(len(z))
+    columns: dict[str, list[Any]] = {} if number is None else {TABLE: [sensors[i].label for i in which.tolist()]}
+    blank = (z[rows, place], z[:, 1], R[rows, place, place], R[:, 0, 1], R[:, 1, 1])
+    for name, values in zip(("z1", "z2", *NOISE), blank, strict=True):
+        always = name in ("z1", "r11")
+        given = zip(values.tolist(), both.tolist(), strict=True)
+        columns[name] = [value if always or located else "" for value, located in given]
+    return columns
+
+
+def table_of(sensor: Sensor) -> dict[str, Any]:
+    """The table [sensor], without noise."""
+    table = {
+        "kind": sensor.name,
+        "max_range": sensor.max_range,
+        "min_angle": sensor.min_angle,
+        "max_angle": sensor.max_angle,
+        "rotation": sensor.rotation,
+        "translation": sensor.translation,
+    }
+    named = {"name": sensor.label, "sees": sensor.sees}
+    return {**table, **{key: word for key, word in named.items() if word}}

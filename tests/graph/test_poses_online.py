@@ -1,0 +1,195 @@
+"""Fixes and closures frame by frame: iSAM2 and a fixed lag against the batch optimum and dense innovations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data import se2
+from data.errors import UsageError
+from data.inputs import FrameObservations, Prior, Systematic
+from data.pose_measurements import expected_closure
+from graph.fixed_lag import FixedLagSmoother
+from graph.incremental import Isam2Smoother
+from tests.graph.driving import TIGHT
+from tests.graph.test_pose_factors import TIES, closures_of, dense, drive, fix_error, found
+
+NONE = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
+
+
+def stepped(inputs, smoother, gate=None, until=None):
+    """The smoother after all frames; newest poses, covariances, and what updates with fixes and closures returned."""
+    poses, covariances, done = [], [], []
+    for k in range(len(inputs) if until is None else until):
+        frame = inputs.frame(k)
+        if frame.increment is not None:
+            smoother.predict(frame.increment)
+        if frame.fixes is not None:
+            done.append(smoother.fix(frame.fixes, inputs.fixes.sources, gate))
+        if frame.closures is not None:
+            done.append(smoother.close_loops(frame.closures, gate))
+        pose, covariance = smoother.estimate()
+        poses.append(pose)
+        covariances.append(covariance)
+    return np.array(poses), np.array(covariances), done
+
+
+def isam2(inputs, **options):
+    return Isam2Smoother(inputs.prior, inputs.sensor, **{**TIGHT, **options})
+
+
+def first(inputs, n):
+    """The first n frames."""
+    f, c = inputs.fixes, inputs.closures
+    return replace(
+        inputs,
+        time=inputs.time[:n],
+        increments=replace(
+            inputs.increments, mean=inputs.increments.mean[:n], covariance=inputs.increments.covariance[:n]
+        ),
+        fixes=_some(f, f.frame < n),
+        closures=_some(c, c.later < n),
+    )
+
+
+def _some(measured, which):
+    arrays = {name: getattr(measured, name)[which] for name in measured.__dataclass_fields__ if name != "sources"}
+    return replace(measured, **arrays)
+
+
+def test_isam2_ends_at_the_optimum_of_the_batch_smoother_and_its_newest_poses_are_those_of_the_data_so_far():
+    inputs, _ = drive(seed=2)
+    smoother = isam2(inputs)
+    poses, covariances, done = stepped(inputs, smoother)
+    batch, end = found(inputs), smoother.finish()
+    assert end.total_nis[0] == pytest.approx(batch.cost, rel=1e-9)
+    assert end.total_nis[1] == batch.dof
+    np.testing.assert_allclose(end.final.pose, batch.trajectory.pose, atol=1e-7)
+    np.testing.assert_allclose(end.final.covariance, batch.trajectory.covariance, atol=1e-8)
+    np.testing.assert_allclose(end.fixes.nis, batch.fixes.nis, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(end.closures.white, batch.closures.white, atol=1e-6)
+    assert end.closures.used.all()
+    assert all(each.used.all() for each in done)
+    for n in (8, 10, 15, 20):
+        part = found(first(inputs, n))
+        np.testing.assert_allclose(poses[n - 1], part.trajectory.pose[-1], atol=1e-5)
+        np.testing.assert_allclose(covariances[n - 1], part.trajectory.covariance[-1], atol=1e-5)
+
+
+@pytest.mark.parametrize("make", ["isam2", "fixed lag"])
+def test_a_linear_world_gives_the_filters_innovations_and_estimate(make):
+    """For errors so small that everything is linear; each kind of fix, and closures in both directions."""
+    inputs, truth = drive(scale=1e-7)
+    exact = {"threshold": 1e-13, "skip": 1}  # smaller changes than that do not reach the past
+    smoother = isam2(inputs, **exact)
+    if make == "fixed lag":
+        smoother = FixedLagSmoother(inputs.prior, inputs.sensor, lag=100.0, **exact)
+    poses, covariances, done = stepped(inputs, smoother)
+    path, P = dense(inputs, truth)
+    np.testing.assert_allclose(poses[-1], path[-1], atol=1e-12)
+    np.testing.assert_allclose(covariances[-1], P[-3:, -3:], atol=1e-9)
+    end = smoother.finish()
+    np.testing.assert_allclose(end.final.pose[-1], path[-1], atol=1e-12)
+    results = iter(done)
+    seen_fixes = seen_closures = 0
+    for k in range(len(inputs)):
+        frame = inputs.frame(k)
+        for kind in ("fixes", "closures"):
+            if getattr(frame, kind) is None:
+                continue
+            result = next(results)
+            for i in range(len(result.used)):
+                before = first(inputs, k + 1)
+                before = replace(
+                    before,
+                    fixes=_some(before.fixes, np.arange(len(before.fixes)) < seen_fixes),
+                    closures=_some(before.closures, np.arange(len(before.closures)) < seen_closures),
+                )
+                path, P = dense(before, truth[: k + 1])
+                if kind == "fixes":
+                    error, J, R = fix_error(inputs, seen_fixes, path[k])
+                    H = np.zeros((len(error), len(P)))
+                    H[:, 3 * k :] = J
+                    seen_fixes += 1
+                else:
+                    a, b = inputs.closures.frame1[seen_closures], inputs.closures.frame2[seen_closures]
+                    z, J1, J2 = expected_closure(path[a], path[b])
+                    error, R = se2.pose_error(inputs.closures.relative[seen_closures], z), inputs.closures.covariance[0]
+                    H = np.zeros((3, len(P)))
+                    H[:, 3 * a : 3 * a + 3], H[:, 3 * b : 3 * b + 3] = J1, J2
+                    seen_closures += 1
+                white = np.linalg.solve(np.linalg.cholesky(R + H @ P @ H.T), error)
+                got = result.white[i][np.isfinite(result.white[i])]
+                np.testing.assert_allclose(got, white, atol=1e-12)
+                assert result.nis[i] == pytest.approx(white @ white, rel=1e-5)
+    assert (seen_fixes, seen_closures) == (4, 4)
+
+
+def test_a_gate_rejects_false_ones_which_are_still_tested_in_the_end():
+    inputs, truth = drive(seed=4, scale=0.5)
+    relative, z = inputs.closures.relative.copy(), inputs.fixes.z.copy()
+    relative[3, 0] += 30.0
+    z[2, 1] += 25.0
+    wrong = replace(inputs, closures=replace(inputs.closures, relative=relative), fixes=replace(inputs.fixes, z=z))
+    smoother = isam2(wrong)
+    _, _, done = stepped(wrong, smoother, gate=0.9999)
+    end = smoother.finish()
+    assert end.closures.used.tolist() == [True, True, True, False]
+    assert end.fixes.used.tolist() == [True, True, False, True]
+    assert sum(int(each.used.sum()) for each in done) == 6
+    assert end.closures.nis[3] > 100.0
+    assert end.total_nis[1] == 20 - 6
+    assert np.abs(se2.pose_error(end.final.pose, truth)[:, :2]).max() < 0.5
+
+
+def test_a_closure_to_a_frame_that_left_the_lag_is_not_used():
+    inputs, _ = drive(seed=5)
+    smoother = FixedLagSmoother(inputs.prior, inputs.sensor, lag=5.0, slack=0.0, **TIGHT)
+    _, _, done = stepped(inputs, smoother)
+    used = np.concatenate([each.used for each in done])
+    nis = np.concatenate([each.nis for each in done])
+    assert used.sum() == 4  # the fixes alone: the closures span nine frames and more
+    assert (np.isnan(nis) == ~used).all()
+    end = smoother.finish()
+    assert len(end.final.pose) == len(inputs)
+    assert np.isfinite(end.final.covariance).all()
+    near = replace(
+        inputs, closures=closures_of(found(inputs).trajectory.pose, [(5, 9), (19, 15)], np.random.default_rng(0))
+    )
+    smoother = FixedLagSmoother(inputs.prior, inputs.sensor, lag=5.0, slack=0.0, **TIGHT)
+    assert all(each.used.all() for each in stepped(near, smoother)[2])
+
+
+@pytest.mark.parametrize("ties", [[(18, 19)], [(0, 1), (2, 1), (1, 2)], TIES[:1] * 2])
+def test_closures_between_neighbours_and_to_an_exactly_known_first_pose(ties):
+    inputs, truth = drive(seed=6)
+    exact = replace(inputs, prior=Prior(truth[0], np.zeros((3, 3))), fixes=None)
+    exact = replace(exact, closures=closures_of(truth, ties, np.random.default_rng(1)))
+    smoother = isam2(exact)
+    _, _, done = stepped(exact, smoother)
+    batch, end = found(exact), smoother.finish()
+    assert end.total_nis[0] == pytest.approx(batch.cost, rel=1e-8)
+    assert np.isfinite(np.concatenate([each.nis for each in done])).all()
+    if ties[0] == (0, 1):
+        R = exact.closures.covariance[0]
+        z, _, J2 = expected_closure(truth[0], se2.compose(truth[0], exact.increments.mean[1]))
+        error = se2.pose_error(exact.closures.relative[0], z)
+        S = R + J2 @ se2.covariances_in_world(truth[:1, 2], exact.increments.covariance[1:2])[0] @ J2.T
+        assert done[0].nis[0] == pytest.approx(error @ np.linalg.solve(S, error), rel=1e-9)
+
+
+def test_errors_of_odometry_are_estimated_beside_them_and_those_of_the_sensor_refused():
+    inputs, _ = drive(seed=7)
+    scale = replace(inputs, systematic=Systematic(("scale",), np.array([0.05])))
+    smoother = isam2(inputs, systematic=scale.systematic)
+    stepped(scale, smoother)
+    end, batch = smoother.finish(), found(scale)
+    assert end.total_nis[0] == pytest.approx(batch.cost, rel=1e-8)
+    assert end.systematic.mean[-1, 0] == pytest.approx(batch.systematic.mean[-1, 0], abs=1e-6)
+    assert end.systematic.sigma[-1, 0] < 0.05
+    np.testing.assert_allclose(end.closures.nis, batch.closures.nis, rtol=1e-5)
+    of_sensor = isam2(inputs, systematic=Systematic(("bearing",), np.array([0.02])))
+    with pytest.raises(UsageError, match="beside fixes or closures"):
+        stepped(inputs, of_sensor)
