@@ -31,7 +31,7 @@ report: .venv/.warm ## write the report; ARGS='--quick --out DIR'
 # types are checked on one core while the kernels are compiled on another
 test: .venv/.installed ## style, types, import rules, tests; PYTEST_ARGS='-k jcbb'
 	@$(MAKE) --no-print-directory -j2 checked .venv/.warm
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGS)
 
 checked: .venv/.installed
 	$(BIN)/ruff check .
@@ -40,7 +40,7 @@ checked: .venv/.installed
 	$(BIN)/lint-imports
 
 test-slow: .venv/.warm ## the tests that take long
-	$(BIN)/python -m pytest -m slow $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "(slow or hypothesis) and not browser" --hypothesis-profile thorough $(PYTEST_ARGS)
 
 test-browser: .venv/.warm .venv/.browser ## the player in a real browser (Chromium on PATH)
 	$(BIN)/python -m pytest -m browser tests/browser $(PYTEST_ARGS)

@@ -85,11 +85,18 @@ class Engine:
             found.insert((kind, np.full(size, (FURTHER if kind in self.linear else 1.0) * self.threshold)))
         return found
 
-    def add(self, factors: Sequence[Factor], values: gtsam.Values) -> list[int]:
-        """Add factors and start values of their new variables; returns a handle for each factor."""
+    def add(self, factors: Sequence[Factor], values: gtsam.Values, last: Sequence[int] = ()) -> list[int]:
+        """Add factors and start values of their new variables; returns a handle for each factor.
+
+        `last`: variables that are eliminated last, so that their joint covariance is at the root of the tree.
+        """
         handles = [self._keep(f) for f in factors]
         try:
-            found = self.isam.update(graph_of(factors), values)
+            if last:
+                again = _key_list(key for key in last if not values.exists(key))
+                found = self.isam.update(graph_of(factors), values, [], _groups(last), None, again)
+            else:
+                found = self.isam.update(graph_of(factors), values)
         except RuntimeError as fault:
             self._recover(fault)
         else:
@@ -136,10 +143,7 @@ class Engine:
         `root`: eliminate this variable last. The search for moved variables begins at the root of the tree and stops
         where nothing moved, so a jump deep in the tree would not be found.
         """
-        last = None
-        if root is not None:
-            last = gtsam.KeyGroupMap()
-            last.insert2(root, 1)
+        last = None if root is None else _groups([root])
         try:
             self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], last, None, None, True)
         except RuntimeError as fault:
@@ -295,9 +299,9 @@ class Window(Engine):
         # linear factors at the present linearization point, which a new ISAM2 object would not keep
         self._linear: list[int] = []
 
-    def add(self, factors: Sequence[Factor], values: gtsam.Values) -> list[int]:
+    def add(self, factors: Sequence[Factor], values: gtsam.Values, last: Sequence[int] = ()) -> list[int]:
         """As `Engine.add`."""
-        handles = super().add(factors, values)
+        handles = super().add(factors, values, last)
         if handles and not self.reuses_slots and self._slot[handles[-1]] > MANY:
             self.reuses_slots = self.isam.params().findUnusedFactorSlots = True
         self._handle.update((self._slot[h], h) for h in handles)
@@ -382,6 +386,14 @@ def _is_hard(factor: Factor | None) -> bool:
         linear = factor.factor()
         return isinstance(linear, gtsam.JacobianFactor) and isinstance(linear.get_model(), gtsam.noiseModel.Constrained)
     return isinstance(factor, gtsam.NoiseModelFactor) and isinstance(factor.noiseModel(), gtsam.noiseModel.Constrained)
+
+
+def _groups(last: Sequence[int]) -> gtsam.KeyGroupMap:
+    """Variables that are eliminated after all others."""
+    found = gtsam.KeyGroupMap()
+    for key in last:
+        found.insert2(key, 1)
+    return found
 
 
 def _key_list(keys: Iterable[int]) -> gtsam.KeyList:

@@ -10,10 +10,11 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior, Systematic
-from data.pose_measurements import PoseUpdated
+from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
 from data.result import Finished, Trajectory
 from data.sensors import Sensor
 from graph.engine import Window
+from graph.factors import Factor
 from graph.incremental import SKIP, THRESHOLD, Isam2Smoother
 from graph.optimum import in_world
 from graph.pose_factors import PoseFactor
@@ -79,19 +80,33 @@ class FixedLagSmoother(Isam2Smoother):
         super()._extend(observations, number)
         self._marginalize_old()
 
-    def _measure(self, factors: list[PoseFactor], done: PoseUpdated) -> None:
-        """As `Isam2Smoother`, then marginalize what is too old."""
-        super()._measure(factors, done)
+    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+        """As `Isam2Smoother.fix`, then marginalize what is too old."""
+        done = super().fix(fixes, sources, gate)
+        self._marginalize_old()
+        return done
+
+    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+        """As `fix`, with closures of the newest pose to frames in the window; others are not used."""
+        done = super().close_loops(closures, gate)
+        self._marginalize_old()
+        return done
+
+    def _note(self, factors: list[PoseFactor], done: PoseUpdated) -> list[Factor]:
+        """As `Isam2Smoother`; nothing is optimized in the end."""
+        used = super()._note(factors, done)
         self._of_poses.clear()
-        if done.used.any():
-            self._marginalize_old()
+        return used
 
     def _held(self, frames: IntArray) -> IntArray:
         """A closure to a frame that left the window is not used."""
         return frames[frames >= self._oldest]
 
     def _marginalize_old(self) -> None:
+        """Marginalize poses that are too old, if the newest pose is in the graph."""
         now = self._time[-1]
+        if self._end.anchor < self.frame:
+            return
         if now - self._time[self._oldest - self._timed] > (1.0 + self.slack) * self.lag:
             self._marginalize_before(self._timed + bisect_left(self._time, now - self.lag))
 

@@ -212,7 +212,11 @@ class Isam2Smoother:
         """Add the fixes of the newest pose that are inside the gate. Raises UsageError beside errors of the sensor."""
         self._refuse()
         done = in_turn(self._end.mean, self._end.P, fixes_of(fixes, sources), gate)
-        self._measure(fix_factors([self.frame] * len(done.used), fixes, sources, self.loss), done)
+        used = self._note(fix_factors([self.frame] * len(done.used), fixes, sources, self.loss), done)
+        if used:
+            motion, values = self._flush()
+            self._engine.add([*motion, *used], values)
+            self._read()
         return done
 
     def keep(self, last_use: dict[int, int]) -> None:
@@ -221,14 +225,22 @@ class Isam2Smoother:
     def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
         """As `fix`, with closures of the newest pose."""
         self._refuse()
-        first, second = closures.frame1, closures.frame2
-        earlier = self._held(np.unique(np.concatenate([first[first != self.frame], second[second != self.frame]])))
-        frames = np.append(earlier, self.frame)
+        ends = np.unique(np.concatenate([closures.frame1, closures.frame2]))
+        frames = self._held(ends)
         measured = closures_of(closures, frames)
-        if len(earlier) and earlier[-1] > self._end.anchor:
-            self._complete()
-        done = in_turn(*self._poses(earlier), measured, gate)
-        self._measure(closure_factors(closures, ("closures",), self.loss), done)
+        factors = closure_factors(closures, ("closures",), self.loss)
+        if all(m is None for m in measured):
+            done = in_turn(np.empty(0), np.empty((0, 0)), measured, gate)
+            self._note(factors, done)
+            return done
+        # the poses that they tie at the root of the tree, where their joint covariance is quick
+        motion, values = self._flush()
+        self._engine.add(motion, values, [X(k) for k in frames.tolist()])
+        done = in_turn(*self._poses(frames), measured, gate)
+        used = self._note(factors, done)
+        if used:
+            self._engine.add(used, gtsam.Values())
+        self._read()
         return done
 
     def _refuse(self) -> None:
@@ -240,35 +252,22 @@ class Isam2Smoother:
         return frames
 
     def _poses(self, frames: IntArray) -> tuple[Array, Array]:
-        """Poses of frames (k,) in the graph and the newest one, stacked, with their joint covariance, world frame."""
+        """Poses of frames (k,) in the graph, stacked, with their joint covariance, world frame."""
         pose = np.array([self._engine.pose(X(k)) for k in frames.tolist()]).reshape(-1, 3)
-        exact = is_exact(self.prior) and len(frames) > 0 and frames[0] == 0
-        asked = frames[1:] if exact else frames
-        keys = self._end.keys
-        others = [X(k) for k in asked.tolist() if k != self._end.anchor]
-        J = self._engine.covariance([*keys, *others])
-        if len(others) < len(asked):  # the newest of them is the anchor, which is the first of the keys
-            again = np.append(np.arange(len(J)), np.arange(3))
-            J = J[np.ix_(again, again)]
-        J = self._end.carried(J)
-        T = np.eye(len(J))
-        for i, theta in enumerate(pose[len(pose) - len(asked) :, 2].tolist(), 1):
+        P = np.zeros((pose.size, pose.size))
+        # of an exactly known pose gtsam's joint marginal has a variance of about 1
+        known = int(is_exact(self.prior) and frames[0] == 0)
+        P[3 * known :, 3 * known :] = self._engine.covariance([X(k) for k in frames[known:].tolist()])
+        T = np.zeros_like(P)
+        for i, theta in enumerate(pose[:, 2].tolist()):
             T[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = world_from_body(theta)
-        J = T @ J @ T.T
-        # the newest one last, and the first one with its exact pose
-        P = np.zeros((3 * len(frames) + 3,) * 2)
-        order = np.concatenate([np.arange(3, len(J)), np.arange(3)])
-        P[len(P) - len(J) :, len(P) - len(J) :] = J[np.ix_(order, order)]
-        return np.append(pose.ravel(), self._end.mean), 0.5 * (P + P.T)
+        P = T @ P @ T.T
+        return pose.ravel(), 0.5 * (P + P.T)
 
-    def _measure(self, factors: list[PoseFactor], done: PoseUpdated) -> None:
-        """Add those factors (f) of the newest pose that are used to the graph, and read the newest pose."""
+    def _note(self, factors: list[PoseFactor], done: PoseUpdated) -> list[Factor]:
+        """Note factors (f) of the newest pose; returns those that are used."""
         self._of_poses += [p if yes else p.left_out() for p, yes in zip(factors, done.used.tolist(), strict=True)]
-        if done.used.any():
-            motion, values = self._flush()
-            used = [p.factor for p, yes in zip(factors, done.used.tolist(), strict=True) if yes]
-            self._engine.add([*motion, *used], values)
-            self._read()
+        return [p.factor for p, yes in zip(factors, done.used.tolist(), strict=True) if yes]
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
         """Replace the pairings of frames (m,) up to now by observations (m) and decisions (m,), negative for none. In

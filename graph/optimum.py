@@ -8,6 +8,7 @@ by Cholesky they stall where increments are known much better in one direction t
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -18,6 +19,7 @@ from gtsam.symbol_shorthand import L, X
 from data.pose_measurements import PoseInnovations
 from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array, covariances_in_world
+from graph.anderson import extended, mixture
 from graph.factors import UnderConstrained, pose_array
 from graph.leave_one_out import innovations, pairs_of
 from graph.problem import Problem
@@ -118,9 +120,13 @@ def optimize(problem: Problem, start: gtsam.Values, *, loss: str = "gaussian") -
 
 
 def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = STEP) -> _Found:
-    """Gauss-Newton steps, each shortened until the cost falls, until one is short `enough` or none descends."""
+    """Gauss-Newton steps, each shortened until the cost falls, until one is short `enough` or none descends.
+
+    With fixes or closures they are extrapolated as well: a wrong one leaves a large residual, or no weight.
+    """
     error, before, first = linearizer.cost(values), math.inf, 1.0
     rounding = ROUNDING * math.sqrt(3 * len(linearizer.structure.variable))
+    past, extrapolates, drop = list[tuple[Array, Array]](), linearizer.extrapolates, 0.0
     for step in range(MOST + 1):
         rows = linearizer(values)
         triangle = eliminate(rows, linearizer.structure)
@@ -131,23 +137,42 @@ def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = ST
         if left < enough or SHRANK * before < left < rounding or step == MOST:
             break
         # below the resolution of the cost, a step that grew went too far: large residuals bend the valley
-        if left > before and left < 1.0:
+        resolved = extrapolates and drop > ERROR_ROUNDING * (1.0 + error)
+        if left > before and left < 1.0 and not resolved:
             first *= 0.5
         elif left < 0.1 * before:
             first = min(1.0, 2.0 * first)
         delta = linearizer.tangent(solution, values)
-        share, moved, moved_error = first, values, math.inf
-        while share > SHORTEST:
-            moved = linearizer.moved(values, share * delta, share * solution.constants)
+        if extrapolates:
+            past = extended(past, *linearizer.flat(values, linearizer.moved(values, delta, solution.constants)))
+        for share, moved in _trials(linearizer, values, delta, solution, first, past):
             moved_error = linearizer.cost(moved)
             limit = error - ARMIJO * share * (1.0 - 0.5 * share) * left**2 + ERROR_ROUNDING * (1.0 + error)
             if moved_error <= limit:
                 break
-            share *= 0.5
+            past = past[-1:]
         else:
             break
-        values, error, before = moved, moved_error, left
+        values, error, before, drop = moved, moved_error, left, error - moved_error
     return _Found(values, error, step, rows, triangle, solution)
+
+
+def _trials(
+    linearizer: Linearizer,
+    values: gtsam.Values,
+    delta: Array,
+    solution: Solution,
+    first: float,
+    past: Sequence[tuple[Array, Array]],
+) -> Iterator[tuple[float, gtsam.Values]]:
+    """Next estimates to try, and their share of a step: extrapolated, then from `first` on shorter and shorter."""
+    extrapolated = mixture(past)
+    if extrapolated is not None:
+        yield 1.0, linearizer.unflat(extrapolated, values)
+    share = first
+    while share > SHORTEST:
+        yield share, linearizer.moved(values, share * delta, share * solution.constants)
+        share *= 0.5
 
 
 def _damped(problem: Problem, values: gtsam.Values) -> gtsam.Values:

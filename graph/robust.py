@@ -16,53 +16,88 @@ from association.expectation import gate_threshold
 from data.inputs import FrameObservations, Inputs, IntArray, Prior
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
-from graph.batch import Start, build, smooth, start_values
+from graph.batch import Rejected, Start, build, smooth, start_values
 from graph.factors import EXACT, Factor, ObservationFactors, graph_of, is_exact, noise, prior_factor
+from graph.graduated import graduated
 from graph.incremental import DELICATE
 from graph.optimum import Smoothed, poses_of
 from graph.problem import Problem
-from graph.walls import along, known_wall_factors, lines_of, placed, wall_factors
+from graph.walls import about, along, known_wall_factors, lines_of, placed, wall_factors
+
+PROBABILITY = 0.99  # of the chi-square quantile beyond which a measurement is rejected
 
 
 def gnc(
-    inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, probability: float = 0.99
+    inputs: Inputs, decisions: IntArray, created: IntArray, start: Start, *, probability: float = PROBABILITY
 ) -> tuple[Smoothed, BoolArray]:
-    """The exact optimum over the accepted observations, and which ones those are: (M,), False where unused.
+    """The exact optimum over the accepted measurements, and which observations those are: (M,), False where unused.
+    Those of fixes and closures are in the result.
 
-    Conventions of `graph.batch.smooth`. Prior, motion and known landmarks are trusted. An observation is rejected if
-    its squared whitened residual (2 dof), at this optimum, is not below the chi-square quantile of `probability`; so
-    chi-square and covariances are slightly too small. A landmark without accepted observations leaves the map. It is a
-    local method: consistent wrong pairings can win.
+    Conventions of `graph.batch.smooth`. Prior, motion and known landmarks are trusted. A measurement is rejected if its
+    squared whitened residual, at this optimum, is not below the chi-square quantile of `probability`; so chi-square and
+    covariances are slightly too small. A landmark without accepted observations leaves the map. It is a local method:
+    consistent wrong pairings can win.
 
     Raises `UnderConstrained`, DataError for a singular covariance, ValueError for a probability not in (0, 1).
     """
-    threshold = gate_threshold(probability)
     problem = build(inputs, decisions, created)
+    threshold = thresholds(problem, probability)
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     if problem.calibrated is not None:
         # with wrong errors, right pairings would be rejected
         start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start)
-    walls = None if inputs.sensor.sees_points else _walls(inputs, used, number, start)
-    start, believed = _graduate(problem, start, probability, qr=is_delicate(inputs), walls=walls)
-    # block-coordinate descent on the truncated cost, from gtsam's weights, which need not match its solution and are
-    # separate for the two scalars of a relative point
+    if problem.pose_factors:
+        start, believed = _graduate_all(problem, start, threshold)
+    else:
+        walls = None if inputs.sensor.sees_points else _walls(inputs, used, number, start)
+        start, believed = _graduate(problem, start, probability, qr=is_delicate(inputs), walls=walls)
+    # block-coordinate descent on the truncated cost, from the last weights, which need not match the solution and from
+    # gtsam are separate for the two scalars of a relative point
     before = np.inf
     while True:
         accepted = np.zeros(len(decisions), np.bool_)
-        accepted[used[believed]] = True
+        accepted[used[believed[: len(used)]]] = True
         kept = np.where(accepted, decisions, DISCARD), np.where(accepted, created, -1)
-        result = smooth(inputs, *kept, start)
+        result = smooth(inputs, *kept, start, rejected=_rejected(problem, ~believed[len(used) :]))
         start = _as_start(result, start)
         square = _squares(problem, start)
         if result.map is not None:
             # a landmark without accepted observations has no position
-            square[~np.isin([s.number for s in problem.observations], result.map.number)] = np.inf
+            alone = ~np.isin([s.number for s in problem.observations], result.map.number)
+            square[: len(used)][alone] = np.inf
         cost = float(np.minimum(square, threshold).sum())
         believed, last = square < threshold, believed
         if (believed == last).all() or not cost < before:
             return result, accepted
         before = cost
+
+
+def thresholds(problem: Problem, probability: float) -> Array:
+    """Of the squared whitened residuals of observations, then of fixes and closures (k,)."""
+    dims = [s.dims for s in problem.observations] + [len(p.entries) for p in problem.pose_factors]
+    return np.array([gate_threshold(probability, d) for d in dims], float)
+
+
+def _rejected(problem: Problem, out: BoolArray) -> Rejected:
+    """Of fixes and closures (k,) in the order of the problem."""
+    closure = np.array([p.closure for p in problem.pose_factors], np.bool_)
+    fixes, closures = out[~closure], out[closure]
+    return Rejected(fixes if len(fixes) else None, closures if len(closures) else None)
+
+
+def _graduate_all(problem: Problem, start: Start, threshold: Array) -> tuple[Start, BoolArray]:
+    """As `_graduate`, with fixes and closures; systematic errors stay at the start, and are the robot's own."""
+    values, errors = start_values(problem, start), start.errors
+    if problem.calibrated is not None:
+        at = problem.calibrated.errors(values)
+        problem.calibrated.remove(values)
+        problem = problem.held(at)
+    values, believed = graduated(problem, values, threshold)
+    pose, landmark = _start_of(replace(problem, about=None), values, start)[:2]
+    if problem.about is not None:
+        landmark[problem.numbers] = about(landmark[problem.numbers], -problem.about)
+    return Start(pose, landmark, errors), believed
 
 
 def is_delicate(inputs: Inputs) -> bool:
@@ -176,8 +211,9 @@ def _as_start(result: Smoothed, start: Start) -> Start:
 
 
 def _squares(problem: Problem, at: Start) -> Array:
-    """Squared whitened residual of every observation."""
+    """Squared whitened residual of every observation, then of fixes and closures."""
     values = start_values(problem, at)
     if problem.calibrated is not None:
         problem = problem.held(problem.calibrated.errors(values))
-    return np.array([2.0 * sum(f.error(values) for f in s.measured) for s in problem.observations], float)
+    observed = [2.0 * sum(f.error(values) for f in s.measured) for s in problem.observations]
+    return np.array([*observed, *(2.0 * p.factor.error(values) for p in problem.pose_factors)], float)

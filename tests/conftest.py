@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from functools import cache
@@ -19,8 +20,17 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 threadpoolctl.ThreadpoolController = cache(threadpoolctl.ThreadpoolController)
 
 # How long an example takes says how busy the machine is, not whether the code is right.
-settings.register_profile("slamref", deadline=None)
-settings.load_profile("slamref")
+settings.register_profile("thorough", deadline=None, max_examples=100)
+settings.register_profile("quick", deadline=None, max_examples=30)
+settings.load_profile("quick")
+
+# Thousands of tests and modules are made once and stay: the garbage collector need not go through them.
+gc.disable()
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session")

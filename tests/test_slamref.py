@@ -119,6 +119,7 @@ def test_an_unknown_subcommand_is_one_line_and_exit_2():
     assert command("inspekt").stderr == "slamref: inspekt: no such command. Did you mean inspect?\n"
 
 
+@pytest.mark.slow
 def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_path):
     built = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(tmp_path)]
     subprocess.run(built, cwd=ROOT, check=True, capture_output=True)

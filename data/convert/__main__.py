@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from data.command import COMPLETION, Parser, complete
-from data.convert import g2o, mrclam, recordings, table, visual, worlds
+from data.convert import bag, g2o, mrclam, recordings, table, visual, worlds
 from data.convert.again import again
 from data.terminal import counted, ended
 from data.worlds.registry import SIMULATORS
@@ -29,6 +29,7 @@ examples:
   python -m data.convert plaza 1 logs/plaza-1
   python -m data.convert carmen intel.log.gz logs/intel
   python -m data.convert rosbag robot.bag logs/robot --scan /scan --odom /odom
+  python -m data.convert bag robot_bag/ logs/robot --point-sigma 0.05
   python -m data.convert table robot.csv logs/robot --columns t=stamp,v=speed --unit angle=deg,time=ns  (and more)
   python -m data.convert g2o graph.g2o logs/graph        and back: g2o logs/graph graph.g2o
   python -m data.convert arena logs/arena-0 --seed 0 --landmarks 40
@@ -38,7 +39,7 @@ examples:
   python -m data.convert visual my_lab --seed 0
   python -m data.convert lab my_lab logs/lab
 """
-SOURCES = (mrclam, recordings, table, g2o, worlds, visual)
+SOURCES = (mrclam, recordings, bag, table, g2o, worlds, visual)
 CONVERTERS: dict[str, Callable[[argparse.Namespace], Log | Recording | str]] = {
     kind: source.convert for source in SOURCES for kind in source.KINDS
 }

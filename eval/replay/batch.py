@@ -8,15 +8,16 @@ from functools import partial
 
 import numpy as np
 
+from association.expectation import gate_threshold
 from data.inputs import Inputs, IntArray
 from data.notice import Code, Severity, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate
 from data.se2 import Array, BoolArray
-from graph.batch import Start, smooth
+from graph.batch import Rejected, Start, smooth
 from graph.chordal import chordal_path
 from graph.factors import UnderConstrained
 from graph.optimum import NotConvergedError, Smoothed
-from graph.robust import gnc
+from graph.robust import PROBABILITY, gnc
 
 LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}
 LOWER = 1e-6  # relative difference of cost by which a lower minimum is another one
@@ -27,8 +28,9 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
 
     If this finds no minimum, or a suspiciously high one, it also starts from the paths of `others` in turn, runs with
     the same landmark numbers or without a map. The lowest minimum counts. `gnc` discards rejected pairings, and
-    landmarks without any observation left. Fixes and closures are used whatever `front` did with them; where there are
-    closures a chordal path is a further start, and without observations the first one.
+    landmarks without any observation left, and tests fixes and closures anew; the others leave out those that the front
+    end's gate rejected, as they do with observations. Without observations there is no such front end, and all are
+    used. Where there are closures a chordal path is a further start, and without observations the first one.
     """
     begin = time.perf_counter()
 
@@ -55,13 +57,14 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
         starts.insert(int((final >= 0).any()), lambda: _chordal(inputs, initialized))
     try:
         if name == "gnc":
-            result, accepted = gnc(inputs, final, initialized, start)
+            result, accepted = _least_truncated(inputs, final, initialized, starts)
             left_out = _left_out(final, initialized, accepted)
             rejected = int((~accepted & (np.where(initialized >= 0, initialized, final) >= 0)).sum())
-            notes.append(notice(Code.OBSERVATIONS_REJECTED, Severity.INFO, observations=rejected))
+            if decides:
+                notes.append(notice(Code.OBSERVATIONS_REJECTED, Severity.INFO, observations=rejected))
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
-            result = _lowest(inputs, final, initialized, starts, LOSSES[name])
+            result = _lowest(inputs, final, initialized, starts, LOSSES[name], _rejected(front))
     except UnderConstrained as stop:
         return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
@@ -77,12 +80,32 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
     )  # fmt: skip
 
 
+def _least_truncated(
+    inputs: Inputs, final: IntArray, initialized: IntArray, starts: Sequence[Callable[[], Start | None]]
+) -> tuple[Smoothed, BoolArray]:
+    """`gnc` from the first start; with closures also from the second, and the lowest truncated cost counts."""
+    found = list[tuple[float, Smoothed, BoolArray]]()
+    for each in starts[: 1 if inputs.closures is None else 2]:
+        start = each()
+        assert start is not None  # the first ones are no other runs'
+        result, accepted = gnc(inputs, final, initialized, start)
+        out = int((~accepted & (np.where(initialized >= 0, initialized, final) >= 0)).sum())
+        cost = result.cost + out * gate_threshold(PROBABILITY)
+        for of in (result.fixes, result.closures):
+            if of is not None:
+                cost += sum(gate_threshold(PROBABILITY, d) for d in of.dof[~of.used].tolist())
+        found.append((cost, result, accepted))
+    _, result, accepted = min(found, key=lambda each: each[0])
+    return result, accepted
+
+
 def _lowest(
     inputs: Inputs,
     final: IntArray,
     initialized: IntArray,
     starts: Sequence[Callable[[], Start | None]],
     loss: str,
+    rejected: Rejected,
 ) -> Smoothed:
     """The minimum from the first start, or the lowest of those from others, as long as it is suspicious. Under a robust
     loss wrong closures hide in a low cost: two starts then.
@@ -97,7 +120,7 @@ def _lowest(
             continue
         tried += 1
         try:
-            found = smooth(inputs, final, initialized, start, loss=loss)
+            found = smooth(inputs, final, initialized, start, loss=loss, rejected=rejected)
         except NotConvergedError as fault:
             stop = fault
         else:
@@ -107,6 +130,12 @@ def _lowest(
         assert stop is not None
         raise stop
     return result
+
+
+def _rejected(front: Run) -> Rejected:
+    """Fixes and closures outside the front end's gate; those that it could not use are none of these."""
+    found = [None if each is None else np.isfinite(each.nis) & ~each.used for each in (front.fixes, front.closures)]
+    return Rejected(*found)
 
 
 def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -> BoolArray:

@@ -37,6 +37,7 @@ from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
 from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
+from eval.replay.poses import PoseMeasurements
 from eval.replay.recorder import Apart, Observer, ObserverError, Recorder, Writing, missing_run
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, TASKS, Given, Setup
 from graph.factors import UnderConstrained
@@ -383,23 +384,26 @@ def landmark_sigmas(inputs: Inputs, run: Run) -> Array | None:
     """Standard deviation (N, L) [m] of each landmark along its least certain direction after every frame.
 
     NaN before a landmark is initialized and after it was removed. None unless the run is a complete EKF-SLAM of ours
-    without parking, small enough for a second pass, by one sensor and without fixes or closures.
+    without parking, small enough for a second pass, by one sensor.
     """
     size = run.state_size
     if run.estimator not in FILTERS or run.task != "slam" or run.failure is not None or size is None:
         return None
     if float(np.sum(np.asarray(size, float) ** 2)) > MOST_WORK or run.events:
         return None
-    if inputs.several_or_partial or inputs.fixes is not None or inputs.closures is not None:
+    if inputs.several_or_partial:
         return None
     inputs = inputs.without_map().without_labels()
     estimator = EkfSlam(inputs.prior, inputs.sensor, OPTIONS[run.estimator], systematic=inputs.systematic)
+    gates = [done.gate for done in (run.fixes, run.closures) if done is not None]
+    poses = PoseMeasurements(inputs, estimator, estimator, gates[0] if gates else None)
     count = int(run.created.max(initial=-1)) + 1
     sigma = np.full((len(inputs), count), math.nan)
     for k in range(len(inputs)):
         frame = inputs.frame(k)
         if frame.increment is not None:
             estimator.predict(frame.increment)
+        poses.use(frame)
         rows = slice(frame.first, frame.first + len(frame.observations.z))
         if rows.stop > rows.start:
             done = estimator.update(frame.observations, run.decisions[rows])

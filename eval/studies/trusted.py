@@ -204,11 +204,14 @@ def _estimators(twins: Sequence[Sample]) -> list[Finding]:
     return found + [f for f in attribution.innovation_errors(nis) if f.name not in convicted]
 
 
+Tried = tuple[float, Finding, Inputs]
+"""Logarithm of the odds of an explanation, and the inputs corrected by it."""
 ROUNDS = 4  # explanations, one after the other
 REPLICATES = 4  # of the corrected log in a round: they give the spread of residuals to 2 % on a log of 200 frames
 TRIED = 3  # explanations of a kind whose likelihood is computed
 HOPELESS = 10.0  # the likelihood is not computed where the log odds are less than the best ones over this
 FEWEST_OUTLIERS = 2  # one outlier is no evidence for another model
+REFINED = 2  # explanations of a log with sources that are estimated anew
 FAR = 10.0  # standard errors of a systematic error beyond which it is linearized anew
 STANDS_OUT = 6.0  # standard deviations, above which a statistic of a corrected log still stands out
 REMOVED = 0.5  # share of the strongest objection that an explanation has to take away
@@ -253,9 +256,10 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
     Those with a model of the inputs have the likelihood of a filter's innovations. Of each kind a few are tried.
     """
     found = sorted([*explanations(e, taken), *source_explanations(e)], key=lambda x: -x.net)
-    stated = _likelihood(e.inputs, e.used, smoother)
+    linear = has_sources(e.inputs)
+    stated = _linear(e.inputs, e) if linear else _likelihood(e.inputs, e.used, smoother)
     count = Counter[str]()
-    tried: list[tuple[float, Finding, Inputs]] = []
+    tried: list[Tried] = []
     for x in [*found, mirrored(e)]:
         count[x.finding.kind] += 1
         promising = x.finding.kind == "mirrored" or x.net > max(found[0].net / HOPELESS, 0.0)
@@ -263,11 +267,14 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
             continue
         of_source = ":" in x.finding.name and x.finding.kind != "systematic"
         finding, inputs = x.finding, (source_corrected if of_source else corrected)(e, x.finding)
-        if finding.kind == "systematic" and abs(finding.size) > FAR * finding.error:
-            inputs, finding = _again(inputs, smoother, finding)
+        if not linear:
+            inputs, finding = _exactly(inputs, smoother, finding)
         if finding.kind in MODELLED:
-            finding = replace(finding, gain=_likelihood(inputs, e.used, smoother) - stated)
+            now = _linear(inputs, e) if linear else _likelihood(inputs, e.used, smoother)
+            finding = replace(finding, gain=now - stated)
         tried.append((x.net - x.finding.gain + finding.gain, finding, inputs))
+    if linear:
+        tried = _refined(tried, e, smoother, stated)
     mispaired = _mispaired(e, smoother, stated)
     # outliers that fit another landmark are no tails
     tried = [t for t in tried if t[0] > 0.0 and not (mispaired and t[1].kind == "tails")]
@@ -275,7 +282,32 @@ def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, In
     return max(tried, key=lambda t: t[0])[1:] if tried else None
 
 
-def _false(e: Evidence, smoother: Run, stated: float) -> list[tuple[float, Finding, Inputs]]:
+def _exactly(inputs: Inputs, smoother: Run, finding: Finding) -> tuple[Inputs, Finding]:
+    """A systematic error that is too large for one linearization once more, others as they are."""
+    if finding.kind == "systematic" and abs(finding.size) > FAR * finding.error:
+        return _again(inputs, smoother, finding)
+    return inputs, finding
+
+
+def _refined(tried: Sequence[Tried], e: Evidence, smoother: Run, stated: float) -> list[Tried]:
+    """The same with the best ones estimated anew: with many sources this is too slow for all."""
+    order = sorted(tried, key=lambda t: -t[0])
+    refined = []
+    for net, rough, linear in [t for t in order if t[1].kind in MODELLED][:REFINED]:
+        inputs, finding = _exactly(linear, smoother, rough)
+        gain = _likelihood(inputs, e.used, smoother) - stated
+        refined.append((net - rough.gain + gain, replace(finding, gain=gain), inputs))
+    return refined + [t for t in order if t[1].kind not in MODELLED]
+
+
+def _linear(inputs: Inputs, e: Evidence) -> float:
+    """Log-likelihood of inputs with fixes or closures, at the smoothed solution of the stated ones."""
+    of_poses = effects.poses_of(inputs, e.used)
+    assert of_poses is not None
+    return evidence(inputs, e.used.number, e.path, e.used.landmarks, of_poses)
+
+
+def _false(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
     """Outliers among the fixes or closures of each source, left out; they are those of a robust smoother."""
     inputs, outliers = e.inputs, dict[str, BoolArray]()
     for _ in range(ROUNDS if has_sources(inputs) else 0):
@@ -296,7 +328,7 @@ def _false(e: Evidence, smoother: Run, stated: float) -> list[tuple[float, Findi
     return tried
 
 
-def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[tuple[float, Finding, Inputs]]:
+def _mispaired(e: Evidence, smoother: Run, stated: float) -> list[Tried]:
     """Outliers most of which fit another landmark, left out; they are those of a robust smoother, as others bend.
 
     Some are only seen once others are left out.

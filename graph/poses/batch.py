@@ -20,6 +20,7 @@ import numpy as np
 from data.inputs import IntArray, Prior
 from data.se2 import Array, pose_error, wrap_angle
 from data.sensors import wrap_angle_jit
+from graph.anderson import extended, mixture
 from graph.factors import CAUCHY, HUBER, LOSSES
 from graph.optimum import ARMIJO, ERROR_ROUNDING, FAILED, SHORTEST, SHRANK, STEP, TINY, NotConvergedError
 from graph.poses.online import roots_at_end
@@ -194,7 +195,6 @@ CUT = 30.0
 two hundred false ones add up: in grids of corridors with as many false loop closures as true ones they changed the
 path's error by up to a third, cut by less than 2 %. Cut at 10, true ones were lost, too."""
 MOST = 400  # steps of one search. With a robust loss 50 to 150 are usual
-DEPTH = 6  # steps of an extrapolation
 ROUNDING = 1e-5  # sigma. A step that hardly shrank and is shorter than this, for each direction, ends the search
 
 
@@ -242,7 +242,7 @@ def descend(problem: PoseProblem, pose: Array, loss: Loss) -> tuple[Array, Array
         left = newton.length
         if left < STEP or SHRANK * before < left < rounding or count == MOST:
             break
-        past = [*past[1 - DEPTH :], (pose, newton.delta)]
+        past = extended(past, pose, newton.delta)
         for share, moved in _trials(past):
             moved_cost, moved_weight = evaluate(problem, moved, loss)
             promised = share * (2.0 - share) * left**2
@@ -257,18 +257,11 @@ def descend(problem: PoseProblem, pose: Array, loss: Loss) -> tuple[Array, Array
 
 
 def _trials(past: Sequence[tuple[Array, Array]]) -> Iterator[tuple[float, Array]]:
-    """Next poses to try, and their share of a step: extrapolated, in full, then shorter and shorter.
-
-    Reweighting converges linearly. Anderson acceleration ("Iterative procedures for nonlinear integral equations", J.
-    ACM 12, 1965) extrapolates by the shortest mixture of the last steps.
-    """
+    """Next poses to try, and their share of a step: extrapolated, in full, then shorter and shorter."""
     pose, delta = past[-1]
-    if len(past) > 1:
-        steps = np.array([d.ravel() for _, d in past])
-        ends = np.array([(p + d).ravel() for p, d in past])
-        change = np.diff(steps, axis=0)
-        mix = np.linalg.lstsq(change.T, steps[-1], rcond=1e-8)[0]
-        yield 1.0, (ends[-1] - mix @ np.diff(ends, axis=0)).reshape(pose.shape)
+    extrapolated = mixture(past)
+    if extrapolated is not None:
+        yield 1.0, extrapolated
     share = 1.0
     while share > SHORTEST:
         yield share, pose + share * delta

@@ -10,8 +10,8 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.inputs import IntArray, Prior
-from data.se2 import Array, world_from_body
-from graph.factors import graph_of, pose2
+from data.se2 import Array, world_from_body, wrap_angle
+from graph.factors import graph_of, pose2, pose_array
 from graph.pose_factors import PoseFactor
 from graph.problem import Problem
 from graph.qr.calibrated import CalibratedRows, with_drift
@@ -61,6 +61,8 @@ class Linearizer:
         height = [len(p.entries) if p.used else 0 for p in of_poses]
         self._height = np.concatenate([np.repeat(np.array([3, 2], np.int64), [n, m]), np.array(height, np.int64)])
         self.of_poses = n + m + np.arange(len(of_poses))
+        # whether steps are extrapolated, for large residuals and weights that vanish
+        self.extrapolates = len(of_poses) > 0 and problem.calibrated is None
         self._pose_chunks, self._pose_factors = self._whole(of_poses, n + m), problem.of_poses
         self._dim = np.repeat(np.array([3, 2], np.int64), [n, len(self.numbers)])
         if problem.calibrated is not None and self.calibrated is not None:
@@ -183,6 +185,27 @@ class Linearizer:
         if self.calibrated is None:
             return values.retract(vector)
         return self.calibrated.moved(values, vector, delta[0], delta[self.frames + len(self.numbers) :, 0], constants)
+
+    def flat(self, values: gtsam.Values, moved: gtsam.Values) -> tuple[Array, Array]:
+        """Poses and landmarks (3 N + 2 L,) of an estimate, headings not wrapped, and the way to a moved one."""
+        at, there = (np.concatenate(self._arrays(each), axis=None) for each in (values, moved))
+        way = there - at
+        heading = way[2 : 3 * self.frames : 3]
+        way[2 : 3 * self.frames : 3] = wrap_angle(heading)
+        return at, way
+
+    def _arrays(self, values: gtsam.Values) -> tuple[Array, Array]:
+        pose = np.array([pose_array(values.atPose2(X(k))) for k in range(self.frames)])
+        return pose, np.array([values.atPoint2(L(n)) for n in self.numbers.tolist()]).reshape(-1, 2)
+
+    def unflat(self, at: Array, like: gtsam.Values) -> gtsam.Values:
+        """The estimate with poses and landmarks (3 N + 2 L,), all else as in another one."""
+        values, n = gtsam.Values(like), 3 * self.frames
+        for k, pose in enumerate(at[:n].reshape(-1, 3)):
+            values.update(X(k), pose2(pose))
+        for number, xy in zip(self.numbers.tolist(), at[n:].reshape(-1, 2), strict=True):
+            values.update(L(number), xy)
+        return values
 
     def name(self, variable: int) -> str:
         """Name of a variable."""

@@ -164,6 +164,7 @@ def life(rng, steps, velocity=(0.0, 0.0), sigma=0.03, turning=0.0):
     return known
 
 
+@pytest.mark.slow
 def test_a_landmark_that_stands_still_is_hardly_ever_said_to_move():
     rng = np.random.default_rng(0)
     assert sum(verdict(life(rng, 12, turning=0.4), usual(0.9)) == "moved" for _ in range(1000)) <= 2

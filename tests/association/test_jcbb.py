@@ -16,6 +16,7 @@ from association.jcbb import SearchBudgetWarning, jcbb, jcbb_first, search
 from data.result import DISCARD, NEW
 from tests.association.plain_jcbb import lab_rule
 from tests.association.problems import GATE, distance_of, exhaustive, problem, shuffled
+from tests.quick import examples
 
 
 def problems(largest):
@@ -33,7 +34,7 @@ def problems(largest):
 PROBLEMS = problems(6)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(PROBLEMS, st.sampled_from([0.9, 0.99, None]))
 def test_as_many_pairings_at_the_same_joint_distance_as_an_exhaustive_search(e, gate):
     pairings, d2 = exhaustive(e, gate)
@@ -44,13 +45,13 @@ def test_as_many_pairings_at_the_same_joint_distance_as_an_exhaustive_search(e, 
     assert distance_of(e, found.decisions) == (pairings, pytest.approx(d2, rel=1e-9, abs=1e-9))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(problems(5))
 def test_jcbb_first_decides_as_the_lab_program_is_described(e):
     np.testing.assert_array_equal(jcbb_first(e, GATE), lab_rule(e, GATE))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(PROBLEMS, st.randoms(use_true_random=False))
 def test_neither_the_order_of_the_map_nor_that_of_the_observations_matters(e, random):
     order = list(range(len(e.number)))

@@ -21,6 +21,7 @@ from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from tests.association.problems import GATE, problem, shuffled
+from tests.quick import examples
 
 ORDERLESS = [m for m in METHODS if m != "jcbb-first"]
 """Methods whose decisions do not depend on the order of the map."""
@@ -65,7 +66,7 @@ def test_nn_takes_a_distance_that_equals_the_gate_and_the_others_do_not(monkeypa
 # maximum likelihood
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(small)
 def test_ml_is_the_largest_gaussian_density_among_the_compatible(e):
     decisions = ml(e, GATE)
@@ -128,7 +129,7 @@ def test_singles_pairs_only_what_has_nobody_else():
 # global nearest neighbour
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(small)
 def test_gnn_is_the_cheapest_of_all_one_to_one_assignments(e):
     d2, price = e.individual_distances(), chi2.ppf(GATE, 2)
@@ -177,7 +178,7 @@ def test_in_a_known_map_nothing_is_new(method):
 # what all have in common
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(small, st.randoms(use_true_random=False), st.sampled_from([0.99, None]))
 def test_the_order_of_the_map_changes_no_decision(e, random, gate):
     order = list(range(len(e.number)))

@@ -13,9 +13,10 @@ from data.inputs import FrameObservations, LandmarkMap, Prior
 from data.sensors import RangeBearing, RelativePoint
 from ekf.localizer import EkfLocalizer
 from tests.association.problems import problem
+from tests.quick import examples
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     method=st.sampled_from(METHODS),

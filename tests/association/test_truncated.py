@@ -11,6 +11,7 @@ from association.conditional import jcbb_conditional
 from association.decide import decide
 from association.expectation import Expectation, gate_threshold
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
+from tests.quick import slow
 
 GATE = 0.99
 CONDITIONAL = "jcbb-conditional"
@@ -50,7 +51,9 @@ def _problem(rng: np.random.Generator, k: int, common: float) -> tuple[Expectati
     return Expectation.from_arrays(z_hat + nu.reshape(k, 2), z_hat, P, R), S
 
 
-@pytest.mark.parametrize("method", ["nn", "singles", "gnn", "jcbb", "jcbb-first", CONDITIONAL])
+@pytest.mark.parametrize("method", [
+    "nn", "jcbb", CONDITIONAL, slow("singles"), slow("gnn"), slow("jcbb-first"),
+])  # fmt: skip
 @pytest.mark.parametrize("common", [0.1, pytest.param(5.0, marks=pytest.mark.slow)])
 def test_what_a_method_accepts_has_the_expected_mean_and_spread(method, common):
     rng, total, mean, variance, dof = np.random.default_rng(5), 0.0, 0.0, 0.0, 0

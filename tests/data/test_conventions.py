@@ -17,6 +17,7 @@ from data.questions.conventions import ORDERS, order_by_observations, order_by_t
 from data.sensors import RelativePoint
 from eval.report.overview import trust_mark
 from eval.report.overview_facts import facts_of
+from tests.quick import slow
 
 SIGMAS = ("--odometry-sigma", ".05,.02", "--observation-sigma", ".1,1.15deg")
 PERIOD, SPEED, TURN = 0.1, 4.0, 0.4
@@ -87,8 +88,10 @@ def test_the_order_of_turning_and_driving_is_named_and_its_flag_makes_the_log_ex
     assert np.abs(path[:, :2] - mended.truth.pose[:, :2]).max() < 1e-6
 
 
-@pytest.mark.parametrize("order", ["turn-first", "drive-first"])
-@pytest.mark.parametrize("truth", [{"blur": 0.015}, {"every": 5}])
+@pytest.mark.parametrize(("order", "truth"), [
+    ("turn-first", {"blur": 0.015}), ("drive-first", {"every": 5}),
+    slow("drive-first", {"blur": 0.015}), slow("turn-first", {"every": 5}),
+])  # fmt: skip
 def test_noisy_or_rare_true_poses_tell_over_several_frames(order, truth, converted):
     """Seen, with a map: NEES 64 with noise of 2 cm, 92 with every fifth pose, and no question."""
     found = asked(converted(order, **truth))[Code.INTEGRATION]
@@ -134,7 +137,7 @@ def thinned(inputs, n):
     return replace(inputs, time=inputs.time[::n], increments=increments, observations=none)
 
 
-@pytest.mark.parametrize("name", ["ekf", "batch"])
+@pytest.mark.parametrize("name", [slow("ekf"), "batch"])
 def test_the_headline_says_neither_and_why(name, converted):
     log = converted("turn-first")
     trial = slamref.Trial(log, "slam", tuple(slamref.compare(log.inputs(), "slam", ["ekf", "batch"], "nn")))

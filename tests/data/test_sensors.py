@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from data.se2 import wrap_angle
 from data.sensors import LINE, MIN_RANGE, Line, RangeBearing, RelativePoint, residual
+from tests.quick import examples
 
 SENSORS = [
     RangeBearing(),
@@ -24,7 +25,7 @@ angle = st.floats(-math.pi, math.pi)
 coordinate = st.floats(-20, 20)
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(st.sampled_from(SENSORS), coordinate, coordinate, angle, coordinate, coordinate)
 def test_jacobians_meet_central_differences_and_inverse_undoes_predict(sensor, x, y, theta, lx, ly):
     pose, landmark = np.array([x, y, theta]), np.array([[lx, ly]])
@@ -50,7 +51,7 @@ def test_jacobians_meet_central_differences_and_inverse_undoes_predict(sensor, x
     assert np.allclose(Hx[0] + Hl[0] @ Gx[0], 0, atol=1e-8)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(coordinate, coordinate, angle, st.floats(0.5, 9), angle, st.floats(-8, 8), st.floats(-8, 8))
 def test_a_wall_is_where_its_points_are(x, y, theta, d, phi, along, other):
     # two points of a wall as the robot sees it; in the world they lie on rho, alpha
@@ -111,7 +112,7 @@ def test_field_of_view_may_lie_across_the_seam_and_be_widened():
     assert edge.in_view(np.array([[0.0, 1.0], [0.0, -1.0]])).all(), "both ends are inside"
 
 
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 @given(st.floats(-1e4, 1e4))
 def test_wrapped_angles_lie_in_the_half_open_circle_and_keep_their_direction(a):
     w = wrap_angle(a)

@@ -36,6 +36,7 @@ def share(seeds: range, factor: float, methods=METHODS) -> float:
 
 
 @pytest.mark.parametrize("method", [pytest.param("known", marks=pytest.mark.slow), "jcbb"])
+@pytest.mark.slow
 def test_a_right_filter_is_not_called_conservative_for_want_of_labels(method):
     """Seen: with `jcbb` 46 of 60 below the bounds of chi-square, because a gate leaves the large innovations out."""
     found = Counter(w for s in range(12) for w in words(WORLDS[0], method, s, 1.0))

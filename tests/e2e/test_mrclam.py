@@ -32,6 +32,7 @@ def errors(source, robot, **options):
     return np.array([[r["rmse_position_m"], r["rmse_time_m"]] for r in rows], float)
 
 
+@pytest.mark.slow
 def test_dataset_9_on_which_the_numbers_were_tuned(shared_data):
     ekf, cauchy = errors(shared_data / "mrclam" / "MRCLAM_Dataset9.zip", 3, exclude_truth=BAD)
     assert ekf[0] < 0.04

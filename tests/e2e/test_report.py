@@ -36,7 +36,7 @@ def my_log(tmp_path_factory):
 
 def asked(log, estimators, out, *more):
     given = ["--log", str(log), "--estimator", estimators, "--out", str(out), *more]
-    return [*given, "--runs", "3", "-q", "--jobs", "1"]
+    return [*given, "--runs", "2", "-q", "--jobs", "1"]
 
 
 @pytest.fixture(scope="module")
@@ -155,7 +155,7 @@ def test_the_report_shows_pictures_and_needs_no_network(report):
 def test_same_inputs_and_seed_give_the_same_bytes_with_any_number_of_processes_and_threads(
     my_log, tmp_path, more, kinds, jobs
 ):
-    same = ["--log", str(my_log), "--estimator", "ekf,batch", "--runs", "2", *more, "-q"]
+    same = ["--log", str(my_log), "--task", "slam", "--estimator", "ekf,batch", "--runs", "2", *more, "-q"]
     one, two = tmp_path / "one" / "r", tmp_path / "two" / "r"
     with threadpool_limits(2):
         assert main([*same, "--out", str(one), "--jobs", "1"]) == 0
@@ -186,6 +186,7 @@ def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(arguments, words, t
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_the_command_exits_with_that_status_and_says_no_more(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "eval.run_all", "--log", ".", "--out", str(tmp_path / "r"), "--runs", "0"],

@@ -174,6 +174,7 @@ def test_what_makes_no_sense_is_one_line_and_exit_2(arguments, words, tmp_path, 
     assert not (tmp_path / "r").exists()
 
 
+@pytest.mark.slow
 def test_a_stored_run_is_replayed_to_its_tolerance(shared_data, tmp_path):
     out = tmp_path / "r"
     given = ["--scenario", "esde-replay", "--data", str(shared_data), "--estimator", "ekf,ekf-invariant,batch"]
@@ -235,6 +236,7 @@ def test_a_cluster_gives_the_same_numbers_though_a_worker_is_killed(small, tmp_p
     same(tmp_path / "here" / "r", tmp_path / "there" / "r")
 
 
+@pytest.mark.slow
 def test_a_cluster_gives_the_same_numbers(small, tmp_path):
     from distributed import LocalCluster
 

@@ -19,6 +19,7 @@ from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from ekf.whole_run import run_filter
 from tests.oracle import reference_ekf as reference
+from tests.quick import examples
 
 SMALL = Arena(landmarks=8, side=14.0, frames=25)
 
@@ -234,7 +235,7 @@ def test_failure_in_the_whole_run_blanks_the_rest_and_names_the_frame():
     assert np.isfinite(run.pose[:7]).all()
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(st.integers(0, 10_000), st.floats(-3.0, 3.0), st.floats(-50, 50))
 def test_predict_equals_composing_raw_odometry(seed, heading, x):
     rng = np.random.default_rng(seed)

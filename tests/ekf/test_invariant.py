@@ -17,6 +17,7 @@ from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
 from eval.referee import consistency
 from eval.replay.run import compare
+from tests.quick import examples
 
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
@@ -33,7 +34,7 @@ def group(xi, points):
 
 
 @given(seed=st.integers(0, 10**6), angle=st.sampled_from([0.0, 1e-9, -3e-5, 2e-4, 0.3, -1.2]))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_pose_and_landmarks_move_by_the_exponential_and_the_covariance_goes_along(seed, angle):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(0, 4))

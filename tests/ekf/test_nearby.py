@@ -12,6 +12,7 @@ from data.inputs import FrameObservations, Increment, Prior
 from data.result import NEW
 from data.sensors import Line, RangeBearing, RelativePoint
 from ekf.slam import EkfSlam
+from tests.quick import examples
 
 SENSORS = [
     RangeBearing(),
@@ -21,7 +22,7 @@ SENSORS = [
 ]
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=examples(20), deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     sensor=st.sampled_from(SENSORS),

@@ -18,6 +18,7 @@ from data.sensors import Line, RangeBearing, RelativePoint
 from ekf import kernels
 from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
+from tests.quick import examples
 
 NOBODY = np.empty(0, np.int64)
 NOTHING_SEEN = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
@@ -58,7 +59,7 @@ def some_of(rng, numbers, share):
     return np.asarray(numbers, np.int64)[rng.random(len(numbers)) < share]
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=examples(50), deadline=None)
 @given(
     seed=st.integers(0, 10**6),
     sensor=st.sampled_from([RangeBearing(rotation=0.3, translation=(0.2, -0.1)), RelativePoint(), Line(rotation=0.2)]),
@@ -194,6 +195,7 @@ def test_joint_expectation_works_on_the_chosen_landmarks_alone(monkeypatch):
     assert sizes == [(7, (7, 7))]
 
 
+@pytest.mark.slow
 def test_victoria_park_with_landmarks_parked_that_are_unseen_for_a_minute():
     """The log has no stamps: a minute is taken as sixty of its time units, its frames."""
     frames, unseen = 1500, 60.0

@@ -13,6 +13,7 @@ from data.sensors import RangeBearing
 from ekf.filter import DEFAULT
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
+from tests.quick import slow
 
 MOUNTED = RangeBearing(max_range=15.0, rotation=0.3, translation=(0.2, -0.1))
 PRIOR = Prior(np.array([1.0, 2.0, 0.7]), np.diag([0.1, 0.2, 0.005]) ** 2)
@@ -144,7 +145,7 @@ def of_runs(task, seeds, frames, of=CONSTANT):
     return np.array(pose), np.array(errors), np.array(plain)
 
 
-@pytest.mark.parametrize("task", ["slam", "localization"])
+@pytest.mark.parametrize("task", ["slam", slow("localization")])
 def test_errors_are_found_and_the_pose_is_as_good_as_it_says(task):
     pose, errors, plain = of_runs(task, range(4), 120)
     # 99.9 % of chi-square with 4 times 3 and 4 times 6 degrees of freedom

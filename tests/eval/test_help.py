@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from eval import open_report
+from tests.quick import slow
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("numpy", "scipy", "numba", "pandas", "gtsam", "matplotlib", "cv2", "joblib", "tqdm")
@@ -27,6 +28,7 @@ COMMANDS = {
 HELP = """
 import sys
 from {module} import main
+from tests.quick import slow
 try:
     main({arguments!r})
 except SystemExit as end:
@@ -49,7 +51,8 @@ def python(*arguments: str) -> subprocess.CompletedProcess[str]:
     ("module", "arguments"),
     [
         *((module, ["--help"]) for module in COMMANDS.values()),
-        *(("slamref", [*name, "--help"]) for name in ([], *([c] for c in (*COMMANDS, "lab", "study")))),
+        *(("slamref", [*name, "--help"]) for name in ([], ["lab"], ["study"])),
+        *(slow("slamref", [name, "--help"]) for name in COMMANDS),
     ],
 )
 def test_help_answers_at_once_and_loads_nothing_heavy(module, arguments):
@@ -60,7 +63,7 @@ def test_help_answers_at_once_and_loads_nothing_heavy(module, arguments):
     assert done.stdout.endswith("\n[]\n"), done.stdout[-200:] + done.stderr
 
 
-@pytest.mark.parametrize(("name", "module"), COMMANDS.items())
+@pytest.mark.parametrize(("name", "module"), [c if c[0] in ("run", "convert") else slow(*c) for c in COMMANDS.items()])
 def test_a_subcommand_is_the_module_under_another_name(name, module):
     module = module.removesuffix(".__main__")
     ours, theirs = (" ".join(python("-m", *words, "--help").stdout.split()) for words in (["slamref", name], [module]))

@@ -30,8 +30,10 @@ def full(*_, **__):
 
 
 @pytest.mark.parametrize(("owner", "name", "more"), [
-    (pd.DataFrame, "to_csv", ["--no-plots"]), (np, "savetxt", ["--no-plots"]), (Path, "write_text", ["--no-plots"]),
-    (Path, "mkdir", ["--no-plots"]), (Image.Image, "save", ["--quick"]),
+    (pd.DataFrame, "to_csv", ["--no-plots"]), (Path, "mkdir", ["--no-plots"]),
+    pytest.param(np, "savetxt", ["--no-plots"], marks=pytest.mark.slow),
+    pytest.param(Path, "write_text", ["--no-plots"], marks=pytest.mark.slow),
+    pytest.param(Image.Image, "save", ["--quick"], marks=pytest.mark.slow),
 ])  # fmt: skip
 def test_a_full_disk_is_one_line_and_status_2_wherever_it_is_noticed(owner, name, more, tmp_path, monkeypatch, capsys):
     out = tmp_path / "report"

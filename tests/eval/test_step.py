@@ -75,8 +75,9 @@ def test_a_run_through_writes_a_picture_of_every_stage_and_all_text(tmp_path, ca
 
 @pytest.mark.parametrize("arguments", [
     ["--task", "slam"], ["--task", "slam", "--association", "nn", "--maintain", "--new-gate", "0.99"],
-    ["--task", "slam", "--association", "known"], ["--task", "localization", "--association", "ml", "--gate", "none"],
-    ["--task", "slam", "--association", "gnn", "--in-view"],
+    pytest.param(["--task", "slam", "--association", "known"], marks=pytest.mark.slow),
+    ["--task", "localization", "--association", "ml", "--gate", "none"],
+    pytest.param(["--task", "slam", "--association", "gnn", "--in-view"], marks=pytest.mark.slow),
     ["--task", "slam", "--estimator", "isam2", "--frames", "12"],
 ])  # fmt: skip
 def test_what_is_printed_on_the_way_is_what_the_referee_says_in_the_end(arguments, capsys):

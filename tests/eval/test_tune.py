@@ -78,6 +78,7 @@ def test_gross_outliers_beyond_the_gate_are_left_out_once_for_all():
     assert factor[1] == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_sigmas_fitted_to_correlated_innovations_are_not_to_be_believed_and_it_is_said_first(tmp_path, capsys):
     """Each landmark's ranges wander: the fit makes NIS right, and the covariance is too small as before."""
     log = simulate(SMALL, 0)

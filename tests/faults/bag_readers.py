@@ -9,10 +9,14 @@ import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
 
+from data.formats.bags.log import Wanted, log_of_bag
+from data.formats.bags.reading import collect
+from data.formats.bags.topics import chosen, topics_of
 from data.formats.recordings.ros import log_of, read_bag
 from data.formats.results.path import GivenPath
 from data.formats.results.reading import read_path
 from data.log import Log
+from tests.data.formats.bags.made import Full
 from tests.data.formats.open_log.test_corruption import assert_sound
 from tests.data.formats.recordings.ros.bags import Maker
 from tests.faults.bags2 import BAGS
@@ -68,6 +72,49 @@ def of_each() -> list[Files]:
     return [ros1()[0], sqlite()[0], mcap()[0]]
 
 
+def seeing() -> Files:
+    """A bag with points of one camera and pixels of another."""
+    maker = Full()
+    maker.drive(np.arange(0.0, 3.01, 0.5))
+    maker.mounting("base_link", "camera", 0.25, 0.1, 0.5)
+    maker.optical(0.2, 0.0, 0.1)
+    maker.camera()
+    for t in (0.75, 1.5):
+        maker.poses(t, [(2.0, 0.5), (1.0, -1.0)])
+        maker.tags(t, [(3, 320.0), (4, 700.0)])
+    return made(maker.save)
+
+
+def marked() -> Files:
+    """A bag with markers and objects."""
+    maker = Full()
+    maker.drive(np.arange(0.0, 3.01, 0.5))
+    maker.mounting("base_link", "camera", 0.25, 0.1, 0.5)
+    for t in (0.75, 1.5):
+        maker.markers(t, [(7, 3.0, 0.0)])
+        maker.boxes(t, [("12", 1.0, 0.0)])
+    return made(maker.save)
+
+
+def fixed() -> Files:
+    """A bag with satellite fixes, headings and pose fixes."""
+    maker = Full("sqlite3")
+    maker.drive(np.arange(0.0, 3.01, 0.5))
+    maker.mounting("base_link", "antenna", 0.1, 0.0, 0.0)
+    for t in (0.75, 1.5):
+        maker.satellites(t, (48.0 + 1e-5 * t, 11.0), 0.25)
+        maker.inertial(t, 0.1 * t, 0.01)
+        maker.pose(t, (t, 0.0, 0.1 * t), variance=0.04)
+    return made(maker.save)
+
+
+def read_full(folder: Path) -> Log:
+    path = _inside(folder)
+    topics = chosen(path, topics_of(path))
+    stated = Wanted(np.zeros(3), np.ones(3), 0.1, 0.1, 1.0, 0.1)
+    return log_of_bag(path, "bag", topics, collect(path, topics), stated)
+
+
 def _inside(folder: Path) -> Path:
     found = [p for p in sorted(folder.iterdir()) if p.is_dir() or p.suffix in (".bag", ".mcap", ".db3")]
     return found[0] if found else folder / "small"
@@ -95,5 +142,8 @@ BAG_READERS = {
     "ROS 1 bag": Reader(ros1, read, sound, faults_of),
     "ROS 2 bag, SQLite": Reader(sqlite, read, sound, faults_of),
     "ROS 2 bag, MCAP": Reader(mcap, read, sound, faults_of),
+    "ROS 2 bag with detections and fixes": Reader(
+        lambda: [seeing(), marked(), fixed()], read_full, assert_sound, faults_of
+    ),
     "result, a ROS bag": Reader(of_each, read_result, sound_path, faults_of),
 }

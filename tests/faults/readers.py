@@ -13,7 +13,7 @@ import numpy as np
 from scipy.io import savemat
 
 from data.convert import table
-from data.formats.g2o import read_graph
+from data.formats.g2o import log_of, read_graph
 from data.formats.lab.folder import open_lab
 from data.formats.mrclam.load import load_mrclam
 from data.formats.recordings import esde
@@ -188,6 +188,10 @@ G2O = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.1\nVERTEX_XY 2 2 1\nEDGE_SE2 0 1 1
 )
 
 
+LOOP = "".join(f"VERTEX_SE2 {k} {k} 0 0\n" for k in range(4)) + (
+    "".join(f"EDGE_SE2 {k} {k + 1} 1 0 0 9 0 0 9 0 9\n" for k in range(3))
+    + "EDGE_SE2 3 0 -3 0 0.1 9 1 0.5 8 0.2 7\nEDGE_SE2 0 2 2 0 0 5 0 0 5 0 5\nFIX 0\n"
+)
 PARK = (
     "ODOMETRY 0 1 0.5 0.01 0.02 0.01 0.001 0.002 0.03 0.003 0.04\nLANDMARK 1 2 11.5 -3.2 0.4 0.1 0.5\n"
     "LANDMARK 1 3 9.5 3.2 0.4 0 0.4\nODOMETRY 1 4 0.6 0 0 0.0001 0 0 0.000004 0 0.000004\nLANDMARK 4 2 10.9 -3 1 0 1\n"
@@ -202,6 +206,17 @@ TABLES = {
     "robot.csv": ROBOT,
     "map.csv": "id;x;y\n1;2,5;3\n7;4,5;-1\n",
     "truth.csv": "# t x y theta\n" + "".join(f"{k} {k} 0 0\n" for k in range(9)),
+}
+
+
+POSED = "t,x,y,theta\n" + "".join(f"{k},{k},0,0.1\n" for k in range(9))
+MEASURED = {
+    "robot.toml": 'odometry = "robot.csv"\nfixes = "fixes.csv"\nclosures = "loops.csv"\nodometry_sigma = [1, 1, 1, 1]\n'
+    'fix_sigma = "0.5,0.5,5deg"\nclosure_sigma = "0.1,0.1,1deg"\nfix_lever = [0.1, 0.2]\nprior = "0,0,0"\n'
+    "prior_sigma = [1, 1, 1]\n",
+    "robot.csv": POSED,
+    "fixes.csv": "t;x;y;theta;sx;source\n1;1,5;2;;;\n2,5;;;0,5;;compass\n4;4;0;0,1;0,25;\n",
+    "loops.csv": "t1,t2,dx,dy,dtheta,sx,sy,stheta\n8,0.5,-7.5,0,0,,,\n1,3,2,0,0.1,0.1,0.2,0.01\n",
 }
 
 
@@ -245,7 +260,7 @@ READERS = {
     "Victoria Park": Reader(
         lambda: [{"park.txt": PARK.encode()}], lambda folder: load_victoria_park(folder / "park.txt"), assert_sound
     ),
-    "tables of another program": Reader(lambda: [encoded(TABLES)], read_tables, assert_sound),
+    "tables of another program": Reader(lambda: [encoded(TABLES), encoded(MEASURED)], read_tables, assert_sound),
     "stored run of a study": Reader(
         stored_runs, lambda folder: esde.log_of(esde.load_esde(folder / "results.mat"), "run"), assert_sound
     ),
@@ -257,5 +272,9 @@ READERS = {
     "TOML of a run": Reader(
         lambda: [{"config.toml": (CONFIGS / "tutorial-step1.toml").read_bytes()}], read_config, nothing
     ),
-    "g2o": Reader(lambda: [{"graph.g2o": G2O.encode()}], lambda folder: read_graph(folder / "graph.g2o"), nothing),
+    "g2o": Reader(
+        lambda: [{"graph.g2o": text.encode()} for text in (G2O, LOOP)],
+        lambda folder: log_of("graph", read_graph(folder / "graph.g2o")),
+        assert_sound,
+    ),
 }

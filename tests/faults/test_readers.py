@@ -7,7 +7,7 @@ import pytest
 from tests.faults.fuzzing import try_faults
 from tests.faults.readers import READERS
 
-COUNTS = [8, pytest.param(10_000, marks=pytest.mark.slow)]
+COUNTS = [4, pytest.param(10_000, marks=pytest.mark.slow)]
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -16,7 +16,12 @@ from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from tests.graph.worlds import SENSORS, circle
 
-every_sensor = pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
+QUICK = ("range-bearing", "relative point, off centre")
+"""Both kinds of sensor, on and off the centre; the others are for the slow tests."""
+every_sensor = pytest.mark.parametrize(
+    "sensor",
+    [pytest.param(s, marks=[] if name in QUICK else pytest.mark.slow, id=name) for name, s in SENSORS.items()],
+)
 two_sensors = pytest.mark.parametrize("sensor", [*SENSORS.values()][:2], ids=[*SENSORS][:2])
 both_tasks = pytest.mark.parametrize("task", ["localization", "slam"])
 TIGHT = {"threshold": 1e-7, "skip": 1}

@@ -42,6 +42,7 @@ def test_noise_free_input_returns_the_truth(sensor, task, P0):
         assert result.map is None
 
 
+@pytest.mark.slow
 def test_chi_square_has_the_degrees_of_freedom_stated():
     """Its mean over runs, within Student's 99.9 % interval; the count is two a reading, less two a landmark."""
     for task in ("localization", "slam"):

@@ -60,7 +60,7 @@ def compare(inputs, decisions, created, start):
     return found
 
 
-@both_tasks
+@pytest.mark.parametrize("task", ["slam", pytest.param("localization", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", [RangeBearing, pytest.param(RelativePoint, marks=pytest.mark.slow)])
 def test_all_errors_at_once_have_the_optimum_and_the_covariances_of_dense_least_squares(task, kind):
     """A sensor that is mounted off the robot's centre; a drift of several knots."""
@@ -241,6 +241,7 @@ def plausible(chi, squares, nees, level):
         assert level / 2 < stats.chi2.sf(total, dof) < 1 - level / 2
 
 
+@pytest.mark.slow
 def test_in_simulated_worlds_the_errors_are_covered_and_the_cost_is_a_chi_square():
     plausible(*simulated(range(20), "slam", ERRORS, frames=20), level=1e-3)
 

@@ -15,11 +15,11 @@ from data.sensors import RelativePoint
 from ekf.whole_run import run_filter
 from graph.batch import Start, build, smooth
 from graph.optimum import in_world
-from tests.graph.driving import solved
-from tests.graph.worlds import SENSORS, circle
+from tests.graph.driving import every_sensor, solved
+from tests.graph.worlds import circle
 
 
-@pytest.mark.parametrize("sensor", SENSORS.values(), ids=SENSORS)
+@every_sensor
 @pytest.mark.parametrize("task", ["localization", "slam"])
 @pytest.mark.parametrize("loss", ["gaussian", "cauchy"])
 def test_all_marginals_equal_gtsams(sensor, task, loss):

@@ -12,6 +12,7 @@ from ekf.whole_run import run_filter
 from graph import optimum
 from graph.batch import Start, build, smooth, start_values
 from graph.optimum import NotConvergedError, optimize
+from tests.quick import slow
 
 
 def labelled(name):
@@ -31,7 +32,7 @@ HARD = "park:0:frames=500+spacing=12+sigma_v=.1+sigma_omega=.03"
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param("park:1:frames=535", marks=pytest.mark.slow), "park:2:frames=500+spacing=8+sigma_range=.5", HARD],
+    [slow("park:1:frames=535"), slow("park:2:frames=500+spacing=8+sigma_range=.5"), HARD],
 )
 def test_a_stiff_path_is_smoothed_to_the_same_optimum_from_the_filters_path_and_from_the_truth(name):
     log, inputs, decisions, created = labelled(name)
@@ -47,6 +48,7 @@ def test_a_stiff_path_is_smoothed_to_the_same_optimum_from_the_filters_path_and_
     assert 0.9 < a.cost / a.dof < 1.1
 
 
+@pytest.mark.slow
 def test_no_optimizer_of_gtsam_finds_anything_lower():
     _, inputs, decisions, created = labelled("park:1:frames=535")
     problem = build(inputs, decisions, created)

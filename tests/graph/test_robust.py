@@ -22,6 +22,7 @@ from graph.batch import Start, build, smooth, start_values
 from graph.robust import gnc
 from tests.graph.driving import both_tasks, every_sensor, for_task
 from tests.graph.worlds import SENSORS, circle
+from tests.quick import slow
 
 
 def filtered(inputs, decisions):
@@ -44,8 +45,8 @@ def rms(pose, other):
     return np.sqrt(np.mean(np.sum(se2.pose_error(pose, other)[:, :2] ** 2, 1)))
 
 
-@pytest.mark.parametrize("kind", ["range_bearing", pytest.param("relative_point", marks=pytest.mark.slow)])
-@both_tasks
+@pytest.mark.parametrize("kind", ["range_bearing", slow("relative_point")])
+@pytest.mark.parametrize("task", ["slam", slow("localization")])
 def test_a_fifth_of_wrong_associations_does_no_harm(kind, task):
     """From the path of a filter that believed them all, where the plain smoother is off by a metre and more."""
     log = simulate(Arena(sensor=kind, frames=70), 1)

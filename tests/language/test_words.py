@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import ast
-import io
 import json
 import re
-import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +16,10 @@ ROOMS = ("association", "data", "ekf", "eval", "graph")
 PAGES = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md")
 VALUES = ("paired anew on the smoothed path",)
 """Values in files are contracts."""
+STRING_OR_COMMENT = re.compile(
+    r'''"""(?:\\.|[^\\])*?"""|\'{3}(?:\\.|[^\\])*?\'{3}|"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'|\#[^\n]*''', re.DOTALL
+)
+"""A string from quote to quote, in which `#` begins no comment, or a comment to the end of its line."""
 
 
 def banned() -> dict[str, str]:
@@ -33,9 +35,9 @@ def texts_of_module(path: Path) -> Iterator[tuple[int, str]]:
             if node.value in VALUES:
                 continue
             yield node.lineno, node.value
-    for token in tokenize.generate_tokens(io.StringIO(source).readline):
-        if token.type == tokenize.COMMENT:
-            yield token.start[0], token.string
+    for found in STRING_OR_COMMENT.finditer(source):
+        if found[0].startswith("#"):
+            yield source.count("\n", 0, found.start()) + 1, found[0]
 
 
 def texts() -> Iterator[tuple[str, str]]:

@@ -78,7 +78,6 @@ CASES: dict[str, Case] = {
         "--log arena:1:frames=40+sensor=relative_point --task localization,slam"
         " --estimator ekf,ekf-invariant,batch --association known,jcbb",
         "the Cartesian sensor",
-        short=True,
     ),
     "linear": Case(
         "--log linear:0:frames=50 --task slam --estimator ekf,ekf-iterated,isam2,batch",
@@ -96,7 +95,6 @@ CASES: dict[str, Case] = {
         "--log arena:0:frames=120 --task slam --estimator ekf,ekf-iterated --association known,jcbb"
         " --deactivate-after 10",
         "landmarks that are parked and taken back",
-        short=True,
     ),
     "forgotten": Case(
         "--log arena:0:frames=120 --task slam --estimator ekf,ekf-fej --association known,jcbb --forget-after 10",
@@ -119,7 +117,6 @@ CASES: dict[str, Case] = {
     "gate-known": Case(
         "--log arena:5:frames=40 --task localization,slam --estimator ekf,isam2,batch --gate-known 0.9",
         "labels that are gated",
-        short=True,
     ),
     "gate-known-filters": Case(
         "--log arena:5:frames=40 --task slam --estimator ekf,isam2,batch --gate-known 0.9 --no-gate-smoothers",
@@ -133,7 +130,6 @@ CASES: dict[str, Case] = {
     "corridor-maintained": Case(
         "--log corridor:0:people --task slam --estimator ekf --association nn,singles,jcbb --maintain --gate 0.95",
         "landmarks seen once are removed",
-        short=True,
     ),
     "corridor-blind": Case(
         "--log corridor:1:people+no-odometry --task slam --estimator ekf,isam2 --association jcbb",
@@ -154,7 +150,6 @@ CASES: dict[str, Case] = {
     "laser": Case(
         "--log in --relations {given}/relations.csv --estimator dead-reckoning,ekf,isam2,batch",
         "scans matched, loops closed, an open log folder, reference relations",
-        short=True,
         before=("convert floorplan in --seed 0 --frames 600 --thin 5 --beams 90",),
     ),
     "laser-back-ends": Case(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from functools import cache
 
 import pandas as pd
 import pytest
@@ -22,24 +23,36 @@ def cells(values):
     return [repr(v) for v in values]
 
 
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """`made(name)`: what is kept of a case, and its result folder; each case is run once."""
+
+    @cache
+    def make(name):
+        folder = tmp_path_factory.mktemp("net")
+        return done(name, folder), folder / name
+
+    return make
+
+
 @pytest.mark.parametrize(
     "name", [pytest.param(n, marks=[] if case.short else [pytest.mark.slow]) for n, case in CASES.items()]
 )
-def test_no_column_of_a_run_has_moved_and_no_headline_contradicts_its_numbers(name, tmp_path):
-    case, kept = done(name, tmp_path), Record.read(name)
+def test_no_column_of_a_run_has_moved_and_no_headline_contradicts_its_numbers(name, made):
+    (case, folder), kept = made(name), Record.read(name)
     assert not isinstance(case, str), case
     assert kept is not None, f"{name} is not recorded: python -m tests.net --record --only {name}"
     assert case.record.status == kept.status
     found = list(compare(case.record.files, kept.files, exact=False, close=CASES[name].close))
     assert not found, "\n".join([f"{len(found)} moved", *("  ".join(move) for move in found[:40])])
-    if (tmp_path / name / "report.md").is_file():
-        assert not list(contradictions(tmp_path / name))
+    if (folder / "report.md").is_file():
+        assert not list(contradictions(folder))
 
 
-def test_a_tick_over_a_number_that_objects_is_seen(tmp_path):
-    case = done("arena", tmp_path)
+def test_a_tick_over_a_number_that_objects_is_seen(made, tmp_path):
+    case, out = made("arena")
     assert not isinstance(case, str)
-    folder = tmp_path / "arena"
+    folder = shutil.copytree(out, tmp_path / "arena")
     assert {mark for mark, _ in marks(folder / "report.md").values()} == {"✓"}
     assert not list(contradictions(folder))
     table = pd.read_csv(folder / "metrics.csv")
@@ -89,11 +102,11 @@ def test_a_digest_is_read_as_it_is_written():
 
 
 @pytest.fixture(scope="module")
-def saved(tmp_path_factory):
+def saved(made):
     """A small result folder, as `--save` keeps it."""
-    folder = tmp_path_factory.mktemp("saved")
-    assert not isinstance(done("result-alone", folder), str)
-    return folder / "result-alone"
+    case, folder = made("result-alone")
+    assert not isinstance(case, str)
+    return folder
 
 
 def changed(folder, file, old, new):

@@ -74,6 +74,10 @@ class Tree:
         back = Rt.transpose(0, 2, 1)
         return back @ Rs, np.einsum("nij,nj->ni", back, ts - tt)
 
+    def carries(self, body: str, frame: str) -> bool:
+        """Whether a frame is mounted on a body, or is the body itself."""
+        return bare(body) in self._ancestors(frame)
+
     def _ancestors(self, name: str) -> list[str]:
         chain = [bare(name)]
         while chain[-1] in self.moving and self.moving[chain[-1]].parent not in chain:

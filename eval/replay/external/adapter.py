@@ -16,6 +16,15 @@ import numpy as np
 from association.expectation import Expectation
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
+from data.pose_measurements import (
+    MEASURED,
+    FixKind,
+    FixSource,
+    FrameClosures,
+    FrameFixes,
+    PoseUpdated,
+    not_used,
+)
 from data.result import NEW, Finished, MapState, PoseEstimate, Trajectory, Updated
 from data.se2 import Array, BoolArray, wrap_angle
 from eval.replay.external.guard import ForeignError, array, call, whole
@@ -177,6 +186,30 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
     )
 
 
+def pose_updated_of(who: str, given: Any, dof: list[int]) -> PoseUpdated:
+    """The result of an update with fixes or closures (f,) of these degrees of freedom.
+
+    None, or a mapping of some of the fields of `PoseUpdated`: all were used, innovations are not known.
+    """
+    stated = given._asdict() if isinstance(given, PoseUpdated) else {} if given is None else given
+    if not isinstance(stated, Mapping) or set(stated) - set(PoseUpdated._fields):
+        raise ForeignError(
+            f"{who} returned {kind_of(given)}; None, a data.pose_measurements.PoseUpdated, or a dict with some of its "
+            f"fields ({', '.join(PoseUpdated._fields)}) is needed"
+        )
+    done = not_used(dof)
+    done.used[:] = True
+    if stated.get("used") is not None:
+        found = np.asarray(stated["used"])
+        if found.shape != done.used.shape or found.dtype != np.bool_:
+            raise ForeignError(f"{who}: used is {found.dtype} {found.shape}; bool {done.used.shape} is needed")
+        done.used[:] = found
+    for name, field in (("nis", done.nis), ("white", done.white)):
+        if stated.get(name) is not None:
+            field[:] = array(who, stated[name], field.shape, name, finite=False)
+    return done
+
+
 def map_of(who: str, given: Any) -> MapState:
     """A map: number (L,), xy (L, 2) and covariance (L, 2, 2), which may be None."""
     if not isinstance(given, tuple) or len(given) != 3:
@@ -203,7 +236,7 @@ NONE.setflags(write=False)
 KEYWORDS = ("threshold", "at", "innovations")  # optional keywords of `update`
 
 
-OPTIONAL = ("stamp", "remove", "merge", "park", "restore", "inflate", "reset", "amend")
+OPTIONAL = ("stamp", "remove", "merge", "park", "restore", "inflate", "reset", "amend", "keep")
 
 
 class Adapter:
@@ -252,6 +285,16 @@ class Adapter:
         found = updated_of(f"{self.name}.update", done, decisions, new, self._created)
         self._created += int((found.created >= 0).sum())
         return found
+
+    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+        """Use absolute measurements of the pose."""
+        dof = [len(MEASURED[FixKind(kind)]) for kind in fixes.kind.tolist()]
+        return pose_updated_of(f"{self.name}.fix", self._call("fix", fixes, sources, gate), dof)
+
+    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+        """Use relative poses."""
+        dof = [3] * len(closures.row)
+        return pose_updated_of(f"{self.name}.close_loops", self._call("close_loops", closures, gate), dof)
 
     def parked_xy(self) -> Array:
         """Positions (b, 2) of the parked landmarks."""

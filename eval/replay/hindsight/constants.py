@@ -15,7 +15,7 @@ from association.conditional import SAME_PLACE as SAME_PLACE
 
 # --- Variance scales learned from innovations (noise.py) ------------------------------------------------------------
 
-NOISE_MEMORY = 1000.0  # innovations over which a variance scale is learned
+NOISE_MEMORY = 1000.0  # observations over which a variance scale, or the health of a robot, is learned
 NOISE_PRIOR = 10.0  # weight of the stated noise at the start with a known map, in innovations
 LEAST_SCALE = 0.01  # smallest variance scale
 
@@ -28,8 +28,8 @@ FALSE_REJECTION = 0.01  # target false-rejection rate of the gate
 TAILS_STEP = 0.1  # largest step of the gate's logarithm for one rejected observation, ...
 TAILS_HORIZON = 30.0  # ... which falls to this over the number of observations (tails of d^-4), ...
 TAILS_SLOWEST = 0.03  # ... but not below this, because tails may change
+SAME_GATE = 0.99  # gate inside which two observations, points or landmarks agree
 AGREE = 3  # postponed observations that must agree to initialize a landmark
-AGREE_GATE = 0.99  # gate inside which two observations agree, under the stated sensor noise
 
 # --- Noise estimated from consecutive frames (noise.py) -------------------------------------------------------------
 
@@ -84,9 +84,7 @@ REASSOCIATION_OBSERVATIONS = 4  # observations of a landmark that counts for thi
 
 # --- Two landmarks of the smoothed map that are one (same_place.py) --------------------------------------------------
 
-SAME_OBSERVATIONS = 2  # observations of a landmark that is compared
 SAME_NEAREST = 3  # neighbours that a landmark is compared with
-SAME_GATE = 0.99  # gate of the median squared distance of a landmark's observations to the other's place
 SAME_DETECTED = 0.5  # detection probability of two landmarks, if they are two
 SAME_CHANCE = 0.02  # probability that one landmark is observed twice in a frame, by clutter
 SAME_ODDS = 3.0  # log odds above which both are one
@@ -100,15 +98,14 @@ PLAIN_LEFT = 0.1  # ... whose map has no larger share of landmarks that left, or
 
 # --- A frame without a prediction (placement.py) --------------------------------------------------------------------
 
-DISTANCE_SIGMAS = 3.0  # standard deviations within which two distances, or a point and a landmark, agree
+DISTANCE_SIGMAS = 3.0  # standard deviations within which two distances agree, and something is in reach or was in view
 PLACE_PAIRINGS = 3  # pairings of a pose found by geometry, of a frame or of a local map
-FRAME_POINTS = 12  # observations from which poses are made, the most precise ones
+FRAME_POINTS = 12  # observations of a frame, or points of a local map, from which poses are made: the most precise ones
 LONG_PAIR = 0.5  # smallest length of a pair over that of the longest: a short pair does not give the heading
-MOTION_GATE = 0.9999  # gate (3 dof) of the motion inside which poses are searched
+MOTION_GATE = 0.9999  # gate (3 dof) of a motion inside which poses are searched; outside it two poses differ
 FRAME_POSES = 20_000  # largest number of poses of a frame
 FRAME_PAIRINGS = 12  # different pairings that are verified; ...
 FRAME_ALIKE = 0.5  # ... those that share more than this part are one
-REACH_SIGMAS = 3.0  # standard deviations within which landmarks are in reach, and points were in view before
 VERIFY_ROUNDS = 2  # fits to all pairings, each followed by a search for more pairings
 FIT_SLACK = 0.5  # a pairing is verified if its motion, which the fit changes by this much, may beat the best one
 REMEMBERED_FRAMES = 100  # frames that define what was in view before
@@ -116,12 +113,10 @@ REMEMBERED_FRAMES = 100  # frames that define what was in view before
 # --- Local map of a few frames (relocalize.py) ----------------------------------------------------------------------
 
 FADED = 1.0  # m; points with a larger standard deviation are dropped
-SAME_POINT = 0.99  # gate inside which an observation belongs to a point of the local map
 
 # --- Relocalization of a local map in the whole map (relocalize.py) -------------------------------------------------
 
 RELOCALIZE_GATE = 0.99  # gate of the joint distance of the fit (2 q - 3 dof for q pairings)
-SCAN_POINTS = 12  # points used, the most precise ones: a complete search over more takes too long
 SCAN_SHARE = 0.7  # share of these points that must be paired
 SCAN_ODDS = 1000.0  # odds of the place against the second best
 SCAN_STRAY = 0.01  # prior probability that a point is no landmark of the map
@@ -151,11 +146,10 @@ CONSTELLATION_ALONE = 0.999  # gate of each pair given the others
 WINDOW_SPAN = 2.0  # ranges travelled within which a landmark was seen to be in the window
 WINDOW_AGE = 6.0  # ranges travelled after which a landmark is old
 WINDOW_EVERY = 5  # frames with observations between two searches without new landmarks
-WINDOW_OBSERVATIONS = 2  # observations of a landmark that is compared
+WINDOW_OBSERVATIONS = 2  # observations of a landmark that is compared, online and at the end
 WINDOW_MOST = 16  # landmarks of a constellation, those seen last
 WINDOW_GATE = 0.999  # gate of the difference of two landmarks in a constellation
-TURN_SIGMAS, TURN_MARGIN = 3.0, 0.1  # largest rotation of a constellation: heading sigmas, plus a margin [rad]
-SINGLE_GATE = 0.99  # gate of the difference of two landmarks merged without a constellation
+TURN_MARGIN = 0.1  # rad; largest rotation of a constellation beyond `DISTANCE_SIGMAS` of the heading
 SINGLE_CHANCE = 0.1  # landmarks expected by chance at the place of two, below which a single pair may be merged; ...
 SINGLE_CHANCE_YOUNG = 0.2  # ... share of it if the other landmark is not old
 
@@ -171,8 +165,7 @@ ALARM = 14.0  # score of an alarm: at most one false alarm in exp(ALARM) frames 
 LOST_SHARE = 0.4  # share of pairings of a lost robot over that of a healthy one, with a known map
 LOST_SCALE = 4.0  # NIS of the pairings of a lost robot over the expected one
 MISFIT_MOST = 0.5  # share of `ALARM` that one frame's misfit may add: its errors are not independent
-HEALTH_MEMORY = 1000.0  # observations over which the healthy share of pairings and their NIS are learned, ...
-HEALTH_START = (0.9, 1.0)  # ... prior share and NIS per dof, ...
+HEALTH_START = (0.9, 1.0)  # prior of the healthy share of pairings and of their NIS per dof, ...
 HEALTH_WEIGHT = 50.0  # ... and the weight of this prior, in observations
 HEALTH_SHARE_LEAST, HEALTH_SHARE_MOST = 0.05, 0.99  # bounds of the healthy share of pairings
 HEALTH_STRAYS_LEAST = 0.01  # least share of unpaired observations in a healthy frame
@@ -186,7 +179,6 @@ FOUND_AGAIN = 0.1  # ranges; with a smaller position sigma the robot is no longe
 
 HYPOTHESIS_ITERATIONS = 10  # iterations of an update: after long dead reckoning the first is far from linear
 DECISION_WEIGHT = 0.5  # weight of hypotheses below which a decision is postponed
-OTHER_PLACE = 0.9999  # gate (3 dof) outside which an estimator's pose differs from the hypotheses'
 
 # --- Lost while mapping (lost.py) -----------------------------------------------------------------------------------
 

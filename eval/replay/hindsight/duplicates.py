@@ -108,7 +108,7 @@ def constellation(
     if len(comparable(slam, young, old, gate)[1]) < constants.CONSTELLATION_FEWEST:
         return []
     c = compare(slam, ledger, young, old)
-    turn = constants.TURN_SIGMAS * math.sqrt(slam.estimate().covariance[2, 2]) + constants.TURN_MARGIN
+    turn = constants.DISTANCE_SIGMAS * math.sqrt(slam.estimate().covariance[2, 2]) + constants.TURN_MARGIN
     allowed = (c.d2 < gate) & ~c.covisible
     return [(young[i], old[j]) for i, j in recognize(c.new, c.old, c.cross, allowed, density, turn, scale)]
 
@@ -118,7 +118,7 @@ def single(slam: EkfSlam, ledger: Ledger, window: list[int], others: list[int], 
 
     `area` [m^2]: upper limit of the gate of their difference; `scale`: learned variance scale.
     """
-    gate = gate_threshold(constants.SINGLE_GATE)
+    gate = gate_threshold(constants.SAME_GATE)
     young, old = comparable(slam, sorted(window), sorted(others), gate)
     if not young or not old:
         return []

@@ -146,7 +146,7 @@ class Tentative:
         self._places = [p for p in self._places if observation.travelled - p.last.travelled <= reach]
         self._suspects = [d for d in self._suspects if observation.travelled - d.travelled <= reach]
         near = min(self._places, key=lambda p: p.last.distance(observation), default=None)
-        if near is None or near.last.distance(observation) >= gate_threshold(constants.AGREE_GATE):
+        if near is None or near.last.distance(observation) >= gate_threshold(constants.SAME_GATE):
             self._places.append(_Place(observation, 1, pairings))
             return False
         near.last, near.times = observation, near.times + 1
@@ -161,7 +161,7 @@ class Tentative:
 
     def settle(self, observation: TentativeObservation) -> int:
         """A landmark was initialized there: forget its suspects and return their number."""
-        own = [d for d in self._suspects if d.distance(observation) < gate_threshold(constants.AGREE_GATE)]
+        own = [d for d in self._suspects if d.distance(observation) < gate_threshold(constants.SAME_GATE)]
         self._suspects = [d for d in self._suspects if not any(d is o for o in own)]
         return len(own)
 

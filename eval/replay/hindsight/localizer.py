@@ -146,7 +146,7 @@ class HindsightLocalizer:
         error = pose_error(estimate.mean, mean)
         # an exact prior has no inverse; a micrometre is no other place
         both = P + estimate.covariance + constants.EXACT_VARIANCE * np.eye(3)
-        return float(error @ np.linalg.solve(both, error)) > gate_threshold(constants.OTHER_PLACE, 3)
+        return float(error @ np.linalg.solve(both, error)) > gate_threshold(constants.MOTION_GATE, 3)
 
     def notes(self) -> list[Notice]:
         """Messages about revisions and alarms."""

@@ -60,7 +60,7 @@ def watch(before: Health, offered: int, paired: int, nis: float, dof: int) -> He
     after = replace(before, unpaired=unpaired, misfit=misfit)
     if max(unpaired, misfit) >= constants.ALARM:
         return replace(after, lost=True)
-    weight = min(before.learned + offered, constants.HEALTH_MEMORY)
+    weight = min(before.learned + offered, constants.NOISE_MEMORY)
     gain, scale = offered / weight, before.scale
     if dof > 0:
         scale += 0.5 * dof / weight * (nis / dof - scale)

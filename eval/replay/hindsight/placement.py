@@ -222,7 +222,7 @@ def _near(e: Expectation, sensor: Sensor, motion: Array) -> IntArray:
     """Candidates (k,) within the farthest observed distance, for any motion."""
     seen, there = sensor.polar(e.z)[:, 0], sensor.inverse(np.zeros(3), e.z_hat)[0]
     lever = math.hypot(*sensor.translation)
-    reach = float(seen.max(initial=0.0)) + lever + constants.REACH_SIGMAS * math.sqrt(motion[0, 0] + motion[1, 1])
+    reach = float(seen.max(initial=0.0)) + lever + constants.DISTANCE_SIGMAS * math.sqrt(motion[0, 0] + motion[1, 1])
     near: IntArray = np.flatnonzero(np.hypot(*there.T) < reach)
     return near
 
@@ -294,7 +294,7 @@ def _more(believed: Expectation, decisions: IntArray, gate: float | None) -> Int
 def _in_view_before(sensor: Sensor, pose: Array, xy: Array, R: Array, seen_from: Sequence[Array]) -> int:
     """Number of points (k, 2) seen from a pose (3,) that were well in view before, by 3 sigma."""
     world = se2.transform_points(pose, xy)
-    sigma = constants.REACH_SIGMAS * np.sqrt(np.trace(R, axis1=1, axis2=2))
+    sigma = constants.DISTANCE_SIGMAS * np.sqrt(np.trace(R, axis1=1, axis2=2))
     before = np.zeros(len(xy), np.bool_)
     for past in seen_from:
         z = sensor.predict(past, world)

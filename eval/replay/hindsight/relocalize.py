@@ -62,7 +62,7 @@ def moved(scan: Scan, increment: Increment) -> Scan:
 def extended(scan: Scan, sensor: Sensor, observations: FrameObservations, rows: IntArray) -> Scan:
     """The scan with a frame's observations (m), whose rows of the log are `rows` (m,).
 
-    An observation of a known point (nearest first, one to one, inside `SAME_POINT`) corrects the scan; any other is a
+    An observation of a known point (nearest first, one to one, inside `SAME_GATE`) corrects the scan; any other is a
     new point.
     """
     xy, R = sensor.body_points(*observations)
@@ -96,7 +96,7 @@ def _pairs(scan: Scan, xy: Array, R: Array) -> list[tuple[int, int]]:
     nu = xy[:, None] - scan.xy[None]
     S = blocks[None] + R[:, None]
     d2 = np.einsum("mna,mna->mn", nu, np.linalg.solve(S, nu[..., None])[..., 0])
-    pairs, threshold = [], gate_threshold(constants.SAME_POINT)
+    pairs, threshold = [], gate_threshold(constants.SAME_GATE)
     while d2.size and d2.min() < threshold:
         i, j = divmod(int(np.argmin(d2)), n)
         pairs.append((i, j))
@@ -137,7 +137,7 @@ def relocalize(scan: Scan, known: LandmarkMap) -> Place | None:
 
     None also if the search was not completed. In an unmapped place, few points may fit elsewhere.
     """
-    used = surest(scan, constants.SCAN_POINTS)
+    used = surest(scan, constants.FRAME_POINTS)
     m, fewest = len(used), max(constants.PLACE_PAIRINGS, math.ceil(constants.SCAN_SHARE * len(used)))
     if m < constants.PLACE_PAIRINGS or len(known.id) < constants.PLACE_PAIRINGS:
         return None

@@ -34,7 +34,7 @@ def same_landmarks(sensor: Sensor, path: Array, known: LandmarkMap, seen: Observ
     order = np.argsort(number, kind="stable")
     numbers, begin = np.unique(number[order], return_index=True)
     rows = dict(zip(numbers.tolist(), np.split(order, begin[1:]), strict=True))
-    often = [n for n in rows if n >= 0 and len(rows[n]) >= constants.SAME_OBSERVATIONS]
+    often = [n for n in rows if n >= 0 and len(rows[n]) >= constants.WINDOW_OBSERVATIONS]
     xy, apart = known.positions(np.array(often, np.int64)), constants.SAME_PLACE * sensor.max_range
 
     def agree(n: int, place: Array) -> bool:

@@ -17,6 +17,7 @@ from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.world import save_folder, save_zip
 from tests.data.formats.recordings.carmen_text import SMALL
 from tests.data.formats.recordings.ros.bags import FORMS, Maker
+from tests.quick import slow
 
 ODOMETRY = "t,v,omega\n" + "".join(f"{k},1,0.1\n" for k in range(5))
 SEEN = "t,range,bearing\n1,3,0.5\n2,2.5,0.6\n3,2,0.7\n"
@@ -76,7 +77,7 @@ SOURCES: dict[str, Callable[[Path], list[str]]] = {
 }
 
 
-@pytest.mark.parametrize("kind", SOURCES)
+@pytest.mark.parametrize("kind", [kind if kind in ("carmen", "mrclam", "g2o") else slow(kind) for kind in SOURCES])
 def test_a_converted_log_has_the_same_bytes_from_another_folder(kind: str, tmp_path: Path) -> None:
     made = []
     for place in ("here", "some/where/else"):

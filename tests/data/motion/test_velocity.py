@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from data import se2
 from data.motion.velocity import ARC, HALF_ANGLE, VelocityModel, VelocityNoise, preintegrate, sinc, sinc_slope, step
+from tests.quick import examples
 
 NOISELESS = VelocityModel(VelocityNoise("density"))
 
@@ -143,7 +144,7 @@ def test_each_number_of_a_noise_is_scaled_by_itself():
     assert VelocityModel(replace(alphas, kind="textbook")).scaled(2.0).noise.alphas == (0.5, 1.0, 2.0, 4.0)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 30))
 def test_preintegration_equals_predicting_sample_by_sample(seed, cuts):
     rng = np.random.default_rng(seed)

@@ -94,6 +94,7 @@ SLIPS = pytest.mark.parametrize("slip", [0.0, 0.02], ids=["the sonars' noise is 
 
 
 @SLIPS
+@pytest.mark.slow
 def test_errors_are_as_large_as_their_covariance_says(slip):
     """2 dof; 0.7 is 2.5 sigma of the mean of 50."""
     assert nees_at_random(slip, 50) == pytest.approx(2.0, abs=0.7)

@@ -61,6 +61,7 @@ def test_several_pictures_in_one_frame_are_all_found(textures, detector):
 
 
 @pytest.mark.parametrize("gain", [0.5, 1.25])
+@pytest.mark.slow
 def test_brightness_hardly_matters(textures, detector, gain):
     truth = hung(2.0, 30)
     scene = hang(wall(), textures[1], truth)
@@ -93,6 +94,7 @@ def test_without_stereo_the_corners_have_no_points(textures, detector):
     assert np.isnan(detection.points).all()
 
 
+@pytest.mark.slow
 def test_a_large_reference_is_scaled_down_and_its_corners_stay_its_corners(textures):
     large = [cv2.resize(t, None, fx=3.1, fy=3.1, interpolation=cv2.INTER_CUBIC) for t in textures[:2]]
     truth = hung(1.5, 15)

@@ -45,6 +45,7 @@ def test_an_unknown_picture_is_not_taken_for_a_known_one(detector):
     assert found(detector.detect(scene.rgb, scene.xyz)) == []
 
 
+@pytest.mark.slow
 def test_of_two_pictures_at_one_place_the_better_supported_stays(textures, detector):
     pasted = textures[0].copy()
     pasted[120:240, 160:320] = cv2.resize(textures[1], (160, 120), interpolation=cv2.INTER_AREA)

@@ -73,6 +73,7 @@ def test_readings_have_the_sensors_errors_and_the_noise_as_stated(name, sigma):
     assert off.truth.errors.names == ("range", "bearing")
 
 
+@pytest.mark.slow
 def test_the_drift_comes_and_goes_over_fifty_metres_with_its_sigma():
     drift = np.stack([with_keys(f"park:{seed}", "drift=0.01").truth.errors.mean[:, 0] for seed in range(12)])
     assert drift.std() == pytest.approx(0.01, rel=0.15)

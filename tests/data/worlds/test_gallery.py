@@ -146,6 +146,7 @@ class TestTheCamera:
                 counts["cut" if not whole else "beyond a limit" if beyond else "in view"] += 1
         assert min(counts.values()) > 20
 
+    @pytest.mark.slow
     def test_most_frames_show_one_to_three_pictures_and_some_none(self):
         for seed in range(5):
             scene = gallery(PLAIN, seed)

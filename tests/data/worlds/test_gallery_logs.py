@@ -23,6 +23,7 @@ def exact_readings(log: Log) -> np.ndarray:
 
 
 class TestLogsWithoutImages:
+    @pytest.mark.slow
     def test_readings_are_the_corners_in_view_with_the_stated_noise(self):
         errors = []
         for seed in range(5):

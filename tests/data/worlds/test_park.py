@@ -40,6 +40,7 @@ def test_stated_noise_is_the_noise(log):
     assert np.linalg.matrix_rank(inputs.increments.covariance[1], tol=1e-7, hermitian=True) == 2
 
 
+@pytest.mark.slow
 def test_the_park_grows_with_the_drive():
     sizes = [len(named_log(f"park:0:frames={n}").inputs().map.id) for n in (1000, 4000, 16000)]
     assert 2.0 < sizes[1] / sizes[0] < 8.0

@@ -34,6 +34,7 @@ def test_localization_has_the_nees_of_its_three_degrees_of_freedom():
     assert means.mean() == pytest.approx(3.0, abs=0.35)
 
 
+@pytest.mark.slow
 def test_slam_knows_how_far_it_is_off_about_any_origin():
     means, _ = run_means(range(12), "slam", "ekf-fej", world=World(origin=(100.0, 50.0)))
     assert np.median(means) == pytest.approx(2.6, abs=1.0)

@@ -18,6 +18,7 @@ from eval.report.pictures import draw, kinds
 from tests.eval.figures.looks import SEEN_BY, lab, within
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
+from tests.quick import slow
 
 LOG = lab_log(people=True)
 KEPT = replace(LOG, name=f"{LOG.name}:maintain")
@@ -83,7 +84,7 @@ MANY = [lab_run(LOG, m, estimator=e, changes={i: DISCARD}) for i, m in enumerate
 BESIDE = [trial(lab_run(KEPT, "jcbb", changes={4: NEW, 7: 2}, removed={2: 4}), log=KEPT, variant_of=LOG.name)]
 
 
-@pytest.mark.parametrize("runs", [[], [KNOWN], MANY], ids=["none", "one", "many"])
+@pytest.mark.parametrize("runs", [slow([]), slow([KNOWN]), MANY], ids=["none", "one", "many"])
 @pytest.mark.parametrize("kind", ["association", "state", "growth"])
 def test_nothing_is_cut_or_covered_by_the_legend(kind, runs):
     shown = trial(*runs)

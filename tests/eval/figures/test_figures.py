@@ -75,8 +75,8 @@ SHOWN = {
 @pytest.mark.parametrize(
     ("kind", "situation"),
     [
-        # every other situation of a figure in the slow tests
-        pytest.param(k, s, marks=[] if i % 2 == 0 else pytest.mark.slow)
+        # two situations of three of a figure in the slow tests
+        pytest.param(k, s, marks=[] if i % 3 == 0 else pytest.mark.slow)
         for k in FIGURES
         for i, s in enumerate(s for s in SITUATIONS if s in SHOWN.get(k, SITUATIONS))
     ],

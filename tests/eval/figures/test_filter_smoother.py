@@ -11,6 +11,7 @@ from data.result import Trajectory
 from eval.figures.claims import filter_smoother_figure
 from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
+from tests.quick import slow
 
 P = np.diag(SIGMA**2)
 
@@ -91,7 +92,9 @@ def test_where_later_data_add_nothing_there_is_no_band_but_a_line_for_a_lonely_f
     assert [segment[0, 0] for segment in lonely] == [10.0]
 
 
-@pytest.mark.parametrize("names", [(), ("ekf", "isam2"), ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "isam2")])
+@pytest.mark.parametrize("names", [
+    slow(()), slow(("ekf", "isam2")), ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "isam2")
+])  # fmt: skip
 def test_nothing_is_cut_and_no_text_is_covered(names):
     runs = [replace(excursion(), estimator=name) for name in names]
     fig = filter_smoother_figure(replace(circle_log(), name="victoria-park"), runs, smoother())
@@ -105,6 +108,7 @@ def test_nothing_is_cut_and_no_text_is_covered(names):
     assert within(legend.get_window_extent(), fig.bbox)
 
 
+@pytest.mark.slow
 def test_a_longer_legend_takes_nothing_from_the_axes():
     heights = []
     for names in (("ekf",), ("ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "isam2", "fixed-lag")):

@@ -99,6 +99,7 @@ def test_a_stray_beam_does_not_squash_the_map(grid):
     np.testing.assert_allclose(wide.get_xlim(), near.get_xlim(), atol=0.2)
 
 
+@pytest.mark.slow
 def test_same_data_same_bytes(grid, tmp_path):
     written = []
     for folder in ("a", "b"):

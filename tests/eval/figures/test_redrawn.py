@@ -53,6 +53,7 @@ def test_curves_points_bars_and_bands_are_in_the_units_of_the_axes(saved):
     assert (bar.x.min(), bar.x.max(), bar.y.max()) == (pytest.approx(0.0), pytest.approx(1.0), pytest.approx(2.0))
 
 
+@pytest.mark.slow
 def test_the_script_draws_them_in_ten_lines_or_so(saved, tmp_path):
     script = (tmp_path / "mine.py").read_text()
     assert len([line for line in script.splitlines() if line.strip() and "import" not in line]) <= 14

@@ -14,6 +14,7 @@ from eval.figures.claims import anees_figure
 from eval.figures.studies import Seen, coverage_figure, outlier_figure, power_figure, run_end_figure
 from eval.figures.style import STYLES, save
 from tests.eval.figures.looks import within
+from tests.quick import slow
 
 EIGHT = ["ekf", "ekf-iterated", "ekf-fej", "ekf-invariant", "batch", "isam2", "fixed-lag", "gnc"]
 RATES = [0.0, 0.01, 0.05, 0.1, 0.2]
@@ -54,9 +55,9 @@ FIGURES = {
 }
 
 
-@pytest.mark.parametrize("draw", FIGURES.values(), ids=FIGURES.keys())
-def test_nothing_is_cut_and_no_panel_title_or_legend_lies_on_another(draw):
-    fig = draw()
+@pytest.mark.parametrize("kind", [kind if "eight" in kind else slow(kind) for kind in FIGURES])
+def test_nothing_is_cut_and_no_panel_title_or_legend_lies_on_another(kind):
+    fig = FIGURES[kind]()
     fig.draw_without_rendering()
     shown = [ax for ax in fig.axes if ax.get_visible()]
     boxes = [ax.get_tightbbox() for ax in shown] + [legend.get_window_extent() for legend in fig.legends]

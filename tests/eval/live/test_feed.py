@@ -92,6 +92,7 @@ def test_what_changed_in_a_chunk_is_of_its_last_frame(taken):
         assert (at == chunk["first"] + chunk["frames"] - 1).all()
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_bounded_and_the_rest_goes_on_from_its_beginning(taken, monkeypatch):
     frames, _ = taken
     feed, _ = fed(taken)

@@ -10,12 +10,13 @@ from ekf.filter import FilterDivergedError
 from eval.live.session import Session
 from eval.replay.settings import Setup
 from tests.eval.live.driven import estimate_bits, online, packets, replayed, replayed_bits
+from tests.quick import slow
 
 
 @pytest.mark.parametrize(("name", "association", "setup"), [
-    ("ekf", "jcbb", Setup()),
+    slow("ekf", "jcbb", Setup()),
     ("ekf-iterated", "nn", Setup(gate=0.95, maintain=True)),
-    ("ekf", "jcbb", Setup(deactivate_after=5.0)),
+    slow("ekf", "jcbb", Setup(deactivate_after=5.0)),
 ])  # fmt: skip
 def test_estimates_decisions_and_new_walls_are_those_of_the_replay(tmp_path, name, association, setup):
     taken, session = online(tmp_path / "log", 40.0, (name,), association, setup)

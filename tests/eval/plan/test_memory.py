@@ -49,6 +49,7 @@ def isam2_needs_more(monkeypatch):
     monkeypatch.setattr(works, "_one_at_a_time", lambda calls, processes: works._together(calls, 1))
 
 
+@pytest.mark.slow
 def test_estimators_are_tried_one_by_one_and_all_the_rest_is_kept(isam2_needs_more, tmp_path, capsys):
     out = tmp_path / "out"
     asked = ["--log", "arena:0", "--task", "slam", "--estimator", "ekf,isam2,batch", "--association", "known,jcbb"]

@@ -8,11 +8,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from data.formats.open_log.writer import write_folder
+from data.worlds.registry import named_log
 from eval.run_all import main
 
 HOW = ("nis", "nis_lower", "nis_upper", "nis_expected", "innovation_lag1", "innovation_lag1_se", "iterations")
 """What a run says of the way it was made, and a path does not."""
-LOG = "arena:0"
+LOG, NAME = "arena:0:frames=60", "arena_0_frames=60"
 
 
 def run(out, *command):
@@ -31,7 +33,7 @@ def first(tmp_path_factory):
 @pytest.fixture(scope="module")
 def again(first):
     """The same, with its own runs handed back, and the filter's path at half the frames and 20 ms late."""
-    runs = first / "runs/arena_0"
+    runs = first / "runs" / NAME
     rows = np.loadtxt(runs / "slam-ekf-jcbb-hindsight/online.tum")[::2]
     rows[:, 0] += 0.02
     late = first.parent / "late.tum"
@@ -59,10 +61,10 @@ def test_our_own_folder_handed_back_has_the_same_numbers(again):
 def test_runs_of_ours_are_the_same_with_results_beside_them(first, again):
     out, *_ = again
     for name in ("slam-ekf-jcbb-hindsight", "slam-isam2-jcbb-hindsight"):
-        files = sorted((first / "runs/arena_0" / name).iterdir())
+        files = sorted((first / "runs" / NAME / name).iterdir())
         assert files
         for file in files:
-            assert file.read_bytes() == (out / "runs/arena_0" / name / file.name).read_bytes()
+            assert file.read_bytes() == (out / "runs" / NAME / name / file.name).read_bytes()
     before, after = (pd.read_csv(f / "metrics.csv", dtype=str) for f in (first, out))
     assert before.to_csv() == after[: len(before)].to_csv()
 
@@ -71,7 +73,7 @@ def test_other_stamps_are_matched_by_interpolation_and_counted(again):
     _, metrics, _ = again
     row = metrics[metrics["estimator"] == "late"].iloc[0]
     assert (row["association"], row["phase"]) == ("none", "final")
-    assert row["matched"] + row["unmatched"] == row["frames"] == 100
+    assert row["matched"] + row["unmatched"] == row["frames"] == 30
     assert row["matched"] > 0
     assert np.isnan(row["nees_pose"])  # without a covariance
     ours = metrics[metrics["estimator"] == "ekf"].iloc[0]
@@ -95,12 +97,12 @@ def test_the_report_says_what_was_matched_and_where_it_came_from(again):
 
 
 def test_every_log_has_its_truth_as_tum_and_a_truth_may_be_alone(first, tmp_path):
-    runs = first / "runs/arena_0"
+    runs = first / "runs" / NAME
     truth = runs / "truth.tum"
     a, b = f"a={runs}/slam-ekf-jcbb-hindsight/online.csv", f"b={runs}/slam-isam2-jcbb-hindsight/final.csv"
     command = ("--truth", str(truth), "--align", "se2", "--result", a, "--result", b)
     metrics, _ = run(tmp_path / "alone", *command)
-    assert metrics["log"].tolist() == ["arena_0"] * 2
+    assert metrics["log"].tolist() == [NAME] * 2
     assert metrics["estimator"].tolist() == ["a", "b"]
     own = pd.read_csv(first / "metrics.csv").set_index(["estimator", "phase"])
     assert metrics["rmse_position_m"].tolist() == pytest.approx(
@@ -110,7 +112,7 @@ def test_every_log_has_its_truth_as_tum_and_a_truth_may_be_alone(first, tmp_path
 
 
 @pytest.mark.parametrize(("command", "wanted"), [
-    (["--log", LOG, "--log", "arena:0", "--result", "a=b.tum"], "--result a=b.tum: belongs to one log"),
+    (["--log", LOG, "--log", "arena:1", "--result", "a=b.tum"], "--result a=b.tum: belongs to one log"),
     (["--result", "a=b.tum"], "on which log? name one, or type --truth FILE"),
     (["--truth", "b.tum"], "nothing to score"),
     (["--log", LOG, "--result", "b.tum"], "NAME=FILE is needed"),
@@ -131,7 +133,7 @@ def test_what_makes_no_sense_is_one_line_and_status_2(command, wanted, tmp_path,
 
 
 def test_decisions_about_another_log_are_refused(first, tmp_path, capsys):
-    runs = first / "runs/arena_0/slam-ekf-jcbb-hindsight"
+    runs = first / "runs" / NAME / "slam-ekf-jcbb-hindsight"
     command = ["--log", "arena:2", "--task", "slam", "--estimator", "ekf", "--result", f"e={runs}"]
     assert main([*command, "--out", str(tmp_path / "out")]) == 2
     assert "decisions.csv: " in capsys.readouterr().err
@@ -145,9 +147,20 @@ def test_a_log_without_stamps_interpolates_nothing(tmp_path, capsys):
 
 
 def test_a_log_without_truth_says_so_and_has_the_distance_from_batch(tmp_path):
-    command = ["--log", "victoria-park", "--quick", "--estimator", "ekf,batch"]
+    write_folder(named_log(LOG), tmp_path / "untold")
+    (tmp_path / "untold/truth.csv").unlink()
+    command = [
+        "--log",
+        str(tmp_path / "untold"),
+        "--task",
+        "slam",
+        "--association",
+        "known",
+        "--estimator",
+        "ekf,batch",
+    ]
     run(tmp_path / "first", *command)
-    path = tmp_path / "first/runs/victoria-park/slam-ekf-known/online.tum"
+    path = tmp_path / "first/runs/untold/slam-ekf-known/online.tum"
     (tmp_path / "own.tum").write_bytes(path.read_bytes())
     metrics, _ = run(tmp_path / "second", *command, "--result", f"own={tmp_path / 'own.tum'}")
     ours, theirs = (metrics[metrics["estimator"] == n].iloc[0] for n in ("ekf", "own"))
@@ -155,4 +168,4 @@ def test_a_log_without_truth_says_so_and_has_the_distance_from_batch(tmp_path):
     assert np.isnan(theirs["rmse_position_m"])
     assert np.isnan(theirs["matched"])
     assert "only the distance from batch is measured" in (tmp_path / "second/report.md").read_text()
-    assert not (tmp_path / "second/runs/victoria-park/truth.tum").exists()
+    assert not (tmp_path / "second/runs/untold/truth.tum").exists()

@@ -87,6 +87,7 @@ def test_without_a_smoother_only_the_filters_own_innovations_are_judged(unmeasur
     assert set(table.statistic) == {"nis", "innovation_lag1"}
 
 
+@pytest.mark.slow
 def test_isam2_gets_twins_where_no_filter_runs(unmeasured, tmp_path):
     told = []
     done = run(unmeasured, tmp_path, "--estimator", "isam2,batch", "--twins", "2", told=lambda *now: told.append(now))

@@ -51,6 +51,7 @@ def test_estimators_cannot_be_asked_for():
         plan_of("--scenario", "trust", "--estimator", "ekf")
 
 
+@pytest.mark.slow
 def test_the_folder_holds_the_size_and_an_interrupted_study_resumes(written, tmp_path, monkeypatch, capsys):
     out = tmp_path / "results" / "report"
     arguments = ["--scenario", written, "--out", str(out), "--jobs", "1", "--no-plots"]

@@ -17,6 +17,7 @@ from eval.player.watch import NOT_ASKED, Watch, quantum_of
 from eval.replay.recorder import Observer
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import Setup
+from tests.quick import slow
 
 
 class Memory(Observer):
@@ -108,7 +109,7 @@ def test_each_method_says_what_it_decides_on_the_same_expectation(watched, corri
     assert (w.method_decisions[: start[1]] == NOT_ASKED).all()  # there was no map
 
 
-@pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
+@pytest.mark.parametrize("association", ["known", slow("jcbb"), "jcbb-hindsight"])
 @pytest.mark.parametrize("estimator", ["ekf", "isam2"])
 def test_watching_changes_no_number(corridor, estimator, association):
     inputs = corridor.inputs(labels=association == "known")

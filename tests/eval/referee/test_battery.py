@@ -60,6 +60,7 @@ def test_a_gross_fault_reaches_the_smallest_p_whatever_the_size_of_the_battery()
     assert family_p(real, twins)[7] == 0.01
 
 
+@pytest.mark.slow
 def test_the_family_rejects_one_in_twenty_where_real_and_twins_are_alike():
     rng = np.random.default_rng(1)
     mixing = rng.normal(size=(12, 12))

@@ -66,6 +66,7 @@ def test_the_oracle_without_a_fault_is_the_filter(arenas):
         assert np.abs(covariance - P).max() < 1e-9
 
 
+@pytest.mark.slow  # quick: the five faults of the same names in tests/mutation
 @pytest.mark.parametrize("fault", [f for f in faulty.FAULTS if f != "none"])
 def test_each_broken_twin_is_called_overconfident(arenas, fault):
     v = verdict(run_means(arenas, lambda inputs: faulty.run(inputs, fault)), 3)

@@ -132,6 +132,7 @@ def test_late_observations_are_one_error(usual):
         assert found.size == pytest.approx(0.3, rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_correction_takes_the_explanation_away(usual):
     log = usual[0]
     twice = with_noise(log, noise_of(log))

@@ -20,6 +20,7 @@ from eval.referee.headline import (
     nearer,
     usable,
 )
+from tests.quick import examples
 
 UNKNOWN = st.just(math.nan)
 NEES = UNKNOWN | st.floats(0.01, 1000.0)
@@ -39,7 +40,7 @@ PREFERENCES = st.builds(Preference, st.floats(0.001, 50.0), st.floats(0.001, 50.
 MAYBE = st.none() | CLAIMS
 
 
-@settings(max_examples=600, deadline=None)
+@settings(max_examples=examples(600), deadline=None)
 @given(MAYBE, MAYBE, PREFERENCES, st.booleans(), st.booleans())
 def test_a_tick_stands_where_no_number_objects(filtered, smoothed, preference, measured, caused):
     h = headline(filtered, smoothed, preference, measured=measured, caused=caused)
@@ -58,7 +59,7 @@ def test_a_tick_stands_where_no_number_objects(filtered, smoothed, preference, m
             assert not claim.overconfident
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(MAYBE, MAYBE, PREFERENCES, st.booleans(), st.booleans())
 def test_an_estimate_that_stopped_is_never_the_one_to_trust(filtered, smoothed, preference, measured, caused):
     h = headline(filtered, smoothed, preference, measured=measured, caused=caused)
@@ -70,7 +71,7 @@ def test_an_estimate_that_stopped_is_never_the_one_to_trust(filtered, smoothed, 
         assert h.objections
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(PREFERENCES)
 def test_a_preference_is_significant_both_ways(of):
     turned = {Verdict.SMOOTHER: Verdict.FILTER, Verdict.FILTER: Verdict.SMOOTHER}

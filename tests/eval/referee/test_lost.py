@@ -11,6 +11,7 @@ from data.logs import open_log
 from eval.referee.lost import lost
 from eval.replay.run import compare
 from tests.eval.referee import wrecks
+from tests.quick import slow
 
 
 @cache
@@ -47,14 +48,16 @@ def test_a_kidnapped_robot_is_lost_from_there_on():
         assert found(log, task, association).frame == 100
 
 
-@pytest.mark.parametrize("factor", [0.7, 1.0, 1.5])
+@pytest.mark.parametrize("factor", [slow(0.7), slow(1.0), 1.5])
 @pytest.mark.parametrize("association", ["known", "jcbb", "nn"])
 @pytest.mark.parametrize("task", ["localization", "slam"])
 def test_a_healthy_run_is_not_lost_whatever_its_stated_noise(task, association, factor):
     assert found(wrecks.stated(world("arena:1"), factor), task, association) is None
 
 
-@pytest.mark.parametrize("name", ["corridor:0", "corridor:1:people", "corridor:2:people"])
+@pytest.mark.parametrize("name", [
+    "corridor:1:people", *(pytest.param(name, marks=pytest.mark.slow) for name in ("corridor:0", "corridor:2:people"))
+])  # fmt: skip
 @pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
 def test_new_places_and_people_in_the_way_are_no_reason_to_be_lost(name, association):
     assert found(world(name), "slam", association) is None

@@ -132,7 +132,8 @@ def test_a_failure_comes_first():
 
 @pytest.mark.parametrize(("name", "marked"), [
     ("arena:0", set()), ("corridor:0:people", set()),
-    ("corridor:0:no-odometry", {"ekf"}), ("corridor:0:no-odometry+forward", {"ekf"}),
+    pytest.param("corridor:0:no-odometry", {"ekf"}, marks=pytest.mark.slow),
+    ("corridor:0:no-odometry+forward", {"ekf"}),
 ])  # fmt: skip
 def test_diverged_runs_on_simulated_logs_are_marked(name, marked):
     runs = compare(open_log(name).inputs(labels=True), "slam", ["ekf", "isam2", "batch"])

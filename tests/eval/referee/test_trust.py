@@ -106,6 +106,7 @@ def drives(runs, frames=20):
         yield inputs, compare(inputs, "localization", ("ekf", "batch"))
 
 
+@pytest.mark.slow
 def test_filter_and_smoother_agree_in_a_linear_world_and_an_overconfident_filter_does_not():
     frame, sound, broken = 10, [], []
     for _, (ekf, batch) in drives(40):

@@ -77,9 +77,9 @@ def watched(monkeypatch):
     [
         ("jcbb", PLAIN),
         ("jcbb", Setup(forget_after=120, maintain=True)),
-        ("nn", Setup(gate=0.9, new_gate=0.99)),
-        ("ml-ratio", Setup(new_gate=None)),
-        ("gnn", PLAIN),
+        pytest.param("nn", Setup(gate=0.9, new_gate=0.99), marks=pytest.mark.slow),
+        pytest.param("ml-ratio", Setup(new_gate=None), marks=pytest.mark.slow),
+        pytest.param("gnn", PLAIN, marks=pytest.mark.slow),
         ("known", Setup(maintain=True, gate_known=0.99)),
     ],
 )

@@ -11,6 +11,7 @@ from data.inputs import Observations
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import front_end, step_by_step
 from eval.replay.settings import ASSOCIATIONS, STEPPING, Beginning, Setup
+from tests.quick import slow
 
 MANAGED = Setup(maintain=True, forget_after=3.0, lag=2.0)
 
@@ -38,9 +39,9 @@ def alone(name, association, inputs, setup):
     return decisions, poses
 
 
-@pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
+@pytest.mark.parametrize("association", ["known", pytest.param("jcbb", marks=pytest.mark.slow), "jcbb-hindsight"])
 @pytest.mark.parametrize("task", ["localization", "slam"])
-@pytest.mark.parametrize("name", ["ekf", "isam2", pytest.param("fixed-lag", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["ekf", slow("isam2"), slow("fixed-lag")])
 def test_a_run_needs_no_more_than_a_frame_at_a_time(inputs, name, task, association):
     given = inputs if task == "localization" else inputs.without_map()
     given = given if association == "known" else given.without_labels()

@@ -9,10 +9,12 @@ from data.notice import Code
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
+from tests.quick import slow
 
 
-@pytest.mark.parametrize("association", ["jcbb", "jcbb-hindsight"])
-@pytest.mark.parametrize("maintain", [False, True])
+@pytest.mark.parametrize(("association", "maintain"), [
+    ("jcbb", True), slow("jcbb", False), slow("jcbb-hindsight", False), slow("jcbb-hindsight", True)
+])  # fmt: skip
 def test_a_graph_forgets_and_parks_nothing(association, maintain):
     inputs = simulate(Arena(frames=60, landmarks=20), 3).inputs().without_map()
     setup = Setup(maintain=maintain, forget_after=3.0, deactivate_after=2.0)

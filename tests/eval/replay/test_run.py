@@ -30,7 +30,7 @@ LAB = Setup(gate=0.99, new_gate=0.99)
 
 
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_on_a_linear_world_filter_and_smoother_decide_alike_over_the_whole_run(method, seed):
     inputs = linear_world(seed)
     ekf, isam2 = compare(inputs, "slam", ["ekf", "isam2"], method)

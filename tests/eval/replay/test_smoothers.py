@@ -46,6 +46,7 @@ def test_a_fixed_lag_longer_than_the_log_is_isam2_and_a_short_one_is_near(clean,
     assert short.map is None or len(short.map) == len(isam2.map)
 
 
+@pytest.mark.slow
 def test_a_wide_prior_on_the_motion_loses_the_plain_filter_and_nobody_who_relinearizes():
     """Without odometry a step is anything from standing still to a turn on the spot; the labels say where."""
     log = open_log("corridor:3:no-odometry+forward")
@@ -57,7 +58,11 @@ def test_a_wide_prior_on_the_motion_loses_the_plain_filter_and_nobody_who_reline
     assert off(isam2, log) < 0.1
 
 
-@pytest.mark.parametrize("name", ["arena:1", "corridor:1", "corridor:0:no-odometry+forward", "park:0:frames=500"])
+@pytest.mark.parametrize("name", [
+    "arena:1", *(pytest.param(name, marks=pytest.mark.slow) for name in (
+        "corridor:1", "corridor:0:no-odometry+forward", "park:0:frames=500"
+    ))
+])  # fmt: skip
 def test_batch_and_isam2_end_in_the_same_optimum(name):
     inputs = open_log(name).inputs(labels=True)
     isam2, batch = compare(inputs, "slam", ["isam2", "batch"])

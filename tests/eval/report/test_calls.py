@@ -74,6 +74,7 @@ def test_a_scenario_may_name_a_world_of_ones_own(tmp_path, monkeypatch):
         load_scenario("own.toml")
 
 
+@pytest.mark.slow
 def test_replicates_in_python_accept_a_sound_log():
     found = slamref.twins(make(1), ["ekf"], task="localization", count=19)
     assert found.cause == "nothing"

@@ -121,6 +121,7 @@ def test_sightings_of_merged_landmarks_lead_to_their_middle_at_first_and_to_the_
     assert left.get_ylim() == pytest.approx((seen[1] - 2.5, seen[1] + 2.5))
 
 
+@pytest.mark.slow
 def test_landmarks_are_those_of_the_given_map_or_else_of_the_final_one_or_none():
     run, one = merged_example()
 

@@ -146,6 +146,7 @@ def test_an_inset_enlarges_what_is_wrong_and_only_that():
     assert not any(ax.child_axes for ax in painted(paint_matching, right).axes)
 
 
+@pytest.mark.slow
 def test_another_method_gets_a_panel_of_its_own_and_one_without_decisions_says_why():
     m = problem()
     more = {**m.decisions, "ml": "singular innovation covariance", "gnn": m.decisions["nn"]}

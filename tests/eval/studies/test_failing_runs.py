@@ -14,6 +14,7 @@ from eval.studies.montecarlo import consistency_table, judge, one_run, study_lin
 from eval.studies.scenario import load_scenario
 from graph.incremental import Isam2Smoother
 from graph.optimum import NotConvergedError
+from tests.quick import slow
 
 SMALL = replace(load_scenario("arena"), values=(("frames", 12),), association=("jcbb",), task=("localization",))
 SEEDS, BAD = (7, 8, 9), 8
@@ -36,7 +37,9 @@ def study_with(monkeypatch, owner, place, fault):
 
 
 @pytest.mark.parametrize("place", ["__init__", "predict", "expect", "update", "estimate", "finish"])
-@pytest.mark.parametrize("fault", [RuntimeError("injected"), NotConvergedError("injected"), np.linalg.LinAlgError()])
+@pytest.mark.parametrize("fault", [
+    RuntimeError("injected"), slow(NotConvergedError("injected")), slow(np.linalg.LinAlgError()),
+])  # fmt: skip
 def test_isam2_fails_in_one_run(place, fault, monkeypatch):
     """Seen: no final row of that run, and `zip() argument 2 is shorter than argument 1`."""
     study = study_with(monkeypatch, Isam2Smoother, place, fault)

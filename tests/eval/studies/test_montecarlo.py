@@ -137,6 +137,7 @@ def test_a_seed_gives_the_same_numbers_every_time():
 
 
 @pytest.mark.parametrize("estimators", [("ekf",), pytest.param(("ekf", "batch"), marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_filter_and_smoother_are_consistent_in_the_arena(estimators):
     seeds = range(1000, 1050)
     scenario = only(*estimators)

@@ -17,7 +17,7 @@ from eval.report.overview_facts import side_of
 from eval.studies.trusted import _best
 from eval.studies.twins import digest_of, inputs_of, smoothed_twin, source_of, twin
 
-NAME = "mixed:{}:frames=100+landmarks=25"
+NAME = "mixed:{}:frames=60+landmarks=12+closure_gap=10+radius=3+swing=0+closure_radius=1.5+closure_period=1+side=14"
 
 
 def solved(log):
@@ -119,8 +119,9 @@ def test_a_sigma_stated_three_times_too_small_is_named_with_its_factor(log, usua
     assert finding.size == pytest.approx(3.0, rel=0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("option", "key", "named"), [
-    pytest.param("jumps", "position:gps", "gps", marks=pytest.mark.slow), ("false-closures", "closure:loops", "loops"),
+    ("jumps", "position:gps", "gps"), ("false-closures", "closure:loops", "loops"),
 ])  # fmt: skip
 def test_outliers_are_counted_and_their_source_is_named(option, key, named, usual):
     bad = open_log(f"{NAME.format(3)}+{option}")

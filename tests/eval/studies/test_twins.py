@@ -147,6 +147,7 @@ def test_a_sample_that_was_kept_comes_back_and_a_damaged_one_does_not(source, tm
     assert sampled.load(tmp_path / "4.json") is None
 
 
+@pytest.mark.slow
 def test_every_estimator_is_measured_against_the_smoother_of_its_own_decisions():
     log, runs, _ = made("corridor:0:people", association="nn", frames=44, estimators=("ekf", "isam2"))
     inputs = inputs_of(log, "slam", "nn")

@@ -132,6 +132,7 @@ def test_a_broken_filter_is_convicted_by_twins_and_a_sound_one_is_not(tiny):
     assert credulous.nis
 
 
+@pytest.mark.slow
 def test_the_sound_filter_in_place_of_itself_says_what_the_log_says_without_it(tiny):
     (plain,) = examined(tiny, Case(tiny.worlds[0], 5))
     (same,) = examined(tiny, Case(tiny.worlds[0], 5, broken=(("reported", 1.0),)))

@@ -13,6 +13,7 @@ from data.worlds.arena import simulate
 from eval.tuning.fit import AT_BOUND, FITTED, HELD, fit, middle, pairings, score
 from eval.tuning.model import GROUPS, Odometry, apply, make_model, vector
 from tests.eval.tuning.stated import SMALL, by_name, changed
+from tests.quick import slow
 
 NOISE = ("motion", "sensor")
 TRUE_AT_ZERO = ("motion_lateral", "bias_range", "bias_bearing", "odometry_v", "odometry_omega")
@@ -26,7 +27,9 @@ def fitted(log, groups=NOISE, slam=False):
     return model, decisions, fit(model, decisions)
 
 
-@pytest.mark.parametrize(("seed", "wrong", "slam"), [(0, 2.0, False), (1, 2.0, True), (2, 0.5, False), (3, 0.5, True)])
+@pytest.mark.parametrize(("seed", "wrong", "slam"), [
+    slow(0, 2.0, False), (3, 0.5, True), slow(1, 2.0, True), slow(2, 0.5, False),
+])  # fmt: skip
 def test_sigmas_stated_wrong_by_a_factor_of_two_are_recovered_within_three_standard_errors(seed, wrong, slam):
     model, decisions, found = fitted(changed(simulate(SMALL, seed), noise=wrong), slam=slam)
     for name, theta, error in zip(by_name(model, found.theta), found.theta, found.error):

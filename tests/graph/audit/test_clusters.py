@@ -56,6 +56,7 @@ def test_the_test_of_a_cluster_is_that_of_its_residuals_without_it():
     assert c.moved > 0.05
 
 
+@pytest.mark.slow
 def test_clean_graphs_have_no_cluster():
     rejected = 0
     for seed in range(20):

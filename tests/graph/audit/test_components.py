@@ -10,6 +10,7 @@ from graph.audit.audit import PARTS, examined
 from graph.audit.linear import linearize
 from graph.audit.simulated import simulated
 from tests.graph.audit import graphs
+from tests.quick import slow
 
 N = gtsam.noiseModel
 SIGMAS = np.array([0.1, 0.05, 0.02])
@@ -41,6 +42,7 @@ def anchored(graph, values):
     return out
 
 
+@pytest.mark.slow
 def test_the_noise_of_odometry_is_put_down_to_odometry():
     found = []
     for seed in range(12):
@@ -61,8 +63,9 @@ def test_components_of_axes_are_apart():
     assert by["loop", "theta"] == pytest.approx(1.0, rel=0.4)
 
 
-def test_standard_errors_are_those_of_many_graphs():
-    found = [examined(*ring(np.random.default_rng(seed)), draws=0).by_kind for seed in range(40)]
+@pytest.mark.parametrize("many", [12, slow(40)])
+def test_standard_errors_are_those_of_many_graphs(many):
+    found = [examined(*ring(np.random.default_rng(seed)), draws=0).by_kind for seed in range(many)]
     z = (np.array([c.component for c in found]) - 1.0) / np.array([c.error for c in found])
     assert 0.75 < z.std() < 1.3
     p = np.concatenate([c.p for c in found])
@@ -95,7 +98,7 @@ def test_a_kind_that_nothing_checks_has_no_component():
 
 
 def test_full_draws_are_those_of_the_linear_problem_where_noise_is_small():
-    graph, values = ring(np.random.default_rng(3), 30, 20)
+    graph, values = ring(np.random.default_rng(3), 12, 8)
     linear, full = examined(graph, values, draws=150), examined(graph, values, draws=150, full=True)
     few = linear.p_drawn < 0.5
     assert np.nanmean(np.abs(linear.p_drawn - full.p_drawn)) < 0.08

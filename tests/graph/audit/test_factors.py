@@ -13,6 +13,7 @@ from graph.audit.factors import directions, examine, holm, noncentrality
 from graph.audit.fronts import factorize, ordering
 from graph.audit.linear import linearize
 from tests.graph.audit import graphs, oracle
+from tests.quick import examples
 
 METRES = {3: [0, 1], 6: [3, 4, 5]}
 
@@ -48,19 +49,19 @@ def check(graph, values):
             assert ((smallest > 1e-9) & (smallest < 1e-4 + loss)).any()
 
 
-@settings(max_examples=100, deadline=None, derandomize=True)
+@settings(max_examples=examples(100), deadline=None, derandomize=True)
 @given(st.integers(0, 10**6))
 def test_in_the_plane(seed):
     check(*graphs.planar(seed))
 
 
-@settings(max_examples=80, deadline=None, derandomize=True)
+@settings(max_examples=examples(80), deadline=None, derandomize=True)
 @given(st.integers(0, 10**6))
 def test_in_space(seed):
     check(*graphs.spatial(seed))
 
 
-@settings(max_examples=20, deadline=None, derandomize=True)
+@settings(max_examples=examples(20), deadline=None, derandomize=True)
 @given(st.integers(0, 10**6))
 def test_inertial(seed):
     check(*graphs.inertial(seed))

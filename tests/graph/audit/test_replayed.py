@@ -12,6 +12,7 @@ from eval.replay.run import compare
 from eval.report.audit.worst_factors import end_of, graph_at_end
 from graph.audit.audit import examined
 from graph.batch import build, start_values
+from tests.quick import slow
 
 OF = Systematic(("scale", "curvature", "drift", "range"), np.array([0.02, 2e-3, 1e-3, 0.02]))
 
@@ -23,7 +24,7 @@ def ended(name, task, systematic=None, frames=""):
     return log, run, graph_at_end(Trial(log, task, (run,)), run)
 
 
-@pytest.mark.parametrize("task", ["slam", "localization"])
+@pytest.mark.parametrize("task", ["slam", slow("localization")])
 def test_statistics_are_those_of_its_factors_in_gtsam(task):
     log, run, graph = ended("arena:0:frames=40", task)
     inputs = log.recorded if task == "localization" else log.recorded.without_map()

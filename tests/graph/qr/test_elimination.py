@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from graph.qr.elimination import SLACK, Rows, eliminate, ordering, reflect, structure
 from graph.qr.solution import marginals, means
+from tests.quick import examples
 
 
 def drive(rng, poses, landmarks, observations, sides=1):
@@ -47,7 +48,7 @@ def solved(rows, order):
     return means(rows, s, t), marginals(rows, s, t), t
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     st.integers(0, 2**31), st.integers(1, 30), st.integers(0, 8), st.integers(0, 60), st.booleans(), st.integers(1, 3)
 )

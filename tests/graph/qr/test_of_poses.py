@@ -12,7 +12,7 @@ from eval.compare import compare
 from eval.referee import effects, residuals
 from graph.qr.score_test import evidence
 
-NAME = "mixed:2:frames=24+closure_gap=5+closure_radius=9+closure_period=2+compass_period=2+landmarks=25"
+NAME = "mixed:2:frames=14+closure_gap=3+closure_radius=9+closure_period=2+compass_period=2+landmarks=25"
 
 
 @pytest.fixture(scope="module", params=["localization", "slam"])

@@ -32,7 +32,7 @@ INDEPENDENT = np.diag([1e-4, 4e-4])
 
 @every_sensor
 @both_tasks
-@pytest.mark.parametrize("lag", [None, 1000.0], ids=["isam2", "long lag"])
+@pytest.mark.parametrize("lag", [None, pytest.param(1000.0, marks=pytest.mark.slow)], ids=["isam2", "long lag"])
 def test_relinearized_in_every_update_it_is_the_batch_solution(sensor, task, lag):
     inputs, truth = walled(sensor)
     inputs = for_task(inputs, task)

@@ -28,6 +28,7 @@ from tests.graph.walls.worlds import (
     solved,
     walled,
 )
+from tests.quick import slow
 
 ODOMETRY = Systematic(("scale", "curvature"), np.array([0.05, 0.05]))
 
@@ -92,7 +93,9 @@ def test_a_run_far_from_the_origin_is_the_same_run():
     np.testing.assert_allclose(far.map.xy[:, 0], result.map.xy[:, 0] + np.cos(alpha) * 3000 - np.sin(alpha) * 2000)
 
 
-@pytest.mark.parametrize(("task", "systematic"), [("localization", None), ("slam", None), ("slam", ODOMETRY)])
+@pytest.mark.parametrize(("task", "systematic"), [
+    ("localization", None), slow("slam", None), slow("slam", ODOMETRY),
+])  # fmt: skip
 def test_wrong_readings_are_told_from_right_ones(task, systematic):
     inputs, truth = walled(SENSORS["off centre"], frames=30, seed=3)
     o, rng = inputs.observations, np.random.default_rng(0)

@@ -69,6 +69,7 @@ def test_noise_of_a_sound_log_has_the_stated_covariance(shape):
     assert r.sensor.in_view(exact).all()
 
 
+@pytest.mark.slow
 def test_nees_with_labels_in_the_known_map_is_3_over_sound_logs():
     means = []
     for shape in SHAPES:

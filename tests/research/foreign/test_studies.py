@@ -67,6 +67,7 @@ def test_an_interrupted_study_goes_on_with_its_file(tmp_path):
     assert read(causes.Row, file) == dict(zip([SOUND, other], both, strict=True))
 
 
+@pytest.mark.slow
 def test_a_sound_log_has_no_strong_fault_and_one_with_mirrored_bearings_has():
     sound, faulty = (headlines.one(SOUND._replace(fault=f, shape="table")) for f in ("", "mirrored"))
     assert (sound.strong, faulty.strong) == (False, True)

@@ -66,6 +66,7 @@ def test_the_baseline_is_the_decider_on_the_log_and_says_what_it_reads():
     assert found._replace(seconds=0.0) == baseline(SMALL, log)._replace(seconds=0.0)
 
 
+@pytest.mark.slow
 def test_a_changed_constant_changes_the_run_alone():
     case = Case(world_name(197), SLAM)
     log, before = load(case.log, None), constants.CONFIRMED

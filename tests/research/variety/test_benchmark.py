@@ -116,6 +116,7 @@ def test_the_worlds_can_be_run_as_they_are_stated(monkeypatch):
     assert [ran[i] for i in (201, 203)] == [draw(i, exact=True) for i in (201, 203)]
 
 
+@pytest.mark.slow
 def test_exact_worlds_have_files_of_their_own(monkeypatch, tmp_path):
     monkeypatch.setattr(measuring, "log_of", lambda drawn: drawn)
     monkeypatch.setattr(measuring, "named_log", lambda name: name)

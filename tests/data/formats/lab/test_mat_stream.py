@@ -18,6 +18,7 @@ from hypothesis.extra import numpy as hnp
 
 from data.errors import DataError
 from data.formats.lab.matlab import Struct, Unread, elements, read, variables
+from tests.quick import examples
 
 TYPES = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"]
 ARRAYS = st.sampled_from(TYPES).flatmap(
@@ -38,7 +39,9 @@ def cells(draw: st.DrawFn) -> np.ndarray:
 
 
 struct_arrays = st.composite(cells)()
-same_file = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60, deadline=None)
+same_file = settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=examples(60), deadline=None
+)
 
 
 def big_endian(arrays: dict[str, np.ndarray]) -> bytes:

@@ -109,6 +109,7 @@ def seen_from(
 BOTH = np.array([0, 1])
 
 
+@pytest.mark.slow
 def test_nothing_is_suspected_of_honest_observations_even_if_one_picture_of_three_is_mistaken(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     setup = open_lab(lab(tmp_path / "lab")).setup

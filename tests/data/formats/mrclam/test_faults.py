@@ -16,6 +16,7 @@ from data.log import Log
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.loading import MEASURED, ODOMETRY, TRUTH
 from tests.data.formats.mrclam.world import Texts, replace_row, save_folder
+from tests.quick import examples
 
 
 class TestFaults:
@@ -93,7 +94,7 @@ class TestFaults:
 CORRUPTIONS = st.sampled_from(["delete", "insert", "replace", "cut", "swap lines", "double line", "drop line"])
 
 
-@settings(max_examples=120, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(120), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     name=st.sampled_from(sorted(world.texts())), how=CORRUPTIONS, where=st.floats(0.0, 1.0, exclude_max=True),
     put=st.sampled_from([*"0123456789-.eE+#nai _\t\n\r\"',\x00", "\xff", "\n\n", "1e400", "-9", "e9"]),

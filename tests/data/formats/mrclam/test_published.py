@@ -50,6 +50,7 @@ class TestThePublishedRecordings:
             pytest.param(9, 3, 6167, 0, 0.114, 18, 0.193, marks=pytest.mark.slow),
         ],
     )
+    @pytest.mark.slow
     def test_counts_and_median_residuals_are_those_measured_elsewhere(
         self, mrclam: Path, published: Callable[..., Log], dataset: int, robot: int, rows: int, unknown: int,
         median: float, worst: int, worst_miss: float,

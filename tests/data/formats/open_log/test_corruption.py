@@ -24,6 +24,7 @@ from data.truth import UNKNOWN_ID
 from tests.data.conftest import Files
 from tests.data.formats.open_log.measured import measured_files
 from tests.data.formats.open_log.test_sensors import files_of
+from tests.quick import slow
 
 
 def assert_definite(P: Array) -> None:
@@ -167,13 +168,13 @@ def corruptions(draw, files: dict[str, str]) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("source", ["frames", "odometry"])
 @pytest.mark.parametrize("sensor", ["range_bearing", "relative_point"])
-@pytest.mark.parametrize("examples", [100, pytest.param(400, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("examples", [30, slow(400)])
 def test_a_corrupted_folder_is_refused_with_its_place_or_read_soundly(small_log_files, save, source, sensor, examples):
     refused_or_sound(small_log_files(source, sensor), save, examples)
 
 
 @pytest.mark.parametrize("source", ["frames", "odometry"])
-@pytest.mark.parametrize("examples", [60, pytest.param(5000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("examples", [30, slow(5000)])
 def test_corrupted_fixes_and_closures_are_refused_with_their_place_or_read_soundly(save, source, examples):
     refused_or_sound(measured_files(source), save, examples)
 

@@ -21,6 +21,7 @@ from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, FixSource
 from data.sensors import RangeBearing, RelativePoint
 from data.truth import Truth
 from tests.data.formats.open_log.same_log import assert_same_log, load
+from tests.quick import examples
 
 numbers = st.floats(-1e6, 1e6)
 scales = st.sampled_from([0.0, 1e-12, 1e-7, 1e-3, 1.0, 1e3])
@@ -140,7 +141,7 @@ def logs(draw) -> Log:
 
 
 @given(logs())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_any_log_comes_back_bit_for_bit(log):
     with tempfile.TemporaryDirectory() as folder:
         write_folder(log, Path(folder) / "log")
@@ -148,7 +149,7 @@ def test_any_log_comes_back_bit_for_bit(log):
 
 
 @given(st.data())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_flooring_again_changes_no_bit(data):
     covariance = data.draw(matrices(4, 3, definite=False))
     floor = data.draw(st.sampled_from([1e-10, 1e-6, 1e-2]))

@@ -54,6 +54,7 @@ def wide(path, made, columns=slice(None)):
 
 
 @pytest.mark.parametrize("frame", [LOCAL, LEFT])
+@pytest.mark.slow
 def test_a_covariance_is_that_of_many_poses_drawn_with_it(frame, tmp_path):
     made = steps(3)
     path = read_path(square(tmp_path / "a", made, header(frame)), Manner())

@@ -69,6 +69,7 @@ class TestReferences:
 
 
 class TestImagesAreTrueToTheGeometry:
+    @pytest.mark.slow
     def test_a_picture_cut_out_by_its_true_corners_is_its_reference(self, clean):
         for frame, number in views(clean):
             cut, reference = rectified(clean, frame, number), soft(clean.references[number])
@@ -250,6 +251,7 @@ class TestTheRecording:
                 assert f.rgb.shape == f.xyz.shape == (240, 320, 3)
         assert len(default) == len(scene.time) == 360
 
+    @pytest.mark.slow
     def test_noise_of_one_kind_leaves_the_others_as_they_were(self):
         a, b = Rendered(SMALL, 0), Rendered(replace(SMALL, disparity_noise=0.0, patches=0, edge_hole=0), 0)
         assert a.frame(1).rgb.tobytes() == b.frame(1).rgb.tobytes()

@@ -130,6 +130,7 @@ class TestHoles:
         assert 0.05 < self.share(least_texture=0.6) < 0.95
         assert self.share(least_texture=200.0) > 0.98
 
+    @pytest.mark.slow
     def test_a_point_is_there_as_a_whole_or_not_at_all(self, default):
         xyz = default.frame(3).xyz
         assert xyz.dtype == np.float32

@@ -40,6 +40,7 @@ def test_increments_have_the_covariance_that_they_state(slip):
     assert (pooled.max() > 60.0) == (slip > 0.0)
 
 
+@pytest.mark.slow
 def test_odometry_drifts_by_metres_and_the_robot_comes_back_by_both_directions():
     log = simulate(Floorplan(thin=3000), 0)
     p = log.truth.pose

@@ -51,6 +51,7 @@ def test_the_same_film_twice_has_the_same_bytes_and_is_a_webm_that_says_nothing(
     assert cv2.VideoCapture(str(tmp_path / "films" / "a.webm")).get(cv2.CAP_PROP_FPS) == 20.0
 
 
+@pytest.mark.slow
 def test_the_robot_is_where_its_estimate_is_and_nothing_is_there_before(tmp_path):
     animate(circle_log(), run_with_error(np.array([1.0, 0.0, 0.0])), tmp_path / "film.webm", speed=EVERY_FOURTH)
     coloured = [of_the_estimate(f) for f in frames_of(tmp_path / "film.webm")]

@@ -15,6 +15,7 @@ from eval.referee.score import Trial
 from eval.report.pictures import draw, kinds
 from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
+from tests.quick import slow
 
 OFF = np.array([0.1, -0.1, 0.02])
 
@@ -89,7 +90,7 @@ def test_every_reading_has_one_fate():
     assert np.ravel(paired.get_xydata()) == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("runs", [1, 2])
+@pytest.mark.parametrize("runs", [slow(1), 2])
 def test_nothing_is_cut(runs):
     given = [
         with_innovations(run_with_error(OFF, association=a), np.full(FRAMES, 4.0), np.full(FRAMES, 4))

@@ -79,7 +79,11 @@ def test_a_unit_of_an_error_adds_to_the_odometry_what_a_world_with_that_error_re
 
 @pytest.mark.parametrize(
     ("keys", "expected"),
-    [("", ()), (":curvature=0.03+scale=-0.1", ("scale", "curvature")), (":bearing_error=0.05", ("bearing",))],
+    [
+        ("", ()),
+        (":curvature=0.03+scale=-0.1", ("scale", "curvature")),
+        pytest.param(":bearing_error=0.05", ("bearing",), marks=pytest.mark.slow),
+    ],
 )
 def test_a_log_names_its_errors_without_any_twin(keys, expected):
     assert plainly(named_log(f"arena:1{keys}"), "localization", "known", Setup())[1] == expected

@@ -80,6 +80,7 @@ def test_errors_that_last_while_the_robot_stays_are_one_piece_of_evidence():
 
 
 @pytest.mark.parametrize("share", [0.05, 0.2])
+@pytest.mark.slow
 def test_large_ratios_of_single_points_are_as_rare_as_stated(share):
     r, place, frame = observations(np.random.default_rng(3), landmarks=400, frames=20, clutter=0.5)
     evidence = log_evidence(r, place, frame, np.arange(20))

@@ -19,6 +19,7 @@ from eval.replay.run import compare
 from eval.report.contents import warnings_section
 from eval.report.words import questions
 from eval.run_all import main
+from tests.quick import slow
 
 
 @cache
@@ -54,7 +55,7 @@ def test_a_map_with_several_landmarks_for_one_cone_is_asked_about():
     assert section.blocks[1].endswith("another --association.")
 
 
-@pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
+@pytest.mark.parametrize("association", ["known", "jcbb", slow("jcbb-hindsight")])
 def test_a_right_map_is_not_asked_about(association):
     inputs = arena().inputs(labels=association == "known").without_map()
     run = compare(inputs, "slam", ("ekf",), association)[0]

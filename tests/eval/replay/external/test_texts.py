@@ -75,7 +75,7 @@ def test_what_cannot_be_is_said_in_one_line(here, text, words):
 
 def installed(monkeypatch, *points):
     found = EntryPoints(EntryPoint(name, value, group) for group, name, value in points)
-    monkeypatch.setattr("importlib.metadata.entry_points", lambda group: found.select(group=group))
+    monkeypatch.setattr("eval.replay.external.spec.installed", lambda group: tuple(found.select(group=group)))
 
 
 def test_a_name_that_an_installed_package_adds_is_used_like_ours(monkeypatch):

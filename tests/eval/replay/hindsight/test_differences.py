@@ -59,7 +59,9 @@ def told(sensor: Sensor, frames) -> Shares:
     return shares
 
 
-@pytest.mark.parametrize("sensor", [RangeBearing(max_range=6.0), RelativePoint(max_range=6.0)])
+@pytest.mark.parametrize("sensor", [
+    RangeBearing(max_range=6.0), pytest.param(RelativePoint(max_range=6.0), marks=pytest.mark.slow),
+])  # fmt: skip
 @pytest.mark.parametrize("times", [Shares(3.0, 1.0, 1.0), Shares(1.0, 3.0, 1.0), Shares(1.0, 1.0, 3.0)])
 def test_it_is_told_which_noise_is_understated(sensor, times):
     shares = told(sensor, drive(sensor, times, 65, 1, clutter=1, detection=0.8))
@@ -120,6 +122,7 @@ def test_nothing_is_told_where_a_nearest_neighbour_may_be_any(seed):
     assert max(told(inputs.sensor, ((f.increment, f.observations) for f in frames))[:2]) < constants.UNDERSTATED**2
 
 
+@pytest.mark.slow
 def test_nothing_after_the_last_step_that_is_looked_at_counts():
     sensor = RangeBearing(max_range=6.0)
     differences = Differences(sensor)

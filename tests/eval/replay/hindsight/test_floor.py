@@ -123,6 +123,7 @@ def test_plain_decisions_are_those_of_jcbb():
     np.testing.assert_allclose(found.path, run.online.pose, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_where_they_are_likelier_the_decisions_of_jcbb_are_the_final_ones_and_it_is_said(monkeypatch):
     log = named_log("arena:2:frames=60")
     inputs = log.inputs(labels=False).without_map()

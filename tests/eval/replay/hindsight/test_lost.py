@@ -30,12 +30,15 @@ def test_a_corridor_that_is_mapped_several_times_is_said_to_be(index):
     assert note.named == {"over": None}
 
 
-@pytest.mark.parametrize("name", ["corridor:0", "corridor:0:people", "arena:0:frames=150"])
+@pytest.mark.parametrize(
+    "name", [pytest.param("corridor:0", marks=pytest.mark.slow), "corridor:0:people", "arena:0:frames=60"]
+)
 def test_where_all_is_well_nothing_is_said(name):
     run = step_by_step("ekf", named_log(name).inputs().without_map(), "slam", "jcbb-hindsight")
     assert not {Code.MAP_RESTARTED, Code.RETRACTED} & {note.code for note in run.notes}
 
 
+@pytest.mark.slow
 def test_a_map_most_of_which_was_not_found_again_is_said_to_be_no_map_or_that_of_jcbb_is_taken():
     # odometry stated at twice what it is, among people: the corridor is mapped anew on every lap
     run = step_by_step("ekf", log_of(draw(88)).inputs().without_map(), "slam", "jcbb-hindsight")
@@ -58,10 +61,12 @@ def test_more_than_half_of_what_was_read_often_must_go(often, retracted, share):
     assert [note.named for note in lost.notes()] == ([] if share is None else [share])
 
 
+@pytest.mark.slow
 def test_a_sensor_that_misses_half_of_what_is_there_is_not_lost():
     assert said(log_of(draw(34))) == []  # detection 0.54, clutter 18 %
 
 
+@pytest.mark.slow
 def test_the_benchmark_counts_who_said_it():
     log = log_of(draw(160))
     rows = [measure(log, 160, "corridor", method) for method in ("jcbb", "jcbb-hindsight", "known")]

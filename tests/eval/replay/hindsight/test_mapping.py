@@ -27,7 +27,12 @@ def world():
 
 @pytest.fixture(scope="module")
 def runs(world):
-    return {name: step_by_step(name, world[0], "slam", METHOD) for name in ("ekf", "isam2")}
+    return {"ekf": step_by_step("ekf", world[0], "slam", METHOD)}
+
+
+@pytest.fixture(scope="module")
+def both(world, runs):
+    return runs | {"isam2": step_by_step("isam2", world[0], "slam", METHOD)}
 
 
 def who_is_who(run, who):
@@ -41,11 +46,11 @@ def rmse(pose, truth):
 
 
 @pytest.mark.slow
-def test_a_round_later_every_tree_is_one_landmark_again(world, runs):
+def test_a_round_later_every_tree_is_one_landmark_again(world, both):
     inputs, _, who = world
     plain = step_by_step("ekf", inputs, "slam", "jcbb")
     assert len(plain.map) > 150
-    for run in runs.values():
+    for run in both.values():
         found = who_is_who(run, who)
         assert run.failure is None
         assert len(found) == len(run.map) <= 92
@@ -54,9 +59,9 @@ def test_a_round_later_every_tree_is_one_landmark_again(world, runs):
 
 
 @pytest.mark.slow
-def test_the_smoothers_path_is_mended_by_what_it_took_back(world, runs):
+def test_the_smoothers_path_is_mended_by_what_it_took_back(world, both):
     inputs, truth, _ = world
-    run = runs["isam2"]
+    run = both["isam2"]
     assert rmse(run.online.pose, truth) > 5.0
     assert rmse(run.final.pose, truth) < 1.5
     again = batch("batch", inputs, run)
@@ -64,10 +69,11 @@ def test_the_smoothers_path_is_mended_by_what_it_took_back(world, runs):
     np.testing.assert_allclose(again.final.pose, run.final.pose, atol=0.02)
 
 
-def test_all_estimators_get_the_same_decisions(runs):
-    assert np.array_equal(runs["ekf"].decisions, runs["isam2"].decisions)
-    assert np.array_equal(runs["ekf"].final_decisions, runs["isam2"].final_decisions)
-    assert runs["ekf"].events == runs["isam2"].events
+@pytest.mark.slow
+def test_all_estimators_get_the_same_decisions(both):
+    assert np.array_equal(both["ekf"].decisions, both["isam2"].decisions)
+    assert np.array_equal(both["ekf"].final_decisions, both["isam2"].final_decisions)
+    assert both["ekf"].events == both["isam2"].events
 
 
 def test_merged_landmarks_give_all_their_sightings_to_the_older_one(runs):
@@ -99,13 +105,13 @@ def test_what_was_seen_in_one_frame_is_never_merged(world, runs):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lag", [30.0, 1e4])
-def test_a_fixed_lag_smoother_merges_what_has_left_its_window(world, runs, lag):
+def test_a_fixed_lag_smoother_merges_what_has_left_its_window(world, both, lag):
     run = step_by_step("fixed-lag", world[0], "slam", METHOD, Setup(lag=lag))
     assert run.failure is None
-    assert run.map.number.tolist() == runs["ekf"].map.number.tolist()
+    assert run.map.number.tolist() == both["ekf"].map.number.tolist()
     if lag > 1000.0:
         # iSAM2's last map is that of what was paired anew, this one of what was decided on the way
-        np.testing.assert_allclose(run.map.xy, runs["isam2"].map.xy, atol=0.3)
+        np.testing.assert_allclose(run.map.xy, both["isam2"].map.xy, atol=0.3)
 
 
 @pytest.mark.slow
@@ -122,6 +128,7 @@ def test_merging_goes_with_the_other_ways_out_of_the_map(world, setup):
     assert any(e.why == MERGED for e in run.events) != (setup.forget_after is not None)
 
 
+@pytest.mark.slow
 def test_the_odometrys_errors_are_found_on_the_way(world):
     inputs, _, _ = world
     front = MappingFrontEnd("ekf", METHOD, inputs, Setup())
@@ -138,6 +145,7 @@ def test_the_odometrys_errors_are_found_on_the_way(world):
     assert sigma < 0.001
 
 
+@pytest.mark.slow
 def test_the_same_log_gives_the_same_decisions(world, runs):
     again = step_by_step("ekf", world[0], "slam", METHOD)
     assert np.array_equal(again.final_decisions, runs["ekf"].final_decisions)

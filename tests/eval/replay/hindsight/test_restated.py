@@ -56,7 +56,9 @@ def test_the_view_holds_all_that_was_read():
     assert (seen.max_range, seen.min_angle, seen.max_angle) == (7.0, -1.5, 1.0)
 
 
-@pytest.mark.parametrize("index", [42, 28, pytest.param(32, marks=pytest.mark.slow)])  # of range, of view, of both
+@pytest.mark.parametrize(
+    "index", [42, *(pytest.param(i, marks=pytest.mark.slow) for i in (28, 32))]
+)  # of range, of view, of both
 def test_landmarks_are_not_mapped_several_times_where_noise_or_view_are_understated(index):
     log = log_of(draw(index))
     run = step_by_step("ekf", log.inputs().without_map(), "slam", HINDSIGHT)
@@ -100,6 +102,7 @@ def test_the_decider_gets_readings_with_the_noise_that_there_is(monkeypatch):
     assert np.trace(known[0]) > 2.0 * np.trace(known[1])
 
 
+@pytest.mark.slow
 def test_an_honest_log_is_decided_as_before():
     log = named_log("arena:0:frames=60")
     run = step_by_step("ekf", log.inputs().without_map(), "slam", HINDSIGHT)

@@ -7,6 +7,7 @@ from association.expectation import Expectation
 from eval.replay.hindsight.constants import FALSE_REJECTION, FREEDOM, TAILS
 from eval.replay.hindsight.gates import Scales, as_stated, counted, relearned, scaled, widest
 from eval.replay.hindsight.noise import NoiseScale
+from tests.quick import slow
 
 
 def frame(rng, sensor, motion, R, P):
@@ -26,7 +27,8 @@ def learn(sensor, motion, frames=3000):
 
 
 @pytest.mark.parametrize(
-    ("sensor", "motion"), [(0.03, 0.5), pytest.param(0.5, 0.03, marks=pytest.mark.slow), (1.0, 1.0)]
+    ("sensor", "motion"),
+    [(0.03, 0.5), slow(0.5, 0.03), slow(1.0, 1.0)],
 )
 def test_sensor_and_motion_are_told_apart(sensor, motion):
     scales = learn(sensor, motion)

@@ -34,7 +34,8 @@ def rmse(run, log, phase="online"):
 
 # seed 8 has a joint marginal that gtsam takes for singular
 @pytest.mark.parametrize(
-    ("name", "seeds"), [("ekf", [9]), ("ekf-iterated", [9]), pytest.param("isam2", [8], marks=pytest.mark.slow)]
+    ("name", "seeds"),
+    [("ekf", [9]), *(pytest.param(*case, marks=pytest.mark.slow) for case in (("ekf-iterated", [9]), ("isam2", [8])))],
 )
 def test_the_corridor_is_mapped_without_odometry_and_without_labels(primed, name, seeds):
     for log in (primed[SEEDS.index(seed)] for seed in seeds):
@@ -56,7 +57,8 @@ def test_moving_people_do_not_lose_it():
     assert final.tp >= 440
 
 
-@pytest.mark.parametrize("name", ["corridor:4", "corridor:4:people"])
+@pytest.mark.parametrize("name", [pytest.param("corridor:4", marks=pytest.mark.slow), "corridor:4:people"])
+@pytest.mark.slow
 def test_no_frame_is_placed_where_odometry_is_good_enough(name):
     log = named_log(name)
     (run,) = compare(log.inputs(), "slam", ["ekf"], METHOD)
@@ -126,6 +128,7 @@ def test_a_smoother_begins_where_it_is_told_to(begun):
     assert np.abs(pose_error(isam2.estimate().mean, pose)).max() < 0.05
 
 
+@pytest.mark.slow
 def test_a_landmark_that_is_there_no_longer_is_missed_in_placed_frames(primed):
     log = primed[0]
     inputs, own = log.inputs(), log.truth.landmark_of

@@ -157,6 +157,7 @@ def test_odometry_without_error_stays_as_it_is_between_scans(log):
     np.testing.assert_allclose(pose_error(between_scans(inputs, path), path), 0.0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_corners_of_walls_are_landmarks_under_any_other_association(log, runs):
     (run,) = compare(log.recorded, "slam", ["ekf"], "jcbb")
     assert isinstance(run, LaserRun)

@@ -33,6 +33,7 @@ def _way(pose: Array, first: Array, second: Array) -> Array:
     return between(pose[first], pose[second])
 
 
+@pytest.mark.slow
 def test_key_poses_follow_each_other_by_distance_and_every_frame_hangs_on_one() -> None:
     (inputs, truth), chain = _drive(), _found().chain
     assert chain.frame[0] == 0

@@ -83,6 +83,7 @@ def answers(*trials):
     return {s.heading: s.blocks for s in lab_sections(trials, score(trials))}
 
 
+@pytest.mark.slow
 def test_the_report_shows_both_peaks_and_what_the_prior_makes_of_them():
     said = answers(Trial(BARE, "slam", ()), Trial(PRIMED, "slam", ()))
     q = ambiguity(find_lab([Trial(BARE, "slam", ()), Trial(PRIMED, "slam", ())]))

@@ -33,6 +33,7 @@ def trial() -> Trial:
     return Trial(log, "slam", tuple(runs))
 
 
+@pytest.mark.slow
 def test_a_seed_has_the_numbers_of_the_referee(trial):
     seed, scores = one_seed(NAME, SETUP), score([trial])
     for method, (fp, fn, rmse, aligned) in zip(METHODS, seed.outcomes, strict=True):

@@ -17,6 +17,7 @@ from eval.compare import compare
 from eval.referee.score import Trial, score
 from eval.report.overview import trust_mark
 from eval.report.overview_facts import facts_of
+from tests.quick import slow
 
 
 def first_screen(log: Log, task: str, association: str):
@@ -112,7 +113,7 @@ def test_copies_of_dead_reckoning_are_not_equally_good_estimates(tmp_path):
     assert (mark.word, mark.tone) == ("neither", "bad")
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, slow(1), slow(2)])
 def test_right_logs_keep_their_tick(seed):
     for task in ("localization", "slam"):
         _, mark = first_screen(open_log(f"arena:{seed}"), task, "known")

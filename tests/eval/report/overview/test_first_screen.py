@@ -25,7 +25,7 @@ def above(html: str) -> str:
 def blind(tmp_path_factory):
     """An arena log whose truth was taken away."""
     folder = tmp_path_factory.mktemp("blind")
-    log = simulate(Arena(), 3)
+    log = simulate(Arena(frames=80), 3)
     write_folder(Log("blind", log.recorded, Truth(landmark_of=log.truth.landmark_of)), folder / "blind")
     out = folder / "report"
     logs = ["--log", str(folder / "blind"), "--log", "arena:0", "--log", "corridor:0:people"]

@@ -85,6 +85,7 @@ def test_run_scores_what_its_flags_say(tmp_path, flags, missing):
     assert bool(experiment.log.truth.left_out) == (not flags)
 
 
+@pytest.mark.slow
 def test_utias_dataset_1_as_published_is_not_lost_but_has_swapped_rows(mrclam):
     facts, trial = judged(load_mrclam(mrclam / "MRCLAM_Dataset1.zip", 1))
     for run in trial.runs:  # without the truth it looks lost
@@ -96,6 +97,7 @@ def test_utias_dataset_1_as_published_is_not_lost_but_has_swapped_rows(mrclam):
     assert trust_mark(facts).note.startswith("map rows 11 and 17 look swapped")
 
 
+@pytest.mark.slow
 def test_utias_dataset_9_is_scored_without_its_bad_truth(mrclam):
     log = load_mrclam(mrclam / "MRCLAM_Dataset9.zip", 3)
     facts, _ = judged(without_bad_truth(log))

@@ -1,0 +1,85 @@
+"""ROS bags with detections, fixes, truth or scans as open logs (with `rosbags`)."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from data.convert.parsers import Add
+    from data.log import Log
+
+KINDS = ("bag",)
+EXAMPLES = """\
+examples:
+  python -m data.convert bag robot_bag/ --list                    what each topic becomes; nothing is written
+  python -m data.convert bag robot_bag/ logs/robot --point-sigma 0.05
+  python -m data.convert bag robot_bag/ logs/robot --truth /mocap/pose --skip /markers --heading-sigma 5deg
+"""
+TEXT = """\
+Odometry (nav_msgs/Odometry, or tf) with whatever there is of:
+  NavSatFix                          position fixes, in metres east and north of the first
+  Imu                                heading fixes, one a second
+  PoseWithCovarianceStamped          pose fixes, or the truth
+  AprilTagDetectionArray, MarkerArray, PoseArray, Detection3DArray    observations: points, by tf on the robot
+  Detection2DArray, apriltag_msgs    observations: bearings, by tf and CameraInfo
+  LaserScan                          scans
+  PoseStamped, Odometry              the truth, with --truth
+"""
+
+
+def add_parsers(add: Add, *, parameters: bool) -> None:
+    """The parser of `bag`; `parameters` is unused."""
+    sub = add("bag", help="a ROS bag with detections, fixes or scans", description=TEXT, epilog=EXAMPLES)
+    sub.add_argument("source", metavar="BAG", type=Path, help="a .bag file, a folder of ROS 2, or its .mcap or .db3")
+    sub.add_argument("out", metavar="OUT", type=Path, nargs="?", help="log folder to write (not with --list)")
+    sub.add_argument("--list", action="store_true", help="print what each topic becomes, and write nothing")
+    sub.add_argument("--odom", metavar="TOPIC", help="of the odometry, or tf (default: the only one, else tf)")
+    sub.add_argument("--scan", metavar="TOPIC", help="of the scans (default: the only one)")
+    sub.add_argument("--truth", metavar="TOPIC", help="of the true poses (default: none)")
+    sub.add_argument("--skip", metavar="TOPIC", action="append", default=[], help="a topic to leave out; repeatable")
+    sub.add_argument("--point-sigma", metavar="M", help="noise of points, along x and y")
+    sub.add_argument("--bearing-sigma", metavar="ANGLE", help="noise of bearings, as 1deg or 0.02")
+    sub.add_argument("--position-sigma", metavar="M", help="of positions without covariance")
+    sub.add_argument("--heading-sigma", metavar="ANGLE", help="of headings without covariance")
+    sub.add_argument(
+        "--prior", metavar="X,Y,THETA", help="first pose (default: of the truth, the fixes or the odometry)"
+    )
+    sub.add_argument("--prior-sigma", metavar="SX,SY,STHETA", help="its standard deviations")
+
+
+def convert(args: argparse.Namespace) -> Log | str:
+    """The log of the bag; with --list a table of its topics."""
+    from data.errors import UsageError
+    from data.formats.bags.log import Wanted, log_of_bag
+    from data.formats.bags.reading import collect
+    from data.formats.bags.topics import chosen, listed, topics_of
+    from data.formats.tables.flags import POSE, numbers
+
+    topics = chosen(
+        args.source, topics_of(args.source), odometry=args.odom, scans=args.scan, truth=args.truth, skip=args.skip
+    )
+    if args.list:
+        return listed(topics)
+    if args.out is None:
+        raise UsageError("OUT, a log folder to write, is needed (or --list)")
+
+    def sigma(flag: str, dimension: str) -> float | None:
+        text = getattr(args, flag.replace("-", "_"))
+        if text is None:
+            return None
+        value = float(numbers(text, (dimension,), flag, "a standard deviation")[0])
+        if not value > 0.0:
+            raise UsageError(f"--{flag} {text}: must be more than 0")
+        return value
+
+    wanted = Wanted(
+        None if args.prior is None else numbers(args.prior, POSE, "prior", "x, y [m], heading [rad]"),
+        None if args.prior_sigma is None else numbers(args.prior_sigma, POSE, "prior-sigma", "of x, y [m], heading"),
+        sigma("point-sigma", "length"),
+        sigma("bearing-sigma", "angle"),
+        sigma("position-sigma", "length"),
+        sigma("heading-sigma", "angle"),
+    )
+    return log_of_bag(args.source, args.out.absolute().name, topics, collect(args.source, topics), wanted)

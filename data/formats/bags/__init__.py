@@ -1,0 +1,1 @@
+"""ROS bags with detections, fixes, truth or scans as logs."""

@@ -1,0 +1,355 @@
+"""The log of a ROS bag: odometry, and whatever of detections, fixes, scans and truth it holds.
+
+Frames are the instants of scans, detections and fixes, and every second, within the span of the odometry, whose poses
+are interpolated. The body is the odometry's child frame; tf places cameras and antennas on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from data import se2
+from data.digest import source_file
+from data.errors import DataError, UsageError
+from data.formats.bags.geodesy import east_north
+from data.formats.bags.reading import Collected, Pose
+from data.formats.bags.topics import FIXES, Role, Topic
+from data.formats.recordings.laser import FLOOR, increments_of
+from data.formats.recordings.ros import ODOM_FRAME, TF, log_of, read_bag
+from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scans
+from data.log import Log
+from data.pose_measurements import Fixes, FixKind, FixSource
+from data.se2 import Array
+from data.sensors import Bearing, RangeBearing, RelativePoint, Sensor
+from data.terminal import counted
+from data.timeline import frame_times, truth_at
+from data.truth import Truth
+
+EVERY = 1.0
+"""s between headings that are used: those of one second have one common error, of the magnetic field and the filter."""
+LONGEST = 1e6
+"""s, longest log."""
+FIRST = (0.1, 0.1, 0.05)
+"""m, m, rad; standard deviations of the first true pose as the prior."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What messages do not state: prior mean and sigma (3,); sigma of points [m], bearings [rad], positions [m] and
+    headings [rad] without covariance. None: not stated.
+    """
+
+    prior: Array | None = None
+    prior_sigma: Array | None = None
+    points: float | None = None
+    bearings: float | None = None
+    positions: float | None = None
+    headings: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Observations of one topic: its sensor, stamps (m,) [s], z (m, 2), R (m, 2, 2), ids (m,), -1 for none."""
+
+    sensor: Sensor
+    at: Array
+    z: Array
+    R: Array
+    id: IntArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Fixed:
+    """Fixes of one topic: their source, kind, stamps (f,) [s], z (f, 3), covariance (f, 3, 3)."""
+
+    source: FixSource
+    kind: FixKind
+    at: Array
+    z: Array
+    covariance: Array
+
+
+def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected, wanted: Wanted) -> Log:
+    """The log. DataError or UsageError where odometry, noise or prior are missing."""
+    notes: list[str] = []
+    odometry, robot, stamp, pose = _odometry(path, topics, found)
+    seen, left = _observed(topics, found, wanted, robot, stamp)
+    fixed, datum = _fixed(topics, found, wanted, robot)
+    scan = next((t.name for t in topics if t.role is Role.SCANS), None)
+    scans = None
+    if scan is not None:
+        laser = log_of(path, read_bag(path, scan, odometry))
+        scans = laser.recorded.scans
+        notes += [note for note in laser.notes if note.startswith(("The laser", "The bag", "No return"))]
+    if not seen and not fixed and scans is None:
+        reasons = "; ".join(left) or "no topic of scans, detections or fixes"
+        raise DataError.at(path, f"nothing beside the odometry: {reasons}; --list names what each topic becomes")
+    notes = [f"Odometry: {odometry}, poses of {robot or 'the robot'} interpolated at the frames.", *notes, *left]
+    first, last = float(stamp[0]), float(stamp[-1])
+    if last - first > LONGEST:
+        raise DataError.at(path, f"the odometry spans {last - first:.6g} s; stamps in seconds are needed")
+    at = [s.at for s in seen] + [f.at for f in fixed]
+    at += [laser.recorded.time] if scans is not None else []
+    every = np.concatenate(at)
+    inside = (every >= first) & (every <= last)
+    if not inside.any():
+        what = f"messages at {every.min():.3f} to {every.max():.3f} s, odometry at {first:.3f} to {last:.3f} s"
+        raise DataError.at(path, f"{what}; some within the odometry are needed")
+    if not inside.all():
+        notes.append(f"{int((~inside).sum())} of {len(inside)} messages before or after all odometry: left out.")
+    time = frame_times(every[inside], first, last)
+    increments, floored = increments_of(se2.interpolate(stamp, pose, time))
+    observations, sensors, label = _joined(seen, time)
+    true = _truth(topics, found, robot, time)
+    if datum is not None:
+        notes.append(f"The world's x and y point east and north; its origin is at {datum[0]:.9g}, {datum[1]:.9g} deg.")
+    prior, note = _prior(wanted, pose[0], true, fixed, first)
+    recorded = Inputs(
+        prior=prior,
+        time=time - first,
+        increments=increments,
+        observations=observations,
+        sensor=sensors[0] if sensors else RangeBearing(),
+        covariance_floor=FLOOR,
+        floored=floored,
+        scans=None if scans is None else Scans(scans.scanner, _at(laser.recorded.time, time), scans.ranges),
+        fixes=_all_fixes(fixed, time) if fixed else None,
+        sensors=sensors if len(sensors) > 1 else (),
+    )
+    roles = {t.name: t.role.value for t in topics if t.role not in (Role.NOTHING, Role.TRANSFORMS, Role.CAMERA)}
+    source: dict[str, object] = {"kind": "bag", **source_file(path), "topics": roles, "clock": first}
+    if datum is not None:
+        source["datum"] = datum.tolist()
+    return Log(
+        name, recorded, Truth(true), label=label, labels_are_sensed=label is not None, source=source,
+        notes=(*notes, note),
+    )  # fmt: skip
+
+
+def _at(stamp: Array, time: Array) -> IntArray:
+    return np.searchsorted(time, stamp).astype(np.int64)
+
+
+def _named(topic: str) -> str:
+    """A topic as the name of a source."""
+    return "".join("_" if c in ',"' or not c.isprintable() else c for c in topic.strip("/ ")) or "topic"
+
+
+def _odometry(path: Path, topics: Sequence[Topic], found: Collected) -> tuple[str, str, Array, Array]:
+    """Topic (or tf), the robot's frame, stamps (K,), and poses (K, 3)."""
+    topic = next((t.name for t in topics if t.role is Role.ODOMETRY), None)
+    if topic is not None:
+        rows = found.poses.get(topic, [])
+        if not rows:
+            raise DataError.at(path, f"no message of {topic}; at least one is needed")
+        stamp, pose = np.array([r.stamp for r in rows]), np.array([r.pose for r in rows])
+        robot = found.frames[topic][1]
+    else:
+        moving = {c: m for c, m in found.tree.moving.items() if not m.static and m.parent.endswith(ODOM_FRAME)}
+        if not moving:
+            what = f"neither a topic of odometry nor a transform from {ODOM_FRAME!r}; one is needed: --odom TOPIC"
+            raise DataError.at(path, what)
+        topic, robot = TF, max(moving, key=lambda child: len(moving[child].stamp))
+        stamp = np.array(moving[robot].stamp)
+        R, t = moving[robot].at(stamp)
+        pose = np.column_stack([t[:, :2], np.arctan2(R[:, 1, 0], R[:, 0, 0])])
+    time, first = np.unique(stamp, return_index=True)
+    return topic, robot, time, pose[first]
+
+
+def _observed(
+    topics: Sequence[Topic], found: Collected, wanted: Wanted, robot: str, stamp: Array
+) -> tuple[list[_Seen], list[str]]:
+    """Observations by topic, and a sentence for each that is left out."""
+    seen, left = [], []
+    for t in topics:
+        rows = [d for d in found.detections.get(t.name, []) if stamp[0] <= d.stamp <= stamp[-1]]
+        if t.role not in (Role.POINTS, Role.BEARINGS) or not rows:
+            continue
+        made = []
+        for frame in dict.fromkeys(d.frame for d in rows):
+            some = [d for d in rows if d.frame == frame]
+            at = np.array([d.stamp for d in some])
+            placed = found.tree.between(robot, frame, at) if found.tree.carries(robot, frame) else None
+            if placed is None:
+                left.append(f"{t.name}: {counted(len(some), 'detection')} in {frame!r}, which tf does not mount on "
+                            f"{robot!r}: left out.")  # fmt: skip
+                continue
+            where = np.array([d.at for d in some])
+            if t.role is Role.BEARINGS:
+                if frame not in found.cameras:
+                    left.append(f"{t.name}: no CameraInfo of {frame!r}, so pixels tell no direction: left out.")
+                    continue
+                where = _rays(where, found.cameras[frame])
+            made.append((at, *placed, where, np.array([d.id for d in some], np.int64)))
+        if made:
+            seen.append(_by_sensor(t, [np.concatenate(part) for part in zip(*made, strict=True)], wanted))
+    return seen, left
+
+
+def _rays(pixels: Array, camera: tuple[float, float, float, float]) -> Array:
+    """Directions (n, 3) of pixels in an optical frame: x to the right, y down, z ahead."""
+    fx, fy, cx, cy = camera
+    return np.column_stack([(pixels[:, 0] - cx) / fx, (pixels[:, 1] - cy) / fy, np.ones(len(pixels))])
+
+
+def _by_sensor(topic: Topic, parts: Sequence[Array], wanted: Wanted) -> _Seen:
+    """Points in the body frame, or directions from the camera's mean place, turned as the body is."""
+    at, R, t, where, ids = parts
+    order = np.argsort(at, kind="stable")
+    turned = np.einsum("nij,nj->ni", R, where)
+    if topic.role is Role.POINTS:
+        z = (turned + t)[:, :2]
+        sigma = _stated(wanted.points, topic, "--point-sigma M")
+        reach = 1.001 * float(np.hypot(*z.T).max())
+        sensor: Sensor = RelativePoint(max_range=reach if reach > 0.0 else np.inf, label=_named(topic.name))
+        covariance = np.tile(sigma**2 * np.eye(2), (len(z), 1, 1))
+    else:
+        z = np.column_stack([np.zeros(len(at)), np.arctan2(turned[:, 1], turned[:, 0])])
+        sigma = _stated(wanted.bearings, topic, "--bearing-sigma ANGLE")
+        x, y = (-t[:, :2].mean(axis=0)).tolist()
+        sensor = Bearing(translation=(x + 0.0, y + 0.0), label=_named(topic.name))
+        covariance = np.tile(np.diag([1.0, sigma**2]), (len(z), 1, 1))
+    return _Seen(sensor, at[order], z[order], covariance[order], ids[order].astype(np.int64))
+
+
+def _stated(sigma: float | None, topic: Topic, flag: str) -> float:
+    if sigma is None:
+        raise UsageError(f"{topic.name}: unknown noise of its {topic.role}; {flag}, or --skip {topic.name}, is needed")
+    return sigma
+
+
+def _joined(seen: Sequence[_Seen], time: Array) -> tuple[Observations, tuple[Sensor, ...], IntArray | None]:
+    """The observations by frame and sensor, the sensors, and labels; None: nothing has an id."""
+    inside = [(s.at >= time[0]) & (s.at <= time[-1]) for s in seen]
+    frame = np.concatenate([_at(s.at[k], time) for s, k in zip(seen, inside, strict=True)] or [np.zeros(0, np.int64)])
+    which = np.concatenate([np.full(int(k.sum()), i) for i, k in enumerate(inside)] or [np.zeros(0)]).astype(np.int64)
+    z = np.concatenate([s.z[k] for s, k in zip(seen, inside, strict=True)] or [np.zeros((0, 2))])
+    R = np.concatenate([s.R[k] for s, k in zip(seen, inside, strict=True)] or [np.zeros((0, 2, 2))])
+    ids = np.concatenate([s.id[k] for s, k in zip(seen, inside, strict=True)] or [np.zeros(0, np.int64)])
+    by = np.lexsort((which, frame))
+    several = which[by] if len(seen) > 1 else None
+    label = np.where(ids[by] >= 0, ids[by], UNLABELLED) if (ids >= 0).any() else None
+    return Observations(frame[by], z[by], R[by], sensor=several), tuple(s.sensor for s in seen), label
+
+
+def _fixed(topics: Sequence[Topic], found: Collected, wanted: Wanted, robot: str) -> tuple[list[_Fixed], Array | None]:
+    """Fixes by topic, and the place (latitude, longitude [deg], height [m]) of the origin of positions."""
+    made: list[_Fixed] = []
+    origin: Array | None = None
+    for t in topics:
+        if t.role not in FIXES:
+            continue
+        mounted = found.tree.between(robot, found.frames[t.name][1], np.zeros(1)) if t.name in found.frames else None
+        if t.role is Role.POSITIONS and found.positions.get(t.name):
+            rows = found.positions[t.name]
+            place = np.array([r.place for r in rows])
+            origin = place[0] if origin is None else origin
+            P = np.zeros((len(rows), 3, 3))
+            P[:, :2, :2] = _filled(np.array([r.covariance for r in rows]), wanted.positions, t, "--position-sigma M")
+            z = np.column_stack([east_north(place, origin), np.zeros(len(rows))])
+            x, y = (0.0, 0.0) if mounted is None else mounted[1][0, :2].tolist()
+            source = FixSource(_named(t.name), (x, y))
+            made.append(_Fixed(source, FixKind.POSITION, np.array([r.stamp for r in rows]), z, P))
+        elif t.role in (Role.HEADINGS, Role.POSES) and found.poses.get(t.name):
+            made.append(_of_poses(t, found.poses[t.name], mounted, wanted))
+    return [_ascending(one) for one in made], origin
+
+
+def _of_poses(topic: Topic, rows: Sequence[Pose], mounted: tuple[Array, Array] | None, wanted: Wanted) -> _Fixed:
+    """Headings, one in `EVERY` s, or poses of the robot."""
+    at, z, P = (np.array([r[k] for r in rows]) for k in range(3))
+    if topic.role is Role.POSES:
+        if np.isnan(P).any():
+            what = "messages without a covariance"
+            raise UsageError(f"{topic.name}: {what}; --truth {topic.name} or --skip {topic.name} is needed")
+        return _Fixed(FixSource(_named(topic.name)), FixKind.POSE, at, z, P)
+    kept = np.unique(np.floor((at - at.min()) / EVERY), return_index=True)[1]
+    at, z = at[kept], z[kept]
+    C = np.zeros((len(kept), 3, 3))
+    C[:, 2, 2] = _filled(P[kept][:, 2:, 2:], wanted.headings, topic, "--heading-sigma ANGLE")[:, 0, 0]
+    R = np.eye(3) if mounted is None else mounted[0][0]
+    turned = float(np.arctan2(R[1, 0], R[0, 0]))
+    return _Fixed(FixSource(_named(topic.name), rotation=turned), FixKind.HEADING, at, z, C)
+
+
+def _filled(covariance: Array, sigma: float | None, topic: Topic, flag: str) -> Array:
+    """Covariances (n, d, d), those that are not stated from a sigma."""
+    low = np.linalg.eigvalsh(np.where(np.isfinite(covariance), covariance, 0.0))[:, 0]
+    lacking = ~(low > 0.0)
+    if lacking.any():
+        covariance = covariance.copy()
+        covariance[lacking] = _stated(sigma, topic, flag) ** 2 * np.eye(covariance.shape[-1])
+    return np.asarray(0.5 * (covariance + covariance.transpose(0, 2, 1)))
+
+
+def _ascending(one: _Fixed) -> _Fixed:
+    by = np.argsort(one.at, kind="stable")
+    return _Fixed(one.source, one.kind, one.at[by], one.z[by], one.covariance[by])
+
+
+def _all_fixes(fixed: Sequence[_Fixed], time: Array) -> Fixes:
+    inside = [(f.at >= time[0]) & (f.at <= time[-1]) for f in fixed]
+    frame = np.concatenate([_at(f.at[k], time) for f, k in zip(fixed, inside, strict=True)])
+    source = np.concatenate([np.full(int(k.sum()), i) for i, k in enumerate(inside)]).astype(np.int64)
+    kind = np.array([f.kind for f in fixed], np.int64)[source]
+    z = np.concatenate([f.z[k] for f, k in zip(fixed, inside, strict=True)])
+    P = np.concatenate([f.covariance[k] for f, k in zip(fixed, inside, strict=True)])
+    by = np.lexsort((source, frame))
+    return Fixes(frame[by], kind[by], source[by], z[by], P[by], tuple(f.source for f in fixed))
+
+
+def _truth(topics: Sequence[Topic], found: Collected, robot: str, time: Array) -> Array | None:
+    """True poses (N, 3) of the robot at the frames, NaN where unknown."""
+    topic = next((t for t in topics if t.role is Role.TRUTH), None)
+    if topic is None or not found.poses.get(topic.name):
+        return None
+    rows = sorted(found.poses[topic.name], key=lambda r: r.stamp)
+    stamp, first = np.unique([r.stamp for r in rows], return_index=True)
+    pose = np.array([r.pose for r in rows])[first]
+    body = found.frames[topic.name][1]
+    if body and body != robot:
+        placed = found.tree.between(body, robot, np.zeros(1))
+        if placed is not None:
+            R, t = placed[0][0], placed[1][0]
+            pose = se2.compose(pose, np.array([t[0], t[1], np.arctan2(R[1, 0], R[0, 0])]))
+    return truth_at(stamp, pose, time)
+
+
+def _prior(
+    wanted: Wanted, first: Array, true: Array | None, fixed: Sequence[_Fixed], begin: float
+) -> tuple[Prior, str]:
+    """Belief about the first pose, and a sentence about it."""
+    if wanted.prior is not None:
+        if wanted.prior_sigma is None:
+            raise UsageError("--prior: --prior-sigma SX,SY,STHETA (m, m, rad; 0,0,0: exact) is needed")
+        return Prior(wanted.prior, np.diag(wanted.prior_sigma**2)), "The prior is as --prior states."
+    if true is not None:
+        if not np.isfinite(true[0]).all():
+            raise UsageError("the first frame has no true pose; --prior X,Y,THETA and --prior-sigma are needed")
+        sigma = np.array(FIRST) if wanted.prior_sigma is None else wanted.prior_sigma
+        text = ", ".join(f"{s:g}" for s in sigma)
+        return Prior(true[0], np.diag(sigma**2)), f"The prior is the first true pose, with standard deviations {text}."
+    whole = next((f for f in fixed if f.kind is FixKind.POSE), None)
+    if whole is not None:
+        return Prior(whole.z[0], whole.covariance[0]), f"The prior is the first pose of {whole.source.name}."
+    place = next((f for f in fixed if f.kind is FixKind.POSITION), None)
+    turn = next((f for f in fixed if f.kind is FixKind.HEADING), None)
+    if place is None and turn is None:
+        return Prior(first, np.zeros((3, 3))), "The prior is the first pose of the odometry, exactly."
+    if place is None or turn is None:
+        what = "heading" if turn is None else "position"
+        raise UsageError(f"the first {what} in the frame of the fixes is unknown; --prior X,Y,THETA and --prior-sigma "
+                         "SX,SY,STHETA are needed")  # fmt: skip
+    theta = float(turn.z[0, 2]) - turn.source.rotation
+    arm = se2.rotation(theta) @ np.array(place.source.lever)
+    mean = np.array([*(place.z[0, :2] - arm), theta])
+    P = np.zeros((3, 3))
+    P[:2, :2], P[2, 2] = place.covariance[0, :2, :2], turn.covariance[0, 2, 2]
+    late = max(place.at[0], turn.at[0]) - begin
+    text = f"The prior is the first fix of {place.source.name} with the first heading of {turn.source.name}"
+    return Prior(mean, P), f"{text}, {late:.3g} s after the first frame."

@@ -1,0 +1,203 @@
+"""Bags with detections, fixes and truth become the log that their messages describe; what is wrong is one line."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data import se2
+from data.convert.__main__ import main
+from data.formats.bags.geodesy import east_north
+from data.formats.open_log.reader import load_folder
+from data.log import Log
+from data.pose_measurements import FixKind
+from data.sensors import Bearing, RelativePoint
+from tests.data.formats.bags.made import START, Full
+
+TIMES = np.arange(0.0, 4.01, 0.5)
+
+
+@pytest.fixture
+def maker() -> Full:
+    made = Full()
+    made.drive(TIMES)
+    made.mounting("base_link", "camera", 0.25, 0.1, 0.5)
+    return made
+
+
+def load(maker: Full, tmp_path: Path, *words: str) -> Log:
+    bag = maker.save(tmp_path)
+    assert main(["bag", str(bag), str(tmp_path / "out"), *words]) == 0
+    return load_folder(tmp_path / "out")
+
+
+def refused(maker: Full, tmp_path: Path, capsys: pytest.CaptureFixture[str], *words: str) -> str:
+    bag = maker.save(tmp_path)
+    assert main(["bag", str(bag), str(tmp_path / "out"), *words]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    return said
+
+
+def test_points_of_a_camera_are_seen_in_the_body_frame(maker, tmp_path):
+    maker.poses(1.25, [(2.0, 0.5), (1.0, -1.0)])
+    maker.markers(2.0, [(7, 3.0, 0.0)])
+    maker.boxes(2.0, [("12", 1.0, 0.0), ("person", 2.0, 0.0)])
+    log = load(maker, tmp_path, "--point-sigma", "5cm")
+    r, o = log.recorded, log.recorded.observations
+    assert [(type(s), s.label) for s in r.sensors] == [
+        (RelativePoint, "boxes"), (RelativePoint, "cones"), (RelativePoint, "markers")
+    ]  # fmt: skip
+    assert r.time[o.frame].tolist() == [1.25, 1.25, 2.0, 2.0, 2.0]
+    assert o.sensor.tolist() == [1, 1, 0, 0, 2]
+    camera = np.array([0.25, 0.1, 0.5])
+    seen = se2.transform_points(camera, np.array([[2.0, 0.5], [1.0, -1.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0]]))
+    assert o.z == pytest.approx(seen)
+    assert np.allclose(o.R, 0.0025 * np.eye(2))
+    assert log.label.tolist() == [-2, -2, 12, -2, 7]
+    assert log.labels_are_sensed
+    assert log.clock == START
+
+
+def test_pixels_are_directions_by_the_camera_s_model(maker, tmp_path):
+    maker.optical(0.5, -0.25, 0.75)
+    maker.camera()
+    maker.tags(1.5, [(3, 320.0), (4, 720.0)])
+    log = load(maker, tmp_path, "--bearing-sigma", "1deg")
+    r, o = log.recorded, log.recorded.observations
+    assert (type(r.sensor), r.sensor.translation) == (Bearing, (-0.5, 0.25))
+    assert o.z == pytest.approx(np.array([[0.0, 0.75], [0.0, 0.75 - math.pi / 4]]))
+    assert o.R[0] == pytest.approx(np.diag([1.0, math.radians(1.0) ** 2]))
+    assert log.label.tolist() == [3, 4]
+
+
+def test_satellite_fixes_are_metres_east_and_north_of_the_first(maker, tmp_path):
+    maker.mounting("base_link", "antenna", 0.3, 0.0, 0.0)
+    maker.mounting("base_link", "imu", 0.0, 0.0, 0.25)
+    for k, t in enumerate((0.25, 1.25, 2.25)):
+        maker.satellites(t, (48.0 + 1e-5 * k, 11.0 - 2e-5 * k), 0.25 if k else 0.0)
+    maker.satellites(2.75, (0.0, 0.0), fix=False)
+    for t in np.arange(0.0, 4.0, 0.125).tolist():
+        maker.inertial(t, 1.0, 0.01)
+    log = load(maker, tmp_path, "--position-sigma", "3")
+    r, fixes = log.recorded, log.recorded.fixes
+    assert [(s.name, s.lever, s.rotation) for s in fixes.sources] == [
+        ("gps", (0.3, 0.0), 0.0), ("imu", (0.0, 0.0), pytest.approx(0.25))
+    ]  # fmt: skip
+    place, turn = fixes.kind == FixKind.POSITION, fixes.kind == FixKind.HEADING
+    assert r.time[fixes.frame[place]].tolist() == [0.25, 1.25, 2.25]
+    # metres of a degree at 48 degrees north, from the series of the National Geospatial-Intelligence Agency
+    north, east = 111132.92 - 559.82 * math.cos(math.radians(96)) + 1.175 * math.cos(math.radians(192)), 74625.0
+    assert fixes.z[place][2, :2] == pytest.approx([-4e-5 * east, 2e-5 * north], rel=2e-3)
+    assert [np.diag(P).tolist() for P in fixes.covariance[place]] == [[9, 9, 0], [0.25, 1, 0], [0.25, 1, 0]]
+    assert r.time[fixes.frame[turn]].tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert fixes.covariance[turn][0, 2, 2] == pytest.approx(0.01)
+    c, s = math.cos(0.75), math.sin(0.75)
+    assert r.prior.mean == pytest.approx([-0.3 * c, -0.3 * s, 0.75])
+    assert log.source["datum"] == [48.0, 11.0, 10.0]
+
+
+def test_a_degree_has_its_length_on_the_ellipsoid():
+    origin = np.array([0.0, 0.0, 0.0])
+    east, north = east_north(np.array([[0.0, 1e-3, 0.0], [1e-3, 0.0, 0.0]]), origin)
+    assert east == pytest.approx([111.319491, 0.0], abs=1e-5)
+    assert north == pytest.approx([0.0, 110.574276], abs=1e-5)
+
+
+def test_poses_with_covariance_are_fixes_or_the_truth(maker, tmp_path):
+    for t in TIMES.tolist():
+        maker.pose(t, (t + 5.0, 1.0, 0.1 * t), variance=0.04)
+    log = load(maker, tmp_path)
+    fixes = log.recorded.fixes
+    assert (fixes.kind == FixKind.POSE).all()
+    assert fixes.z[2] == pytest.approx([6.0, 1.0, 0.1])
+    assert np.diag(fixes.covariance[0]) == pytest.approx([0.04, 0.08, 0.02])
+    assert log.recorded.prior.mean == pytest.approx([5.0, 1.0, 0.0])
+    assert log.truth.pose is None
+
+
+def test_the_truth_is_what_the_flag_names(maker, tmp_path):
+    for t in TIMES.tolist():
+        maker.bare_pose(t, (t, 2.0, 0.1 * t))
+    maker.poses(1.25, [(2.0, 0.5)])
+    log = load(maker, tmp_path, "--truth", "/mocap", "--point-sigma", "0.1")
+    assert log.truth.pose[log.recorded.observations.frame[0]] == pytest.approx([1.25, 2.0, 0.125])
+    assert log.recorded.prior.mean == pytest.approx([0.0, 2.0, 0.0])
+    assert log.recorded.fixes is None
+
+
+def test_scans_and_detections_share_their_frames(maker, tmp_path):
+    maker.mounting("base_link", "laser", 0.1, 0.0, 0.0)
+    maker.scan(1.0, [1.0, 2.0, 3.0])
+    maker.scan(2.0, [2.0, 2.0, 2.0])
+    maker.poses(1.5, [(2.0, 0.5)])
+    r = load(maker, tmp_path, "--point-sigma", "0.1").recorded
+    assert r.time[r.scans.frame].tolist() == [1.0, 2.0]
+    assert r.time[r.observations.frame].tolist() == [1.5]
+    assert r.scans.scanner.translation == (-0.1, 0.0)
+
+
+def test_without_a_topic_of_odometry_transforms_tell_the_motion(tmp_path):
+    made = Full()
+    for t in TIMES.tolist():
+        made.transform(t, "odom", "base_link", (t, 0.0, 0.0))
+    made.mounting("base_link", "camera", 0.0, 0.0, 0.0)
+    made.poses(2.0, [(2.0, 0.5)])
+    r = load(made, tmp_path, "--point-sigma", "0.1").recorded
+    assert r.increments.mean[:, 0].sum() == pytest.approx(4.0)
+
+
+def test_the_list_says_what_each_topic_becomes_and_writes_nothing(maker, tmp_path, capsys):
+    maker.poses(1.25, [(2.0, 0.5)])
+    maker.satellites(1.0, (48.0, 11.0))
+    maker.bare_pose(1.0, (0.0, 0.0, 0.0))
+    maker.odometry(1.0, (0.0, 0.0, 0.0), "/visual_odom")
+    twist = maker.store.types["geometry_msgs/msg/Twist"]
+    zero = maker._of("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+    maker.messages.append((1.0, "/cmd_vel", "geometry_msgs/msg/Twist", twist(zero, zero)))
+    bag = maker.save(tmp_path)
+    assert main(["bag", str(bag), "--list", "--odom", "/odom"]) == 0
+    said = {line.split()[0]: " ".join(line.split()[4:]) for line in capsys.readouterr().out.splitlines()}
+    assert said == {
+        "/cmd_vel": "- (messages of this type are not read)",
+        "/cones": "observations: points",
+        "/gps": "position fixes",
+        "/mocap": "- (--truth /mocap makes it the truth)",
+        "/odom": "odometry",
+        "/tf_static": "transforms",
+        "/visual_odom": "- (--odom /odom is used; --truth /visual_odom makes it the truth)",
+    }
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["small"]
+
+
+def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker, tmp_path):
+    maker.poses(1.0, [(2.0, 0.5)])
+    maker.markers(1.0, [(1, 2.0, 0.5)], frame="map")
+    log = load(maker, tmp_path, "--point-sigma", "0.1")
+    assert any("/markers: 1 detection in 'map', which tf does not mount on 'base_link'" in note for note in log.notes)
+    assert len(log.recorded.observations.frame) == 1
+
+
+@pytest.mark.parametrize(
+    ("add", "words", "said"),
+    [
+        (lambda m: None, (), "nothing beside the odometry: no topic of scans, detections or fixes"),
+        (lambda m: m.poses(1.0, [(2, 1)]), (), "/cones: unknown noise of its observations: points; --point-sigma M"),
+        (lambda m: m.poses(1.0, [(2, 1)]), ("--point-sigma", "0"), "--point-sigma 0: must be more than 0"),
+        (lambda m: m.poses(1.0, [(2, 1)]), ("--odom", "/odo"), "no such topic in .*did you mean /odom"),
+        (lambda m: m.poses(1.0, [(2, 1)]), ("--truth", "/cones"), "--truth /cones: its messages are"),
+        (lambda m: m.poses(9.0, [(2, 1)]), ("--point-sigma", "1"), "nothing beside the odometry"),
+        (lambda m: m.odometry(1.0, (0, 0, 0), "/other"), (), "--odom TOPIC is needed; topics of odometry: /odom"),
+        (lambda m: m.satellites(1.0, (48.0, 11.0)), (), "/gps: unknown noise of its position fixes; --position-sigma"),
+        (lambda m: m.satellites(1.0, (48.0, 11.0), 1.0), (), "the first heading in the frame of the fixes is unknown"),
+        (lambda m: m.pose(1.0, (0, 0, 0)), (), "/amcl_pose: messages without a covariance; --truth /amcl_pose"),
+        (lambda m: m.tags(1.0, [(1, 2.0)]), ("--bearing-sigma", "1"), "in 'optical', which tf does not mount"),
+    ],
+)  # fmt: skip
+def test_one_line_says_what_is_wrong(maker, tmp_path, capsys, add, words, said):
+    add(maker)
+    assert re.search(said.replace("(", r"\("), refused(maker, tmp_path, capsys, *words))
