@@ -358,9 +358,9 @@ def log_of(path: Path, bag: Bag, mending: Mending = AS_STATED) -> Log:
     g = bag.geometry
     last = g["angle_min"] + (measured.shape[1] - 1) * g["angle_increment"] if bag.resampled else g["angle_max"]
     asked = beam_angles(g["angle_min"], g["angle_increment"], last, measured.shape[1])
-    stated = float(mending.ranges(np.array(scanner.max_range)))
-    if (measured > stated).mean() < MOST_BEYOND:  # else it is stated in metres, unlike the ranges
-        scanner = replace(scanner, max_range=stated)
+    largest = float(mending.ranges(np.array(scanner.max_range)))
+    if (measured > largest).mean() < MOST_BEYOND:  # else it is stated in metres, unlike the ranges
+        scanner = replace(scanner, max_range=largest)
     piled = piled_up(measured, scanner.max_range)
     if piled is not None:
         scanner = replace(scanner, max_range=piled[0])
