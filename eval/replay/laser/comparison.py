@@ -90,8 +90,8 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
 
 def _note(repeated: Repeated) -> Notice:
     return notice(
-        Code.CHAIN_DOUBTED, Severity.INFO, first=repeated.first.revisits, taken=repeated.taken.revisits,
-        doubt=repeated.doubt, believed=repeated.believed,
+        Code.CHAIN_WIDENED, Severity.INFO, first=repeated.first.revisits, taken=repeated.taken.revisits,
+        factor=repeated.factor, believed=repeated.believed,
     )  # fmt: skip
 
 

@@ -1,5 +1,5 @@
 """The laser front end: key poses by scan matching, loop closures, and their pose graph, frame by frame; and again with
-doubt in the chain where its map draws walls twice.
+a wider chain where its map draws walls twice.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
         if scanned:
             tracker.correct(seen)
         if frame == 0 or (scanned and tracker.is_due):
-            motion, covariance = tracker.pose, p.doubt * tracker.covariance
+            motion, covariance = tracker.pose, p.chain_factor * tracker.covariance
             frames.append(frame)
             motions.append(motion)
             covariances.append(covariance)
@@ -124,7 +124,7 @@ def is_far(closure: Closure, poses: Array) -> bool:
 UNKNOWN = 0.01  # m, above the error of a step of any odometry that is at rest
 
 
-DOUBTS = (10.0, 100.0)
+FACTORS = (10.0, 100.0)
 """Factors on the variances of the chain that are tried where walls are drawn twice."""
 BETTER = 0.5
 """Share of the inconsistency that is left, below which another map is taken."""
@@ -132,18 +132,18 @@ BETTER = 0.5
 
 @dataclass(frozen=True)
 class Repeated:
-    """Why loop closures of a first pass are not believed: `first` map, the one that was taken, and its `doubt`."""
+    """Why loop closures of a first pass are not believed: `first` map, the one that was taken, and its `factor`."""
 
     first: Consistency
     taken: Consistency
-    doubt: float
+    factor: float
     believed: int
 
 
 def consistent_front_end(inputs: Inputs, parameters: LaserParameters) -> tuple[FrontEndResult, Repeated | None]:
     """The front end; where its map draws walls twice, that with the most consistent map.
 
-    Odometry that errs systematically makes the chain overconfident: the gate then refuses right loop closures, and lets
+    A systematic error of the odometry makes the chain overconfident: the gate refuses right loop closures, and lets
     those pass that are wrong by as much, in rows of equal things. With larger variances both pass, and the right ones
     come first where anything differs. The loop closures of the worse map are not believed.
     """
@@ -152,13 +152,13 @@ def consistent_front_end(inputs: Inputs, parameters: LaserParameters) -> tuple[F
     if first is None or best is None or not first.is_doubled:
         return front, None
     found, seconds = None, front.seconds
-    for doubt in DOUBTS:
-        other = run_front_end(inputs, replace(parameters, doubt=doubt))
+    for factor in FACTORS:
+        other = run_front_end(inputs, replace(parameters, chain_factor=factor))
         seconds = seconds + other.seconds
         seen = _seen(inputs, other)
         if seen is not None and seen.excess < BETTER * best.excess:
             best, front = seen, other
-            found = Repeated(first, seen, doubt, int((other.loops.believed >= 0).sum()))
+            found = Repeated(first, seen, factor, int((other.loops.believed >= 0).sum()))
         if not best.is_doubled:
             break
     return replace(front, seconds=seconds), found

@@ -100,7 +100,7 @@ def test_loop_closures_that_a_wrong_path_believes_and_the_map_does_not_are_not_b
     assert believed.sum() > 100
     error = closure_errors(run.loops, log.truth.pose[run.chain.frame])[believed]
     assert np.hypot(error[:, 0], error[:, 1]).max() < 0.3
-    assert Code.CHAIN_DOUBTED in {n.code for n in run.notes}
+    assert Code.CHAIN_WIDENED in {n.code for n in run.notes}
     assert Code.DOUBLED_WALLS not in {n.code for n in laser_faults.of_run(run, Trial(log, "slam", (run,)))}
 
 
