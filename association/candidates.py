@@ -130,9 +130,7 @@ class UncertaintyBounds:
         """Landmarks `numbers` (m,) were observed from a pose of this covariance (3, 3)."""
         if not len(numbers):
             return
-        more = int(numbers.max()) + 1 - len(self._then)
-        if more > 0:
-            self._then = np.concatenate([self._then, np.full((more, 6), np.inf)])
+        self._room(numbers)
         variance = np.trace(observations.R, axis1=1, axis2=2)
         r = sensor.polar(observations.z)[:, 0]
         if sensor.kind == RANGE_BEARING:
@@ -150,7 +148,14 @@ class UncertaintyBounds:
 
     def know(self, numbers: IntArray, sigma: Array) -> None:
         """Bound the landmarks' standard deviation (n,) [m] in the world, which never grows."""
+        self._room(numbers)
         self._then[numbers, 5] = np.minimum(self._then[numbers, 5], sigma)
+
+    def _room(self, numbers: IntArray) -> None:
+        """Rows for landmarks (n,); nothing is known of new ones."""
+        more = int(numbers.max(initial=-1)) + 1 - len(self._then)
+        if more > 0:
+            self._then = np.concatenate([self._then, np.full((more, 6), np.inf)])
 
     def sigmas(self, numbers: IntArray, covariance: Array) -> tuple[Array, Array]:
         """Position (n,) [m] and heading (n,) [rad] bounds relative to a robot of this covariance (3, 3)."""

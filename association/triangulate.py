@@ -16,11 +16,11 @@ import numpy as np
 from association.expectation import gate_threshold
 from data.blocks import block_diagonal
 from data.se2 import Array, between, compose, worlds_from_bodies
-from data.sensors import EachSensor, Sensor
+from data.sensors import MIN_RANGE, EachSensor, Sensor
 
-LINEAR = 0.1
-"""Largest standard deviation of the place over its distance from the nearest pose that observed it. A bearing then
-bends by (0.1)^2 / 2, half a per cent of that sigma's effect."""
+BENT = 0.5
+"""Largest second-order term of an observation, for a place off by its largest standard deviation, in standard
+deviations of the innovation: half the squared sigma over the range, or over its square for a bearing."""
 STEPS = 30  # of Gauss-Newton
 RIVAL = 2.0 * np.log(1000.0)
 """Least difference of squared distances to another solution, such as the mirrored one of ranges: odds of 1000."""
@@ -52,8 +52,7 @@ def triangulate(sensors: Sequence[Sensor], pose: Array, covariance: Array, z: Ar
         return None
     found.sort(key=lambda p: p.squared)
     best = found[0]
-    sigma = np.sqrt(np.linalg.eigvalsh(best.covariance)[-1])
-    if best.squared > gate_threshold(GATE, dof) or sigma > LINEAR * np.hypot(*(relative[:, :2] - best.xy).T).min():
+    if best.squared > gate_threshold(GATE, dof) or _bend(each, relative, P, R, best) > BENT:
         return None
     for other in found[1:]:
         apart = other.xy - best.xy
@@ -61,6 +60,18 @@ def triangulate(sensors: Sequence[Sensor], pose: Array, covariance: Array, z: Ar
         if far and other.squared - best.squared < RIVAL:
             return None
     return best._replace(xy=compose(pose[-1], np.array([*best.xy, 0.0]))[:2])
+
+
+def _bend(each: EachSensor, pose: Array, P: Array, R: Array, place: Place) -> float:
+    """Largest second-order term of the observations, in standard deviations of their innovations (`BENT`)."""
+    m = len(pose)
+    _, Hx, _ = each.linearize(pose, np.repeat(place.xy[None], m, axis=0))
+    own = P.reshape(m, 3, m, 3)[np.arange(m), :, np.arange(m), :]
+    sigma = np.sqrt(np.einsum("mii->mi", Hx @ own @ Hx.transpose(0, 2, 1) + R))
+    r = np.maximum(np.hypot(*(pose[:, :2] - place.xy).T), MIN_RANGE)
+    bend = 0.5 * np.linalg.eigvalsh(place.covariance)[-1] / np.stack([r, r**2], 1)
+    measured = np.array([[q in s.measures for q in (0, 1)] for s in each.sensors])
+    return float((bend / sigma)[measured].max())
 
 
 def _relative(pose: Array, covariance: Array) -> tuple[Array, Array]:

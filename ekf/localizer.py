@@ -96,7 +96,7 @@ class EkfLocalizer(Filter):
             given = self._used + 2 * np.arange(len(paired), dtype=np.int64)
             self._carried += 2 * len(paired)
         updated = self._updated(observations, decisions, given, known, threshold, at)
-        self._carried = 3 * len(self._clones.frames)
+        self._carried = self.kept
         return updated
 
     def reset(self, mean: Array, covariance: Array) -> None:

@@ -32,7 +32,7 @@ CSV files of any program: comma, semicolon, tab or spaces, with or without a lin
 What a column may hold (keys of --columns; its name in the file, or its number from 1):
   odometry       t, and v, omega (velocities) | x, y, theta (poses) | dx, dy, dtheta (steps) | left, right (ticks);
                  for theta also a quaternion qx, qy, qz, qw
-  observations   t (or frame: row of the odometry, from 0), and range, bearing | x, y in the sensor's frame;
+  observations   t (or frame: row of the odometry, from 0), and range, bearing (or one) | x, y in the sensor's frame;
                  true_id: true landmark, for the referee only; label: the sensor's landmark; -1: false alarm
   map            x, y, and id
   truth          t, x, y, theta; blank where unknown
@@ -75,7 +75,10 @@ FLAGS = {
         "ORDER",
         "of velocities: arc (default), midpoint, turn-first or drive-first, as the program that recorded them drives",
     ),
-    "observation-sigma": ("S1,S2", "noise of range and bearing, or of x and y, as in 0.1,2deg"),
+    "observation-sigma": (
+        "S1,S2",
+        "noise of range and bearing, or of x and y, as in 0.1,2deg; one number: of ranges or bearings alone",
+    ),
     "fix-sigma": (
         "S,...",
         "noise of fixes without columns sx, sy, stheta: of x and y, of the heading, or of all three",

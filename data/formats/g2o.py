@@ -25,7 +25,7 @@ import numpy as np
 
 from data import se2
 from data.digest import source_file
-from data.errors import DataError
+from data.errors import LARGEST, DataError
 from data.formats.bearings import PARALLAX, triangulate
 from data.formats.graph_file import (
     COVARIANCE,
@@ -39,6 +39,7 @@ from data.formats.graph_file import (
     Edge,
     read_graph_file,
 )
+from data.formats.open_log.named import definite
 from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log
@@ -106,7 +107,7 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
     both = sorted(file.poses.keys() & file.points.keys())
     if both:
         raise DataError.at(path, f"vertex {both[0]} is repeated; ids must be unique")
-    polar = _edges([e for e in file.edges if e.tag == RANGED], 2)
+    polar = _edges(path, [e for e in file.edges if e.tag == RANGED], 2)
     polar = replace(polar, measured=polar.measured[:, ::-1], covariance=polar.covariance[:, ::-1, ::-1])
     pairs = {
         kind: [e for e in file.edges if file.kind(e)[1] == kind and e.tag not in (RANGED, BEARING)]
@@ -115,9 +116,10 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
     priors = [Edge(PRIOR, (p.pose, p.pose), p.measured, p.information, p.line) for p in file.priors]
     return Graph(
         path, _vertices(file.poses, 3), _vertices(file.points, 2), np.array(file.fixed, np.int64),
-        _edges(pairs[POSE2], 3), _edges(pairs[POINT2], 2), _edges([e for e in file.edges if e.tag == BEARING], 1),
-        polar, _edges([e for e in priors if e.measured.size == 3], 3),
-        _edges([e for e in priors if e.measured.size == 2], 2),
+        _edges(path, pairs[POSE2], 3), _edges(path, pairs[POINT2], 2),
+        _edges(path, [e for e in file.edges if e.tag == BEARING], 1), polar,
+        _edges(path, [e for e in priors if e.measured.size == 3], 3),
+        _edges(path, [e for e in priors if e.measured.size == 2], 2),
         file.other, file.noise,
     )  # fmt: skip
 
@@ -127,13 +129,16 @@ def _vertices(found: Mapping[int, tuple[str, Array]], d: int) -> tuple[IntArray,
     return np.array(list(found), np.int64), values
 
 
-def _edges(found: Sequence[Edge], d: int) -> Edges:
+def _edges(path: Path, found: Sequence[Edge], d: int) -> Edges:
     ends, measured = np.array([e.ends for e in found], np.int64), np.array([e.measured for e in found])
-    return Edges(
-        ends.reshape(-1, 2), measured.reshape(-1, d),
-        np.linalg.inv(np.array([e.information for e in found]).reshape(-1, d, d)).astype(np.float64),
-        np.array([e.line for e in found], np.int64),
-    )  # fmt: skip
+    with np.errstate(over="ignore"):
+        covariance = np.linalg.inv(np.array([e.information for e in found]).reshape(-1, d, d)).astype(np.float64)
+    for edge, P in zip(found, covariance, strict=True):
+        if not (np.abs(P) <= LARGEST).all():
+            what = f"{edge.tag}: its information is nearly none; variances up to {LARGEST:g} are needed"
+            raise DataError.at(path, what, line=edge.line)
+    line = np.array([e.line for e in found], np.int64)
+    return Edges(ends.reshape(-1, 2), measured.reshape(-1, d), covariance, line)
 
 
 SHOWN = 5  # landmarks without a place that are named
@@ -175,7 +180,7 @@ def log_of(name: str, graph: Graph, *, true: bool = False) -> Log:
         time_is_index=True,
         covariance_floor=FLOOR,
         floored=floored,
-        closures=_closures(graph.motion, ids, used),
+        closures=_closures(graph.path, graph.motion, ids, used),
         fixes=_fixes(graph, ids),
     )
     truth = Truth(pose=vertex if true else None, landmarks=landmarks, landmark_of=label if true else None)
@@ -242,6 +247,10 @@ def _fixes(graph: Graph, ids: IntArray) -> Fixes | None:
     kind = np.repeat([int(FixKind.POSE), int(FixKind.POSITION)], [len(pose), len(graph.position)])
     order = np.argsort(frame, kind="stable")
     P = 0.5 * (P + P.transpose(0, 2, 1))
+    of_pose = definite(P[: len(pose)])
+    if not of_pose.all():
+        what = f"{PRIOR}: its covariance is singular to rounding; directions of similar information are needed"
+        raise DataError.at(graph.path, what, line=int(graph.prior.line[pose[np.argmin(of_pose)]]))
     sources = (FixSource(PRIOR), FixSource(POSITION))
     source = (kind == FixKind.POSITION).astype(np.int64)
     return Fixes(frame[order], kind[order], source[order], z[order], P[order], sources)
@@ -367,7 +376,7 @@ def _of_vertices(graph: Graph, rays: Edges) -> Array:
     return np.asarray(np.where(aside < CONTRADICTED, np.hypot(*off.T), np.nan))
 
 
-def _closures(edges: Edges, ids: IntArray, used: IntArray) -> Closures | None:
+def _closures(path: Path, edges: Edges, ids: IntArray, used: IntArray) -> Closures | None:
     """EDGE_SE2 outside the chain, by their later frame."""
     rest = np.setdiff1d(np.arange(len(edges)), used)
     if not len(rest):
@@ -379,6 +388,10 @@ def _closures(edges: Edges, ids: IntArray, used: IntArray) -> Closures | None:
     # the edge's error is seen from its measured end
     covariance = se2.covariances_in_world(edges.measured[rest, 2], edges.covariance[rest])
     covariance = 0.5 * (covariance + covariance.transpose(0, 2, 1))
+    fine = definite(covariance)
+    if not fine.all():
+        what = f"{MOTION}: its covariance is singular to rounding; directions of similar information are needed"
+        raise DataError.at(path, what, line=int(edges.line[rest[np.argmin(fine)]]))
     return Closures(
         frame[:, 0], frame[:, 1], edges.measured[rest], covariance, np.zeros(len(rest), np.int64), (MOTION,)
     )

@@ -57,6 +57,7 @@ TEXT = ("ODOMETRY", "CONSTRAINT", "CONSTRAINT2", "LANDMARK")  # in any case
 INFORMATION, COVARIANCE, ROOT = NOISES = ("information", "covariance", "root")
 """What the noise of text states."""
 TORO = [0, 1, 4, 2, 5, 3]  # places of I11 I12 I13 I22 I23 I33 among the six of an EDGE2
+LONG = 40  # characters; Python reads no whole number of thousands
 MOST_IDS = 2**63  # ids are below: keys of gtsam, too
 HUGE = 1e30  # the largest number: the information of a sigma of 1e-15
 UNIT = 1e-3  # largest difference of a quaternion's norm from 1
@@ -215,7 +216,8 @@ def _fields(path: Path, line: int, tag: str, fields: list[str], ids: int, count:
     keys = []
     for word in fields[:ids]:
         value = float(word) if is_number(word) else math.nan
-        key = int(word) if word.isdecimal() else int(value) if 0.0 <= value <= LARGEST and value.is_integer() else -1
+        whole = word.isdecimal() and len(word) < LONG
+        key = int(word) if whole else int(value) if 0.0 <= value <= LARGEST and value.is_integer() else -1
         if not 0 <= key < MOST_IDS:
             wanted = "an id, a whole number from 0 up" + f" and below {MOST_IDS}" * (key >= MOST_IDS)
             raise DataError.at(path, f"{tag}: {word[:40]!r} is not {wanted}", line=line)

@@ -28,7 +28,10 @@ def door(name: str) -> list[str] | None:
 
 
 KINDS = {
-    **dict.fromkeys((".bag", ".mcap", ".db3"), "a ROS bag; type slamref convert rosbag {file} LOG"),
+    **dict.fromkeys(
+        (".bag", ".mcap", ".db3"),
+        "a ROS bag; type slamref convert bag {file} --list, or slamref convert rosbag {file} LOG for its laser",
+    ),
     **dict.fromkeys(
         (".g2o", ".graph", ".toro"), "a graph; type slamref convert g2o {file} LOG (or slamref audit {file})"
     ),
@@ -57,12 +60,12 @@ def what_to_type(path: Path) -> str:
     if path.is_dir():
         if (path / "provenance.json").is_file():
             return f"a result folder; type slamref report {file}{_logs_of(path)}"
-        return f"a ROS bag; type slamref convert rosbag {file} LOG" * (path / "metadata.yaml").is_file()
+        return KINDS[".bag"].format(file=file) * (path / "metadata.yaml").is_file()
     if path.suffix.lower() == ".mat":
         return f"a MATLAB file; type slamref inspect {file}"
     relations, landmarks = edges_of(path)
     if relations and not landmarks:
-        return f"a pose graph without observations; slamref audit {file} optimizes it"
+        return f"a pose graph; slamref audit {file} optimizes it, slamref convert g2o {file} LOG makes it a log"
     kind = path.suffix.lower()
     return KINDS.get(".g2o" if landmarks and kind == ".txt" else kind, "").format(file=file)
 

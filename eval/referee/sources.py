@@ -79,6 +79,8 @@ class SourceScore:
         gate: chi-square probability of the gate; None: no gate.
         outlying: accepted ones that contradict all others, each surely (`SURE` for the source).
         formed: accepted and rejected ones at their turn; those not formed cannot be rejected.
+        dof, largest, chance: degrees of freedom of one, largest NIS of those formed, and the probability of a larger
+            one among so many; NaN: none.
         tp, tn, fp, fn: inliers accepted, outliers rejected, outliers accepted, inliers rejected; None: no truth,
             or none was decided about.
     """
@@ -101,6 +103,9 @@ class SourceScore:
     formed: int = 0
     outcomes: tuple[int, int, int, int] | None = None
     outlying: int = 0
+    dof: int = 0
+    largest: float = math.nan
+    chance: float = math.nan
 
 
 def innovations_of(run: Run, source: Source, phase: str) -> PoseInnovations | None:
@@ -124,18 +129,20 @@ def score_source(run: Run, source: Source, phase: str, truth: Truth | None = Non
     nis, dof, white = found.nis[source.rows], found.dof[source.rows], found.white[source.rows]
     formed = np.isfinite(nis)
     taken = used & formed
-    total = int(dof[taken].sum())
+    total, count = int(dof[taken].sum()), int(formed.sum())
+    if count:
+        one = float(special.chdtrc(dof[formed], nis[formed]).min())
+        chance = -math.expm1(count * math.log1p(-min(one, 1.0 - 1e-12)))
+        largest = float(nis[formed].max())
+        bare = replace(bare, gate=found.gate, formed=count, dof=int(dof[0]), largest=largest, chance=chance)
     if not total:
-        return replace(bare, gate=found.gate, formed=int(formed.sum()))
+        return bare
     moments = np.array([truncated_square(gate_threshold(found.gate, int(d)), int(d)) for d in dof[taken]]).sum(axis=0)
     mean, expected, variance = float(nis[taken].sum()) / total, float(moments[0]) / total, float(moments[1]) / total
-    scored = replace(
-        bare, nis_mean=mean, nis_dof=total, expected=expected, variance=variance, gate=found.gate,
-        formed=int(formed.sum()),
-    )  # fmt: skip
+    scored = replace(bare, nis_mean=mean, nis_dof=total, expected=expected, variance=variance)
     if phase != "online":
-        chance = special.chdtrc(dof[taken], nis[taken])
-        return replace(scored, outlying=int((chance < SURE / taken.sum()).sum()))
+        each = special.chdtrc(dof[taken], nis[taken])
+        return replace(scored, outlying=int((each < SURE / taken.sum()).sum()))
     low, high = nis_bounds(total, (expected, variance))
     lag1, error = math.nan, math.nan
     if taken.sum() >= FEWEST:
@@ -189,12 +196,11 @@ def source_notices(run: Run, inputs: Inputs) -> list[Notice]:
 
     Each is tested at the level `SURE`: a log has many sources and estimators.
     """
-    found = [
-        n
-        for s in scores_of(run, inputs)
-        for n in (_unused(s) if s.phase == run.phases[-1] else None, _inconsistent(s), _rejected(s), _outlying(s))
-        if n is not None
-    ]
+    told = any(n.code is Code.POSES_UNUSED for n in run.notes)
+    found: list[Notice] = []
+    for s in scores_of(run, inputs):
+        unused = _unused(s) if s.phase == run.phases[-1] and not told else None
+        found += [n for n in (unused, _inconsistent(s), _rejected(s), _outlying(s)) if n is not None]
     return [n.about(estimator=run.estimator, association=run.association) for n in found]
 
 

@@ -23,11 +23,14 @@ from data.se2 import Array, BoolArray
 from eval.referee import effects, residuals, source_residuals
 from eval.referee.consistency import gated, lag1_correlation
 from eval.referee.score import nis_of
-from eval.referee.sources import score_source, sources_of
+from eval.referee.sources import SourceScore, score_source, sources_of
 
 SHARE = 0.01  # least reduction of the filter's variance by later data, as a share, in a direction that is compared
 TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f
 SINGULAR = 1e-11  # smallest eigenvalue of the correlation matrix of a filter that is compared
+LARGEST = "largest_"
+"""How statistics begin that are the largest NIS among the fixes, or closures, of a source."""
+LEAST_CHANCE = 1e-300  # probability of it that is told from zero
 COORDINATES = ("x", "y", "theta")
 Key = tuple[str, str]  # estimator and statistic
 
@@ -136,16 +139,30 @@ def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measu
         if math.isfinite(r):
             result["innovation_lag1"] = Measured(r, 0.0, error)
     for source in sources_of(inputs):
-        scored, key = score_source(run, source, "online"), source_residuals.key_of(source)
-        if scored.nis_dof:
-            result[f"nis_{key}"] = Measured(scored.nis_mean, scored.expected)
-        if math.isfinite(scored.lag1):
-            result[f"innovation_{key}_lag1"] = Measured(scored.lag1, 0.0, scored.lag1_se)
+        result |= _of_source(score_source(run, source, "online"), source_residuals.key_of(source))
     if run.online is not None and smoother is not None and smoother.final is not None:
         result |= filter_smoother(difference(run.online, smoother.final))
     if run.online is not None and run.final is not None:
         result |= filter_smoother(difference(run.online, run.final), "own_smoother")
     return result
+
+
+def _of_source(scored: SourceScore, key: str) -> dict[str, Measured]:
+    """NIS, correlation and the largest innovation of the fixes or closures of a source, rejected ones included.
+
+    The largest is compared with its median; its standard error is that of a Gaussian with the same probability.
+    """
+    found: dict[str, Measured] = {}
+    if scored.nis_dof:
+        found[f"nis_{key}"] = Measured(scored.nis_mean, scored.expected)
+    if math.isfinite(scored.lag1):
+        found[f"innovation_{key}_lag1"] = Measured(scored.lag1, 0.0, scored.lag1_se)
+    if scored.formed:
+        median = float(special.chdtri(scored.dof, -math.expm1(math.log(0.5) / scored.formed)))
+        sigmas = -float(special.ndtri(max(scored.chance, LEAST_CHANCE)))
+        error = (scored.largest - median) / sigmas if sigmas else math.nan
+        found[f"{LARGEST}{key}"] = Measured(scored.largest, median, error)
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,7 @@ from data.inputs import Frame, FrameObservations, IntArray, LandmarkMap
 from data.notice import Code, Notice, Severity, notice
 from data.result import DISCARD, NEW, Event, MapState, Updated
 from data.se2 import Array
-from ekf.filter import FilterOptions
+from ekf.filter import Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, Delaying, Estimator, capabilities, make_estimator, needed
 from eval.replay.external.adapter import Adapter
@@ -298,9 +298,11 @@ class FrontEnd:
 
     @property
     def state_size(self) -> int:
-        """Length of the state, 0 if there is none."""
+        """Length of the state with the poses of earlier frames that are kept in it, 0 if there is none."""
         if self.parking is not None:
             return self.parking.state_size
+        if isinstance(self.estimator, Filter):
+            return self.estimator.size + self.estimator.kept
         return 0 if self.can.stateful is None else self.can.stateful.size
 
     def events(self) -> tuple[Event, ...]:

@@ -88,7 +88,7 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     values = np.array([real.measured[k].value for k in keys])
     drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
     z = np.array([_in_errors(real.measured[k]) for k in keys])
-    theory = np.array([name.startswith("slope_") for _, name in keys], bool) & np.isfinite(z)
+    theory = np.array([name.startswith(("slope_", trust.LARGEST)) for _, name in keys], bool) & np.isfinite(z)
     compared = np.array([not name.endswith(SHARES) for _, name in keys], bool)
     family = np.full(len(keys), np.nan)
     correlation = _correlation(keys, inputs_of(log, task, association), smoother) if theory.any() else np.eye(len(keys))
@@ -220,7 +220,7 @@ REMOVED = 0.5  # share of the strongest objection that an explanation has to tak
 def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[list[Finding], bool]:
     """Explanations one after the other, each with earlier ones corrected, and whether they remove the objections."""
     inputs = replace(corrected_inputs(inputs, smoother.errors_final), systematic=None)
-    smoother = replace(smoother, errors_final=None)
+    smoother = with_all_sources(replace(smoother, errors_final=None), inputs)
     names = dict.fromkeys((*residuals.COMPONENTS, *(n for s in made.twins for n in s.typical)))
     certain = {n: _spread([s.typical[n] for s in made.twins if n in s.typical]) for n in names}
     twins = [_statistics(s.measured) for s in made.twins]
@@ -248,6 +248,14 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
         return findings, True
     after = _furthest(_statistics_of(trust.of_smoother(smoother, inputs)), usual, spread)
     return findings, after < max(REMOVED * before, STANDS_OUT)
+
+
+def with_all_sources(smoother: Run, inputs: Inputs) -> Run:
+    """The smoother with the fixes and closures, too, that a gate left out: they may be outliers of their source."""
+    found = (each for each in (smoother.fixes_final, smoother.closures_final) if each is not None)
+    if all(each.used.all() for each in found):
+        return smoother
+    return _refitted(inputs, smoother) or smoother
 
 
 def _best(e: Evidence, smoother: Run, taken: Sequence[str]) -> tuple[Finding, Inputs] | None:

@@ -146,25 +146,28 @@ def adjoint(pose):
 SOURCE = FixSource("antenna", (0.3, -0.2), 0.1)
 
 
-def wandering(rng, frames, prior):
-    """Motions, fixes and closures in both orders about one wandering path, with ends before the last frame."""
+def wandering(rng, frames, prior, scale=1.0):
+    """Motions, fixes and closures in both orders about one wandering path, with ends before the last frame.
+
+    `scale`: of all standard deviations.
+    """
     heading, at = prior.mean[2], prior.mean[:2]
     path, motions = [np.array([*at, heading])], [None]
     for _ in range(frames - 1):
         d = np.array([*rng.normal([0.5, 0.0], 0.2), rng.normal(0.0, 0.4)])
         at, heading = at + rotation(heading) @ d[:2], heading + d[2]
         path.append(np.array([*at, heading]))
-        motions.append(Increment(d + rng.normal(0.0, 0.03, 3), spd(rng, 3, 0.05)))
+        motions.append(Increment(d + scale * rng.normal(0.0, 0.03, 3), spd(rng, 3, 0.05 * scale)))
     fixes, closures = [], []
     for k in range(1, frames, 3):
-        kind = list(FixKind)[k % 3 if k < 9 else 2]
+        kind = list(FixKind)[k // 3 % 3]
         p = path[k]
         whole = np.array([*(p[:2] + rotation(p[2]) @ SOURCE.lever), p[2] + SOURCE.rotation])
-        z = (whole + rng.normal(0.0, 0.05, 3))[ENTRIES[kind]]
-        fixes.append((k, kind, 0, z, spd(rng, len(z), 0.1)))
+        z = (whole + scale * rng.normal(0.0, 0.05, 3))[ENTRIES[kind]]
+        fixes.append((k, kind, 0, z, spd(rng, len(z), 0.1 * scale)))
     for _ in range(frames):
         a, b = rng.choice(frames - 2, 2, replace=False)
         off = rotation(path[a][2]).T @ (path[b][:2] - path[a][:2])
-        z = np.array([*off, wrapped(path[b][2] - path[a][2])]) + rng.normal(0.0, 0.05, 3)
-        closures.append((a, b, z, spd(rng, 3, 0.1)))
+        z = np.array([*off, wrapped(path[b][2] - path[a][2])]) + scale * rng.normal(0.0, 0.05, 3)
+        closures.append((a, b, z, spd(rng, 3, 0.1 * scale)))
     return motions, fixes, closures, (SOURCE,)

@@ -57,8 +57,9 @@ def test_filters_with_fixes_and_closures_alone_are_consistent(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("world", WORLDS)
-@pytest.mark.parametrize("name", OPTIONS)
+@pytest.mark.parametrize(("name", "world"), [
+    (name, world) for name in OPTIONS for world in WORLDS if (name, world) != ("ekf", "closures alone")
+])  # fmt: skip
 def test_filters_are_consistent_over_many_runs(name, world):
     consistent(*squares(name, WORLDS[world], range(2000, 2100), blind=True))
 
@@ -68,3 +69,15 @@ def test_filters_are_consistent_over_many_runs(name, world):
 @pytest.mark.parametrize("name", OPTIONS)
 def test_so_are_they_beside_landmarks(name, task):
     consistent(*squares(name, WORLD, range(2000, 2100), task, blind=False))
+
+
+@pytest.mark.slow
+def test_closures_alone_make_the_plain_filter_too_sure():
+    """Its Jacobians contradict each other, which claims knowledge of the heading that no closure gives (Huang et al.).
+
+    Measured at the last frame, over the expected NEES: 1.28; with first estimates 1.14, with the invariant one 1.12.
+    """
+    last = {name: squares(name, WORLDS["closures alone"], range(2000, 2100), blind=True)[0][:, -1] for name in OPTIONS}
+    mean = {name: each.mean() / 3.0 for name, each in last.items()}
+    assert mean["ekf"] > chi2.ppf(0.99, 300) / 300
+    assert max(mean["ekf-fej"], mean["ekf-invariant"]) < mean["ekf"] - 0.1

@@ -13,12 +13,13 @@ import pytest
 
 from data import se2
 from data.convert.__main__ import main
-from data.errors import DataError
+from data.errors import DataError, UsageError
 from data.formats.g2o import log_of, read_graph
 from data.formats.g2o_out import graph_text, labelled
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.log import Log
+from data.sensors import Range
 from data.truth import Relations
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import compare
@@ -292,7 +293,13 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
         ("VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n", "in space"),
         ("VERTEX_SE2 0 0 0\n", ":1: VERTEX_SE2 with 3 numbers; 4 are needed"),
         ("VERTEX_SE2 0 0 0 x\n", "'x' is not a number"),
+        (
+            "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1 0 0 9 0 0 9 0 9\n"
+            "EDGE_SE2 1 0 -1 0 1 9 0 0 1e30 0 7\n",
+            ":4: EDGE_SE2: its covariance is singular to rounding",
+        ),
         ("VERTEX_SE2 0.5 0 0 0\n", "'0.5' is not an id"),
+        (f"VERTEX_SE2 {'9' * 5000} 0 0 0\n", "is not an id, a whole number from 0 up"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_XY 0 1 1\n", "vertex 0 is repeated"),
         ("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\n", "no EDGE_SE2 between the successive poses 0 and 1"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 5 9 1 0 1 0 1\n", ":2: EDGE_SE2_XY: vertex 5 is missing"),
@@ -301,6 +308,7 @@ def test_a_run_of_a_report_becomes_a_graph_that_is_at_its_minimum(tmp_path):
             "VERTEX_SE2 3 0 0 0\nEDGE_SE2 3 3 1 0 0 1 0 0 1 0 1\n",
             ":2: EDGE_SE2: both ends are 3; two variables are needed",
         ),
+        ("VERTEX_SE2 0 0 0 0\nEDGE_SE2_XY 0 9 1 0 1 0 1e-320\n", ":2: EDGE_SE2_XY: its information is nearly none"),
         ("VERTEX_SE2 0 0 0 0\nEDGE_BEARING_SE2_XY 0 9 1 4\n", "no VERTEX_XY"),
         ("hello\n", "no edge of a graph"),
     ],
@@ -351,3 +359,30 @@ def test_the_measured_pose_of_the_first_vertex_is_the_prior(tmp_path):
     assert prior.covariance == pytest.approx(np.diag([0.04, 0.01, 0.0025]), abs=1e-12)
     (tmp_path / "a.g2o").write_text(f"{text}EDGE_PRIOR_SE2 0 5 6 0 100 0 0 25 0 400\nFIX 0\n")
     assert not log_of("a", read_graph(tmp_path / "a.g2o")).recorded.prior.covariance.any()
+
+
+def test_several_sensors_become_points_of_each_and_ranges_alone_are_refused():
+    log = log_of_two_sensors()
+    text = graph_text(log.recorded, labelled(log))
+    edges = [numbers(line) for line in text.splitlines() if line.startswith("EDGE_SE2_XY")]
+    assert [e[2:4] for e in edges] == [pytest.approx([2.5, 0.0]), pytest.approx([0.0, 2.0])]
+    alone = replace(log.recorded, sensors=(log.recorded.sensors[0], Range(label="radio")))
+    with pytest.raises(UsageError, match="the log has observations of range alone"):
+        graph_text(alone, labelled(log))
+
+
+def log_of_two_sensors() -> Log:
+    """A laser ahead of the robot's centre, and tags seen by a camera that looks to the left."""
+    return Log.from_arrays(
+        "two",
+        (np.zeros(3), np.zeros(3)),
+        [
+            {"name": "laser", "kind": "range_bearing", "translation": [-0.5, 0.0], "sigma": [0.1, 0.1]},
+            {"name": "tags", "kind": "relative_point", "rotation": -math.pi / 2, "sigma": [0.1, 0.1]},
+        ],
+        [[0, 2.0, 0.0], [0, 2.0, 0.0]],
+        observed_by=["laser", "tags"],
+        label=[3, 4],
+        increments=np.zeros((2, 3)),
+        covariance=[0.1, 0.1, 0.1],
+    )

@@ -69,16 +69,18 @@ def column(table: Table, name: str) -> Array:
     return table.columns[name] if name in table else np.full(len(table), np.nan)
 
 
-def require_definite(table: Table, rows: IntArray, P: Array) -> None:
-    """Raise at the first row whose covariance (k, d, d) is not positive definite, whatever its units."""
-    if not len(rows):
-        return
+def definite(P: Array) -> BoolArray:
+    """Whether covariances (k, d, d) are positive definite (k,), whatever their units."""
     variance = np.diagonal(P, axis1=1, axis2=2)
     fine: BoolArray = np.asarray((variance > 0.0).all(axis=1))
     sigma = np.sqrt(np.where(fine[:, None], variance, 1.0))
-    correlation = P / sigma[:, :, None] / sigma[:, None, :]
-    least = np.linalg.eigvalsh(np.where(fine[:, None, None], correlation, np.eye(P.shape[-1])))[:, 0]
-    fine &= least > LEAST
+    correlation = np.where(fine[:, None, None], P / sigma[:, :, None] / sigma[:, None, :], np.eye(P.shape[-1]))
+    return np.asarray(fine & (np.linalg.eigvalsh(correlation)[:, 0] > LEAST))
+
+
+def require_definite(table: Table, rows: IntArray, P: Array) -> None:
+    """Raise at the first row whose covariance (k, d, d) is not positive definite, whatever its units."""
+    fine = definite(P)
     if not fine.all():
         k = int(np.argmin(fine))
         low = float(np.linalg.eigvalsh(P[k])[0])

@@ -46,6 +46,11 @@ def open_archive(path: Path, *, whole: bool) -> zipfile.ZipFile:
             archive.close()
             what = f"{entry.filename[:60]!r} is compressed by method {entry.compress_type}"
             raise DataError.at(path, f"{what}; stored (0) or deflated (8) is needed")
+        stored = max(entry.compress_size, entry.file_size * (entry.compress_type == zipfile.ZIP_STORED))
+        if stored > path.stat().st_size:
+            archive.close()
+            what = f"{entry.filename[:60]!r} states {stored} bytes"
+            raise DataError.at(path, f"{what}, more than the file has; was it cut off?")
         if whole and entry.file_size > max(LARGE, DENSEST * entry.compress_size):
             archive.close()
             what = f"{entry.filename[:60]!r} would inflate from {entry.compress_size} to {entry.file_size} bytes"

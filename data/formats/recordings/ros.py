@@ -206,6 +206,8 @@ def _topic(path: Path, topics: dict[str, str], kind: str, wanted: str | None, fl
     of_kind = sorted(topic for topic, t in topics.items() if t == kind)
     there = f"{SHORT[kind]}: {', '.join(of_kind) or 'none'}"
     if wanted is None:
+        if kind == SCAN and not of_kind:
+            raise UsageError(f"{path}: no LaserScan; slamref convert bag {path} --list says what it holds instead")
         if len(of_kind) != 1:
             raise UsageError(f"{path}: {flag} TOPIC is needed, because the topic is ambiguous; {there}")
         return of_kind[0]

@@ -159,6 +159,9 @@ def read_text(path: Path) -> TextTable:
         raise DataError.at(path, "no rows; at least one is needed")
     separator = _separator([line for _, line in plain[:50]])
     rows = _split([line for _, line in plain], separator)
+    if len(rows) != len(plain):
+        line = next((i for i, line in plain if line.count('"') % 2), plain[0][0])
+        raise DataError.at(path, "a quote that is not closed within its line", line=line)
     number = np.array([i for i, _ in plain], np.int64)
     names: tuple[str, ...] | None = None
     if not _is_row(rows[0]):

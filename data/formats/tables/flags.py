@@ -31,7 +31,7 @@ class Wanted:
         kind: of odometry; None: by its columns.
         wheels: of wheel ticks.
         noise: of the odometry; model: how velocities become increments.
-        sigma: (2,) of an observation.
+        sigma: (2,) of an observation; alone: "range" or "bearing", where nothing else is measured.
         prior: mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None.
         map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's.
         every_row: every odometry row is a frame, not only those with observations.
@@ -60,6 +60,7 @@ class Wanted:
     sensor_pose: Array
     sensed: bool
     backward: bool = False
+    alone: str | None = None
     fix_sigma: Array | None = None
     closure_sigma: Array | None = None
     fix_lever: tuple[float, float] = (0.0, 0.0)
@@ -160,7 +161,8 @@ def settle(given: Given) -> Wanted:
         raise UsageError(f"--odometry-kind {kind}: {unknown(str(kind), KINDS)}")
     kind = kind_of(read_text(files["odometry"]), columns, None if kind is None else str(kind))
     seen = read_text(files["observations"]) if "observations" in files else None
-    polar = seen is not None and any(columns.find(seen, "observations", q) is not None for q in ("range", "bearing"))
+    found = [q for q in ("range", "bearing") if seen is not None and columns.find(seen, "observations", q) is not None]
+    alone = found[0] if len(found) == 1 and len(_words(given.get("observation-sigma", ""))) == 1 else None
     spread = given.get("prior-sigma")
     return Wanted(
         files=files,
@@ -169,7 +171,8 @@ def settle(given: Given) -> Wanted:
         wheels=_wheels(given, kind),
         noise=_noise(given, kind),
         model=_model(given, kind),
-        sigma=np.ones(2) if seen is None else _observation_sigma(given, polar=polar),
+        alone=alone,
+        sigma=np.ones(2) if seen is None else _observation_sigma(given, alone, polar=bool(found)),
         prior=_prior(given),
         prior_sigma=None if spread is None else _sigmas(spread, POSE, "prior-sigma", "x and y [m], heading [rad]"),
         map_pose=_pose(given, "map-transform"),
@@ -297,7 +300,16 @@ def _model(given: Given, kind: str) -> str:
     return INTEGRATED[_one_of(given, "integrate", tuple(INTEGRATED))]
 
 
-def _observation_sigma(given: Given, *, polar: bool) -> Array:
+def _words(text: object) -> list[str]:
+    return str(text).replace(",", " ").split()
+
+
+def _observation_sigma(given: Given, alone: str | None, *, polar: bool) -> Array:
+    """Standard deviations (2,), 1 in the place of what is not measured."""
+    if alone is not None:
+        dimension, what = ("length", "of a range alone [m]") if alone == "range" else ("angle", "of a bearing [rad]")
+        one = _sigmas(given["observation-sigma"], (dimension,), "observation-sigma", what, zero=False)
+        return np.concatenate([one, [1.0]] if alone == "range" else [[1.0], one])
     what = "of a range [m] and a bearing [rad], as in 0.1,2deg" if polar else "of x and y [m], as in 0.1,0.1"
     if "observation-sigma" not in given:
         raise UsageError(f"unknown observation noise; --observation-sigma is needed: {what}; {TUNED}")

@@ -22,7 +22,7 @@ from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Obse
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.se2 import Array, BoolArray
-from data.sensors import RangeBearing, RelativePoint, Sensor
+from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import UNKNOWN_ID, Truth
@@ -30,13 +30,13 @@ from data.truth import UNKNOWN_ID, Truth
 
 @dataclass(frozen=True, eq=False)
 class FrameObservations:
-    """Observations in the order of their stamps `at` (M,) [s], as the odometry's: z (M, 2), if range and bearing."""
+    """Observations in the order of their stamps `at` (M,) [s], as the odometry's: z (M, 2), kind of sensor."""
 
     table: Table
     texts: Mapping[str, list[str]]
     z: Array
     at: Array
-    polar: bool
+    kind: type[Sensor]
     notes: tuple[str, ...]
     what, one = "observations", "observation"
 
@@ -52,16 +52,17 @@ class FrameObservations:
 
 
 Part = FrameObservations | Measured
+ALONE: dict[str, type[Sensor]] = {"range": Range, "bearing": Bearing}
+"""Sensors of one number by its column."""
 
 
 def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameObservations:
-    """The observations of a file: range and bearing, or x and y in the sensor's frame."""
-    columns = wanted.columns
-    polar = columns.find(file, "observations", "range") is not None
+    """The observations of a file: range and bearing, one of them alone, or x and y in the sensor's frame."""
+    columns, alone = wanted.columns, wanted.alone
+    polar = alone is not None or columns.find(file, "observations", "range") is not None
     if not polar and columns.find(file, "observations", "bearing") is not None:
         what = f"bearings without a range: {file.described()}; name its column, as in --columns range=DIST"
-        alone = "bearings alone are read from g2o (EDGE_BEARING_SE2_XY), where they are triangulated"
-        raise DataError.at(file.path, f"{what}; {alone}")
+        raise DataError.at(file.path, f"{what}; if there are only bearings, --observation-sigma has one number")
     if not polar and not columns.has(file, "observations", ("x", "y")):
         what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns range=DIST,bearing=ANGLE")
@@ -69,12 +70,13 @@ def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameOb
     key = "t" if by_stamp else "frame"
     if not by_stamp and columns.find(file, "observations", "frame") is None:
         columns.require(file, "observations", ("t",) if odometry.stamped else ("frame",))
-    values = ("range", "bearing") if polar else ("x", "y")
+    values = (alone,) if alone is not None else ("range", "bearing") if polar else ("x", "y")
     table, texts, skipped = columns.table(file, "observations", (*values, key), texts=("true_id", "label"))
     together = "observations" in shared(wanted.files)
     notes = [f"{file.path.name}: {skipped} rows without an observation"] if skipped and not together else []
-    z = table.stack(values)
-    if polar:
+    z = np.zeros((len(table), 2))
+    z[:, [1] if alone == "bearing" else list(range(len(values)))] = table.stack(values)
+    if polar and alone != "bearing":
         table.require(z[:, 0] >= 0.0, "range", "{} is a negative range")
     at = table.columns[key]
     if not by_stamp:
@@ -82,7 +84,8 @@ def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameOb
         last = len(odometry.time) - 1
         table.require(rows <= last, "frame", f"{{}} is out of range; the odometry has rows 0 to {last}")
         at = odometry.time[rows]
-    found = FrameObservations(table, texts, z, at, polar, tuple(notes))
+    kind = ALONE[alone] if alone is not None else RangeBearing if polar else RelativePoint
+    found = FrameObservations(table, texts, z, at, kind, tuple(notes))
     back = int((np.diff(at) < 0.0).sum())
     if back:
         notes.append(f"{file.path.name}: {back} observations were stamped before the one above; sorted")
@@ -144,7 +147,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
         seen = observations(texts["observations"], wanted, odometry)
     else:
         none = Table(texts["odometry"].path, {"t": np.zeros(0)})
-        seen = FrameObservations(none, {}, np.zeros((0, 2)), np.zeros(0), True, ())
+        seen = FrameObservations(none, {}, np.zeros((0, 2)), np.zeros(0), RangeBearing, ())
     notes = [*odometry.notes, *seen.notes]
     if odometry.velocity is not None:
         way = "since the row before" if wanted.backward else "until the next row"
@@ -334,10 +337,12 @@ def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, *, abs
 
 def _sensor(wanted: Wanted, seen: FrameObservations, notes: list[str]) -> Sensor:
     """The sensor, with the stated or observed field of view."""
-    kind = RangeBearing if seen.polar else RelativePoint
+    kind = seen.kind
     polar = kind().polar(seen.z)
     reach, view = wanted.max_range, wanted.view
-    if reach is None:
+    if reach is None and kind is Bearing:
+        reach = np.inf
+    elif reach is None:
         # a little more, so that the farthest observation is inside whatever the rounding
         reach = 1.001 * float(polar[:, 0].max()) if len(polar) and polar[:, 0].max() > 0.0 else np.inf
         notes.append(f"max_range is {reach:.4g} m, the farthest observation; --max-range states the sensor's own")

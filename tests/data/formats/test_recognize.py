@@ -72,7 +72,7 @@ def test_a_pose_graph_without_observations_is_sent_to_the_command_that_optimizes
     for name, tag in (("a.g2o", "EDGE_SE2"), ("b.graph", "EDGE2"), ("c.txt", "ODOMETRY")):
         (tmp_path / name).write_text(f"{tag} 0 1 1 0 0 1 0 0 1 0 1\n\n{tag} 0 1 1 0 0 1 0 0 1 0 1\n")
         said = what_to_type(tmp_path / name)
-        assert said == f"a pose graph without observations; slamref audit {tmp_path / name} optimizes it"
+        assert f"a pose graph; slamref audit {tmp_path / name} optimizes it, slamref convert g2o" in said
     (tmp_path / "d.g2o").write_text("EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1\nEDGE_SE2_XY 0 7 1 1 1 0 1\n")
     assert "slamref convert g2o" in what_to_type(tmp_path / "d.g2o")
     (tmp_path / "table.txt").write_text("time x y\n0 1 2\n")

@@ -12,8 +12,11 @@ from data.pose_measurements import Closures, Fixes, FixKind, FixSource, PoseInno
 from data.words import sentence
 from eval.referee import consistency
 from eval.referee.diagnostics import notices, unused
+from eval.referee.headline import Objection, Verdict
 from eval.referee.score import Trial, score
 from eval.referee.sources import outcomes_of, score_source, source_notices, sources_of
+from eval.referee.trust import of_online
+from eval.report.overview_facts import facts_of
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 DOF = {FixKind.POSITION: 2, FixKind.HEADING: 1, FixKind.POSE: 3}
@@ -176,3 +179,43 @@ def test_only_an_estimate_that_used_closures_is_more_than_dead_reckoning():
     assert unused(replace(run, closures_final=found), log.recorded) is None
     rejected = replace(found, used=np.zeros(20, bool))
     assert unused(replace(run, closures=rejected), log.recorded).code == Code.UNUSED
+
+
+def statistics(found, log):
+    return of_online(run_with(fixes=found), None, log.recorded)
+
+
+def test_a_source_has_statistics_of_its_own():
+    log, found = log_with(fixes()), drawn(np.random.default_rng(6), 60, 2, gate=0.99)
+    own = statistics(found, log)
+    assert own["nis_position:gps"].value == pytest.approx(found.nis[found.used].sum() / (2 * found.used.sum()))
+    assert own["nis_position:gps"].expected == pytest.approx(0.9535, abs=1e-4)
+    lag1 = own["innovation_position:gps_lag1"]
+    assert abs(lag1.value) < 4.0 * lag1.se
+
+
+def test_the_largest_innovation_of_a_source_has_the_significance_of_the_largest_of_so_many():
+    """Rejected ones included; of sound logs its distance from the median is standard Gaussian."""
+    rng, log = np.random.default_rng(7), log_with(fixes())
+    each = [statistics(drawn(rng, 60, 2, gate=0.9999), log)["largest_position:gps"] for _ in range(300)]
+    z = np.array([(m.value - m.expected) / m.se for m in each])
+    assert scipy.stats.kstest(z, "norm").pvalue > 0.001
+    found = drawn(rng, 60, 2, gate=0.9999)
+    nis, used = found.nis.copy(), found.used.copy()
+    nis[5], used[5] = 30.0, False
+    m = statistics(replace(found, nis=nis, used=used), log)["largest_position:gps"]
+    p = 1.0 - scipy.stats.chi2.cdf(30.0, 2) ** 60
+    assert scipy.stats.norm.sf((m.value - m.expected) / m.se) == pytest.approx(p, rel=1e-6)
+
+
+def test_copies_of_dead_reckoning_beside_closures_are_not_trusted():
+    log, run = nothing_seen(of_closures=closures())
+    log = replace(log, truth=replace(log.truth, pose=None))
+    smoother = replace(run, estimator="batch", online=None, final=run.online)
+    bare = facts_of(Trial(log, "slam", (run, smoother)), score([Trial(log, "slam", (run, smoother))]), ())
+    assert (bare.verdict, bare.empty) == (Verdict.NEITHER, False)
+    assert [o.objection for o in bare.objections] == [Objection.IDLE, Objection.IDLE]
+    found = drawn(np.random.default_rng(0), 20, 3)
+    used = replace(run, closures=found), replace(smoother, closures_final=found)
+    trusted = facts_of(Trial(log, "slam", used), score([Trial(log, "slam", used)]), ())
+    assert not trusted.objections

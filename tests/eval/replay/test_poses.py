@@ -72,6 +72,9 @@ def test_a_log_without_any_observation_runs(log, name):
     (run,) = compare(blind(log), "slam", [name])
     assert run.failure is None
     assert len(run.map) == 0
+    last = log.recorded.closures.last_use()
+    alive = [sum(frame < k <= end for frame, end in last.items()) for k in range(60)]
+    np.testing.assert_array_equal(run.state_size, 3 + 3 * np.array(alive))
     assert run.fixes.gate == run.closures.gate == Setup().gate_poses == 0.9999
     reckoned = compare(blind(log), "slam", ["dead-reckoning"])[0]
     assert off(run, log) < 0.5 * off(reckoned, log) + 0.2

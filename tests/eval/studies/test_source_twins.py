@@ -14,7 +14,7 @@ from eval.referee.explanations import Evidence
 from eval.referee.source_residuals import source_in
 from eval.replay.settings import Setup
 from eval.report.overview_facts import side_of
-from eval.studies.trusted import _best
+from eval.studies.trusted import _best, with_all_sources
 from eval.studies.twins import digest_of, inputs_of, smoothed_twin, source_of, twin
 
 NAME = "mixed:{}:frames=60+landmarks=12+closure_gap=10+radius=3+swing=0+closure_radius=1.5+closure_period=1+side=14"
@@ -88,6 +88,7 @@ def usual(source):
 def blamed(log, usual):
     """The best explanation of a log, and whom the first page names."""
     inputs, run = solved(log)
+    run = with_all_sources(run, inputs)
     used = residuals.used_by(run, inputs)
     found = residuals.smoothed_residuals(inputs, run.final.pose, used)
     best = _best(Evidence(inputs, run.final.pose, used, found, *usual), run, [])

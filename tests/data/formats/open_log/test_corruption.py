@@ -180,7 +180,7 @@ def test_corrupted_fixes_and_closures_are_refused_with_their_place_or_read_sound
 
 
 @pytest.mark.parametrize("source", ["frames", "odometry"])
-@pytest.mark.parametrize("examples", [60, pytest.param(5000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("examples", [30, pytest.param(5000, marks=pytest.mark.slow)])
 def test_corrupted_sensors_are_refused_with_their_place_or_read_soundly(save, source, examples):
     refused_or_sound(files_of(source), save, examples)
 

@@ -54,6 +54,7 @@ def table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Run:
         (GOOD.replace("1,1,0,2", "1,1,0,x"), SIGMAS, ":3: column range: 'x' is not a number"),
         (GOOD.replace("1,1,0,2,0.2", "1,1,,2,0.2"), SIGMAS, ":3: column omega: blank; a number is needed"),
         (GOOD.replace("1,1,0,2,0.2", "1,1,NaN,2,0.2"), SIGMAS, ":3: column omega: 'NaN'; a number is needed"),
+        (GOOD.replace("1,1,0,2", '1,1,"0,2'), SIGMAS, ":3: a quote that is not closed within its line"),
         (GOOD.replace("2,1,0,,", "2,1,0,"), SIGMAS, ":4: 4 fields where 5 are needed"),
         (GOOD.replace("0,1,0,2", "5,1,0,2"), SIGMAS, ":3: column t: 1 follows 5.0; t must not decrease"),
         (GOOD.replace("3,1,0,3", "3,1,0,-3"), SIGMAS, "column range: -3 is a negative range"),

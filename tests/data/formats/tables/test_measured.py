@@ -140,3 +140,31 @@ def test_the_file_is_the_source_and_offsets_move_its_stamps(convert, tmp_path):
     r = made(tmp_path).recorded
     assert r.time[r.fixes.frame].tolist() == [0.75]
     assert r.fixes.sources[0].name == "fix"
+
+
+@pytest.mark.parametrize(
+    ("column", "sigma", "kind", "z", "R"),
+    [
+        ("range", "0.5", "range", [[2.0, 0.0], [3.0, 0.0]], [0.25, 1.0]),
+        ("bearing", "2", "bearing", [[0.0, 2.0], [0.0, 3.0]], [1.0, 4.0]),
+    ],
+)
+def test_ranges_or_bearings_alone_are_of_a_sensor_of_one_number(convert, tmp_path, column, sigma, kind, z, R):
+    text = f"t,{column},label\n0.5,2,7\n1,3,9\n"
+    status, said = convert(POSES, {"observations": text}, "--observation-sigma", sigma)
+    assert status == 0, said
+    log = made(tmp_path)
+    assert (log.recorded.sensor.name, log.recorded.sensor.measures) == (kind, (0,) if kind == "range" else (1,))
+    assert log.recorded.observations.z.tolist() == z
+    assert np.diag(log.recorded.observations.R[0]) == pytest.approx(R)
+    assert log.label.tolist() == [7, 9]
+
+
+def test_two_sigmas_are_of_two_columns(convert):
+    for column, said in (
+        ("range", "no column 'bearing'"),
+        ("bearing", "--observation-sigma has one number"),
+    ):
+        status, text = convert(POSES, {"observations": f"t,{column}\n0.5,2\n"}, "--observation-sigma", "0.5,0.1")
+        assert status == 2
+        assert said in text
