@@ -195,7 +195,7 @@ def _covariances(linear: gtsam.GaussianFactorGraph, keys: list[int]) -> list[Arr
 
 
 def _start_heights(sensor: Sensor, corners: Array, seen: Sightings, camera: Array, start: Array) -> Array:
-    """Heights (L, 2) by the median of what each sighting says with the start's poses and K."""
+    """Heights (L, 2) by the median of what each image says with the start's poses and K."""
     said: list[list[Array]] = [[] for _ in corners]
     for k, i, pixels in zip(seen.frame.tolist(), seen.picture.tolist(), seen.pixels, strict=True):
         z = sensor.predict(start[k], corners[i])[:, 1]
