@@ -59,7 +59,7 @@ class Log:
     @property
     def has_labels(self) -> bool:
         """Whether known association can be granted."""
-        return self.label is not None or self.truth.landmark_of is not None
+        return self.granted is not None
 
     @property
     def clock(self) -> float:
@@ -71,6 +71,9 @@ class Log:
         """The labels (M,) of known association: the sensor's, else the true ids; None: there are none."""
         if self.label is None and self.truth.landmark_of is not None:
             return np.where(self.truth.landmark_of == UNKNOWN_ID, UNLABELLED, self.truth.landmark_of)
+        r = self.recorded
+        if self.label is None and not len(r.observations.frame) and not (r.fixes is None and r.closures is None):
+            return np.zeros(0, np.int64) if r.scans is None else None  # nothing is to be paired
         return self.label
 
     def inputs(self, *, labels: bool = False) -> Inputs:

@@ -323,7 +323,9 @@ def _oddities(log: Log) -> list[str]:
         about = f"moved more than {JUMP:g} times faster than the usual {usual:.3g} {per}"
         add(about, "frame", 1 + np.flatnonzero(speed > JUMP * usual) if usual else np.zeros(0, np.int64))
     if label is not None:
-        add("label repeated in the same frame", "observation", repeated_in_frame(inputs.observations.frame, label))
+        o = inputs.observations  # several sensors may see one landmark
+        by = o.frame if o.sensor is None else o.frame * len(inputs.sensors) + o.sensor
+        add("label repeated in the same frame", "observation", repeated_in_frame(by, label))
         if inputs.map is not None:
             add("not in the map", "label", np.setdiff1d(label[label >= 0], inputs.map.id))
     return odd

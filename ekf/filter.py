@@ -179,6 +179,7 @@ class Filter:
     def _absorb(self, measured: Sequence[Measured], gate: float | None) -> PoseUpdated:
         """Update with measurements of the pose, one after another."""
         done = not_used([len(m.rows) for m in measured])
+        pending = list[Array]() if self._rule[0] == updates.ADDITIVE else None
         for i, m in enumerate(measured):
             at = self._clones.at(m, self.base, self.size)
             if at is None:
@@ -190,10 +191,13 @@ class Filter:
                 poses = (at < 3) | (at >= self.base)  # errors have no first estimates
                 linearized[poses] = self._first[at[poses]]
             rule = PoseRule(gate_threshold(gate, len(m.rows)), *self._rule, *self._clone_range)
-            found = pose_updates.absorb(self._mean, self._P, self._used, at, m, rule, linearized)
+            found = pose_updates.absorb(self._mean, self._P, self._used, at, m, rule, linearized, pending)
             if found.status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[found.status])
             done.used[i], done.nis[i], done.white[i, m.rows] = found.used, found.nis, found.white
+        status = pose_updates.settle(self._mean, self._P, self._used, pending or [], self._clone_range)
+        if status != kernels.OK:
+            raise FilterDivergedError(kernels.FAILURES[status])
         return done
 
     @property

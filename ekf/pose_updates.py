@@ -71,32 +71,53 @@ class PoseOutcome(NamedTuple):
 
 
 def absorb(
-    mean: Array, P: Array, d: int, at: IntArray, measured: Measured, rule: PoseRule, linearized: Array | None = None
+    mean: Array,
+    P: Array,
+    d: int,
+    at: IntArray,
+    measured: Measured,
+    rule: PoseRule,
+    linearized: Array | None = None,
+    pending: list[Array] | None = None,
 ) -> PoseOutcome:
     """Update `d` states with one measurement of the states `at` (q,), if it is inside the gate.
 
     `linearized` (q,): where to take the Jacobian; None: at the mean. As `ekf.updates.correct`: P -= W W', which stays
-    symmetric to the bit.
+    symmetric to the bit. `pending`: of an additive retraction, the W' (m, d) that `settle` will subtract at once, since
+    for many states that takes nearly as long for one measurement as for several.
     """
     (_, measure, R, _), prior, rows = measured, mean[at], P[at, :d]
+    for W in pending or ():
+        rows -= W[:, at].T @ W
     nu, H, L, white = _innovation(measure, prior, prior, prior if linearized is None else linearized, rows[:, at], R)
     if L is None:
         return PoseOutcome(NOT_PSD, False, math.nan, np.full(len(nu), math.nan))
     nis, own, log_det = float(white @ white), white, 2.0 * float(np.log(np.diag(L)).sum())
     if not nis < rule.threshold:
         return PoseOutcome(OK, False, nis, own, log_det)
-    point, sigma = prior, np.sqrt(np.maximum(np.diag(P)[at], 0.0))
+    point, sigma = prior, np.sqrt(np.maximum(rows[np.arange(len(at)), at], 0.0))
     for _ in range(rule.iterations - 1):
-        W = np.linalg.solve(L, H @ rows[:, at])
-        moved, point = point, prior + W.T @ white
+        moved, point = point, prior + np.linalg.solve(L, H @ rows[:, at]).T @ white
         nu, H, L, white = _innovation(measure, prior, point, point, rows[:, at], R)
         if L is None:
             return PoseOutcome(NOT_PSD, False, nis, own)
         if (np.abs(point - moved) <= 1e-6 * sigma).all():
             break
     V = np.ascontiguousarray(np.linalg.solve(L, H @ rows))
+    if pending is not None:
+        mean[:d] += white @ V
+        pending.append(V)
+        return PoseOutcome(OK, True, nis, own, log_det)
     status = correct_all(mean, P, d, V, white, rule.retraction, rule.clones, rule.clones_end)
     return PoseOutcome(status, True, nis, own, log_det)
+
+
+def settle(mean: Array, P: Array, d: int, pending: list[Array], clones: tuple[int, int]) -> int:
+    """Subtract what is pending from P; returns a status."""
+    if not pending:
+        return OK
+    V = np.concatenate(pending)
+    return int(correct_all(mean, P, d, V, np.zeros(len(V)), ADDITIVE, *clones))
 
 
 def _innovation(
@@ -128,15 +149,17 @@ def correct_all(
         for r in range(d):
             shift[r] += V[i, r] * white[i]
     for r in range(d):  # the order of factors does not matter to a bit, so P stays symmetric
-        if m == 3:
-            a, b, c = V[0, r], V[1, r], V[2, r]
+        i = 0
+        while i + 3 <= m:  # a row stays in the cache
+            a, b, c = V[i, r], V[i + 1, r], V[i + 2, r]
             for j in range(d):
-                P[r, j] -= a * V[0, j] + b * V[1, j] + c * V[2, j]
-        else:
-            for i in range(m):
-                a = V[i, r]
-                for j in range(d):
-                    P[r, j] -= a * V[i, j]
+                P[r, j] -= a * V[i, j] + b * V[i + 1, j] + c * V[i + 2, j]
+            i += 3
+        while i < m:
+            a = V[i, r]
+            for j in range(d):
+                P[r, j] -= a * V[i, j]
+            i += 1
     if retraction == ADDITIVE:
         for r in range(d):
             mean[r] += shift[r]

@@ -136,7 +136,7 @@ def tune(
         use: values of another tuned log, instead of a fit.
 
     Raises:
-        UsageError: no labels, a tuned copy, or invalid options.
+        UsageError: no labels, several sensors, a tuned copy, or invalid options.
         DataError: no observations to fit to, or the filter fails.
     """
     from association.expectation import gate_threshold
@@ -145,6 +145,9 @@ def tune(
 
     if not log.has_labels:
         raise UsageError(f"log {log.name!r} has no labels; a fit needs them (label in observations.csv)")
+    if log.recorded.several_or_partial:
+        what = f"log {log.name!r} has several sensors, or one of bearings or ranges alone"
+        raise UsageError(f"{what}; a fit needs one that measures two numbers")
     if MARK in log.source:
         raise UsageError(f"log {log.name!r} is a tuned copy; tune the original")
     inputs = log.inputs(labels=True)

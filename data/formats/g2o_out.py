@@ -66,14 +66,25 @@ def labelled(log: Log) -> Estimate:
     if label is None and len(inputs.observations.frame):
         raise UsageError(f"log {log.name!r} has no labels, so its landmarks are unknown; name a run with --run FOLDER")
     label = np.zeros(0, np.int64) if label is None else label
+    _require_points(inputs)
     pose = se2.dead_reckoned(inputs.prior.mean, inputs.increments.mean)
     of = np.where(label >= 0, label, -1)
     landmark: dict[int, Array] = {}
     for i in np.flatnonzero(of >= 0).tolist():
         if int(of[i]) not in landmark:
-            xy, _, _ = inputs.sensor.inverse(pose[inputs.observations.frame[i]], inputs.observations.z[i][None])
+            xy, _, _ = inputs.sensor_at(i).inverse(pose[inputs.observations.frame[i]], inputs.observations.z[i][None])
             landmark[int(of[i])] = xy[0]
     return Estimate(pose, of, landmark)
+
+
+def _require_points(inputs: Inputs) -> None:
+    """UsageError for observations that no edge of ours holds."""
+    if not inputs.sensor.sees_points:
+        raise UsageError("the log's landmarks are walls, which g2o has no vertex for; a log of points is needed")
+    for sensor in inputs.sensors or (inputs.sensor,):
+        if not sensor.locates:
+            what = f"the log has observations of {sensor.name} alone"
+            raise UsageError(f"{what}; sensors that measure two numbers are needed")
 
 
 def of_result(log: Log, folder: Path) -> Estimate:
@@ -138,8 +149,7 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
     priors. Without them the first pose is fixed, and so are landmarks of a known map. UsageError where landmarks are
     walls.
     """
-    if not inputs.sensor.sees_points:
-        raise UsageError("the log's landmarks are walls, which g2o has no vertex for; a log of points is needed")
+    _require_points(inputs)
     n, o = len(inputs), inputs.observations
     numbers = sorted(set(estimate.of[estimate.of >= 0].tolist()))
     own = pose_ids(n, estimate) if ids is None else ids
@@ -161,12 +171,13 @@ def graph_text(inputs: Inputs, estimate: Estimate, ids: Sequence[int] | None = N
     for frame, kind, z, P in fixes:
         tag, axes = (PRIOR, [0, 1, 2]) if kind == FixKind.POSE else (POSITION, [0, 1])
         edges.append((tag, own[frame], own[frame], z[axes], P[axes][:, axes]))
-    points, spread = inputs.sensor.body_points(o.z, o.R) if len(o.frame) else (o.z, o.R)
-    blind = inputs.sensor.bearings_alone(o.z, o.R) & (not any(inputs.sensor.translation))
+    sensor = inputs.sensor_of()
+    points, spread = sensor.body_points(o.z, o.R) if len(o.frame) else (o.z, o.R)
+    blind = sensor.bearings_alone(o.z, o.R) if len(o.frame) else np.zeros(0, bool)
     for i in np.flatnonzero(estimate.of >= 0).tolist():
         ends = own[int(o.frame[i])], vertex[int(estimate.of[i])]
-        if blind[i]:
-            bearing = o.z[i, 1] - inputs.sensor.rotation
+        if blind[i] and not any(inputs.sensor_at(i).translation):
+            bearing = o.z[i, 1] - inputs.sensor_at(i).rotation
             edges.append((BEARING, *ends, np.array([bearing]), o.R[i, 1:, 1:]))
         else:
             edges.append((OBSERVATION, *ends, points[i], spread[i]))

@@ -189,9 +189,14 @@ def along_path(s: Series) -> tuple[Array, Array]:
 
 
 def draw_ellipses(ax: Axes, mean: Array, covariance: Array, colour: str, factor: float, order: float) -> None:
-    """Ellipses of points (K, 2) with covariances (K, 2, 2), `factor` times as large, filled faintly."""
+    """Ellipses of points (K, 2) with covariances (K, 2, 2), `factor` times as large, filled faintly.
+
+    Those that would cover half of the axes, whose limits are set before, are outlines alone.
+    """
     if len(mean) == 0:
         return
     outline = ellipses(mean, covariance, SIGMAS * factor)
-    ax.add_collection(PolyCollection(list(outline), facecolor=colour, edgecolor="none", alpha=0.16, zorder=order))
+    side = max(abs(np.diff(ax.get_xlim())[0]), abs(np.diff(ax.get_ylim())[0]))
+    filled = outline[4.0 * factor * longest_axis(covariance) < side]
+    ax.add_collection(PolyCollection(list(filled), facecolor=colour, edgecolor="none", alpha=0.16, zorder=order))
     ax.add_collection(PolyCollection(list(outline), facecolor="none", edgecolor=colour, linewidth=0.6, zorder=order))

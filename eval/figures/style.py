@@ -190,8 +190,9 @@ def drawing() -> Iterator[None]:
 def settle(fig: Figure) -> None:
     """Lay a figure out for good: with equal aspect, each further layout would move everything a little."""
     refit(fig)
-    for _ in range(2):
-        fig.draw_without_rendering()
+    if (engine := fig.get_layout_engine()) is not None:
+        for _ in range(2):
+            engine.execute(fig)  # the layout alone: the picture is drawn when it is saved
     fig.set_layout_engine("none")
 
 

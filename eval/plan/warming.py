@@ -8,6 +8,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from association.scans.matching import best_pose, pyramid
 from association.scans.occupancy import occupancy_grid
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
+from data.inputs import Systematic
 from data.log import Log
 from data.terminal import ROOT
 from data.worlds.arena import Arena, simulate
@@ -34,11 +36,13 @@ from eval.replay.run import step_by_step
 from eval.replay.settings import BATCH, ESTIMATORS, TASKS, Setup
 
 SENSORS = ("range_bearing", "relative_point")
+LONG = 60
+"""Frames after which hindsight has done all that it does."""
 
 
-def _small(sensor: str) -> Log:
+def _small(sensor: str, frames: int = 12) -> Log:
     """A small arena, written and read, since the memory layout of its arrays selects kernels."""
-    log = simulate(Arena(frames=12, landmarks=6, sensor=sensor), 0, name="warm")
+    log = simulate(Arena(frames=frames, landmarks=6, sensor=sensor), 0, name="warm")
     with tempfile.TemporaryDirectory() as folder:
         write_folder(log, Path(folder) / "warm")
         return load_folder(Path(folder) / "warm")
@@ -64,6 +68,20 @@ def _methods(sensor: str, task: str) -> None:
         candidates(expectation, view.sensor, np.eye(3))
 
 
+def _hindsight() -> None:
+    """What takes more frames than the others: noise learned on the way, landmarks that stay or go."""
+    for log in (_small(SENSORS[0], LONG), named_log(f"arena:0:frames={LONG}")):
+        compare(log.inputs(labels=False).without_map(), "slam", ("ekf", "isam2", "batch"), "jcbb-hindsight")
+
+
+def _errors() -> None:
+    """Systematic errors as part of the state, constants and a drift."""
+    errors = Systematic(("scale", "curvature", "drift", "bearing"), np.array([0.02, 0.05, 1e-3, 0.1]))
+    inputs = replace(_small(SENSORS[0]).inputs(labels=True), systematic=errors)
+    for task in TASKS:
+        compare(inputs, task, ("ekf", "isam2", "batch"))
+
+
 def _place() -> None:
     place = _small(SENSORS[0]).recorded.map
     assert place is not None
@@ -80,7 +98,8 @@ def _laser() -> None:
     best_pose(corner, pyramid(corner, 2.0), np.zeros(3), np.array([0.2, 0.2, 0.1]), 0.4)
     assert inputs.scans is not None
     occupancy_grid(np.zeros((1, 3)), inputs.scans.ranges[:1], inputs.scans.scanner)
-    corners(inputs.scans.ranges[0], inputs.scans.scanner)
+    for ranges in (inputs.scans.ranges[0], inputs.scans.ranges[0].copy()):  # of a log, and of one's own
+        corners(ranges, inputs.scans.scanner)
 
 
 def _walls() -> None:
@@ -97,6 +116,8 @@ PARTS: dict[str, Callable[[], None]] = {
         for task in TASKS
         for what, part in (("estimators", _estimators), ("association", _methods))
     },
+    "hindsight": _hindsight,
+    "systematic errors": _errors,
     "corners as landmarks": _walls,
     "place recognition": _place,
     "laser": _laser,

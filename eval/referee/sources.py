@@ -79,6 +79,8 @@ class SourceScore:
         gate: chi-square probability of the gate; None: no gate.
         outlying: accepted ones that contradict all others, each surely (`SURE` for the source).
         formed: accepted and rejected ones at their turn; those not formed cannot be rejected.
+        dof, largest, chance: degrees of freedom of one, largest NIS of those formed, and the probability of a larger
+            one among so many; NaN: none.
         tp, tn, fp, fn: inliers accepted, outliers rejected, outliers accepted, inliers rejected; None: no truth,
             or none was decided about.
     """
@@ -101,6 +103,9 @@ class SourceScore:
     formed: int = 0
     outcomes: tuple[int, int, int, int] | None = None
     outlying: int = 0
+    dof: int = 0
+    largest: float = math.nan
+    chance: float = math.nan
 
 
 def innovations_of(run: Run, source: Source, phase: str) -> PoseInnovations | None:
@@ -124,18 +129,20 @@ def score_source(run: Run, source: Source, phase: str, truth: Truth | None = Non
     nis, dof, white = found.nis[source.rows], found.dof[source.rows], found.white[source.rows]
     formed = np.isfinite(nis)
     taken = used & formed
-    total = int(dof[taken].sum())
+    total, count = int(dof[taken].sum()), int(formed.sum())
+    if count:
+        one = float(special.chdtrc(dof[formed], nis[formed]).min())
+        chance = -math.expm1(count * math.log1p(-min(one, 1.0 - 1e-12)))
+        largest = float(nis[formed].max())
+        bare = replace(bare, gate=found.gate, formed=count, dof=int(dof[0]), largest=largest, chance=chance)
     if not total:
-        return replace(bare, gate=found.gate, formed=int(formed.sum()))
+        return bare
     moments = np.array([truncated_square(gate_threshold(found.gate, int(d)), int(d)) for d in dof[taken]]).sum(axis=0)
     mean, expected, variance = float(nis[taken].sum()) / total, float(moments[0]) / total, float(moments[1]) / total
-    scored = replace(
-        bare, nis_mean=mean, nis_dof=total, expected=expected, variance=variance, gate=found.gate,
-        formed=int(formed.sum()),
-    )  # fmt: skip
+    scored = replace(bare, nis_mean=mean, nis_dof=total, expected=expected, variance=variance)
     if phase != "online":
-        chance = special.chdtrc(dof[taken], nis[taken])
-        return replace(scored, outlying=int((chance < SURE / taken.sum()).sum()))
+        each = special.chdtrc(dof[taken], nis[taken])
+        return replace(scored, outlying=int((each < SURE / taken.sum()).sum()))
     low, high = nis_bounds(total, (expected, variance))
     lag1, error = math.nan, math.nan
     if taken.sum() >= FEWEST:
@@ -211,17 +218,12 @@ def _inconsistent(s: SourceScore) -> Notice | None:
     return notice(Code.SOURCE_NIS, Severity.WARNING, None, source=s.source, kind=s.kind, **nis)
 
 
-def chance_of_rejections(s: SourceScore) -> float:
-    """Probability that a gate rejects as many right ones, or more; 1 without a gate."""
-    if s.gate is None or s.formed <= s.used:
-        return 1.0
-    return float(special.bdtrc(s.formed - s.used - 1, s.formed, 1.0 - s.gate))
-
-
 def _rejected(s: SourceScore) -> Notice | None:
-    if s.phase != "online" or s.gate is None or chance_of_rejections(s) >= SURE:
-        return None
     rejected = s.formed - s.used
+    if s.phase != "online" or s.gate is None or rejected <= 0:
+        return None
+    if float(special.bdtrc(rejected - 1, s.formed, 1.0 - s.gate)) >= SURE:
+        return None
     counts: dict[str, Value] = {"rejected": rejected, "count": s.formed, "expected": s.formed * (1.0 - s.gate)}
     return notice(Code.SOURCE_REJECTED, Severity.WARNING, None, source=s.source, kind=s.kind, gate=s.gate, **counts)
 

@@ -23,14 +23,14 @@ from data.se2 import Array, BoolArray
 from eval.referee import effects, residuals, source_residuals
 from eval.referee.consistency import gated, lag1_correlation
 from eval.referee.score import nis_of
-from eval.referee.sources import SourceScore, chance_of_rejections, score_source, sources_of
+from eval.referee.sources import SourceScore, score_source, sources_of
 
 SHARE = 0.01  # least reduction of the filter's variance by later data, as a share, in a direction that is compared
 TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f
 SINGULAR = 1e-11  # smallest eigenvalue of the correlation matrix of a filter that is compared
-REJECTED = "rejected_"
-"""How statistics begin that are shares of fixes, or closures, rejected by a gate."""
-LEAST_SIGMAS = 0.01
+LARGEST = "largest_"
+"""How statistics begin that are the largest NIS among the fixes, or closures, of a source."""
+LEAST_CHANCE = 1e-300  # probability of it that is told from zero
 COORDINATES = ("x", "y", "theta")
 Key = tuple[str, str]  # estimator and statistic
 
@@ -148,20 +148,20 @@ def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measu
 
 
 def _of_source(scored: SourceScore, key: str) -> dict[str, Measured]:
-    """NIS and correlation of the fixes or closures of a source; the share rejected, where it is more than expected.
+    """NIS, correlation and the largest innovation of the fixes or closures of a source, rejected ones included.
 
-    The standard error of the share is that of a Gaussian with the binomial probability of as many rejections.
+    The largest is compared with its median; its standard error is that of a Gaussian with the same probability.
     """
     found: dict[str, Measured] = {}
     if scored.nis_dof:
         found[f"nis_{key}"] = Measured(scored.nis_mean, scored.expected)
     if math.isfinite(scored.lag1):
         found[f"innovation_{key}_lag1"] = Measured(scored.lag1, 0.0, scored.lag1_se)
-    if scored.gate is not None and scored.formed:
-        share, expected = (scored.formed - scored.used) / scored.formed, 1.0 - scored.gate
-        if share > expected:
-            sigmas = max(-float(special.ndtri(chance_of_rejections(scored))), LEAST_SIGMAS)
-            found[f"{REJECTED}{key}"] = Measured(share, expected, (share - expected) / sigmas)
+    if scored.formed:
+        median = float(special.chdtri(scored.dof, -math.expm1(math.log(0.5) / scored.formed)))
+        sigmas = -float(special.ndtri(max(scored.chance, LEAST_CHANCE)))
+        error = (scored.largest - median) / sigmas if sigmas else math.nan
+        found[f"{LARGEST}{key}"] = Measured(scored.largest, median, error)
     return found
 
 

@@ -88,7 +88,7 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     values = np.array([real.measured[k].value for k in keys])
     drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
     z = np.array([_in_errors(real.measured[k]) for k in keys])
-    theory = np.array([name.startswith(("slope_", trust.REJECTED)) for _, name in keys], bool) & np.isfinite(z)
+    theory = np.array([name.startswith(("slope_", trust.LARGEST)) for _, name in keys], bool) & np.isfinite(z)
     compared = np.array([not name.endswith(SHARES) for _, name in keys], bool)
     family = np.full(len(keys), np.nan)
     correlation = _correlation(keys, inputs_of(log, task, association), smoother) if theory.any() else np.eye(len(keys))
@@ -99,8 +99,7 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
         m, own = real.measured[estimator, name], drawn[:, i]
         known = own[np.isfinite(own)]
         expected = m.expected if math.isfinite(m.expected) or not len(known) else float(np.median(known))
-        # a share of rejections that no twin has is judged by theory alone
-        p_family = float(family[i]) if len(known) or (theory[i] and name.startswith(trust.REJECTED)) else math.nan
+        p_family = float(family[i]) if len(known) else math.nan
         rows.append(Row(estimator, name, m, expected, len(known), battery.rank_p(m.value, own), p_family))
     notices = _failures(log, real, twins)
     if smoother is not None and smoother.estimator == STAND_IN:

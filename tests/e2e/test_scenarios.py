@@ -80,6 +80,7 @@ def test_numbers_do_not_depend_on_the_number_of_processes(small, tmp_path):
     assert {"pose", "nis", "whiteness", "landmarks", "coverage_95"} <= set(table["quantity"])
 
 
+@pytest.mark.slow
 def test_a_finished_run_is_never_done_again_and_more_runs_add_to_it(small, tmp_path, monkeypatch):
     assert study(small, tmp_path / "r", "--jobs", "1", runs=4) == 0
     done = []

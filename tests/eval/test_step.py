@@ -59,6 +59,7 @@ def whole(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
 
+@pytest.mark.slow
 def test_a_run_through_writes_a_picture_of_every_stage_and_all_text(tmp_path, capsys):
     arguments = ["corridor:0", "--task", "slam", "--association", "jcbb", "--frames", "2", "--run-through"]
     assert main([*arguments, "--save", str(tmp_path / "new" / "steps")]) == 0

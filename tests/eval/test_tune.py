@@ -12,6 +12,7 @@ from data.errors import DataError, UsageError
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.inputs import Increments, Observations
+from data.sensors import Range
 from data.worlds.arena import simulate
 from eval.tune import Numbers, main, tune
 from tests.eval.tuning.stated import SMALL, changed
@@ -117,6 +118,13 @@ def test_a_log_without_labels_is_refused(stated, tmp_path, capsys):
     refused(stated, tmp_path / "out")
     assert "has no labels" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+def test_a_log_of_ranges_alone_is_refused(stated, tmp_path, capsys):
+    log = load_folder(stated)
+    write_folder(replace(log, recorded=replace(log.recorded, sensor=Range())), stated)
+    refused(stated, tmp_path / "out")
+    assert "one of bearings or ranges alone; a fit needs one that measures two numbers" in capsys.readouterr().err
 
 
 def test_a_log_in_which_nothing_is_observed_is_refused(stated, tmp_path, capsys):

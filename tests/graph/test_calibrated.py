@@ -199,6 +199,7 @@ def test_a_search_that_is_cut_short_counts_the_steps_of_the_errors(monkeypatch):
     "sensor", [SENSORS["relative point"], pytest.param(SENSORS["range-bearing"], marks=pytest.mark.slow)]
 )
 @pytest.mark.parametrize("task", ["localization", pytest.param("slam", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_robust_smoothers_find_the_errors_among_outliers(task, sensor):
     inputs, decisions, created, start, _ = erring(sensor, task, errors_of(ERRORS), frames=60)
     o, rng = inputs.observations, np.random.default_rng(5)

@@ -13,12 +13,13 @@ import pytest
 
 from data import se2
 from data.convert.__main__ import main
-from data.errors import DataError
+from data.errors import DataError, UsageError
 from data.formats.g2o import log_of, read_graph
 from data.formats.g2o_out import graph_text, labelled
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.log import Log
+from data.sensors import Range
 from data.truth import Relations
 from data.worlds.arena import Arena, simulate
 from eval.replay.run import compare
@@ -384,3 +385,30 @@ def test_a_pose_graph_is_optimized_to_the_optimum_of_gtsam(name):
         there = [theirs.atPose2(first).between(theirs.atPose2(k)) for k in sorted(values.keys())]
         assert np.abs(apart[:, :2] - [[p.x(), p.y()] for p in there]).max() < 1e-5
         assert run.closures_final.used.all()
+
+
+def test_several_sensors_become_points_of_each_and_ranges_alone_are_refused():
+    log = log_of_two_sensors()
+    text = graph_text(log.recorded, labelled(log))
+    edges = [numbers(line) for line in text.splitlines() if line.startswith("EDGE_SE2_XY")]
+    assert [e[2:4] for e in edges] == [pytest.approx([2.5, 0.0]), pytest.approx([0.0, 2.0])]
+    alone = replace(log.recorded, sensors=(log.recorded.sensors[0], Range(label="radio")))
+    with pytest.raises(UsageError, match="the log has observations of range alone"):
+        graph_text(alone, labelled(log))
+
+
+def log_of_two_sensors() -> Log:
+    """A laser ahead of the robot's centre, and tags seen by a camera that looks to the left."""
+    return Log.from_arrays(
+        "two",
+        (np.zeros(3), np.zeros(3)),
+        [
+            {"name": "laser", "kind": "range_bearing", "translation": [-0.5, 0.0], "sigma": [0.1, 0.1]},
+            {"name": "tags", "kind": "relative_point", "rotation": -math.pi / 2, "sigma": [0.1, 0.1]},
+        ],
+        [[0, 2.0, 0.0], [0, 2.0, 0.0]],
+        observed_by=["laser", "tags"],
+        label=[3, 4],
+        increments=np.zeros((2, 3)),
+        covariance=[0.1, 0.1, 0.1],
+    )

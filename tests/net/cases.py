@@ -62,7 +62,6 @@ CASES: dict[str, Case] = {
         "--log arena:3:frames=40+clutter=1+detection=0.9 --task slam --estimator ekf"
         " --association nn,ml,ml-ratio,singles,gnn,jcbb,jcbb-first,jcbb-hindsight",
         "every association method, among clutter and misses",
-        short=True,
     ),
     "methods-in-a-map": Case(
         "--log arena:3:frames=40+clutter=1+detection=0.9 --task localization --estimator ekf"
@@ -144,7 +143,6 @@ CASES: dict[str, Case] = {
     "walls": Case(
         "--log walls:0:frames=150 --estimator ekf,ekf-fej,isam2,batch --association known,jcbb",
         "walls as landmarks",
-        short=True,
         close=LOST,
     ),
     "laser": Case(

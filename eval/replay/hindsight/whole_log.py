@@ -145,7 +145,10 @@ class WholeLog:
             found, to = best.found.number, np.arange(len(places))
             to[[away for away, _ in pairs]] = [kept for _, kept in pairs]
             number = np.where(found >= 0, to[np.maximum(found, 0)], DISCARD)
-            merged = self._smooth_once(number, best.start, restated, systematic)
+            try:
+                merged = self._smooth_once(number, best.start, restated, systematic)
+            except UnderConstrained:  # no minimum was reached
+                break
             if likelier(best, merged, self._view) <= 0.0:
                 break
             best = merged

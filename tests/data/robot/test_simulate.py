@@ -63,6 +63,7 @@ def truth(path):
     return np.array([[float(v) for v in line.split(",")] for line in lines])
 
 
+@pytest.mark.slow
 def test_a_link_through_pyserial_to_a_robot_on_a_terminal_and_its_log(tmp_path):
     path, log = tmp_path / "robot", tmp_path / "log"
     with simulated(path, "--speed", 10, "--truth", tmp_path / "truth.csv") as process:

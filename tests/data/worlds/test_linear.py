@@ -19,6 +19,7 @@ from data.worlds.linear import LinearWorld, simulate
 from eval.referee.consistency import CONSISTENT, nees, verdict
 from eval.replay.run import compare
 from tests.data.worlds.samples import agrees
+from tests.quick import slow
 
 
 def linear_solution(log: Log, slam: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -80,7 +81,7 @@ class TestLinearity:
         assert smoothed > 0.05
 
     @pytest.mark.parametrize("runs", [70, pytest.param(200, marks=pytest.mark.slow)])
-    @pytest.mark.parametrize("task", ["localization", "slam"])
+    @pytest.mark.parametrize("task", [slow("localization"), "slam"])
     def test_the_filter_is_consistent_in_pose_position_and_heading(self, task: str, runs: int):
         means: dict[str, list[float]] = {"pose": [], "position": [], "heading": []}
         for seed in range(runs):

@@ -18,6 +18,7 @@ from tests.quick import slow
     ("ekf-iterated", "nn", Setup(gate=0.95, maintain=True)),
     slow("ekf", "jcbb", Setup(deactivate_after=5.0)),
 ])  # fmt: skip
+@pytest.mark.slow
 def test_estimates_decisions_and_new_walls_are_those_of_the_replay(tmp_path, name, association, setup):
     taken, session = online(tmp_path / "log", 40.0, (name,), association, setup)
     run = replayed(tmp_path / "log", name, association, setup)

@@ -104,6 +104,7 @@ def is_running(pid: int) -> bool:
     return state != "Z"
 
 
+@pytest.mark.slow
 def test_a_first_run_says_so_and_is_interpreted_and_its_child_goes_on(tmp_path):
     run = first_run(tmp_path)
     said, _ = run.communicate()

@@ -77,6 +77,7 @@ def test_a_jump_is_found_at_its_frame_with_its_size(usual):
     assert found.size == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_change_of_the_noise_is_found_with_its_frames(usual):
     log = usual[0]
     frame = log.recorded.observations.frame

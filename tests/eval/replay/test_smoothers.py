@@ -120,6 +120,7 @@ def test_a_landmark_of_which_nothing_is_left_is_discarded_with_its_founding(clea
     assert scores.metrics.loc[0, "landmarks"] == len(gnc.map)
 
 
+@pytest.mark.slow
 def test_smoothers_get_the_gated_pairings_unless_the_gate_is_the_filters_alone(wrong):
     inputs = wrong.inputs(labels=True)
     every, _ = known_decisions(inputs)

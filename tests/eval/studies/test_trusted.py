@@ -89,6 +89,7 @@ def test_beside_wrong_labels_a_systematic_error_is_found_with_its_size(arena):
     assert systematic.size == pytest.approx(0.1, rel=0.2)
 
 
+@pytest.mark.slow
 def test_an_estimator_that_is_off_by_its_poses_is_convicted_once(arena):
     _, twins = arena
     sizes = [Measured(1.3 + 0.001 * i, 1.0) for i in range(len(twins))]

@@ -29,6 +29,7 @@ def a_(k):
     return gtsam.symbol("x", k)
 
 
+@pytest.mark.slow
 def test_ten_wrong_loops_that_agree_are_a_cluster():
     found = 0
     for seed in range(5):

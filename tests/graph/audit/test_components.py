@@ -97,6 +97,7 @@ def test_a_kind_that_nothing_checks_has_no_component():
     assert np.isnan(a.p_family).all()
 
 
+@pytest.mark.slow
 def test_full_draws_are_those_of_the_linear_problem_where_noise_is_small():
     graph, values = ring(np.random.default_rng(3), 12, 8)
     linear, full = examined(graph, values, draws=150), examined(graph, values, draws=150, full=True)

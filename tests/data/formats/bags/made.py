@@ -95,6 +95,8 @@ class Full(Maker):
                 fields["texture"] = self._of("sensor_msgs/msg/CompressedImage", self._header("", 0.0), "", empty)
             if "mesh_file" in fields:
                 fields["mesh_file"] = self._of("visualization_msgs/msg/MeshFile", "", empty)
+            known = self.store.types["visualization_msgs/msg/Marker"].__dataclass_fields__  # ROS 1 has fewer
+            fields = {name: value for name, value in fields.items() if name in known}
             markers.append(self._of("visualization_msgs/msg/Marker", **fields))
         self._send(at, "/markers", "visualization_msgs/msg/MarkerArray", markers=markers)
 

@@ -201,3 +201,18 @@ def test_detections_that_nothing_mounts_on_the_robot_are_left_out_and_said(maker
 def test_one_line_says_what_is_wrong(maker, tmp_path, capsys, add, words, said):
     add(maker)
     assert re.search(said.replace("(", r"\("), refused(maker, tmp_path, capsys, *words))
+
+
+def test_a_bag_of_ros_1_is_read_as_one_of_ros_2(tmp_path):
+    made = Full("ros1")
+    made.drive(TIMES)
+    made.mounting("base_link", "camera", 0.25, 0.1, 0.5)
+    made.poses(1.25, [(2.0, 0.5)])
+    made.markers(2.0, [(7, 3.0, 0.0)])
+    for t in (0.0, 1.0):
+        made.satellites(t, (48.0, 11.0), 0.25)
+        made.inertial(t, 1.0, 0.01)
+    log = load(made, tmp_path, "--point-sigma", "0.1")
+    assert log.recorded.time[log.recorded.observations.frame].tolist() == [1.25, 2.0]
+    assert log.label.tolist() == [-2, 7]
+    assert len(log.recorded.fixes) == 4

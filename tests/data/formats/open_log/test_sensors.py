@@ -206,3 +206,4 @@ def test_the_summary_has_a_line_for_each_sensor(save, tmp_path):
         "camera: 2, bearing -14.32 to 85.94 deg",
         "radio: 1, range 5.5 to 5.5 m",
     ]
+    assert not any("label repeated" in text for what, text in said if what == "check")

@@ -84,6 +84,7 @@ def intel(shared_data) -> tuple[Log, Log]:
     return load_carmen(folder / "intel.gfs.log", undo_correction=True), load_carmen(folder / "intel_raw_full.log.gz")
 
 
+@pytest.mark.slow
 def test_the_raw_odometry_of_the_intel_log_comes_back(intel):
     undone, raw = intel
     assert len(undone.recorded) == len(raw.recorded) == 13631

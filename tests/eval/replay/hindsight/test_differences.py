@@ -183,6 +183,7 @@ def test_shares_of_the_noise_scale_its_sigmas_along_and_across(sensor):
     assert more.z is observations.z
 
 
+@pytest.mark.slow
 def test_the_fit_is_the_most_likely_one(monkeypatch):
     """Against a direct search for the largest likelihood, where every pair is right and nothing moves."""
     for name, value in (("DIFFERENCES_PRIOR", 1e-9), ("DIFFERENCES_ROUNDS", 300), ("DIFFERENCES_WIDE", 1.0)):

@@ -59,6 +59,7 @@ def test_the_view_holds_all_that_was_read():
 @pytest.mark.parametrize(
     "index", [42, *(pytest.param(i, marks=pytest.mark.slow) for i in (28, 32))]
 )  # of range, of view, of both
+@pytest.mark.slow
 def test_landmarks_are_not_mapped_several_times_where_noise_or_view_are_understated(index):
     log = log_of(draw(index))
     run = step_by_step("ekf", log.inputs().without_map(), "slam", HINDSIGHT)

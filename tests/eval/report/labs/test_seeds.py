@@ -70,6 +70,7 @@ def test_seeds_follow_the_log_s_own_with_its_constants_and_only_its_generator_s_
     assert seed_jobs(replace(log, source={"kind": "lab"}), SETUP) == []
 
 
+@pytest.mark.slow
 def test_the_answer_has_the_seeds_in_its_line_its_table_and_the_reason_and_the_same_twice(trial, tmp_path, monkeypatch):
     monkeypatch.setattr(seeds, "SEEDS", 3)
     options = read_options(["--lab", "corridor:3", "--no-plots", "--jobs", "1", "--out", str(tmp_path)])
