@@ -64,6 +64,7 @@ class Code(StrEnum):
     REMOVED = "removed"
     OBSERVATIONS_REJECTED = "observations-rejected"
     AGAINST_WHEELS = "against-wheels"
+    CHAIN_WIDENED = "chain-widened"
     CLOSURES_REFUSED = "closures-refused"
     DOUBLED_WALLS = "doubled-walls"
     BEYOND_CLAIMS = "beyond-claims"

@@ -153,7 +153,7 @@ def convert(args: argparse.Namespace) -> Log:
     if args.kind == "rosbag":
         from data.formats.recordings.ros import log_of, read_bag
 
-        return log_of(args.source, read_bag(args.source, args.scan, args.odom), _mending(args))
+        return log_of(args.source, read_bag(args.source, args.scan, args.odom, alone=args.no_odometry), _mending(args))
     from data.visual.opening import Camera, open_lab_log
 
     camera = Camera(args.camera_translation, args.camera_reading, args.corner_noise, args.trust_pickle)

@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from association.scans.consistency import Consistency, consistency
 from association.scans.constraints import LaserRun
-from association.scans.occupancy import contradiction
 from data.inputs import Inputs
 from data.notice import Code, Notice, Severity, Value, notice
 from data.result import Run
@@ -76,53 +76,19 @@ def refused(run: LaserRun) -> Notice | None:
     return found if out > HARDLY_ANY * len(run.loops) else replace(found, severity=Severity.INFO)
 
 
-NEAR, APART, BESIDE = 3.0, 12, 3
-"""m between two key poses whose scans are compared; key poses between them: revisits, and neighbours at most."""
-MOST_PAIRS = 300
-TOLERANCE = (0.15, 0.03)
-"""m, and share of the range: a doubled wall is farther off, a grazing wall by a right heading is not."""
-DOUBLED = 0.03
-"""Share of beams by which revisits contradict more than neighbours do: at most 0.008 on recorded logs and on simulated
-ones with people and glass; 0.12 where the path of a simulated one drifts by half a metre."""
-
-
 def doubled_walls(run: LaserRun, inputs: Inputs) -> Notice | None:
     """A notice where scans of revisited places contradict each other more than neighbouring ones."""
     found = map_consistency(run, inputs)
-    if found is None or found[0] - found[1] <= DOUBLED:
+    if found is None or not found.is_doubled:
         return None
-    return _of(run, Code.DOUBLED_WALLS, revisits=found[0], neighbours=found[1], pairs=found[2])
+    return _of(run, Code.DOUBLED_WALLS, revisits=found.revisits, neighbours=found.neighbours, pairs=found.pairs)
 
 
-def map_consistency(run: LaserRun, inputs: Inputs) -> tuple[float, float, int] | None:
-    """Shares of beams of one key scan that pass a surface of another: among revisits, among neighbours (its noise, with
-    people and glass), and the number of revisits compared; None without any.
-    """
+def map_consistency(run: LaserRun, inputs: Inputs) -> Consistency | None:
+    """That of the run's map; None without revisits."""
     if inputs.scans is None or run.chain is None or run.key_pose is None:
         return None
-    scans, pose, frames = inputs.scans, run.key_pose, run.chain.frame
-    pairs: list[tuple[int, int]] = []
-    for k in range(len(pose)):
-        before = pose[: max(k - APART + 1, 0), :2]
-        old = np.flatnonzero(np.hypot(before[:, 0] - pose[k, 0], before[:, 1] - pose[k, 1]) < NEAR)  # NaN is far
-        if len(old):
-            pairs.append((int(old[len(old) // 2]), k))
-    if len(pairs) < 10:
-        return None
-    pairs = pairs[:: max(len(pairs) // MOST_PAIRS, 1)]
-    row = dict(zip(scans.frame.tolist(), scans.ranges, strict=True))
-
-    def share(some: Sequence[tuple[int, int]]) -> float:
-        shares = [
-            contradiction(
-                row[int(frames[i])], row[int(frames[j])], between(pose[i], pose[j]), scans.scanner, 20.0, TOLERANCE
-            )
-            for i, j in some
-            if int(frames[i]) in row and int(frames[j]) in row
-        ]
-        return float(np.mean(shares)) if shares else 0.0
-
-    return share(pairs), share([(max(j - BESIDE, 0), j) for _, j in pairs]), len(pairs)
+    return consistency(inputs.scans, run.chain.frame, run.key_pose)
 
 
 CLAIMED = 3.0

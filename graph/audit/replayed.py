@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,14 +12,14 @@ from data.sensors import RANGE_BEARING, RELATIVE_POINT
 from graph.audit.audit import Statistics, statistics
 from graph.audit.kinds import LOOP, ODOMETRY, PRIOR, Kinds
 from graph.audit.linear import Group, System
-from graph.batch import Start, build, start_values
+from graph.batch import NONE_REJECTED, Rejected, Start, build, start_values
 from graph.poses.batch import PoseProblem
 from graph.qr.elimination import Rows
 from graph.qr.rows import Linearizer
 
-OBSERVATIONS, NEAR, DRIFT, ERRORS, SCANS = (
+OBSERVATIONS, FIXES, DRIFT, ERRORS, SCANS = (
     "observations",
-    "near observations",
+    "fixes",
     "drift",
     "systematic errors",
     "scan matching",
@@ -35,7 +35,7 @@ class Replayed:
     Attributes:
         statistics: of its factors.
         frame: (F,) frame into which an increment leads, or of an observation; of key poses their number; -1: neither.
-        observation: (F,) row of the observation, or of the loop closure; -1: another factor.
+        observation: (F,) row of the observation, loop closure or fix; -1: another factor.
     """
 
     statistics: Statistics
@@ -43,20 +43,28 @@ class Replayed:
     observation: IntArray
 
 
-def of_landmarks(inputs: Inputs, decisions: IntArray, initialized: IntArray, end: Start) -> Replayed:
+def of_landmarks(
+    inputs: Inputs, decisions: IntArray, initialized: IntArray, end: Start, rejected: Rejected = NONE_REJECTED
+) -> Replayed:
     """The graph of `graph.batch.smooth` at its end; arguments as there."""
-    problem = build(inputs, decisions, initialized)
+    problem = build(inputs, decisions, initialized, rejected=rejected)
+    problem = replace(problem, pose_factors=[p for p in problem.pose_factors if p.used])
     values = start_values(problem, end)
     linearizer = Linearizer(problem)
     rows, errors = linearizer(values), linearizer.constants(values)
     n, m, blocks = linearizer.frames, len(problem.observations), len(rows.variable)
+    loops = sum(p.closure for p in problem.pose_factors)
+    fixes = len(problem.pose_factors) - loops
     used = np.flatnonzero(np.where(initialized >= 0, initialized, decisions) >= 0)
     frame, observation = np.full(blocks + (len(errors) > 0), -1), np.full(blocks + (len(errors) > 0), -1)
     frame[1:n], frame[n : n + m] = np.arange(1, n), inputs.observations.frame[used]
     observation[n : n + m] = used
-    names = [PRIOR, ODOMETRY, OBSERVATIONS, NEAR, DRIFT, ERRORS]
-    of = np.repeat(np.arange(5), [1, n - 1, m, blocks - n - m, int(len(errors) > 0)])
-    axes = [(), _axes_of_odometry(inputs), _axes_of_observations(inputs, used), (), ()]
+    for row, p in enumerate(problem.pose_factors, n + m):
+        frame[row], observation[row] = max(p.frames), p.row
+    names = [PRIOR, ODOMETRY, OBSERVATIONS, FIXES, LOOP, DRIFT, ERRORS]
+    drifts = blocks - n - m - fixes - loops
+    of = np.repeat(np.arange(7), [1, n - 1, m, fixes, loops, drifts, int(len(errors) > 0)])
+    axes = [(), _axes_of_odometry(inputs), _axes_of_observations(inputs, used), (), (), (), ()]
     return _replayed(rows, errors, of, names, axes, frame, observation)
 
 

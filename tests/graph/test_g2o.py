@@ -361,6 +361,32 @@ def test_the_measured_pose_of_the_first_vertex_is_the_prior(tmp_path):
     assert not log_of("a", read_graph(tmp_path / "a.g2o")).recorded.prior.covariance.any()
 
 
+@pytest.mark.parametrize("name", ["w100.graph", "w100_30.g2o", "noisyToyGraph.txt", "pose2example.txt"])
+def test_a_pose_graph_is_optimized_to_the_optimum_of_gtsam(name):
+    """The pose graphs that ship with it: chi-square to 1e-9, by the batch smoother and by iSAM2 in the end."""
+    path = Path(gtsam.findExampleDataFile(name))
+    graph, values = gtsam.load2D(str(path)) if name == "w100.graph" else gtsam.readG2o(str(path), False)
+    graph = gtsam.NonlinearFactorGraph(graph)
+    first = min(values.keys())
+    graph.add(gtsam.NonlinearEqualityPose2(first, values.atPose2(first)))
+    steps = gtsam.LevenbergMarquardtParams()
+    steps.setRelativeErrorTol(1e-14)
+    steps.setAbsoluteErrorTol(1e-14)
+    theirs = gtsam.LevenbergMarquardtOptimizer(graph, values, steps).optimize()
+    chi_square = 2.0 * graph.error(theirs)
+    inputs = log_of(name, read_graph(path)).inputs()
+    runs = {run.estimator: run for run in compare(inputs, "slam", ["batch", "isam2"], "jcbb")}
+    for estimator in ("batch", "isam2"):
+        run = runs[estimator]
+        assert run.failure is None
+        assert run.total_nis[0] == pytest.approx(chi_square, rel=1e-9, abs=1e-9)
+        assert run.total_nis[1] == 3 * len(inputs.closures)
+        apart = se2.between(run.final.pose[0], run.final.pose)
+        there = [theirs.atPose2(first).between(theirs.atPose2(k)) for k in sorted(values.keys())]
+        assert np.abs(apart[:, :2] - [[p.x(), p.y()] for p in there]).max() < 1e-5
+        assert run.closures_final.used.all()
+
+
 def test_several_sensors_become_points_of_each_and_ranges_alone_are_refused():
     log = log_of_two_sensors()
     text = graph_text(log.recorded, labelled(log))

@@ -1,7 +1,8 @@
 """Time of the laser front end against the number of scans: a town that is as large as the log is long.
 
-`python -m tests.research.laser_time 30000 [--profile]` prints, for each tenth of the log, the mean processor time of
-a scan and that of the parts (`covariances` is part of `loops`); in the end what the profile says.
+`python -m tests.research.laser_time 1000 10000 40000 100000 [--profile]` prints, for each tenth of each log, the mean
+processor time of a scan and that of the parts (`covariances` is part of `loops`); then that of all scans, and what the
+profile says.
 
 Streets 6 m wide run between blocks with notched fronts. The robot drives 1 m/s with 5 scans a second, and mostly turns
 into the street that it has driven least, so that each is driven three times on average.
@@ -25,7 +26,7 @@ from data.command import Parser
 from data.log import Log
 from data.se2 import Array
 from data.worlds.floorplan.world import scan_ranges
-from eval.replay.laser import comparison
+from eval.replay.laser import front_end
 from eval.replay.laser.closures import LoopCloser
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.tracker import Tracker
@@ -89,28 +90,37 @@ def _block(rng: np.random.Generator, x: float, y: float) -> Array:
 def main() -> None:
     """Print the curve of one run as it goes."""
     p = Parser(prog="python -m tests.research.laser_time", description="Time of the laser front end.")
-    p.add_argument("scans", type=int)
+    p.add_argument("scans", type=int, nargs="+", help="of each log")
     p.add_argument("--profile", action="store_true")
     args = p.parse_args()
-    comparison.run_front_end(town(1000).recorded, LaserParameters())  # compiles the kernels
-    log = town(args.scans)
-    assert log.truth.pose is not None
+    front_end.run_front_end(town(1000).recorded, LaserParameters())  # compiles the kernels
     spent = dict.fromkeys(PARTS, 0.0)
     for part, (kind, name) in PARTS.items():
         setattr(kind, name, _timed(getattr(kind, name), spent, part))
-    print("scans, processor ms a scan:", ", ".join(("all", *PARTS)), flush=True)
     kind, name = SCAN
-    setattr(kind, name, _counted(getattr(kind, name), spent, max(args.scans // 10, 1)))
-    profile = cProfile.Profile()
-    if args.profile:
-        profile.enable()
-    found = comparison.run_front_end(log.recorded, LaserParameters())
-    profile.disable()
+    plain = getattr(kind, name)
+    for scans in args.scans:
+        log = town(scans)
+        print("scans, processor ms a scan:", ", ".join(("all", *PARTS)), flush=True)
+        setattr(kind, name, _counted(plain, spent, max(scans // 10, 1)))
+        _run(log, profile=args.profile)
+
+
+def _run(log: Log, *, profile: bool) -> None:
+    """Run and time the front end."""
+    assert log.truth.pose is not None
+    watched, began = cProfile.Profile(), time.process_time()
+    if profile:
+        watched.enable()
+    found = front_end.run_front_end(log.recorded, LaserParameters())
+    watched.disable()
+    each = 1e3 * (time.process_time() - began) / len(log.recorded)
     off = found.online[found.chain.frame] - log.truth.pose[found.chain.frame]
-    print(f"{len(off)} key poses, {(found.loops.believed >= 0).sum()} of {len(found.loops)} loop closures believed, ")
-    print(f"{np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()):.3f} m RMSE of the online path")
-    if args.profile:
-        pstats.Stats(profile).sort_stats("tottime").print_stats(25)
+    print(f"{len(log.recorded)} scans: {each:.2f} ms each, {len(off)} key poses, ", end="")
+    print(f"{(found.loops.believed >= 0).sum()} of {len(found.loops)} loop closures believed, ", end="")
+    print(f"{np.sqrt((off[:, :2] ** 2).sum(axis=1).mean()):.3f} m RMSE of the online path", flush=True)
+    if profile:
+        pstats.Stats(watched).sort_stats("tottime").print_stats(25)
 
 
 def _timed(plain: Callable[..., Any], spent: dict[str, float], part: str) -> Callable[..., Any]:

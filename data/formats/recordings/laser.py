@@ -70,19 +70,24 @@ def made_increasing(stamp: Array) -> Array:
 
 SPEED, TURN_RATE = 0.3, 0.7
 """m/s, rad/s; standard deviations of what an unknown motion changes by, times the time between frames."""
+BURST = 0.1
+"""Share of the mean time between frames, and of shorter ones, from which on stamps come in bursts."""
 
 
 def without_odometry(inputs: Inputs) -> Inputs:
-    """The same log with unknown motion: zero, with the standard deviation of a robot's speed.
-
-    Steps count at least the mean time between frames, since stamps come in bursts.
-    """
+    """The same log with unknown motion: zero, with the standard deviation of a robot's speed."""
     count = len(inputs)
-    seconds = np.diff(inputs.time, prepend=inputs.time[0])
-    seconds = np.maximum(seconds, float(seconds[1:].mean()) if count > 1 else 0.0)
     covariance = np.zeros((count, 3, 3))
-    covariance[1:] = np.diag([SPEED**2, SPEED**2, TURN_RATE**2]) * seconds[1:, None, None] ** 2
+    covariance[1:] = np.diag([SPEED**2, SPEED**2, TURN_RATE**2]) * time_steps(inputs.time)[1:, None, None] ** 2
     return replace(inputs, increments=Increments(np.zeros((count, 3)), covariance), floored=0)
+
+
+def time_steps(time: Array) -> Array:
+    """Seconds (N,) from the frame before, 0 for the first; their mean where stamps come in bursts."""
+    step = np.diff(time, prepend=time[0])
+    if len(time) > 1 and float(np.mean(step[1:] < BURST * step[1:].mean())) > BURST:
+        step[1:] = step[1:].mean()
+    return step
 
 
 def laser_inputs(pose: Array, stamp: Array, scans: Scans) -> Inputs:

@@ -141,9 +141,12 @@ class Bag:
     resampled: int = 0
 
 
-def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | None = None) -> Bag:
+def read_bag(
+    path: Path, scan_topic: str | None = None, odometry_topic: str | None = None, *, alone: bool = False
+) -> Bag:
     """Read a bag; a topic may be left out if it is the only one of its kind. Without a topic of odometry (or with `tf`)
-    the poses are the transforms from the odometry's frame, as in bags for gmapping, karto and slam_toolbox.
+    the poses are the transforms from the odometry's frame, as in bags for gmapping, karto and slam_toolbox. `alone`:
+    without either the robot is the laser, at rest.
 
     Raises:
         UsageError: `rosbags` is not installed, or a topic is missing or ambiguous.
@@ -154,9 +157,9 @@ def read_bag(path: Path, scan_topic: str | None = None, odometry_topic: str | No
         scans = _topic(path, topics, SCAN, scan_topic, "--scan")
         by_tf = odometry_topic == TF or (odometry_topic is None and ODOMETRY not in topics.values())
         odometry = TF if by_tf else _topic(path, topics, ODOMETRY, odometry_topic, "--odom")
-        found = _Messages(path, scans, odometry)
-        kinds = (SCAN, ODOMETRY, TRANSFORMS, OLD_TRANSFORMS)
-        wanted = [c for c in reader.connections if c.topic in (scans, odometry) or c.msgtype in kinds[2:]]
+        found = _Messages(path, scans, odometry, alone)
+        kinds = (TRANSFORMS, OLD_TRANSFORMS)
+        wanted = [c for c in reader.connections if c.topic in (scans, odometry) or c.msgtype in kinds]
         for connection, recorded, raw in reader.messages(wanted):
             found.add(connection.topic, reader.deserialize(raw, connection.msgtype), 1e-9 * recorded)
     return found.bag()
@@ -218,8 +221,8 @@ def _topic(path: Path, topics: dict[str, str], kind: str, wanted: str | None, fl
 class _Messages:
     """Collects messages as they come."""
 
-    def __init__(self, path: Path, scan_topic: str, odometry_topic: str) -> None:
-        self.path, self.scan_topic, self.odometry_topic = path, scan_topic, odometry_topic
+    def __init__(self, path: Path, scan_topic: str, odometry_topic: str, alone: bool) -> None:
+        self.path, self.scan_topic, self.odometry_topic, self.alone = path, scan_topic, odometry_topic, alone
         self.scan_stamp: list[float] = []
         self.odometry_stamp: list[float] = []
         self.geometry: dict[str, float] = {}
@@ -283,7 +286,11 @@ class _Messages:
         """The poses of the robot from the transforms on the way to the laser: those that move and name the odometry."""
         chain = set(self.transforms._chain(self.frames[1]))
         edges = {e: rows for e, rows in self.moving.items() if e[1] in chain and len({r[1:] for r in rows}) > 1}
-        named = {e: rows for e, rows in edges.items() if e[0].endswith(ODOM_FRAME)} or edges
+        named = {e: rows for e, rows in edges.items() if ODOM_FRAME in e[0]} or edges
+        if not named and self.alone:
+            self.odometry_stamp, self.frames[0] = self.scan_stamp, self.frames[1]
+            self.pose = [(0.0, 0.0, 0.0)] * len(self.scan_stamp)
+            return
         if not named:
             what = f"neither a topic of odometry nor a moving transform to {self.frames[1]!r}"
             raise DataError.at(self.path, f"{what}; one is needed: --odom TOPIC, or --no-odometry")
@@ -333,6 +340,8 @@ def stamp_of(message: Any, recorded: float) -> float:
 
 SIGMA = 0.01
 """m, of a range, which messages do not state; small scanners state 1 to 3 cm."""
+MOST_BEYOND = 0.5
+"""Share of ranges beyond the stated maximum, in the unit of the ranges, from which on that is in another."""
 LONG = 1.0
 """s; longer gaps of the odometry are counted."""
 SMALL = 1e-3
@@ -351,8 +360,9 @@ def log_of(path: Path, bag: Bag, mending: Mending = AS_STATED) -> Log:
     g = bag.geometry
     last = g["angle_min"] + (measured.shape[1] - 1) * g["angle_increment"] if bag.resampled else g["angle_max"]
     asked = beam_angles(g["angle_min"], g["angle_increment"], last, measured.shape[1])
-    if mending.range_unit != "m":
-        scanner = replace(scanner, max_range=float(mending.ranges(np.array(scanner.max_range))))
+    largest = float(mending.ranges(np.array(scanner.max_range)))
+    if (measured > largest).mean() < MOST_BEYOND:  # else it is stated in metres, unlike the ranges
+        scanner = replace(scanner, max_range=largest)
     piled = piled_up(measured, scanner.max_range)
     if piled is not None:
         scanner = replace(scanner, max_range=piled[0])

@@ -1,120 +1,28 @@
 """Back ends compared on one laser log: the front end once, then every estimator on its constraints.
 
-The front end replays the log frame by frame: key poses by scan matching, loop closures, and their pose graph. In the
-end frames without a scan get the odometry between two scans, adjusted to connect them.
+In the end frames without a scan get the odometry between two scans, adjusted to connect them.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 
-from association.scans.constraints import SCAN, Chain, LaserRun, Loops
+from association.scans.constraints import SCAN, LaserRun
 from association.scans.points import beams_of, scan_points
 from association.scans.redundant import redundant, without
 from association.scans.uncertainty import learned_scale, residuals, spanned
 from data.errors import UsageError
-from data.inputs import Increments, Inputs
+from data.inputs import Inputs
+from data.notice import Code, Notice, Severity, notice
 from data.result import Run
 from data.se2 import Array, between, compose, dead_reckoned, transform_points
 from eval.replay.laser.backends import NAMES, Solved, backend
-from eval.replay.laser.closures import LoopCloser
+from eval.replay.laser.front_end import FrontEndResult, Repeated, consistent_front_end
 from eval.replay.laser.parameters import LaserParameters
-from eval.replay.laser.tracker import Tracker
 from eval.replay.settings import Setup
-from graph.poses.online import PoseGraph
-
-
-@dataclass(frozen=True, eq=False)
-class FrontEndResult:
-    """The result of the front end."""
-
-    chain: Chain  # constraints for every back end
-    loops: Loops
-    online: Array  # (N, 3) online world pose of each frame
-    seconds: Array  # (N,) wall time of each frame: matching, loops and graph
-
-
-def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult:
-    """Replay a laser log (`inputs.scans`) once.
-
-    Raises ValueError for a log without scans.
-    """
-    scans = inputs.scans
-    if scans is None:
-        raise ValueError("a laser front end needs scans")
-    p, count = parameters, len(inputs)
-    beams = beams_of(scans.scanner, scans.ranges.shape[1])
-    unknown = count > 1 and is_unknown(inputs.increments)
-    tracker = Tracker(p, scans.scanner.sigma, steady=unknown)
-    closer = LoopCloser(p, scans.scanner)
-    graph = PoseGraph(inputs.prior)
-    row = np.full(count, -1)
-    row[scans.frame] = np.arange(len(scans.frame))
-    nothing = np.zeros(scans.ranges.shape[1])
-    step = np.zeros(count) if inputs.time_is_index else np.diff(inputs.time, prepend=inputs.time[0])
-    if unknown and float(np.mean(step[1:] < BURST * step[1:].mean())) > BURST:
-        step[1:] = step[1:].mean() or 1.0
-
-    frames: list[int] = []
-    motions: list[Array] = []
-    covariances: list[Array] = []
-    key = np.zeros(count, np.int64)
-    since, since_covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
-    online, seconds = np.zeros((count, 3)), np.zeros(count)
-    poses, waiting = np.zeros((0, 3)), 0
-    for frame in range(count):
-        began = time.perf_counter()
-        if frame:
-            tracker.predict(*inputs.increment(frame), float(step[frame]))
-        scanned = row[frame] >= 0
-        ranges = scans.ranges[row[frame]] if scanned else nothing
-        seen = scan_points(ranges, beams, p.max_range)
-        if scanned:
-            tracker.correct(seen)
-        if frame == 0 or (scanned and tracker.is_due):
-            motion, covariance = tracker.pose, tracker.covariance
-            frames.append(frame)
-            motions.append(motion)
-            covariances.append(covariance)
-            if frame:
-                graph.add_key(motion, covariance)
-                poses = np.concatenate([poses, compose(poses[-1], motion)[None]])
-            else:
-                poses = inputs.prior.mean[None].copy()
-            closer.add_key(ranges, seen, motion, covariance)
-            tracker.make_key(seen)
-            believed = closer.find(poses)
-            if believed:
-                graph.add_loops(
-                    np.array([c.key1 for c in believed]), np.array([c.key2 for c in believed]),
-                    np.array([c.relative for c in believed]), np.array([c.covariance for c in believed]),
-                )  # fmt: skip
-                waiting += 1
-            # in large graphs several key poses have an update in common, so that each costs as much as in a small one
-            if waiting and frames[-1] and len(frames) % (1 + len(frames) // AMORTIZED) == 0:
-                graph.update()
-                poses, waiting = graph.poses(), 0
-                closer.moved(poses)
-        key[frame] = len(frames) - 1
-        since[frame], since_covariance[frame] = tracker.pose, tracker.covariance
-        online[frame] = compose(poses[-1], tracker.pose)
-        seconds[frame] = time.perf_counter() - began
-    chain = Chain(np.array(frames), np.array(motions), np.array(covariances), key, since, since_covariance)
-    return FrontEndResult(chain, closer.loops(), online, seconds)
-
-
-def is_unknown(increments: Increments) -> bool:
-    """Whether the odometry says nothing: no motion, with a standard deviation of centimetres and more."""
-    return not increments.mean.any() and bool(np.median(increments.covariance[1:, 0, 0]) > UNKNOWN**2)
-
-
-AMORTIZED = 1500  # key poses from which on loop closures wait for each other
-BURST = 0.1  # of the mean time between frames, and share of shorter ones, from which on stamps come in bursts
-UNKNOWN = 0.01  # m, above the error of a step of any odometry that is at rest
 
 
 def between_scans(inputs: Inputs, pose: Array) -> Array:
@@ -157,7 +65,7 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
         if name not in NAMES:
             raise UsageError(f"{name} with association {SCAN}: of laser logs there are {', '.join(NAMES)}")
     parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
-    front = run_front_end(inputs, parameters)
+    front, repeated = consistent_front_end(inputs, parameters)
     learned = _learned(inputs, front, setup)
     factor, error = learned or (1.0, 0.0)
     front = _scaled(front, factor)
@@ -176,8 +84,15 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
                 for given in (front, _scaled(front, 1.0 / claimed))
             )
             run = replace(run, with_gate=(scaled, unscaled))
-        runs.append(run)
+        runs.append(run if repeated is None or run.chain is None else replace(run, notes=(*run.notes, _note(repeated))))
     return runs
+
+
+def _note(repeated: Repeated) -> Notice:
+    return notice(
+        Code.CHAIN_WIDENED, Severity.INFO, first=repeated.first.revisits, taken=repeated.taken.revisits,
+        factor=repeated.factor, believed=repeated.believed,
+    )  # fmt: skip
 
 
 def _learned(inputs: Inputs, front: FrontEndResult, setup: Setup) -> tuple[float, float] | None:

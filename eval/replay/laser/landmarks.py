@@ -15,7 +15,7 @@ from data.notice import Code, Severity, notice
 from data.result import Failure, Innovations, Run
 from data.sensors import RelativePoint
 from eval.replay.laser.backends import over_frames
-from eval.replay.laser.comparison import run_front_end
+from eval.replay.laser.front_end import run_front_end
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.settings import Setup
 

@@ -42,6 +42,7 @@ class LaserParameters:
     loosest: float = 0.02  # largest standard deviation of a closure's position in its worst direction, before scaling
     gate: float = 16.27  # chi-square (3 dof) of a closure against the graph
     pair_gate: float = 11.34  # chi-square (3 dof) of the circle through two closures
+    chain_factor: float = 1.0  # factor on variances of the chain where loop closures are sought
     wait: int = 15  # key poses after which a closure without a second one is dropped
 
     def distance_sigma(self, range_sigma: float) -> float:

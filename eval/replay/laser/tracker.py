@@ -77,7 +77,7 @@ class Tracker:
             if (np.abs(apart) > OTHER_START).any() and (np.abs(apart) <= MOST_SIGMAS * slip).all():
                 tried.append(self._match(points, start, prior))
                 going_on = start if self._slipped else None
-        if min(m.cost for m in tried) > self._cost + UNUSUAL:
+        if self.steady or min(m.cost for m in tried) > self._cost + UNUSUAL:
             found = self._searched(points, slip)
             if found is not None:
                 tried.append(self._match(points, found, prior))

@@ -22,8 +22,8 @@ from eval.report.rows import stem
 from eval.report.words import say
 from graph.audit.audit import FAMILY
 from graph.audit.kinds import LOOP
-from graph.audit.replayed import Replayed, of_landmarks, of_poses
-from graph.batch import Start
+from graph.audit.replayed import FIXES, Replayed, of_landmarks, of_poses
+from graph.batch import Rejected, Start
 from graph.poses.batch import pose_problem
 
 HEADING = "Factors of the smoother"
@@ -66,7 +66,8 @@ def graph_at_end(trial: Trial, run: Run) -> Replayed:
     inputs = trial.log.recorded if run.task == "localization" else trial.log.recorded.without_map()
     with threadpool_limits(1):
         if not isinstance(run, LaserRun):
-            return of_landmarks(inputs, run.final_decisions, run.initialized, end_of(run))
+            out = (None if of is None else ~of.used for of in (run.fixes_final, run.closures_final))
+            return of_landmarks(inputs, run.final_decisions, run.initialized, end_of(run), Rejected(*out))
         chain, loops, pose = run.chain, run.loops, run.key_pose
         assert chain is not None
         assert loops is not None
@@ -142,6 +143,10 @@ def _named(trial: Trial, run: Run, graph: Replayed, i: int) -> tuple[str, str]:
             ends = run.loops.key1[row], run.loops.key2[row]
             return f"{kind}, key poses {ends[0]} and {ends[1]}", ", ".join(str(run.chain.frame[k]) for k in ends)
         return kind, ", ".join(str(run.chain.frame[k]) for k in (frame - 1, frame) if k >= 0)
+    if kind == LOOP and (c := trial.log.recorded.closures) is not None:
+        return f"{kind} of {c.sources[c.source[row]]}", f"{c.frame1[row]}, {c.frame2[row]}"
+    if kind == FIXES and (f := trial.log.recorded.fixes) is not None:
+        return f"fix of {f.sources[f.source[row]].name}", str(frame)
     if row >= 0:
         first = int(np.searchsorted(trial.log.recorded.observations.frame, frame))
         number_ = run.initialized[row] if run.initialized[row] >= 0 else run.final_decisions[row]

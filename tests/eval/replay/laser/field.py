@@ -182,3 +182,34 @@ def through(points: list[Array], frames: int, step: float = 0.12, turn: float = 
     truth = np.array(path[:frames])
     truth[:, 2] = (truth[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
     return truth
+
+
+def ring(
+    seed: int, *, scale: float = 0.04, spacing: float = 2.0, rounds: int = 3, reach: float = 8.0, glass: bool = True
+) -> Log:
+    """A corridor around a block, driven some rounds. One long side has bare walls, on one side of glass; the other has
+    pillars at equal distances. Odometry's way is too long by a share `scale`, which only the bare side leaves unseen.
+    """
+    rng = np.random.default_rng(seed)
+    width, depth, wide = 60.0, 24.0, 3.0
+    outer = [[0, 0, width, 0], [width, 0, width, depth], [width, depth, 0, depth], [0, depth, 0, 0]]
+    a, b, c, d = wide, wide, width - wide, depth - wide
+    inner = [[a, b, c, b], [c, b, c, d], [c, d, a, d], [a, d, a, b]]
+    walls = [*outer, *inner]
+    for x in np.arange(a + spacing, c, spacing).tolist():
+        for y0, y1 in ((d, d + 0.4), (depth, depth - 0.4)):
+            for dx in (-0.2, 0.2):
+                walls.append([x + dx, y0, x + dx, y1])
+            walls.append([x - 0.2, y1, x + 0.2, y1])
+    lines = np.array(walls, float)
+    clear = np.zeros(len(lines), bool)
+    clear[4] = glass
+    m = 0.5 * wide
+    corners = [(m, m), (width - m, m), (width - m, depth - m), (m, depth - m)]
+    points = [np.array(p) + rng.uniform(-0.2, 0.2, 2) for _ in range(rounds) for p in corners] + [np.array([30.0, m])]
+    truth = through(points, 100_000)
+    told = np.zeros_like(truth)
+    told[1:] = between(truth[:-1], truth[1:])
+    told[:, 2] = (told[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
+    told[:, 0] *= 1.0 + scale
+    return recorded(truth, lines, rng, glass=clear, told=told, scanner=replace(SICK, max_range=reach))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,18 +10,23 @@ import pytest
 
 from data.formats.open_log.reader import load_folder
 from data.formats.recordings.carmen import load_carmen
+from data.formats.recordings.laser import without_odometry
+from data.logs import Reading, open_log
 from data.notice import Code
 from data.se2 import between, compose, dead_reckoned, wrap_angle
+from data.worlds.registry import named_log
 from eval.referee import laser_faults
 from eval.referee.errors import aligned_rmse
-from eval.referee.laser import right_closures
+from eval.referee.laser import closure_errors, relation_errors, right_closures
 from eval.referee.score import Trial
-from eval.replay.laser.comparison import compare_laser, run_front_end
+from eval.replay.laser.comparison import compare_laser
+from eval.replay.laser.front_end import run_front_end
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.settings import Setup
-from tests.eval.replay.laser.field import halls, reporting_forward, slipping_at_rest, symmetric_room
+from tests.eval.replay.laser.field import halls, reporting_forward, ring, slipping_at_rest, symmetric_room
 
 GIVEN = next((p / "shared" / "data" / "laser_field" for p in Path(__file__).parents if (p / "shared").is_dir()), None)
+INTEL = Path("none") if GIVEN is None else GIVEN.parent / "intel" / "intel_raw_full.log.gz"
 given = pytest.mark.skipif(GIVEN is None, reason="the recorded logs are not here")
 
 
@@ -81,6 +87,41 @@ def test_where_a_short_reach_between_equal_rows_leads_astray_the_walls_are_doubl
     (run,) = compare_laser(log.recorded, ["isam2"], Setup())
     assert aligned_rmse(run.last, log.truth.pose) > 1.0
     assert Code.DOUBLED_WALLS in {n.code for n in laser_faults.of_run(run, Trial(log, "slam", (run,)))}
+
+
+@pytest.mark.slow
+def test_loop_closures_that_a_wrong_path_believes_and_the_map_does_not_are_not_believed():
+    """Odometry too long by 8 % along bare walls: the chain is sure of it, and pillars one farther fit."""
+    log = ring(0, scale=0.08)
+    first = run_front_end(log.recorded, LaserParameters())
+    assert not right_closures(first.loops, log.truth.pose[first.chain.frame])[first.loops.believed >= 0].any()
+    (run,) = compare_laser(log.recorded, ["isam2"], Setup())
+    believed = run.loops.believed >= 0
+    assert believed.sum() > 100
+    error = closure_errors(run.loops, log.truth.pose[run.chain.frame])[believed]
+    assert np.hypot(error[:, 0], error[:, 1]).max() < 0.3
+    assert Code.CHAIN_WIDENED in {n.code for n in run.notes}
+    assert Code.DOUBLED_WALLS not in {n.code for n in laser_faults.of_run(run, Trial(log, "slam", (run,)))}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("thin", [1, 5])
+def test_scans_alone_tell_the_motion(thin):
+    """Five scans a second, and one."""
+    log = named_log("floorplan:0")
+    scans = log.recorded.scans
+    few = replace(scans, frame=scans.frame[::thin], ranges=scans.ranges[::thin])
+    (run,) = compare_laser(without_odometry(replace(log.recorded, scans=few)), ["isam2"], Setup())
+    assert aligned_rmse(run.last, log.truth.pose) < 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not INTEL.exists(), reason="the recorded log is not here")
+def test_scans_of_the_intel_lab_alone_are_worth_three_centimetres():
+    """With wheels 0.0167 m. With a search only where no match fits, and frames by their stamps, 0.088 m."""
+    log = open_log(INTEL, Reading(no_odometry=True))
+    (run,) = compare_laser(log.recorded, ["isam2"], Setup())
+    assert relation_errors(run.last, log.truth.relations, log.recorded.time).trans_mean_m < 0.03
 
 
 @given

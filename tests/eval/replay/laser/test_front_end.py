@@ -11,7 +11,7 @@ import pytest
 from data.inputs import Inputs
 from data.se2 import Array, between, compose, pose_error
 from data.worlds.floorplan.world import Floorplan, simulate
-from eval.replay.laser.comparison import FrontEndResult, run_front_end
+from eval.replay.laser.front_end import FrontEndResult, run_front_end
 from eval.replay.laser.parameters import LaserParameters
 
 HONEST = LaserParameters(variance_scale=1.0)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from data.errors import DataError, UsageError
+from data.formats.recordings.mending import Mending
 from data.formats.recordings.ros import log_of, read_bag
 from data.log import Log
 from tests.data.formats.recordings.ros.bags import FORMS, START, Maker
@@ -162,6 +163,29 @@ def test_without_a_topic_of_odometry_the_moving_transform_is_it(tmp_path):
     log = load(made.save(tmp_path))
     assert log.recorded.prior.mean == pytest.approx([0.75, 0.0, 0.075])
     assert log.recorded.scans.scanner.translation == (-0.25, 0.0)
+
+
+@pytest.mark.parametrize("range_max", [8.0, 8000.0])
+def test_ranges_in_mm_have_a_maximum_in_either_unit(range_max, tmp_path):
+    made = Maker("mcap")
+    made.drive(LEVEL)
+    made.scan(1.0, [1000.0, 2000.0, 3000.0], range_max=range_max)
+    path = made.save(tmp_path)
+    scans = log_of(path, read_bag(path), Mending(range_unit="mm")).recorded.scans
+    assert scans.ranges.tolist() == [[1.0, 2.0, 3.0]]
+    assert scans.scanner.max_range == 8.0
+
+
+def test_a_bag_of_scans_alone_is_refused_or_read_without_odometry(tmp_path):
+    made = Maker("mcap")
+    for t in (0.75, 2.25):
+        made.scan(t, [1.0, 2.0, 3.0])
+    path = made.save(tmp_path)
+    with pytest.raises(DataError, match="--odom TOPIC, or --no-odometry"):
+        read_bag(path)
+    log = log_of(path, read_bag(path, alone=True), Mending(odometry=False))
+    assert len(log.recorded) == 2
+    assert log.recorded.increments.covariance[1, 0, 0] > 0.01
 
 
 def test_scans_of_other_lengths_are_resampled(maker, tmp_path):
