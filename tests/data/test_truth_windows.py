@@ -239,6 +239,7 @@ def test_a_map_in_another_frame_has_no_wrong_rows():
     assert misplaced(replace(log, recorded=replace(log.recorded, map=LandmarkMap(known.id, known.xy + 3.0)))) == ()
 
 
+@pytest.mark.slow
 def test_the_bad_windows_of_utias_dataset_9_are_found(mrclam):
     found = bad_truth(load_mrclam(mrclam / "MRCLAM_Dataset9.zip", 3))
     assert [str(w.fault) for w in found] == ["heading", "jump"]

@@ -141,6 +141,7 @@ def test_a_run_that_diverges_is_listed_with_its_seed_and_a_command_that_replays_
     assert "diverged with seed 3, frame 9" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_rejected_declaration_is_exit_1_and_named(small, tmp_path, monkeypatch, capsys):
     from dataclasses import replace
 

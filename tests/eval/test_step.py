@@ -114,6 +114,7 @@ class Kept(ImageWriter):
 
 
 @pytest.mark.parametrize(("block", "first"), [(step_block, 0), (lab_block, 1)])
+@pytest.mark.slow
 def test_figures_count_steps_landmarks_and_observations_as_the_text_does(block, first):
     log, kept = open_log("corridor:0"), Kept()
     walk = Walk(log, "slam", "ekf", kept, pausing=False, block=block, first=first)

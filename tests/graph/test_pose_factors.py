@@ -163,6 +163,7 @@ def test_an_innovation_after_all_data_is_that_against_the_estimate_without_the_m
         assert left.dof == result.dof - len(error)
 
 
+@pytest.mark.slow
 def test_innovations_after_all_data_are_chi_square():
     nis = {"fix": [], "closure": []}
     for seed in range(60):

@@ -155,6 +155,7 @@ def test_of_two_sightings_that_contradict_each_other_not_both_are_believed(kind)
 
 
 @both_tasks
+@pytest.mark.slow
 def test_the_same_bytes_come_out_twice_and_nothing_is_printed(task, capfd):
     inputs, _, _ = circle(SENSORS["relative point"])
     inputs = for_task(inputs, task)

@@ -86,6 +86,7 @@ def test_what_is_printed_about_a_table_mends_it(fault, robot, convert, tmp_path)
         if mending is not None
     ],
 )
+@pytest.mark.slow
 def test_what_is_printed_about_a_laser_log_mends_it(fault, convert, tmp_path, capsys):
     inputs = RAW.recorded
     pose = dead_reckoned(inputs.prior.mean, inputs.increments.mean)

@@ -48,6 +48,7 @@ def test_every_picture_is_found_with_its_own_name_and_corners_within_a_pixel(tex
     assert plane[2] < 0.6 * window[2]
 
 
+@pytest.mark.slow
 def test_several_pictures_in_one_frame_are_all_found(textures, detector):
     scene = wall()
     places = {2: hung(2.2, 20, x=-0.85), 0: hung(2.2, 0, x=0.0), 3: hung(2.2, -20, x=0.85)}
@@ -161,6 +162,7 @@ def test_input_of_the_wrong_kind_is_an_error(textures, detector):
         detector.detect(wall().rgb, wall().xyz[::2])
 
 
+@pytest.mark.slow
 def test_the_tally_accounts_for_every_picture_of_every_frame(textures, detector):
     seen = hang(wall(), textures[1], hung(1.5))
     cut = hang(wall(), textures[1], hung(1.5, x=-0.75))

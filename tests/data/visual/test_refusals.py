@@ -125,6 +125,7 @@ def test_something_in_front_of_a_corner_is_noticed(textures, detector):
 
 
 @pytest.mark.parametrize("factor", [0.75, 1.3])
+@pytest.mark.slow
 def test_a_copy_of_the_wrong_size_is_refused_where_the_size_is_known(textures, detector, sizeless, factor):
     scene = hang(wall(), textures[0], hung(1.5, width=factor * PICTURE))
     assert reason(detector.detect(scene.rgb, scene.xyz), 0) == checks.WRONG_SIZE

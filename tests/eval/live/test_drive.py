@@ -58,6 +58,7 @@ def test_at_rest_nothing_moves_whatever_is_heard():
     assert [at_rest(blocked(ahead)) for ahead in (0.1, np.inf)] == [(0.0, 0.0)] * 2
 
 
+@pytest.mark.slow
 def test_every_packet_is_taken_the_last_answer_included():
     came = packets(2.5)
     link = Scripted([[], came[:1], came[1:4], came[4:5], came[5:6]])

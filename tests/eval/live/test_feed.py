@@ -66,6 +66,7 @@ def test_small_chunks_large_chunks_and_one_chunk_are_the_same(taken):
     assert np.allclose(small["r0.online_xy"], [one.steps[0].mean[:2] for one, _ in frames], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_walls_added_up_are_those_of_the_map(taken):
     frames, _ = taken
     state = frames[-1][1][0]

@@ -137,6 +137,7 @@ def test_a_device_that_goes_and_comes_back_is_a_fault_and_the_drive_goes_on(tmp_
     assert [written[k] for k in range(len(written))] == replayed_bits(replayed(tmp_path / "log", "ekf-fej"))
 
 
+@pytest.mark.slow
 def test_told_to_rest_it_rests_and_ends_by_itself(tmp_path):
     words = [*FAST, "--drive", "none", "--seconds", 4, "--no-page", "--framed"]
     with simulator(tmp_path, *FAST, "--framed") as (link, truth), started(tmp_path, link, *words) as process:

@@ -64,6 +64,7 @@ def test_a_log_that_nobody_measured_names_its_fault_and_what_putting_it_right_br
     assert len(trust.after.blame.objected) < 0.2 * len(trust.blame.objected)
 
 
+@pytest.mark.slow
 def test_what_is_kept_is_not_done_again_and_the_numbers_are_the_same(outcome, unmeasured, monkeypatch):
     out, done = outcome
     monkeypatch.setattr("eval.plan.trust.one_twin", None)

@@ -111,6 +111,7 @@ def test_heavy_tails_are_no_wrong_sigma(usual):
     assert found.size <= 6.0
 
 
+@pytest.mark.slow
 def test_a_displaced_landmark_is_named(usual):
     log = usual[0]
     ids, count = np.unique(log.truth.landmark_of, return_counts=True)

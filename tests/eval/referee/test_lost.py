@@ -63,5 +63,6 @@ def test_new_places_and_people_in_the_way_are_no_reason_to_be_lost(name, associa
     assert found(world(name), "slam", association) is None
 
 
+@pytest.mark.slow
 def test_a_park_with_occluded_trees_is_not_lost():
     assert found(world("victoria-park"), "slam", "known") is None

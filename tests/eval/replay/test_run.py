@@ -64,6 +64,7 @@ def test_labels_frame_by_frame_make_the_decisions_of_the_whole_run(crowded):
     np.testing.assert_array_equal(whole.online.pose, steps.online.pose)
 
 
+@pytest.mark.slow
 def test_a_batch_takes_the_decisions_of_isam2_or_of_the_filter_if_there_is_no_isam2(lab):
     inputs = slam(lab, labels=True)
     _, isam2, batch = compare(inputs, "slam", ["ekf", "isam2", "batch"], "nn")

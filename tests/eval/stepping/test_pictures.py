@@ -158,6 +158,7 @@ def test_another_method_gets_a_panel_of_its_own_and_one_without_decisions_says_w
     painted(paint_compatibility, dataclasses.replace(m, decisions=more, truth=truth, chosen="gnn"))
 
 
+@pytest.mark.slow
 def test_without_truth_decisions_are_counted_instead_of_judged():
     m = problem()
     decisions = {name: d for name, d in m.decisions.items() if name != "truth"}
@@ -180,6 +181,7 @@ def test_a_landmark_far_away_does_not_make_the_scene_small():
     assert np.ptp(fig.axes[0].get_xlim()) < 20.0
 
 
+@pytest.mark.slow
 def test_pictures_are_seen_in_equal_aspect_and_fill_their_place():
     for fig in (painted(paint_matching, problem()), painted(paint_observations, PLAIN, *problem_sightings(), "x")):
         for ax in fig.axes:

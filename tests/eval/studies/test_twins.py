@@ -96,6 +96,7 @@ def test_in_localization_the_map_stays_and_in_slam_it_is_not_given():
     assert twin(made(task="slam")[2], 0).recorded.map is None
 
 
+@pytest.mark.slow
 def test_a_twin_has_a_truth_and_who_is_right_is_right_about_it():
     source = made("linear:0", frames=30)[2]
     samples = [one_twin(source, seed) for seed in range(12)]

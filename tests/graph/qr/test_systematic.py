@@ -215,6 +215,7 @@ def size_of_the_test(task, runs):
 
 
 @pytest.mark.parametrize("task", ["localization", "slam"])
+@pytest.mark.slow
 def test_with_the_noise_as_stated_scores_are_standard_normal(task):
     _, above, below = size_of_the_test(task, 60)
     assert (above > 1e-3).all()

@@ -91,6 +91,7 @@ def test_the_stated_field_of_view_holds_every_reading(park: Log) -> None:
     assert np.hypot(*z.T).max() > 0.8 * sensor.max_range
 
 
+@pytest.mark.slow
 def test_gtsam_is_found_without_being_imported() -> None:
     code = (
         "import sys; from data.formats.recordings.victoria_park import load_victoria_park; load_victoria_park(); "

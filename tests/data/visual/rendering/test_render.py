@@ -76,6 +76,7 @@ class TestImagesAreTrueToTheGeometry:
             assert np.corrcoef(cut.ravel(), reference.ravel())[0, 1] > 0.97
 
     @pytest.mark.parametrize("width", [96, 120])
+    @pytest.mark.slow
     def test_a_picture_finer_than_the_image_is_averaged_and_neither_glitters_nor_blurs(self, width):
         small = replace(SMALL_CLEAN, image_width=width, image_height=width * 3 // 4, pictures=4)
         recording = Rendered(small, 0)
@@ -110,6 +111,7 @@ class TestImagesAreTrueToTheGeometry:
         assert checked[0.9] >= 20
         assert checked[0.5] >= 10
 
+    @pytest.mark.slow
     def test_no_picture_is_off_by_a_tenth_of_a_pixel(self, clean):
         shifts = []
         for frame, number in views(clean):

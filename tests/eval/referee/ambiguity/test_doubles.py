@@ -97,6 +97,7 @@ def log():
     return log_of(Drawn(5, name, readings, Crowding(paired=0.5, spacing=1.5), Misstated(1.0, 2.0, 2.0)))
 
 
+@pytest.mark.slow
 def test_merged_neighbours_are_marked_in_the_file_and_in_a_notice(log):
     (run,) = compare(log.inputs(), "slam", ["ekf"], "jcbb")
     two = doubles(run, log.recorded)

@@ -175,6 +175,7 @@ def pair_of_rounds(share=1.0):
 
 
 @pytest.mark.parametrize("name", ["bearing", "range"])
+@pytest.mark.slow
 def test_where_the_sensors_errors_are_estimated_readings_are_judged_without_them(name):
     """The sensor errs by twenty of its sigmas all along a drive; two readings of two hundred by half a metre more."""
     rng, frames = np.random.default_rng(5), 40

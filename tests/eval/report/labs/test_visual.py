@@ -160,6 +160,7 @@ def test_plots_have_the_formats_of_the_figure_style_and_images_are_png(saved, tm
     assert [saved[s][1] for s in stems] == [None, ("png",), None, None]
 
 
+@pytest.mark.slow
 def test_the_first_plan_shows_dead_reckoning_with_ellipses_in_their_size_and_the_second_the_filter_too(saved, tmp_path):
     visual.visual_hand_in(tmp_path, Output(formats=("csv",), quick=True, ellipses="5"), [trial()])
 
@@ -203,6 +204,7 @@ def smaller(path, scale):
     return path and replace(path, covariance=scale**2 * path.covariance)
 
 
+@pytest.mark.slow
 def test_the_sheet_shows_the_first_and_the_last_of_the_frames_kept(saved, monkeypatch, tmp_path):
     sheets = []
     monkeypatch.setattr(visual, "contact_sheet", lambda tiles, title: sheets.append(([t.name for t in tiles], title)))

@@ -117,6 +117,7 @@ def test_the_figure_is_drawn_where_the_smoother_made_the_same_decisions():
 
 
 @pytest.mark.parametrize("also", [(), ("isam2", "ekf-iterated")])
+@pytest.mark.slow
 def test_who_decided_otherwise_is_named_in_the_caption(tmp_path, also):
     runs = [run_with_error(SIGMA, estimator=name) for name in also]
     runs = [replace(r, final_decisions=r.final_decisions + 1) for r in runs]

@@ -72,6 +72,7 @@ def trials(**what) -> list[Trial]:
     return [Trial(log, "localization", localized), Trial(log, "slam", (run_with_error(np.full(3, 0.05)),))]
 
 
+@pytest.mark.slow
 def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path):
     made = visual_sections(tmp_path, Output(), [*trials(), Trial(circle_log(), "slam", ())])
     assert [s.heading for s in made] == ["Pictures as landmarks: visual:1"]
