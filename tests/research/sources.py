@@ -6,13 +6,13 @@ often the first cause names the source.
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
+from data.command import Parser
 from data.log import Log
 from data.logs import open_log
 from eval.report.calls import twins
@@ -65,7 +65,7 @@ CASES: dict[str, tuple[str, Callable[[Log], Log], str]] = {
 
 def main() -> None:
     """Diagnose logs of the cases asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Parser(prog="python -m tests.research.sources", description="Size and power of the diagnosis of sources.")
     parser.add_argument("case", nargs="+", choices=CASES)
     parser.add_argument("--logs", type=int, default=10)
     parser.add_argument("--seed", type=int, default=0)
