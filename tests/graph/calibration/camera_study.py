@@ -8,12 +8,12 @@ The prior of K is drawn about the truth, 80 px off in the focal length and 20 px
 
 from __future__ import annotations
 
-import argparse
 import sys
 from typing import NamedTuple
 
 import numpy as np
 
+from data.command import Parser
 from data.log import Log
 from data.logs import open_log
 from data.se2 import Array, pose_error
@@ -100,7 +100,7 @@ def rows_of(seed: int, frames: int | None) -> list[Row]:
 
 def main() -> None:
     """Print a line per run, and means with their standard errors."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = Parser(prog="python -m tests.graph.calibration.camera_study", description="NEES of K over many runs.")
     parser.add_argument("runs", type=int)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--frames", type=int)
