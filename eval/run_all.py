@@ -28,6 +28,7 @@ from eval.plan import first_use
 from eval.plan.flags.help import PROG
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import Options
+from eval.plan.stale_kernels import forget_in_checkout
 
 FINE, REJECTED = 0, 1
 MARK = "provenance.json"
@@ -90,6 +91,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = 
         with heeding_interruption() as check, first_use.stopping():
             options = read_options(arguments, prog, positional)
             consoles.append(Console(options))
+            forget_in_checkout()
             if line := first_use.start(options):
                 consoles[0].say(line)
             check()

@@ -34,6 +34,20 @@ def forget_stale(kept: Path = KEPT) -> list[Path]:
     return changed
 
 
+def forget_in_checkout(kept: Path = KEPT) -> None:
+    """In a checkout whose files are newer than the note of them, as after a pull: `forget_stale`, and note them anew.
+
+    A kernel that was compiled from an older file gives wrong numbers, and nothing says so. The look at all files takes
+    milliseconds; an installed package changes as a whole.
+    """
+    if not (ROOT / ".git").exists():
+        return
+    newest = max(m.stat().st_mtime for package in PACKAGES for m in (ROOT / package).rglob("*.py"))
+    if not kept.exists() or kept.stat().st_mtime < newest:
+        forget_stale(kept)
+        note_sources(kept)
+
+
 def note_sources(kept: Path = KEPT) -> None:
     """Note what everything was compiled from; nothing where the folder cannot be written to."""
     found = {str(m.relative_to(ROOT)): digest for m, digest in digests().items()}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 
 from eval.plan import stale_kernels
@@ -62,3 +64,18 @@ def test_every_module_with_kernels_of_the_project_is_known():
     names = {m.stem for m in stale_kernels.digests()}
     assert {"kernels", "updates", "whole_run", "jcbb", "elimination"} <= names
     assert stale_kernels.ROOT / "data" / "se2.py" in stale_kernels.closure(stale_kernels.ROOT / "ekf" / "whole_run.py")
+
+
+def test_a_command_in_a_checkout_forgets_what_an_older_file_was_compiled_to(project):
+    """After a pull the numbers are not those of the former code; elsewhere nothing is looked at."""
+    folder, kept = project
+    path = folder / "constants.py"
+    path.write_text("GATE = 4.0\n")
+    os.utime(path, (kept.stat().st_mtime + 10.0,) * 2)
+    stale_kernels._imported.cache_clear()
+    stale_kernels.forget_in_checkout(kept)
+    assert len(list((folder / "__pycache__").glob("*.nbi"))) == 3
+    (folder.parent / ".git").mkdir()
+    stale_kernels.forget_in_checkout(kept)
+    assert [f.name.partition(".")[0] for f in (folder / "__pycache__").glob("*.nbi")] == ["other"]
+    assert stale_kernels.forget_stale(kept) == []
