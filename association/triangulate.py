@@ -1,8 +1,8 @@
 """Where a landmark is that was only observed by bearings or ranges, each from another pose: delayed initialization.
 
 The observations of a landmark wait until they determine its place well enough to linearize there (Bailey, "Constrained
-initialisation for bearing-only SLAM", ICRA 2003). All is relative to the newest pose, since an error that all poses
-share says nothing of the linearization.
+initialisation for bearing-only SLAM", ICRA 2003). All is relative to the newest pose: an error that all poses share
+moves the landmark with them, and does not affect the linearization.
 """
 
 from __future__ import annotations
@@ -15,10 +15,11 @@ import numpy as np
 
 from association.expectation import gate_threshold
 from data.blocks import block_diagonal
-from data.se2 import Array, between, compose, worlds_from_bodies
+from data.pose_measurements import expected_closure
+from data.se2 import Array, compose
 from data.sensors import MIN_RANGE, EachSensor, Sensor
 
-BENT = 0.5
+SECOND_ORDER = 0.5
 """Largest second-order term of an observation, for a place off by its largest standard deviation, in standard
 deviations of the innovation: half the squared sigma over the range, or over its square for a bearing."""
 STEPS = 30  # of Gauss-Newton
@@ -52,7 +53,7 @@ def triangulate(sensors: Sequence[Sensor], pose: Array, covariance: Array, z: Ar
         return None
     found.sort(key=lambda p: p.squared)
     best = found[0]
-    if best.squared > gate_threshold(GATE, dof) or _bend(each, relative, P, R, best) > BENT:
+    if best.squared > gate_threshold(GATE, dof) or _second_order(each, relative, P, R, best) > SECOND_ORDER:
         return None
     for other in found[1:]:
         apart = other.xy - best.xy
@@ -62,28 +63,27 @@ def triangulate(sensors: Sequence[Sensor], pose: Array, covariance: Array, z: Ar
     return best._replace(xy=compose(pose[-1], np.array([*best.xy, 0.0]))[:2])
 
 
-def _bend(each: EachSensor, pose: Array, P: Array, R: Array, place: Place) -> float:
-    """Largest second-order term of the observations, in standard deviations of their innovations (`BENT`)."""
+def _second_order(each: EachSensor, pose: Array, P: Array, R: Array, place: Place) -> float:
+    """Largest second-order term of the observations, in standard deviations of their innovations (`SECOND_ORDER`)."""
     m = len(pose)
     _, Hx, _ = each.linearize(pose, np.repeat(place.xy[None], m, axis=0))
     own = P.reshape(m, 3, m, 3)[np.arange(m), :, np.arange(m), :]
     sigma = np.sqrt(np.einsum("mii->mi", Hx @ own @ Hx.transpose(0, 2, 1) + R))
     r = np.maximum(np.hypot(*(pose[:, :2] - place.xy).T), MIN_RANGE)
-    bend = 0.5 * np.linalg.eigvalsh(place.covariance)[-1] / np.stack([r, r**2], 1)
+    term = 0.5 * np.linalg.eigvalsh(place.covariance)[-1] / np.stack([r, r**2], 1)
     measured = np.array([[q in s.measures for q in (0, 1)] for s in each.sensors])
-    return float((bend / sigma)[measured].max())
+    return float((term / sigma)[measured].max())
 
 
 def _relative(pose: Array, covariance: Array) -> tuple[Array, Array]:
     """Poses (m, 3) in the frame of the last one, and their covariance (3m, 3m)."""
     m = len(pose)
-    found = between(pose[-1], pose)
-    turn = worlds_from_bodies(pose[-1:, 2])[0].T
-    J = block_diagonal(np.repeat(turn[None], m, axis=0))
+    found, J = np.empty((m, 3)), np.zeros((3 * m, 3 * m))
     for i in range(m):
-        to_last = np.array([[-1.0, 0.0, found[i, 1]], [0.0, -1.0, -found[i, 0]], [0.0, 0.0, -1.0]])
-        to_last[:2, :2] = -turn[:2, :2]
-        J[3 * i : 3 * i + 3, -3:] += to_last
+        found[i], to_last, to_own = expected_closure(pose[-1], pose[i])
+        rows = slice(3 * i, 3 * i + 3)
+        J[rows, rows] += to_own
+        J[rows, -3:] += to_last
     return found, J @ covariance @ J.T
 
 

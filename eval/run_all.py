@@ -169,7 +169,7 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     from eval.referee.diagnostics import disputed, questions_of_run
     from eval.referee.headline import Verdict
     from eval.referee.score import score
-    from eval.referee.sources import source_notices
+    from eval.referee.sources.scored import source_notices
     from eval.report.contents import write_results
     from eval.report.headline import headlines, lines, trust_line
     from eval.report.overview import trust_mark

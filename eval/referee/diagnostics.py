@@ -33,7 +33,7 @@ from eval.referee.plausibility import ABSURD, first_misfit
 from eval.referee.residuals import Used, smoothed_residuals, used_by
 from eval.referee.result_files import NOTICES
 from eval.referee.score import Scores, Trial, lost_of, score
-from eval.referee.sources import source_notices, uses_sources
+from eval.referee.sources.scored import source_notices, uses_sources
 
 UNUSED = 0.1  # share of paired observations below which an estimate is dead reckoning
 FEWEST = 20  # least number of observations, or twice the landmarks, to ask about

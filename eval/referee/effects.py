@@ -21,7 +21,7 @@ from data.result import Systematics
 from data.se2 import Array
 from data.sensors import RELATIVE_POINT
 from eval.referee.residuals import Used
-from eval.referee.source_residuals import columns
+from eval.referee.sources.residuals import columns
 from graph.qr.of_poses import OfPoses
 from graph.qr.score_test import Score, systematic
 
@@ -49,7 +49,7 @@ def effects(inputs: Inputs, path: Array, used: Used) -> list[Effect]:
     step's turn that was driven before its way. For observations, `constant` is a bias in the component's unit and
     `range` grows with the range; for points, z1 is then along the ray (a share) and z2 across it (an angle). `latency`
     is the delay [s] of both coordinates, `latency_growth` its growth [s/s], `mount_{x,y}` a displacement of the sensor
-    [m]; in a known map, `map_scale` is a share. Those of fixes and closures are in `source_residuals.columns`.
+    [m]; in a known map, `map_scale` is a share. Those of fixes and closures are in `sources.residuals.columns`.
     """
     found = [Effect(f"odometry_{name}", motion=column) for name, column in _motion(inputs, path).items()]
     found += [Effect(name, observations=column) for name, column in _observations(inputs, path, used).items()]

@@ -27,8 +27,8 @@ from eval.referee.explanations import (
     of_variance,
     penalty,
 )
-from eval.referee.source_residuals import ENTRIES, OfSource, correlation, entries_of, key_of, of_sources
-from eval.referee.sources import CLOSURE, sources_of
+from eval.referee.sources.residuals import ENTRIES, OfSource, correlation, entries_of, key_of, of_sources
+from eval.referee.sources.scored import CLOSURE, sources_of
 
 OUTLIERS = "outliers"
 

@@ -20,10 +20,11 @@ from data.inputs import Inputs
 from data.motion.systematic import corrected_inputs
 from data.result import Run, Trajectory
 from data.se2 import Array, BoolArray
-from eval.referee import effects, residuals, source_residuals
+from eval.referee import effects, residuals
 from eval.referee.consistency import gated, lag1_correlation
 from eval.referee.score import nis_of
-from eval.referee.sources import SourceScore, score_source, sources_of
+from eval.referee.sources import residuals as source_residuals
+from eval.referee.sources.scored import SourceScore, score_source, sources_of
 
 SHARE = 0.01  # least reduction of the filter's variance by later data, as a share, in a direction that is compared
 TOLERANCE = 1e-6  # rounding of the eigenvalues of P_f - P_s, as a share of P_f

@@ -16,8 +16,8 @@ from eval.referee.diagnostics import unused
 from eval.referee.errors import position_distance, rms
 from eval.referee.headline import Claim, Headline, Objected, Objection, Preference, Verdict, headline, usable
 from eval.referee.score import Scores, Trial
-from eval.referee.source_residuals import source_in
-from eval.referee.sources import has_sources
+from eval.referee.sources.residuals import source_in
+from eval.referee.sources.scored import has_sources
 from eval.replay.settings import INCREMENTAL
 from eval.report.answer import LINEARIZATION, chosen_association, pick
 from eval.report.comparison import difference_of

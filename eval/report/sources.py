@@ -12,7 +12,7 @@ import pandas as pd
 from data.notice import Notice
 from eval.plan.flags.table import Output
 from eval.referee.score import Scores, Trial
-from eval.referee.sources import source_notices
+from eval.referee.sources.scored import source_notices
 from eval.replay.settings import FILTERS
 from eval.report.page.blocks import Section
 from eval.report.page.files import written_table

@@ -19,7 +19,7 @@ from eval.plan.flags.table import Output
 from eval.referee import battery
 from eval.referee.attribution import NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.score import Trial
-from eval.referee.source_residuals import source_in
+from eval.referee.sources.residuals import source_in
 from eval.replay.settings import ESTIMATORS, FILTERS, HINDSIGHT
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import written_table

@@ -27,8 +27,8 @@ from eval.referee.residuals import Used
 from eval.referee.result_files import TRUST
 from eval.referee.score import frame_of
 from eval.referee.source_explanations import left_out, of_outliers, outlying, source_corrected, source_explanations
-from eval.referee.source_residuals import of_sources
-from eval.referee.sources import has_sources
+from eval.referee.sources.residuals import of_sources
+from eval.referee.sources.scored import has_sources
 from eval.referee.trust import Key, Measured
 from eval.replay.batch import batch
 from eval.replay.settings import Setup

@@ -14,7 +14,7 @@ from eval.referee import consistency
 from eval.referee.diagnostics import notices, unused
 from eval.referee.headline import Objection, Verdict
 from eval.referee.score import Trial, score
-from eval.referee.sources import outcomes_of, score_source, source_notices, sources_of
+from eval.referee.sources.scored import outcomes_of, score_source, source_notices, sources_of
 from eval.referee.trust import of_online
 from eval.report.overview_facts import facts_of
 from tests.eval.handmade import FRAMES, circle_log, run_with_error

@@ -18,7 +18,7 @@ from data.inputs import Inputs, IntArray
 from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, expected_closure, expected_fix
 from data.se2 import Array
 from eval.referee.residuals import Used
-from eval.referee.sources import Source, sources_of
+from eval.referee.sources.scored import Source, sources_of
 
 ENTRIES = ("x", "y", "theta")
 UNUSUAL = 1e-5  # probability of a larger squared residual, from which a measurement is an outlier
