@@ -57,7 +57,7 @@ def test_the_terminal_has_a_line_for_each_source_of_the_filter_that_used_it():
     found = [smoother, loops, GPS]
     assert main_sources(found) == [GPS, loops]
     assert source_lines(found) == [
-        "gps (position): 95 of 100 accepted, NIS 0.970 [0.810, 1.21], 0 wrongly (ekf)",
+        "gps (position): 95 of 100 accepted, NIS 0.970 [0.810, 1.21], 0 wrong decisions (ekf)",
         "loops (closure): 0 of 4 accepted (ekf)",
     ]
     assert GPS.wrong == 0
