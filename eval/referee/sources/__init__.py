@@ -1,0 +1,1 @@
+"""Fixes and closures by source: what became of them, and their residuals."""
