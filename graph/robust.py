@@ -22,6 +22,7 @@ from graph.graduated import graduated
 from graph.incremental import DELICATE
 from graph.optimum import Smoothed, poses_of
 from graph.problem import Problem
+from graph.systematic import Calibrated
 from graph.walls import about, along, known_wall_factors, lines_of, placed, wall_factors
 
 PROBABILITY = 0.99  # of the chi-square quantile beyond which a measurement is rejected
@@ -47,7 +48,7 @@ def gnc(
     if problem.calibrated is not None:
         # with wrong errors, right pairings would be rejected
         start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start)
-    if problem.pose_factors:
+    if problem.pose_factors or any(s.dims != 2 for s in problem.observations):
         start, believed = _graduate_all(problem, start, threshold)
     else:
         walls = None if inputs.sensor.sees_points else _walls(inputs, used, number, start)
@@ -87,17 +88,19 @@ def _rejected(problem: Problem, out: BoolArray) -> Rejected:
 
 
 def _graduate_all(problem: Problem, start: Start, threshold: Array) -> tuple[Start, BoolArray]:
-    """As `_graduate`, with fixes and closures; systematic errors stay at the start, and are the robot's own."""
-    values, errors = start_values(problem, start), start.errors
-    if problem.calibrated is not None:
-        at = problem.calibrated.errors(values)
-        problem.calibrated.remove(values)
-        problem = problem.held(at)
+    """As `_graduate`, with fixes and closures, bearings and ranges: gtsam's optimizer takes one threshold for all
+    dimensions, and no factor in Python. Systematic errors stay at the start.
+    """
+    values, calibrated = start_values(problem, start), problem.calibrated
+    if calibrated is not None:
+        errors = calibrated.errors(values)
+        calibrated.remove(values)
+        problem = problem.held(errors)
     values, believed = graduated(problem, values, threshold)
-    pose, landmark = _start_of(replace(problem, about=None), values, start)[:2]
+    found = _start_of(replace(problem, about=None), values, start)
     if problem.about is not None:
-        landmark[problem.numbers] = about(landmark[problem.numbers], -problem.about)
-    return Start(pose, landmark, errors), believed
+        found.landmark[problem.numbers] = about(found.landmark[problem.numbers], -problem.about)
+    return found if calibrated is None else _of_robot(calibrated, errors, found, problem.numbers), believed
 
 
 def is_delicate(inputs: Inputs) -> bool:
@@ -147,11 +150,10 @@ def _graduate(
     control parameter starts from the residuals at `start`, not at the first least-squares solution as in the paper.
     """
     values, calibrated = start_values(problem, start), problem.calibrated
-    errors = np.empty((0, 0))
     if calibrated is not None:
         errors = calibrated.errors(values)
-        problem = problem.held(errors)
         calibrated.remove(values)
+        problem = problem.held(errors)
     if walls is not None:
         for n in problem.numbers.tolist():
             values.erase(gtsam.symbol("l", n))
@@ -183,12 +185,13 @@ def _graduate(
     first = np.cumsum(count) - count
     smallest = np.minimum.reduceat(weight, first) if len(count) else weight
     found = _start_of(problem, values, start)
-    if calibrated is not None:
-        pose = calibrated.frame.poses_out(found.pose, errors)[0]
-        there = problem.numbers
-        found.landmark[there] = calibrated.frame.points_out(found.landmark[there], errors[-1])[0]
-        found = Start(pose, found.landmark, errors)
-    return found, smallest > 0.5
+    return found if calibrated is None else _of_robot(calibrated, errors, found, problem.numbers), smallest > 0.5
+
+
+def _of_robot(calibrated: Calibrated, errors: Array, found: Start, numbers: IntArray) -> Start:
+    """A solution in the sensor's frame as the robot's in the world: its poses, landmarks `numbers`, and errors."""
+    found.landmark[numbers] = calibrated.frame.points_out(found.landmark[numbers], errors[-1])[0]
+    return Start(calibrated.frame.poses_out(found.pose, errors)[0], found.landmark, errors)
 
 
 def _start_of(problem: Problem, values: gtsam.Values, start: Start) -> Start:

@@ -146,9 +146,16 @@ def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -
 
 
 def _start_of(other: Callable[[], Run], inputs: Inputs, initialized: IntArray) -> Start | None:
-    """The path of another run as a start; None: it has none."""
+    """The path of another run as a start; None: it has none, or its landmarks are others.
+
+    A run whose landmarks begin late numbers them in its own order, and has no place for those that did not begin.
+    """
     run = other()
-    return None if run.failure is not None or run.online is None else start_at(inputs, run, initialized)
+    if run.failure is not None or run.online is None:
+        return None
+    if inputs.several_or_partial and inputs.map is None and not np.array_equal(run.initialized, initialized):
+        return None
+    return start_at(inputs, run, initialized)
 
 
 def _chordal(inputs: Inputs, initialized: IntArray) -> Start:
