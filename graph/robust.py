@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 
 from association.expectation import gate_threshold
+from association.truncated import truncated_square
 from data.inputs import FrameObservations, Inputs, IntArray, Prior
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
@@ -36,8 +37,8 @@ def gnc(
 
     Conventions of `graph.batch.smooth`. Prior, motion and known landmarks are trusted. A measurement is rejected if its
     squared whitened residual, at this optimum, is not below the chi-square quantile of `probability`; so chi-square and
-    covariances are slightly too small. A landmark without accepted observations leaves the map. It is a local method:
-    consistent wrong pairings can win.
+    covariances are slightly too small, chi-square as `Smoothed.gated` says. A landmark without accepted observations
+    leaves the map. It is a local method: consistent wrong pairings can win.
 
     Raises `UnderConstrained`, DataError for a singular covariance, ValueError for a probability not in (0, 1).
     """
@@ -70,8 +71,21 @@ def gnc(
         cost = float(np.minimum(square, threshold).sum())
         believed, last = square < threshold, believed
         if (believed == last).all() or not cost < before:
-            return result, accepted
+            return _truncated(result, problem, last, probability), accepted
         before = cost
+
+
+def _truncated(result: Smoothed, problem: Problem, believed: BoolArray, probability: float) -> Smoothed:
+    """The result with what its chi-square, and each NIS, are expected to be where some are not believed (k,).
+
+    With a measurement the cost is larger by its NIS against all others, and without it by the threshold. So at the
+    minimum it is believed where its NIS is below the threshold: a truncated chi-square variable.
+    """
+    dims = np.array([s.dims for s in problem.observations] + [len(p.entries) for p in problem.pose_factors])[believed]
+    each = np.array([truncated_square(gate_threshold(probability, int(d)), int(d)) for d in dims]).reshape(-1, 2)
+    mean, variance = (each.sum(axis=0) / max(int(dims.sum()), 1)).tolist()
+    fixes, closures = (None if of is None else replace(of, gate=probability) for of in (result.fixes, result.closures))
+    return replace(result, gated=(mean, variance) if len(dims) else None, fixes=fixes, closures=closures)
 
 
 def thresholds(problem: Problem, probability: float) -> Array:

@@ -236,6 +236,9 @@ def test_gnc_finds_wrong_labels_of_sensors_with_a_lever_arm(task, name):
     left = run.final_decisions < 0
     assert wrong.sum() > 15
     assert (wrong & ~left).sum() <= 2
+    if name == "bearings":
+        c = chi2.ppf(0.99, 1)
+        assert run.gated_final[0] == pytest.approx(chi2.cdf(c, 3) / chi2.cdf(c, 1))
     if task == "localization":
         assert (left & ~wrong).mean() < 0.03
     else:  # those that wait for their landmark's beginning are no pairings
