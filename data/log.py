@@ -84,7 +84,9 @@ class Log:
         if label is None:
             raise ValueError(f"log {self.name!r} has no labels to grant")
         o = self.recorded.observations
-        labelled = LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed, sensor=o.sensor)
+        labelled = LabelledObservations(
+            o.frame, o.z, o.R, label, self.labels_are_sensed, sensor=o.sensor, appearance=o.appearance
+        )
         return replace(self.recorded, observations=labelled)
 
     @staticmethod
@@ -177,8 +179,11 @@ def shortened(log: Log, n: int) -> Log:
         r,
         time=r.time[:n],
         increments=replace(r.increments, mean=r.increments.mean[:n], covariance=r.increments.covariance[:n]),
-        observations=replace(o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m], sensor=_rows(o.sensor, slice(m))),
-    )
+        observations=replace(
+            o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m], sensor=_rows(o.sensor, slice(m)),
+            appearance=None if o.appearance is None else o.appearance.only(slice(m)),
+        ),
+    )  # fmt: skip
     if r.scans is not None:
         k = int(np.searchsorted(r.scans.frame, n))
         scans = replace(r.scans, frame=r.scans.frame[:k], ranges=r.scans.ranges[:k])

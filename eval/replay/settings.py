@@ -179,6 +179,10 @@ class Given(Protocol):
     def closures(self) -> Closures | None:
         """Measured relative poses between frames, or None."""
 
+    @property
+    def descriptors(self) -> bool:
+        """Whether observations have descriptors."""
+
 
 class Beginning(NamedTuple):
     """The same without a log."""
@@ -190,3 +194,4 @@ class Beginning(NamedTuple):
     fixes: Fixes | None = None
     closures: Closures | None = None
     sensors: tuple[Sensor, ...] = ()
+    descriptors: bool = False
