@@ -110,6 +110,8 @@ class Log:
                 R (M, 2, 2) or (2, 2) instead of the sensor's sigma. landmarks (L, 3): id, x, y. truth (N, 3), NaN where
                 unknown (with odometry (K, 4): t, x, y, theta). true_id (M,): -1 false alarm, NaN unknown. label (M,),
                 NaN unknown. labels_are_sensed: bool. observed_by (M,): names of sensors. kinds (L,) of landmarks.
+                descriptor (M,), NaN not measured, and classes (M,), blank not read, with sensor's descriptor_sigma and
+                class_error; landmark_descriptor (L,), landmark_classes (L,) where known.
                 fixes, closures: columns of fixes.csv or closures.csv by name,
                 each (K,) or one value for all rows, NaN blank, and sources, tables as [[fix]] or [[closure]], as in
                 `{"frame": [0, 9], "kind": "position", "x": [0.0, 4.1], "y": [0.1, 3.9], "sources": [{"name": "gps",
