@@ -106,7 +106,7 @@ def test_with_enough_loop_closures_every_estimator_gets_the_scale_and_no_pose_mo
     given = runs["batch"]
     front = FrontEndResult(given.chain, given.loops, given.last, given.frame_seconds, given.key_pose)
     monkeypatch.setattr(scale, "consistent_front_end", lambda inputs, parameters: (front, None))
-    monkeypatch.setattr(comparison, "FEWEST", 1)
+    monkeypatch.setattr(scale, "FEWEST", 1)
     filtered, smoothed, dead = compare(log.recorded, "slam", ["ekf", "batch", "dead-reckoning"], "scan")
     assert filtered.scale == smoothed.scale
     assert dead.scale is None
