@@ -128,7 +128,7 @@ def test_any_appearance_comes_back_bit_for_bit(seed, described, classed, mapped)
             read[:] = UNREAD
         sigma = np.where(np.isnan(z), 1.0, 10.0 ** rng.uniform(-9, 9, n)) if noise else np.zeros(n)
         error = np.where(read < 0, 0.5, rng.uniform(1e-6, 0.49, n)) if noise else np.zeros(n)
-        return Appearance(z, sigma, read, error, ("Ä", "b c", "d") if classed else ())
+        return Appearance(z, sigma, read, error, ("b c", "d", "Ä") if classed else ())
 
     o, known = log.recorded.observations, log.truth.landmarks
     places = LandmarkMap(known.id, known.xy, appearance=looks(len(known.id), noise=False) if mapped else None)
