@@ -14,7 +14,7 @@ Both terms add up over the pairings of a frame, as no landmark is paired twice t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -84,15 +84,45 @@ class Looks:
     def _misread(self, log: Array, seen: Appearance) -> Array:
         """-2 ln of the probability (m, n) of each class read, over that of the likeliest."""
         found = np.zeros((len(seen), len(log)))
+        for i, read in self._read(log, seen):
+            found[i] = -2.0 * np.log(read[:, seen.category[i]] / read.max(axis=1))
+        return found
+
+    def _read(self, log: Array, seen: Appearance) -> Iterator[tuple[int, Array]]:
+        """Each observation with a class, and the probability (n, C) that each class is read of each landmark."""
         count = log.shape[1]
         if count < 2 or not len(log):
-            return found
+            return
         likely = np.exp(log - log.max(axis=1, keepdims=True))
         likely /= likely.sum(axis=1, keepdims=True)
         for i in np.flatnonzero(seen.category >= 0).tolist():
             other = seen.error[i] / (count - 1)
-            read = (1.0 - seen.error[i]) * likely + other * (1.0 - likely)  # (n, C)
-            found[i] = -2.0 * np.log(read[:, seen.category[i]] / read.max(axis=1))
+            yield i, (1.0 - seen.error[i]) * likely + other * (1.0 - likely)
+
+    def log_ratio(self, numbers: IntArray, seen: Appearance) -> Array:
+        """Logarithm of the likelihood (m, n) of each observation's appearance if it is of each landmark, over that if
+        it is of something else, which looks like any of them.
+        """
+        self._room(seen.names)
+        mean, variance, log = self._of(numbers)
+        found = np.zeros((len(seen), len(numbers)))
+        known = self._mean[np.isfinite(self._variance)]
+        if seen.measures and len(known) > 1:
+            noise = seen.sigma[:, None] ** 2
+            ours, any_ = variance[None] + noise, known.var() + noise
+            off, stray = seen.descriptor[:, None] - mean[None], seen.descriptor[:, None] - known.mean()
+            there = np.isfinite(ours) & np.isfinite(off)
+            ratio = 0.5 * (np.log(any_) - np.log(ours) + stray * stray / any_ - off * off / ours)
+            found += np.where(there, ratio, 0.0)
+        if seen.classifies:
+            found += self._readings(log, seen)
+        return found
+
+    def _readings(self, log: Array, seen: Appearance) -> Array:
+        """Logarithm of the probability (m, n) of each class read, over that of a class read at random."""
+        found = np.zeros((len(seen), len(log)))
+        for i, read in self._read(log, seen):
+            found[i] = np.log(read[:, seen.category[i]] * log.shape[1])
         return found
 
     def see(self, numbers: IntArray, seen: Appearance) -> None:
