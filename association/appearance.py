@@ -6,14 +6,15 @@ s = v + sigma^2. The squared distance of a pair grows by (z - m)^2 / s, and gate
 
 A class is read wrongly with probability e, as each other class alike (the confusion matrix has 1 - e on its diagonal
 and e / (C - 1) beside it). Each landmark has the posterior of its class, uniform at first. The squared distance grows
-by -2 ln of the probability of what was read over that of the likeliest reading, which is zero or positive; the gates
-stay as they are.
+by -2 ln of the probability of what was read over that of the likeliest reading, which is zero or positive. Gates keep
+their probability: the squared distance of right pairings is then chi-square plus the cost of the misread ones.
 
 Both terms add up over the pairings of a frame, as no landmark is paired twice there.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -29,20 +30,23 @@ UNKNOWN = 1.0  # squared distance where one of both has no descriptor: its mean,
 class Unlike(NamedTuple):
     """By observation (m) and candidate (n): terms of the squared distance and of the logarithm of its determinant.
 
-    dims: degrees of freedom of each squared distance.
+    dims: degrees of freedom of the distance; error: probability that a class was misread, cost: the term of a misread
+    one of a landmark that is known well.
     """
 
     distance: Array
     log_determinant: Array
     dims: int
+    error: float = 0.0
+    cost: float = 0.0
 
     def only(self, which: IntArray) -> Unlike:
         """The same of some candidates."""
-        return Unlike(self.distance[:, which], self.log_determinant[:, which], self.dims)
+        return self._replace(distance=self.distance[:, which], log_determinant=self.log_determinant[:, which])
 
     def of(self, rows: IntArray) -> Unlike:
         """The same of some observations."""
-        return Unlike(self.distance[rows], self.log_determinant[rows], self.dims)
+        return self._replace(distance=self.distance[rows], log_determinant=self.log_determinant[rows])
 
 
 class Looks:
@@ -68,7 +72,7 @@ class Looks:
         m, n = len(seen), len(numbers)
         self._room(seen.names)
         mean, variance, log = self._of(numbers)
-        distance, log_det, dims = np.zeros((m, n)), np.zeros((m, n)), 0
+        distance, log_det, dims, error, cost = np.zeros((m, n)), np.zeros((m, n)), 0, 0.0, 0.0
         if seen.measures:
             dims = 1
             s = variance[None] + seen.sigma[:, None] ** 2
@@ -79,7 +83,8 @@ class Looks:
             log_det += np.where(there, np.log(s), 0.0)
         if seen.classifies:
             distance += self._misread(log, seen)
-        return Unlike(distance, log_det, dims)
+            error, cost = _misreading(seen)
+        return Unlike(distance, log_det, dims, error, cost)
 
     def _misread(self, log: Array, seen: Appearance) -> Array:
         """-2 ln of the probability (m, n) of each class read, over that of the likeliest."""
@@ -224,3 +229,14 @@ class Looks:
             self._noise = np.concatenate([self._noise, [[1.0, 0.5]]])
             self._log = np.concatenate([self._log, np.zeros((1, self._log.shape[1]))])
         return row
+
+
+def _misreading(seen: Appearance) -> tuple[float, float]:
+    """Probability that a class is misread among observations (m,), and the term of a misread one."""
+    count, read = len(seen.names), seen.category >= 0
+    if count < 2:
+        return 0.0, 0.0
+    error = float(seen.error[read].mean())
+    cost = 2.0 * math.log((1.0 - error) * (count - 1) / error) if error else 0.0
+    # rounded, since thresholds are kept by these numbers
+    return round(error * float(read.mean()), 6), max(round(cost, 6), 0.0)
