@@ -45,7 +45,10 @@ column named as its key need not be stated.
 """
 SENSED = "labels-sensed"
 TABLES = ("columns", "unit", "time-offset")
-REPEATED = ("sensor", "observation-sigma", "sensor-pose", "max-range", "view", "sees")
+REPEATED = (
+    *("sensor", "observation-sigma", "sensor-pose", "max-range", "view", "sees"),
+    *("descriptor-sigma", "class-error"),
+)
 KEYS_ALONE = ("odometry", SENSED)
 """Keys of a mapping file besides the flags below."""
 FLAGS = {
@@ -93,6 +96,8 @@ FLAGS = {
     ),
     "fix-lever": ("X,Y", "place of the antenna in the body frame (default: 0,0)"),
     "fix-rotation": ("ANGLE", "direction of the compass in the body frame (default: 0)"),
+    "descriptor-sigma": ("[NAME=]S", "noise of the column descriptor of observations, such as diameters"),
+    "class-error": ("[NAME=]P", "probability that the column class of observations is wrong"),
     "closure-sigma": ("SX,SY,STHETA", "noise of closures without columns sx, sy, stheta"),
     "track-width": ("M", "of wheel ticks: distance between the wheels"),
     "metres-per-tick": ("M[,M]", "of wheel ticks: for both, or left and right"),

@@ -11,6 +11,7 @@ import numpy as np
 from data import se2
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
+from data.formats.open_log.appearance import of_landmarks, together
 from data.formats.open_log.named import is_name
 from data.formats.open_log.writer import Recording, Samples
 from data.formats.recordings.laser import FLOOR
@@ -18,7 +19,14 @@ from data.formats.tables.files import TextTable, headings, read_text
 from data.formats.tables.flags import Wanted
 from data.formats.tables.measured import Measured, read_closures, read_fixes
 from data.formats.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
-from data.formats.tables.observations import FrameObservations, joined, read_observations, sensor_of, whole
+from data.formats.tables.observations import (
+    FrameObservations,
+    joined,
+    read_observations,
+    sensor_of,
+    whole,
+    with_looks,
+)
 from data.formats.tables.sensors import SENSOR, TableSensor
 from data.inputs import Inputs, LandmarkMap, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
@@ -96,6 +104,9 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     pose = None if true is None else _at_frames(true, texts["truth"], wanted, time)
     columns.check_used(list(dict.fromkeys(texts.values())))
     observed, labels = joined(seen, time)
+    looks, known_looks = together(observed.appearance, None if known is None else known.appearance)
+    observed = replace(observed, appearance=looks)
+    known = None if known is None else replace(known, appearance=known_looks)
     sensors = tuple(sensor_of(part, notes) for part in seen) or (RangeBearing(),)
     _check_kinds(wanted.sensors, known)
     inputs = Inputs(
@@ -198,7 +209,9 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     columns = wanted.columns
     # a column of that name is something else where no sensor sees a kind
     kind = (KIND,) * (any(sensor.sees for sensor in wanted.sensors) or columns.stated("map", (KIND,)))
-    table, texts, _ = columns.table(file, "map", ("x", "y"), texts=("id", *kind))
+    looked = dict.fromkeys(q for sensor in wanted.sensors for q in sensor.looked)
+    table, texts, _ = columns.table(file, "map", ("x", "y"), texts=("id", *kind, *looked))
+    table = with_looks(file, table, texts)
     for row, word in enumerate(texts.get(KIND, ())):
         if word and not is_name(word):
             raise table.error(row, KIND, f"{word!r} holds a comma or a quote; a plain name is needed")
@@ -211,7 +224,8 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     if len(ids) and ids.min() < 0:
         raise table.error(int(np.argmin(ids)), "id", f"{ids.min()} is negative; ids are whole numbers from 0 up")
     kinds = None if KIND not in texts else tuple(texts[KIND][row] for row in order.tolist())
-    return LandmarkMap(ids[order], se2.transform_points(wanted.map_pose, table.stack(("x", "y")))[order], kinds)
+    xy, looks = se2.transform_points(wanted.map_pose, table.stack(("x", "y"))), of_landmarks(table)
+    return LandmarkMap(ids[order], xy[order], kinds, appearance=None if looks is None else looks.only(order))
 
 
 def _check_kinds(sensors: Sequence[TableSensor], known: LandmarkMap | None) -> None:

@@ -10,10 +10,12 @@ import numpy as np
 from data import se2
 from data.errors import DataError
 from data.formats.csv_table import Table
+from data.formats.open_log import appearance
+from data.formats.open_log.appearance import CLASS, DESCRIPTOR, of_observations
 from data.formats.tables.files import TextTable, shared
 from data.formats.tables.flags import Wanted
 from data.formats.tables.motion import Odometry
-from data.formats.tables.sensors import TableSensor
+from data.formats.tables.sensors import LOOKS, TableSensor
 from data.inputs import CLUTTER, UNLABELLED, IntArray, Observations
 from data.se2 import Array
 from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
@@ -69,9 +71,13 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
     if not by_stamp and columns.find(file, role, "frame") is None:
         columns.require(file, role, ("t",) if odometry.stamped else ("frame",))
     values = (alone,) if alone is not None else ("range", "bearing") if polar else ("x", "y")
-    table, texts, skipped = columns.table(file, role, (*values, key), texts=IDS)
-    together = role in shared(wanted.files)
-    notes = [f"{file.path.name}: {skipped} rows without an observation"] if skipped and not together else []
+    table, texts, skipped = columns.table(file, role, (*values, key), texts=(*IDS, *of.looked))
+    table = with_looks(file, table, texts)
+    shares = role in shared(wanted.files)
+    notes = [f"{file.path.name}: {skipped} rows without an observation"] if skipped and not shares else []
+    for quantity, flag in LOOKS.items():
+        if quantity not in of.looked and columns.find(file, role, quantity) is not None:
+            notes.append(f"{file.path.name}: column {quantity} is not used; --{flag} uses it")
     z = np.zeros((len(table), 2))
     z[:, [1] if alone == "bearing" else list(range(len(values)))] = table.stack(values)
     if polar and alone != "bearing":
@@ -89,6 +95,22 @@ def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry
         notes.append(f"{file.path.name}: {back} observations were stamped before the one above; sorted")
         found = replace(found.part(np.argsort(at, kind="stable").astype(np.int64)), notes=tuple(notes))
     return found
+
+
+def with_looks(file: TextTable, table: Table, texts: Mapping[str, Sequence[str]]) -> Table:
+    """A table with the descriptors and classes among `texts`, blank where unknown."""
+    if DESCRIPTOR in texts:
+        values = np.full(len(table), np.nan)
+        for i, field in enumerate(texts[DESCRIPTOR]):
+            if field and field.lower() != "nan":
+                try:
+                    values[i] = file.number(field)
+                except ValueError:
+                    raise table.error(
+                        i, DESCRIPTOR, f"{field!r} is not a number; leave it blank where unknown"
+                    ) from None
+        table = replace(table, columns={**table.columns, DESCRIPTOR: values})
+    return replace(table, texts={**table.texts, CLASS: texts[CLASS]}) if CLASS in texts else table
 
 
 def whole(table: Table, fields: list[str], name: str) -> IntArray:
@@ -119,7 +141,12 @@ def joined(parts: Sequence[FrameObservations], time: Array) -> tuple[Observation
         if any(name in p.texts for p in parts):
             every = [whole(p.table, p.texts.get(name, [""] * len(p.at)), name) for p in parts]
             ids[name] = np.concatenate(every)[by]
-    return Observations(frame[by], z[by], R[by], sensor=number[by] if len(parts) > 1 else None), ids
+    each = [of_observations(p.table, None, [(p.of.name, p.of.looks)]) for p in parts]
+    looks = appearance.every(each, [len(p.at) for p in parts])
+    sensor = number[by] if len(parts) > 1 else None
+    return Observations(
+        frame[by], z[by], R[by], sensor=sensor, appearance=None if looks is None else looks.only(by)
+    ), ids
 
 
 def sensor_of(seen: FrameObservations, notes: list[str]) -> Sensor:

@@ -7,6 +7,7 @@ all (`--view -30deg,30deg`).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,13 +15,16 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import DataError, UsageError, unknown
+from data.formats.open_log.appearance import Noise
 from data.formats.open_log.named import is_name
-from data.formats.tables.files import ROLES, Columns, read_text
+from data.formats.tables.files import ROLES, Columns, TextTable, read_text
 from data.formats.tables.values import POSE, Given, numbers, sigmas, words
 from data.se2 import Array
 
 SENSOR, OBSERVATIONS = "sensor", "observations"
-OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees")
+LOOKS = {"descriptor": "descriptor-sigma", "class": "class-error"}
+"""Columns of appearance, and the flag that states the noise of each; without it the column is not read."""
+OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees", *LOOKS.values())
 """Flags with a value for each sensor."""
 FILE = "file"
 """Key of a table [sensor.NAME] of a mapping file, beside those flags."""
@@ -38,6 +42,7 @@ class TableSensor:
         pose: (3,) in the body frame.
         max_range: m, view: rad, least and largest bearing; None: as observed.
         sees: kind of landmark; blank: all.
+        looks: noise of descriptors and classes; what is None is not read.
     """
 
     role: str
@@ -48,6 +53,12 @@ class TableSensor:
     max_range: float | None
     view: tuple[float, float] | None
     sees: str
+    looks: Noise
+
+    @property
+    def looked(self) -> tuple[str, ...]:
+        """Columns of appearance to read."""
+        return tuple(q for q, noise in zip(LOOKS, self.looks, strict=True) if noise is not None)
 
     @property
     def what(self) -> str:
@@ -134,8 +145,24 @@ def _sensor(role: str, name: str, texts: Mapping[str, Mapping[str, str]], path: 
         raise UsageError(f"--sees {sees}: a kind of landmark is needed, as in tree")
     return TableSensor(
         role, name, _observation_sigma(sigma, alone, name, polar=bool(found)), alone, _pose(of.get("sensor-pose")),
-        _reach(of.get("max-range")), _view(of.get("view")), sees,
+        _reach(of.get("max-range")), _view(of.get("view")), sees, _looks(of, role, file, columns),
     )  # fmt: skip
+
+
+def _looks(of: Mapping[str, str | None], role: str, file: TextTable, columns: Columns) -> Noise:
+    """The noise of descriptors and classes."""
+    found: list[float | None] = []
+    for (quantity, flag), high in zip(LOOKS.items(), (math.inf, 0.5), strict=True):
+        given = of.get(flag)
+        value = None if given is None else float(numbers(given, ("",), flag, "one number")[0])
+        if value is not None and not 0.0 < value < high:
+            right = "must be more than 0" if high == math.inf else "a probability above 0 and below 0.5 is needed"
+            raise UsageError(f"--{flag} {given}: {right}")
+        if value is not None and columns.find(file, role, quantity) is None:
+            what = f"the {OBSERVATIONS} have no column {quantity}"
+            raise UsageError(f"--{flag} {given}: {what}; --columns {role}.{quantity}=NAME names it")
+        found.append(value)
+    return Noise(*found)
 
 
 def _observation_sigma(given: str | None, alone: str | None, name: str, *, polar: bool) -> Array:

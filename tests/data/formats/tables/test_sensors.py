@@ -179,6 +179,20 @@ def test_a_log_with_three_sensors_comes_back_from_tables_as_it_was(convert):
     np.testing.assert_allclose(made.increments.mean, steps, atol=1e-12)
 
 
+def test_one_sensor_tells_the_class_and_another_the_diameter(convert):
+    files, words = two(POSES)
+    files["cones.csv"] = "t,dist,angle,class\n0.5,2,10,red\n1,3,20,\n"
+    files["beacons.csv"] = "t,range,descriptor\n1,5,0.3\n2,6,\n"
+    status, said = convert(files, *words, "--class-error", "lidar=0.1", "--descriptor-sigma", "radio=0.05")
+    assert status == 0, said
+    o = load_folder(Path("out")).recorded.observations
+    assert o.sensor.tolist() == [0, 0, 1, 1]
+    assert o.appearance.category.tolist() == [0, -1, -1, -1]
+    assert o.appearance.error.tolist() == [0.1, 0.5, 0.5, 0.5]
+    assert o.appearance.descriptor.tolist() == pytest.approx([np.nan, np.nan, 0.3, np.nan], nan_ok=True)
+    assert o.appearance.sigma[2] == 0.05
+
+
 def test_stamps_of_one_sensor_are_moved(convert):
     files, words = two(POSES)
     status, said = convert(files, *words, "--time-offset", "radio=-0.25")
