@@ -18,10 +18,10 @@ from eval.replay.run import compare
 
 WORLDS = {
     # dense landmarks: several inside each gate; the descriptor's noise in shares of its spread
-    "dense, descriptor 0.1": ("slam", "arena:{}:landmarks=100+frames=120+descriptor_sigma=0.1"),
-    "dense, descriptor 0.3": ("slam", "arena:{}:landmarks=100+frames=120+descriptor_sigma=0.3"),
-    "dense, 4 classes, 5 % wrong": ("slam", "arena:{}:landmarks=100+frames=120+classes=4"),
-    "dense, 2 classes, 10 % wrong": ("slam", "arena:{}:landmarks=100+frames=120+classes=2+class_error=0.1"),
+    "dense, descriptor 0.1": ("slam", "arena:{}:landmarks=100+frames=60+descriptor_sigma=0.1"),
+    "dense, descriptor 0.3": ("slam", "arena:{}:landmarks=100+frames=60+descriptor_sigma=0.3"),
+    "dense, 4 classes, 5 % wrong": ("slam", "arena:{}:landmarks=100+frames=60+classes=4"),
+    "dense, 2 classes, 10 % wrong": ("slam", "arena:{}:landmarks=100+frames=60+classes=2+class_error=0.1"),
     # poor odometry and false alarms
     "drifting, 4 classes": ("slam", "arena:{}:frames=120+sigma_omega=0.06+clutter=1+landmarks=50+classes=4"),
     # four sides that look the same, with people
