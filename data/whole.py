@@ -15,7 +15,7 @@ from glob import escape
 from os import PathLike
 from pathlib import Path
 
-PARTIAL, OLD = "partial", "old"
+PARTIAL, OLD, USED = "partial", "old", "used"
 
 
 @contextmanager
@@ -47,6 +47,29 @@ def whole_folder(path: str | PathLike[str]) -> Iterator[Path]:
         _replace(target, partial)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def use(folder: Path) -> None:
+    """Mark a folder as used by this process until that ends; remove what dead processes left in it."""
+    for left in folder.glob(f".*{PARTIAL}-{escape(platform.node())}-*"):
+        process = left.stem.rpartition("-")[2]
+        if process.isdecimal() and not _is_alive(int(process)):
+            left.unlink(missing_ok=True)
+    for mark in folder.glob(f".{USED}-*"):
+        if _is_dead(mark):
+            mark.unlink(missing_ok=True)
+    (folder / f".{USED}-{_process()}").touch()
+
+
+def in_use(folder: Path) -> bool:
+    """Whether another process that may be alive has marked a folder; those of other machines may be."""
+    own = f".{USED}-{_process()}"
+    return any(mark.name != own and not _is_dead(mark) for mark in folder.glob(f".{USED}-*"))
+
+
+def _is_dead(mark: Path) -> bool:
+    host, _, process = mark.name.removeprefix(f".{USED}-").rpartition("-")
+    return host == platform.node() and process.isdecimal() and not _is_alive(int(process))
 
 
 def _replace(target: Path, partial: Path) -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from data.digest import program_digest
 from data.log import folder_name
 from data.terminal import counted
-from data.whole import whole_file
+from data.whole import in_use, use, whole_file
 from eval.replay.external.load import digests
 from eval.studies.montecarlo import Key, Result, Sample
 from eval.studies.scenario import Scenario
@@ -57,13 +57,14 @@ def folder_of(root: Path, scenario: Scenario) -> Path:
 def kept_folder(root: Path, called: str, content: str) -> Path:
     """The folder of runs with this name and content digest; created if necessary.
 
-    Runs of older programs are removed.
+    Runs of other programs are removed, unless a process that may be alive uses them.
     """
     name = folder_name(called)
     folder = root / ".studies" / f"{name}-{code_digest()}-{content[:DIGITS]}"
     folder.mkdir(parents=True, exist_ok=True)
+    use(folder)
     for old in folder.parent.glob(f"{name}-{'?' * DIGITS}-{'?' * DIGITS}"):
-        if old.name.split("-")[-2] != code_digest():
+        if old.name.split("-")[-2] != code_digest() and not in_use(old):
             shutil.rmtree(old, ignore_errors=True)
     return folder
 

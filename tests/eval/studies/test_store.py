@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import platform
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -32,7 +35,7 @@ def test_a_kept_run_comes_back_to_the_last_bit(small, tmp_path):
     assert list(kept) == list(result)
     assert all(same(result[key], kept[key]) for key in result)
     assert store.load(folder, 4) is None
-    assert [f.name for f in folder.iterdir()] == ["3.npz"]
+    assert [f.name for f in folder.glob("[!.]*")] == ["3.npz"]
 
 
 @pytest.mark.parametrize("damage", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b"PK" + b[2:40]])
@@ -66,3 +69,42 @@ def test_runs_of_an_older_program_are_removed(small, tmp_path, monkeypatch):
     assert new.is_dir()
     assert new != old
     assert not old.exists()
+
+
+def a_process(folder, of):
+    """The mark that a process of this machine leaves in a folder of runs."""
+    (folder / f".used-{platform.node()}-{of}").touch()
+
+
+def test_runs_of_another_program_that_is_still_at_work_are_left_alone(tmp_path, monkeypatch, small):
+    """Two checkouts whose results share a parent; what a dead process left goes, and what another machine uses stays."""
+    old = store.folder_of(tmp_path, small)
+    (mark,) = old.glob(".used-*")
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as other:
+        mark.unlink()
+        a_process(old, other.pid)
+        monkeypatch.setattr(store, "code_digest", lambda: "0" * store.DIGITS)
+        store.folder_of(tmp_path, small)
+        assert old.is_dir()
+        other.communicate(b"\n")
+    (old / ".used-elsewhere-1").touch()
+    store.folder_of(tmp_path, small)
+    assert old.is_dir()
+    (old / ".used-elsewhere-1").unlink()
+    store.folder_of(tmp_path, small)
+    assert not old.exists()
+
+
+def test_partial_files_of_dead_processes_go_and_those_of_living_ones_stay(tmp_path, small):
+    folder = store.folder_of(tmp_path, small)
+    with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as other:
+        left = folder / f".3.partial-{platform.node()}-{other.pid}.npz"
+        elsewhere = folder / ".3.partial-elsewhere-1.npz"
+        left.touch()
+        elsewhere.touch()
+        store.folder_of(tmp_path, small)
+        assert left.exists()
+        other.communicate(b"\n")
+    store.folder_of(tmp_path, small)
+    assert not left.exists()
+    assert elsewhere.exists()
