@@ -9,7 +9,7 @@ from pathlib import Path
 
 from backports import zstd
 
-from tests.faults.bags import LONG_WORDS, PACK, UNPACK, bag, bomb, defined, worded
+from tests.faults.bags import LONG_WORDS, PACK, UNPACK, bag, bomb, defined, is_bomb, worded
 from tests.faults.mutations import BOMB, BYTES, DEPTH, Fault, Rng, flipped, pick, tabled
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -49,6 +49,8 @@ def chunk_changed(content: bytes, rng: Rng) -> bytes:
         return flipped(content, rng)
     (length,) = struct.unpack_from("<I", content, 28)
     method, packed = content[32 : 32 + length], content[40 + length :]
+    if is_bomb(packed):
+        return worded(content, rng)
     try:
         inner = parts_of(UNPACK[method](packed))
     except (KeyError, EOFError, RuntimeError, ValueError, zstd.ZstdError):  # a fault before has made it no chunk
@@ -146,6 +148,8 @@ def yaml(content: bytes, rng: Rng) -> bytes:
 
 def packed(content: bytes, rng: Rng) -> bytes:
     """A file of zstd: a fault of what is in it, or a bomb."""
+    if is_bomb(content):
+        return flipped(content, rng)
     try:
         raw = zstd.decompress(content)
     except zstd.ZstdError:

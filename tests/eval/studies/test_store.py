@@ -77,7 +77,7 @@ def a_process(folder, of):
 
 
 def test_runs_of_another_program_that_is_still_at_work_are_left_alone(tmp_path, monkeypatch, small):
-    """Two checkouts whose results share a parent; what a dead process left goes, and what another machine uses stays."""
+    """Two checkouts whose results share a parent; what a dead process left goes, what another machine uses stays."""
     old = store.folder_of(tmp_path, small)
     (mark,) = old.glob(".used-*")
     with subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE) as other:
