@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
+from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
+from types import CodeType
 from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode
+from rosbags.serde import utils
 
 from data.formats.bags.log import Wanted, log_of_bag
 from data.formats.bags.reading import collect
@@ -151,3 +157,20 @@ BAG_READERS = {
     ),
     "result, a ROS bag": Reader(of_each, read_result, sound_path, faults_of),
 }
+
+
+@cache
+def _code(text: str) -> CodeType:
+    return compile(text, "<string>", "exec")
+
+
+def _run(text: str | CodeType, *spaces: Any) -> None:
+    exec(_code(text) if isinstance(text, str) else text, *spaces)
+
+
+def compile_once() -> ExitStack:
+    """Meanwhile the library, which compiles the same code for every type whenever a bag is opened, compiles it once."""
+    stack = ExitStack()
+    for module in (dataclasses, utils):
+        stack.enter_context(patch.object(module, "exec", _run, create=True))
+    return stack
