@@ -19,7 +19,7 @@ from data.pose_measurements import expected_closure
 from data.se2 import Array, compose
 from data.sensors import MIN_RANGE, EachSensor, Sensor
 
-SECOND_ORDER = 0.5
+SECOND_ORDER = 0.25
 """Largest second-order term of an observation, for a place off by its largest standard deviation, in standard
 deviations of the innovation: half the squared sigma over the range, or over its square for a bearing."""
 STEPS = 30  # of Gauss-Newton

@@ -115,10 +115,10 @@ def closure_factors(closures: FrameClosures, sources: tuple[str, ...], loss: str
         return f"closure{of} between frames {first[i]} and {second[i]}"
 
     roots, _ = invertible_roots(body, named, "its inverse")
+    unwhiten = -turn @ np.linalg.inv(roots)
     found = []
     for i, (a, b) in enumerate(zip(first, second, strict=True)):
         model = with_loss(noise.Gaussian.SqrtInformation(roots[i]), loss)
         factor = gtsam.BetweenFactorPose2(X(a), X(b), pose2(closures.relative[i]), model)
-        unwhiten = -turn[i] @ np.linalg.inv(roots[i])
-        found.append(PoseFactor((a, b), int(closures.row[i]), factor, unwhiten, (0, 1, 2)))
+        found.append(PoseFactor((a, b), int(closures.row[i]), factor, unwhiten[i], (0, 1, 2)))
     return found

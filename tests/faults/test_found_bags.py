@@ -178,3 +178,16 @@ def test_a_database_cut_within_is_one_line(tmp_path):
     content[4096:] = bytes(len(content) - 4096)
     file.write_bytes(content)
     refused(file)
+
+
+@pytest.mark.parametrize("angle", [np.nan, np.inf, -1e30])
+@pytest.mark.parametrize("name", ["angle_min", "angle_increment"])
+def test_a_later_scan_without_finite_angles_is_one_line(tmp_path, name, angle):
+    """It cannot be resampled to the angles of the others."""
+    maker = Maker("mcap")
+    maker.drive(np.arange(0.0, 3.01, 0.5))
+    for at, changed in ((0.75, {}), (1.0, {}), (1.5, {name: angle})):
+        maker.scan(at, [1.0, 0.125, 8.0, 2.0], **changed)
+    with pytest.raises(DataError, match=r"message 2.*is no scan") as error:
+        read_bag(maker.save(tmp_path), "/scan", "/odom")
+    assert "\n" not in str(error.value)

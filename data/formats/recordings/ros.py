@@ -107,6 +107,8 @@ def _name(frame: str) -> str:
 SCAN, ODOMETRY, TRANSFORMS = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
 SHORT = {SCAN: "sensor_msgs/LaserScan", ODOMETRY: "nav_msgs/Odometry"}
 OLD_TRANSFORMS = "tf/msg/tfMessage"
+WIDEST = 1e6
+"""rad, angle of a beam that is none: beams are told apart by whole numbers of `data.formats.recordings.beams.ANGLE`."""
 GEOMETRY = ("angle_min", "angle_max", "angle_increment", "range_min", "range_max")
 SHARED = ("range_min", "range_max")
 """Numbers that are the same in every scan; angles may differ (rotating scanners)."""
@@ -265,6 +267,8 @@ class _Messages:
                 value = geometry[name]
                 if not abs(value - self.geometry[name]) <= 1e-5:
                     raise self._error(number, f"{name} {value!r}; {self.geometry[name]!r} is needed, as in the first")
+        if not abs(geometry["angle_min"]) < WIDEST or not abs(geometry["angle_increment"]) < WIDEST:
+            raise self._error(number, f"{geometry} is no scan; angles in rad are needed")
         self.ranges.append(ranges)
         self.angles.append((geometry["angle_min"], geometry["angle_increment"]))
         self.scan_stamp.append(stamp_of(message, recorded))
