@@ -112,6 +112,10 @@ class LoopCloser:
         self._keys.append(KeyScan(ranges, points))
         self._motion.append(motion)
 
+    def ranges(self, key: int) -> Array:
+        """The scan (B,) [m] of a key pose that was not removed."""
+        return self._keys[key].ranges
+
     def needed(self) -> IntArray:
         """Old key poses of loop closures that others may still agree with; they must not be removed yet."""
         newest = len(self._keys) - 1
