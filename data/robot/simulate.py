@@ -159,6 +159,8 @@ def _simulate(argv: Sequence[str] | None) -> None:
 
     body, line = np.random.default_rng(args.seed).spawn(2)
     robot = Robot(room(int(world[1])), body, lidar=Lidar() if args.lidar else None)
+    if robot.lidar is not None:  # compiles, or loads, what measures ranges: the robot's clock has not begun
+        robot.lidar.scan(robot.room, robot.pose, 0.0, (0, 0, 0), np.random.default_rng(0))
     wire = Wire(robot, Faults(args.drop, args.flip, args.stall), line, with_frames=args.framed)
     for name in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(name, _terminated)
