@@ -126,7 +126,7 @@ class Walk(Observer):
         self.decisions[frame.first : frame.first + len(decisions)] = decisions
         wanted = self.images.wanted or self.pausing
         if expectation is None and wanted:
-            expectation = front.expect(frame.observations)
+            expectation = front.expect(frame.observations, frame.appearance)
         if expectation is not None and len(expectation.number) and wanted:
             self.say("compatibility", compatibility_text(expectation, front.setup.gate))
             problem = None

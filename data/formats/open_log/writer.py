@@ -12,7 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomli_w
 
+from data.appearance import Appearance
 from data.errors import DataError
+from data.formats.open_log import appearance as looks
 from data.formats.open_log import closures as closures_file
 from data.formats.open_log import fixes as fixes_file
 from data.formats.open_log import sensors as sensors_file
@@ -122,6 +124,8 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         columns = {"t": inputs.time[observations.frame].tolist()}
     sensors = inputs.sensors or (inputs.sensor,)
     columns |= sensors_file.columns_of(sensors, observations.z, observations.R, observations.sensor)
+    if observations.appearance is not None:
+        columns |= looks.columns_of(observations.appearance)
     if truth.landmark_of is not None:
         columns["true_id"] = _or_blank(truth.landmark_of, UNKNOWN_ID)
     if log.label is not None:
@@ -149,6 +153,8 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         places: dict[str, Sequence[object]] = {"id": landmarks.id.tolist(), "x": x, "y": y}
         if landmarks.kind is not None:
             places["kind"] = landmarks.kind
+        if landmarks.appearance is not None:
+            places |= looks.columns_of(landmarks.appearance, known=True)
         files[LANDMARKS] = _csv(places, zip(*places.values(), strict=True))
     return files
 
@@ -170,10 +176,17 @@ def _landmarks(log: Log) -> LandmarkMap | None:
     known, true = log.recorded.map, log.truth.landmarks
     if known is None or true is None:
         return known if known is not None else true
-    if not (np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy) and known.kind == true.kind):
+    same = np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy) and known.kind == true.kind
+    if not (same and _alike(known.appearance, true.appearance)):
         what = f"log {log.name!r}: its map differs from its true landmarks"
         raise DataError(f"{what}; {LANDMARKS} can hold only one of them")
     return known
+
+
+def _alike(one: Appearance | None, other: Appearance | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return looks.columns_of(one, known=True) == looks.columns_of(other, known=True)
 
 
 def _is_latest(log: Log) -> bool:
@@ -181,7 +194,8 @@ def _is_latest(log: Log) -> bool:
     inputs, sensor, known = log.recorded, log.recorded.sensor, _landmarks(log)
     named = bool(sensor.label or sensor.sees) or (known is not None and known.kind is not None)
     measured = inputs.fixes is not None or inputs.closures is not None
-    return measured or named or bool(inputs.sensors) or not sensor.locates
+    described = inputs.observations.appearance is not None or (known is not None and known.appearance is not None)
+    return measured or named or described or bool(inputs.sensors) or not sensor.locates
 
 
 def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
