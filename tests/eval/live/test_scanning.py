@@ -40,6 +40,7 @@ SECONDS = 20.0
 def driven(tmp_path_factory):
     """A recording on a line that tears some scans, what was taken, the session, the display and its feed."""
     folder, said, taken = tmp_path_factory.mktemp("robot") / "log", [], []
+    rehearse_scans(Setup(least_information=0.1), 0.01)
     scanning = ScanEstimating(Setup(), 0.01)
     session = Session(("ekf",), "jcbb", Setup(), scanning=scanning)
     feed = Feed(2)
@@ -128,11 +129,6 @@ def test_before_the_first_scan_it_waits_and_frames_count():
     assert [s is None for s in steps] == [True] * 4 + [False] * 8
     moved = between(packets[0].odometry, packets[4].odometry)
     np.testing.assert_allclose(steps[4].mean[:2], moved[:2], atol=0.01)
-
-
-@pytest.mark.parametrize("least", [0.1, pytest.param(None, marks=pytest.mark.slow)])
-def test_a_rehearsal_runs_everything(least):
-    rehearse_scans(Setup(least_information=least), 0.01)
 
 
 def test_of_a_log_with_walls_and_scans_each_estimator_gets_what_it_can_use(driven):
