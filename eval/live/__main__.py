@@ -58,9 +58,9 @@ examples:
   python -m eval.live --link /dev/ttyUSB0 --estimator ekf,isam2 --out drive1
   python -m eval.live --link /dev/ttyUSB0 --framed --slip 0.01 --sonar-sigma 0.01 --out drive2
   python -m eval.live --link /dev/ttyUSB0 --drive none --no-page --out drive3
-  python -m eval.live --link /tmp/robot --lidar --least-information 0.1 --out drive6    a robot with a lidar
   python -m eval.live --link /tmp/robot --estimator fixed-lag --lag 20 --out drive4 --seconds 300
   python -m eval.live --link /tmp/robot --deactivate-after 60 --out drive5 --estimates now.csv --port 8000
+  python -m eval.live --link /tmp/robot --lidar --least-information 0.1 --out drive6    a robot with a lidar
   python -m eval.run_all --log drive --task slam --association jcbb    the same estimates, and more estimators
 
 exit status: 0 fine, 2 wrong usage, no answer of the robot, or no report, 130 interrupted in the report (the log is
@@ -183,9 +183,10 @@ def _check(options: Options, shared: dict[str, object], *, lidar: bool, sigma: o
                 raise UsageError(f"--{name.replace('_', '-')} {shared[name]}: --lidar is needed")
     if SCAN in asked.association:
         other = [name for name in asked.estimator if name != SCAN_ESTIMATOR]
-        if SCAN_ESTIMATOR not in asked.estimator or (other and len(asked.association) == 1):
-            name = other[0] if other else ""
-            raise UsageError(f"--estimator {name}: with --association {SCAN} there is {SCAN_ESTIMATOR}")
+        if SCAN_ESTIMATOR not in asked.estimator:
+            raise UsageError(f"--estimator {other[0]}: with --association {SCAN} {SCAN_ESTIMATOR} is needed")
+        if other and len(asked.association) == 1:
+            raise UsageError(f"--estimator {other[0]}: --association {SCAN} has {SCAN_ESTIMATOR} alone")
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:

@@ -1,10 +1,11 @@
 """A pose graph that key poses leave as it grows: what they tell about their neighbours stays.
 
-The constraints of a removed key pose form a star. Of the marginal over its neighbours, which connects all of them, the
-Chow-Liu tree is kept (Kretzschmar and Stachniss, "Information-theoretic compression of pose graphs for laser-based
-SLAM", IJRR 31, 2012, section 5): each neighbour is measured from the one that is known best, through the removed key
-pose. So no removal adds constraints. Two constraints between the same key poses are one, with the information of both.
-The constraints along the tree share the measurement of the first neighbour, and count it several times.
+The constraints of a removed key pose form a star. Of the marginal over its neighbours, which connects all of them, a
+tree is kept: each neighbour is measured from the one that is known best, through the removed key pose (Kretzschmar and
+Stachniss, "Information-theoretic compression of pose graphs for laser-based SLAM", IJRR 31, 2012, section 5). So no
+removal adds constraints. All of the tree contain the measurement of the best neighbour: each takes its share of that
+information, so none counts more than once, and the tree claims no more than the marginal. Two constraints between the
+same key poses become one, with the information of both.
 """
 
 from __future__ import annotations
@@ -76,9 +77,10 @@ class ThinnedPoseGraph(PoseGraph):
         if self._values.exists(X(key)):  # not in the engine yet
             self._values.erase(X(key))
         best = min(legs, key=lambda k: _spread(legs[k][1]))
-        first = _reversed(legs.pop(best))
+        pose, covariance = _reversed(legs.pop(best))
+        shared = pose, len(legs) * covariance
         for other, leg in legs.items():
-            self._connect(best, other, _composed(first, leg))
+            self._connect(best, other, _composed(shared, leg))
 
     def _connect(self, a: int, b: int, link: Link) -> None:
         """Add a constraint, or its information to the one that there is."""
