@@ -12,7 +12,8 @@ from functools import cached_property, lru_cache, partial
 
 import numba
 import numpy as np
-from scipy.special import gammaincinv
+import scipy
+from scipy.special import chdtrc, gammaincinv
 
 from association.appearance import Unlike
 from data.blocks import add_to_diagonal, diagonal_blocks, of_points
@@ -41,6 +42,20 @@ def gate_threshold(probability: float | None, dof: int = 2) -> float:
 def _chi2(probability: float, dof: int) -> float:
     """Inverse chi-square distribution, cached."""
     return float(2.0 * gammaincinv(0.5 * dof, probability))
+
+
+@lru_cache(maxsize=4096)
+def _with_misreadings(probability: float, dof: int, pairs: int, error: float, cost: float) -> float:
+    """The same of a chi-square variable plus `cost` for each of `pairs` readings that is wrong, with probability
+    `error`: the quantile of a mixture.
+    """
+    wrong = np.arange(pairs + 1)
+    share = scipy.stats.binom.pmf(wrong, pairs, error)
+
+    def outside(threshold: float) -> float:
+        return float(share @ chdtrc(dof, np.maximum(threshold - cost * wrong, 0.0))) - (1.0 - probability)
+
+    return float(scipy.optimize.brentq(outside, 0.0, _chi2(probability, dof) + cost * pairs + 1.0, xtol=1e-9))
 
 
 def plain_residual(z: Array, z_hat: Array) -> Array:
@@ -136,6 +151,13 @@ class Expectation:
     def dof(self) -> int:
         """Degrees of freedom of the squared distance of a pair."""
         return self.dims if self.unlike is None else self.dims + self.unlike.dims
+
+    def threshold(self, gate: float | None, pairs: int = 1) -> float:
+        """Squared distance that right pairings stay below together with probability `gate`; None: infinite."""
+        unlike = self.unlike
+        if unlike is None or not unlike.error or gate is None or not 0.0 < gate < 1.0:
+            return gate_threshold(gate, self.dof * pairs)
+        return _with_misreadings(gate, self.dof * pairs, pairs, unlike.error, unlike.cost)
 
     def with_appearance(self, unlike: Unlike | None) -> Expectation:
         """The same problem with terms of appearance."""

@@ -102,7 +102,7 @@ class FrontEnd:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)
         self.given = Beginning(
             given.prior, given.sensor, given.map, given.systematic, given.fixes, given.closures, given.sensors,
-            given.descriptors,
+            given.looks,
         )  # fmt: skip
         self.setup = setup
         self.sensor = given.sensor  # that of the observations at hand
@@ -113,8 +113,10 @@ class FrontEnd:
         self.k, self.incomplete = -1, 0  # frame; frames in which the search ran out of its budget
         # labels and hindsight use no distance, and the reach of a foreign method is unknown
         far = association in ("known", HINDSIGHT) or is_foreign(association)
-        dof = 3 if given.descriptors else 2
-        within = math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=not self.slam, dof=dof)
+        known = not self.slam
+        within = (
+            math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=known, looks=given.looks)
+        )
         if isinstance(self.estimator, EkfLocalizer):
             self.estimator.within = within
         # a graph need not park, and leaving it is no forgetting: the landmark was never seen
@@ -131,7 +133,7 @@ class FrontEnd:
         self.waiting = WaitingLandmarks() if partial else None  # landmarks that are not located yet
         self.begun: list[Begun] = []  # those that began in this frame
         if self.parking is None and given.closures is None and not partial:
-            self.parking = automatic_parking(self.estimator, association, setup, dof)
+            self.parking = automatic_parking(self.estimator, association, setup, given.looks)
         self.faces = Faces(given.sensor) if self.slam and not given.sensor.sees_points else None
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
