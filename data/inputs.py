@@ -227,14 +227,27 @@ class Scans(Locked):
 
 @dataclass(frozen=True, eq=False)
 class LandmarkMap(Locked):
-    """Known landmarks, exact to estimators: id (L,) ascending and >= 0, xy (L, 2) in the world frame.
+    """Known landmarks: id (L,) ascending and >= 0, xy (L, 2) in the world frame.
 
     kind: (L,) names of kinds, where not every sensor sees all (`Sensor.sees`); None: one kind.
+    sigma: (L, 2) standard deviations [m] of x and y, independent of each other and of other landmarks, 0 where exact;
+        None: all are exact.
     """
 
     id: IntArray
     xy: Array
     kind: tuple[str, ...] | None = None
+    sigma: Array | None = None
+
+    def __post_init__(self) -> None:
+        if self.sigma is not None and not (self.sigma.shape == self.xy.shape and (self.sigma >= 0.0).all()):
+            raise ValueError("sigma of landmarks: two numbers >= 0 for each are needed")
+        read_only(self)
+
+    @property
+    def exact(self) -> LandmarkMap:
+        """The same places without an error."""
+        return replace(self, sigma=None)
 
     def rows(self, ids: IntArray) -> IntArray:
         """Row (m,) of each landmark id (m,), -1 where the map has none."""

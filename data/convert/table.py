@@ -34,7 +34,7 @@ What a column may hold (keys of --columns; its name in the file, or its number f
                  for theta also a quaternion qx, qy, qz, qw
   observations   t (or frame: row of the odometry, from 0), and range, bearing (or one) | x, y in the sensor's frame;
                  true_id: true landmark, for the referee only; label: the sensor's landmark; -1: false alarm
-  map            x, y, and id
+  map            x, y, and id; sx, sy: sigma, where surveyed (blank or 0: exact)
   truth          t, x, y, theta; blank where unknown
   fixes          t (or frame), x, y and theta, blank where not measured; sx, sy, stheta: sigma; source: a name
   closures       t1, t2 (or frame1, frame2), dx, dy, dtheta: pose at t2 in the frame of t1; sx, sy, stheta; source

@@ -108,6 +108,7 @@ def input_digest(log: Log) -> str:
         if landmarks is not None:
             arrays += [landmarks.id, landmarks.xy]
             digest.update(repr(landmarks.kind).encode() if landmarks.kind is not None else b"")
+            arrays += [] if landmarks.sigma is None else [landmarks.sigma]
     if r.scans is not None:
         arrays += [r.scans.frame, r.scans.ranges]
         digest.update(repr(r.scans.scanner).encode())

@@ -21,6 +21,7 @@ from data.formats.open_log.reader import (
     IDS,
     KIND,
     MEAN,
+    SIGMAS,
     Measured,
     frames_in,
     frames_of,
@@ -31,6 +32,7 @@ from data.formats.open_log.reader import (
     odometry_of,
     stamped_truth,
     truth_per_frame,
+    usable_sigmas,
     with_measured,
 )
 from data.formats.open_log.sensors import FIRST, NOISE
@@ -144,12 +146,14 @@ def log_of_arrays(
         true = table("truth", truth, ("t", *POSE) if by_stamp else POSE)
         true.require_finite(POSE, blank=True)
         pose = stamped_truth(true, moved.time) if by_stamp else truth_per_frame(true, len(moved.time))
-    known = None
+    known, notes = None, list[str]()
     if landmarks is not None:
-        places = table("landmarks", landmarks, ("id", "x", "y"))
+        wide = np.ndim(landmarks) == 2 and np.shape(landmarks)[1] == 3 + len(SIGMAS)
+        places = table("landmarks", landmarks, ("id", "x", "y", *(SIGMAS if wide else ())))
         if kinds is not None:
             places = replace(places, texts={KIND: _words(f"{name}: kinds", kinds, len(places))})
         known = landmarks_of(places)[0]
+        known, notes = usable_sigmas(known, header)
     recorded, inliers = with_measured(inputs_of(header, moved, frame, found, known), measured, key)
     return Log(
         name=name,
@@ -157,6 +161,7 @@ def log_of_arrays(
         truth=Truth(pose, known, found.true_id, fix_inlier=inliers[0], closure_inlier=inliers[1]),
         label=found.label,
         labels_are_sensed=labels_are_sensed,
+        notes=tuple(notes),
     )
 
 

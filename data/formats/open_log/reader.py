@@ -6,7 +6,7 @@
     observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame;
                         in format 2 also sensor, and blank fields (see `sensors`)
     truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
-    landmarks.csv       id,x,y[,sx,sy]                                      optional; in format 2 also kind
+    landmarks.csv       id,x,y[,sx,sy][,true_x,true_y]                      optional; in format 2 also kind
     scans.npz           range scans (see `scans`); then observations.csv and [sensor] may be missing
     relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt]         optional
     fixes.csv           absolute measurements of the pose (see `fixes`)     format 2; then observations.csv and
@@ -55,34 +55,58 @@ from data.truth import CLUTTER, UNKNOWN_ID, Relations, Truth
 KIND = "kind"
 
 
-def read_landmarks(path: Path, *, kinds: bool = False) -> tuple[LandmarkMap | None, bool]:
-    """landmarks.csv, ascending by id (None without the file), and whether a survey's sigmas were ignored.
+SIGMAS = ("sx", "sy")
+TRUE_PLACE = ("true_x", "true_y")
 
-    `kinds`: with its column kind (format 2).
+
+def read_landmarks(path: Path, *, kinds: bool = False) -> tuple[LandmarkMap | None, LandmarkMap | None]:
+    """landmarks.csv, ascending by id: the map, and the true landmarks, which are the map unless stated (None without
+    the file). `kinds`: with its column kind (format 2).
     """
     if not path.exists():
-        return None, False
-    return landmarks_of(read_table(path, ("id", "x", "y"), ("sx", "sy", *((KIND,) * kinds)), words=(KIND,)))
+        return None, None
+    optional = (*SIGMAS, *TRUE_PLACE, *((KIND,) * kinds))
+    blank = (*SIGMAS, *TRUE_PLACE)
+    return landmarks_of(read_table(path, ("id", "x", "y"), optional, may_be_blank=blank, words=(KIND,)))
 
 
-def landmarks_of(table: Table) -> tuple[LandmarkMap, bool]:
-    """The map of a table with its columns, and whether a survey's sigmas were ignored."""
-    sigmas = [n for n in ("sx", "sy") if n in table]
-    table.require_finite(("x", "y", *sigmas))
+def landmarks_of(table: Table) -> tuple[LandmarkMap, LandmarkMap]:
+    """The map of a table with its columns, and the true landmarks."""
+    sigmas = [n for n in SIGMAS if n in table]
+    table.require_finite(("x", "y"))
+    for columns in (SIGMAS, TRUE_PLACE):
+        table.require_finite([n for n in columns if n in table], blank=True)
+        missing = [n for n in columns if n not in table]
+        if len(missing) == 1:
+            raise table.error(-1, missing[0], f"no such column; {' and '.join(columns)} come together")
     for name in sigmas:
-        table.require(table.columns[name] >= 0.0, name, "{} is a negative standard deviation")
+        negative = table.columns[name] < 0.0
+        table.require(~negative, name, "{} is a negative standard deviation; 0 or blank is an exact landmark")
     number = table.integers("id", 0)
     order = np.argsort(number, kind="stable")
     repeated = np.zeros(len(number), bool)
     repeated[order[1:]] = number[order[1:]] == number[order[:-1]]
     table.require(~repeated, "id", "{} is the id of two landmarks")
-    surveyed = any((table.columns[n] > 0.0).any() for n in sigmas)
+    sigma = np.nan_to_num(table.stack(SIGMAS)[order]) if sigmas else np.zeros(0)
     given = table.texts.get(KIND)
     for row, word in enumerate(given or ()):
         if word and not is_name(word):
             raise table.error(row, KIND, f"{word!r} holds a quote; a plain name is needed")
     kind = None if given is None else tuple(given[k] for k in order.tolist())
-    return LandmarkMap(number[order], table.stack(("x", "y"))[order], kind), surveyed
+    known = LandmarkMap(number[order], table.stack(("x", "y"))[order], kind, sigma if sigma.any() else None)
+    if TRUE_PLACE[0] not in table:
+        return known, known
+    place = table.stack(TRUE_PLACE)[order]
+    there = np.isfinite(place).all(axis=1)
+    kind = None if kind is None else tuple(k for k, yes in zip(kind, there.tolist(), strict=True) if yes)
+    return known, LandmarkMap(known.id[there], place[there], kind)
+
+
+def usable_sigmas(known: LandmarkMap | None, header: Header) -> tuple[LandmarkMap | None, list[str]]:
+    """The map with the sigmas that estimators can use, and a note where these are none of those stated."""
+    if known is None or known.sigma is None or all(s.sensor.sees_points for s in header.sensors):
+        return known, []
+    return known.exact, [f"{LANDMARKS}: sigmas of walls are not used; estimators take the map as exact"]
 
 
 RELATIVE = ("x", "y", "theta")
@@ -156,8 +180,7 @@ LONGEST = 1e6
 def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log:
     """Read an open log folder; `relations`: a file instead of its relations.csv.
 
-    Observations outside the sensor's stated field of view are kept. The covariance floor is applied here. A survey's
-    sigmas (sx, sy in landmarks.csv) are checked but not used, since estimators take the map as exact; a note says so.
+    Observations outside the sensor's stated field of view are kept. The covariance floor is applied here.
 
     Raises DataError with file, line, column and value.
     """
@@ -187,7 +210,8 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
         pose = truth_per_frame(_truth_table(folder / TRUTH, POSE), len(motion.time))
     frame = frames_in(observations.table, key, motion.time)
-    landmarks, survey = read_landmarks(folder / LANDMARKS, kinds=header.format == LATEST)
+    stated, true_landmarks = read_landmarks(folder / LANDMARKS, kinds=header.format == LATEST)
+    landmarks, unusable = usable_sigmas(stated, header)
     scans = _scans(folder, header, len(motion.time), by_stamp=by_stamp)
     reference = folder / RELATIONS if relations is None else relations
     related = None
@@ -201,12 +225,11 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     if gaps:
         many = counted(gaps, "gap")
         notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
-    if survey:
-        notes.append(f"{LANDMARKS}: the survey's sigmas are ignored; estimators take the map as exact")
+    notes += unusable
     return Log(
         name=header.name,
         recorded=replace(recorded, scans=scans),
-        truth=Truth(pose, landmarks, observations.true_id, related, fix_inlier=inliers[0], closure_inlier=inliers[1]),
+        truth=Truth(pose, true_landmarks, observations.true_id, related, fix_inlier=inliers[0], closure_inlier=inliers[1]),
         label=observations.label,
         labels_are_sensed=header.labels_are_sensed,
         source=header.source,

@@ -270,9 +270,13 @@ def _span(time: Array) -> str:
 
 
 def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
-    """Landmarks in the world frame; without ids they are numbered from 0 in the order of the file."""
+    """Landmarks in the world frame; without ids they are numbered from 0 in the order of the file. Blank sigmas are 0.
+
+    DataError for sigmas that the map's rotation would correlate.
+    """
     columns = wanted.columns
-    table, texts, _ = columns.table(file, "map", ("x", "y"), texts=("id",))
+    stated = [q for q in ("sx", "sy") if columns.find(file, "map", q) is not None]
+    table, texts, _ = columns.table(file, "map", ("x", "y"), optional=stated, texts=("id",), may_be_blank=stated)
     ids = whole(table, texts["id"], "id") if "id" in texts else np.arange(len(table), dtype=np.int64)
     order = np.argsort(ids, kind="stable")
     twice = np.flatnonzero(ids[order][1:] == ids[order][:-1])
@@ -281,7 +285,25 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
         raise table.error(row, "id", f"{ids[row]} is repeated; each landmark needs an id of its own")
     if len(ids) and ids.min() < 0:
         raise table.error(int(np.argmin(ids)), "id", f"{ids.min()} is negative; ids are whole numbers from 0 up")
-    return LandmarkMap(ids[order], se2.transform_points(wanted.map_pose, table.stack(("x", "y")))[order])
+    sigma = _map_sigmas(table, stated, float(wanted.map_pose[2]))
+    xy = se2.transform_points(wanted.map_pose, table.stack(("x", "y")))
+    return LandmarkMap(ids[order], xy[order], sigma=None if sigma is None else sigma[order])
+
+
+def _map_sigmas(table: Table, stated: Sequence[str], turn: float) -> Array | None:
+    """Standard deviations (L, 2) of the turned map, or None where there are none."""
+    if not stated:
+        return None
+    if len(stated) == 1:
+        raise table.error(-1, stated[0], "sx and sy come together")
+    sigma = np.nan_to_num(table.stack(stated))
+    for k, q in enumerate(stated):
+        table.require(sigma[:, k] >= 0.0, q, "{} is a negative standard deviation; 0 or blank is an exact landmark")
+    quarters = turn / (0.5 * np.pi)
+    if abs(quarters - round(quarters)) > 1e-9:
+        different = "{} differs from sy; a map turned by --map-transform needs both equal"
+        table.require(sigma[:, 0] == sigma[:, 1], stated[0], different)
+    return (sigma[:, ::-1] if round(quarters) % 2 else sigma) if sigma.any() else None
 
 
 def _true_poses(file: TextTable, wanted: Wanted, notes: list[str], *, stamped: bool) -> TruePoses:
