@@ -229,7 +229,9 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     return Log(
         name=header.name,
         recorded=replace(recorded, scans=scans),
-        truth=Truth(pose, true_landmarks, observations.true_id, related, fix_inlier=inliers[0], closure_inlier=inliers[1]),
+        truth=Truth(
+            pose, true_landmarks, observations.true_id, related, fix_inlier=inliers[0], closure_inlier=inliers[1]
+        ),
         label=observations.label,
         labels_are_sensed=header.labels_are_sensed,
         source=header.source,
