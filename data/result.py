@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data.inputs import IntArray
+from data.inputs import IntArray, LandmarkMap
 from data.locked import Locked
 from data.notice import Notice
 from data.pose_measurements import PoseInnovations
@@ -101,6 +101,14 @@ class MapEstimate(Locked):
 
     def __len__(self) -> int:
         return len(self.number)
+
+
+def map_with(known: LandmarkMap, estimated: MapState) -> MapState:
+    """An uncertain map with those of its landmarks that were estimated, by id; the others as in the map."""
+    sigma = np.zeros((len(known.id), 2)) if known.sigma is None else known.sigma
+    xy, covariance, rows = known.xy.copy(), sigma[:, :, None] ** 2 * np.eye(2), known.rows(estimated.number)
+    xy[rows], covariance[rows] = estimated.xy, estimated.covariance
+    return MapState(known.id, xy, covariance)
 
 
 def map_estimate(

@@ -18,14 +18,14 @@ from association.candidates import Places, gate_radius
 from association.expectation import Expectation
 from data.blocks import coordinates_from
 from data.inputs import FrameObservations, IntArray, LandmarkMap, Prior, Systematic
-from data.result import Finished, MapState, Updated
+from data.result import Finished, MapState, Updated, map_with
 from data.se2 import Array
 from data.sensors import Sensor
 from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.systematic import expect_known, hold_known
 
 EXACT, ABSENT = -1, -2
-"""Offsets of landmarks that are no states: one without an error, and the uncertain one in row r of the map (minus r)."""
+"""Offsets of landmarks that are no states: without an error; uncertain, minus the row in the map."""
 
 
 class EkfLocalizer(Filter):
@@ -191,10 +191,9 @@ class EkfLocalizer(Filter):
 
     def landmarks(self) -> MapState:
         """The map, without covariance where it is exact; landmarks that were used are where they are estimated."""
-        xy, covariance = self.map.xy.copy(), self._sigma[:, :, None] ** 2 * np.eye(2)
-        joined, at = self._slot >= 0, self._at.reshape(-1, 2)
-        xy[joined], covariance[joined] = self._states, self._P[at[:, :, None], at[:, None, :]]
-        return MapState(self.map.id, xy, covariance)
+        at = self._at.reshape(-1, 2)
+        blocks = self._P[at[:, :, None], at[:, None, :]]
+        return map_with(self.map, MapState(self.map.id[self._slot >= 0], self._states, blocks))
 
     def finish(self) -> Finished:
         """No smoothed path; the map as estimated, if it is uncertain."""

@@ -8,9 +8,9 @@ import numba
 import numpy as np
 
 from data.blocks import diagonal_blocks
-from data.inputs import Inputs, IntArray, LandmarkMap, Systematic
+from data.inputs import Inputs, IntArray, Systematic
 from data.motion.systematic import SensorFrame
-from data.result import DISCARD, NEW, MapState, Systematics
+from data.result import DISCARD, NEW, MapState, Systematics, map_with
 from data.se2 import Array, BoolArray
 from ekf import kernels, systematic
 from ekf.filter import DEFAULT, FilterOptions, frame_of
@@ -83,8 +83,10 @@ def run_filter(
         blocks = diagonal_blocks(P[base:d, base:d])
         found = MapState(np.arange(count, dtype=np.int64), mean[base:d].reshape(count, 2).copy(), blocks)
         found = systematic.landmarks(found, P[base:d, b].reshape(count, 2, base - 3), mean[b], P[b, b], frame)
-    elif joining is not None:
-        found = joining.map_of(inputs.map, mean[base:d].reshape(-1, 2), diagonal_blocks(P[base:d, base:d]))
+    elif joining is not None and inputs.map is not None:
+        number = inputs.map.id[joining.row[: (d - base) // 2]]
+        at, blocks = mean[base:d].reshape(-1, 2), diagonal_blocks(P[base:d, base:d])
+        found = map_with(inputs.map, MapState(number, at, blocks))
     return filter_run(track, of, frame, decided, found, failure)
 
 
@@ -153,13 +155,6 @@ class Joining(NamedTuple):
     row: IntArray  # (I,) of the map
     frame: IntArray  # (I,) of the first pairing, ascending
     place: IntArray  # (L,) of each landmark of the map among them; -1: none
-
-    def map_of(self, known: LandmarkMap, xy: Array, covariance: Array) -> MapState:
-        """The map with the first landmarks (j,) of these as estimated."""
-        assert known.sigma is not None
-        every, P = known.xy.copy(), known.sigma[:, :, None] ** 2 * np.eye(2)
-        every[self.row[: len(xy)]], P[self.row[: len(xy)]] = xy, covariance
-        return MapState(known.id, every, P)
 
 
 def joining_of(inputs: Inputs, decided: IntArray) -> Joining | None:

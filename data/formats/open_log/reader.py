@@ -74,11 +74,11 @@ def landmarks_of(table: Table) -> tuple[LandmarkMap, LandmarkMap]:
     """The map of a table with its columns, and the true landmarks."""
     sigmas = [n for n in SIGMAS if n in table]
     table.require_finite(("x", "y"))
-    for columns in (SIGMAS, TRUE_PLACE):
-        table.require_finite([n for n in columns if n in table], blank=True)
-        missing = [n for n in columns if n not in table]
+    for pair in (SIGMAS, TRUE_PLACE):
+        table.require_finite([n for n in pair if n in table], blank=True)
+        missing = [name for name in pair if name not in table]
         if len(missing) == 1:
-            raise table.error(-1, missing[0], f"no such column; {' and '.join(columns)} come together")
+            raise table.error(-1, missing[0], f"no such column; {' and '.join(pair)} come together")
     for name in sigmas:
         negative = table.columns[name] < 0.0
         table.require(~negative, name, "{} is a negative standard deviation; 0 or blank is an exact landmark")
@@ -97,8 +97,8 @@ def landmarks_of(table: Table) -> tuple[LandmarkMap, LandmarkMap]:
     if TRUE_PLACE[0] not in table:
         return known, known
     place = table.stack(TRUE_PLACE)[order]
-    there = np.isfinite(place).all(axis=1)
-    kind = None if kind is None else tuple(k for k, yes in zip(kind, there.tolist(), strict=True) if yes)
+    there = np.flatnonzero(np.isfinite(place).all(axis=1))
+    kind = None if kind is None else tuple(kind[k] for k in there.tolist())
     return known, LandmarkMap(known.id[there], place[there], kind)
 
 
