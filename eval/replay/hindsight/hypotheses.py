@@ -51,8 +51,8 @@ class Choice(NamedTuple):
 
 @dataclass
 class Hypothesis:
-    """A pose, behind it landmarks of an uncertain map and kept poses of earlier frames (3 + 2l + 3c,), their covariance,
-    logarithm of its weight, its past.
+    """A pose, behind it landmarks of an uncertain map and kept poses of earlier frames (3 + 2l + 3c,), their
+    covariance, logarithm of its weight, its past.
 
     taken, squares: landmarks paired in the newest frame, and squared innovations of these pairings.
     """
