@@ -307,8 +307,8 @@ NO_NEW_LANDMARKS = (
 
 
 NO_RANGE_ERROR = (
-    "a range error and the landmarks of an uncertain map are not estimated together: leave range out of --calibrate, or "
-    "the sigmas out of the map"
+    "a range error and the landmarks of an uncertain map are not estimated together: leave range out of --calibrate, "
+    "or the sigmas out of the map"
 )
 
 
