@@ -32,14 +32,15 @@ class Decided(NamedTuple):
     complete: bool
 
 
-def horizon(method: str, gate: float | None, new_gate: float | None, *, known_map: bool = False) -> float:
+def horizon(method: str, gate: float | None, new_gate: float | None, *, known_map: bool = False, dof: int = 2) -> float:
     """Squared distance from every observation beyond which no candidate influences the decisions; infinite without a
     gate. The ratio test needs the second best candidate, which may be anywhere inside the gate or compete with "new".
+    `dof`: 3 with descriptors, whose terms only add to a distance.
     """
     if gate is None:
         return math.inf
-    outer = 0.0 if known_map or method == OWN_NEWNESS else gate_threshold(new_gate)
-    return max(RATIO * max(ALPHA, gate_threshold(gate)), outer)
+    outer = 0.0 if known_map or method == OWN_NEWNESS else gate_threshold(new_gate, dof)
+    return max(RATIO * max(ALPHA, gate_threshold(gate, dof)), outer)
 
 
 def decide(

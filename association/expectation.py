@@ -14,6 +14,7 @@ import numba
 import numpy as np
 from scipy.special import gammaincinv
 
+from association.appearance import Unlike
 from data.blocks import add_to_diagonal, diagonal_blocks, of_points
 from data.inputs import IntArray
 from data.se2 import Array
@@ -96,6 +97,7 @@ class Expectation:
     joint: Callable[[IntArray], Array]  # joint covariance (2k, 2k) of k candidates, in the order of their indices
     elsewhere: Callable[[Array], Expectation] | None = None  # linearized at a pose (3,): h(pose) + H (mean - pose)
     dims: int = 2  # numbers measured of each; 1: bearings or ranges alone (see `data.sensors`)
+    unlike: Unlike | None = None  # (m, n) terms of appearance in the distances; None: there is none
 
     @classmethod
     def from_arrays(
@@ -130,6 +132,19 @@ class Expectation:
             partial(of_points, full),
         )
 
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of the squared distance of a pair."""
+        return self.dims if self.unlike is None else self.dims + self.unlike.dims
+
+    def with_appearance(self, unlike: Unlike | None) -> Expectation:
+        """The same problem with terms of appearance."""
+        elsewhere = self.elsewhere
+        return self if unlike is None else replace(
+            self, unlike=unlike,
+            elsewhere=None if elsewhere is None else lambda pose: elsewhere(pose).with_appearance(unlike),
+        )  # fmt: skip
+
     def by_age(self) -> Expectation:
         """The same problem with its candidates in ascending landmark number, then frame. Methods that break ties by
         order start with this, so that no decision depends on how a map is stored.
@@ -148,6 +163,7 @@ class Expectation:
             HPHt=self.HPHt[which],
             frame=self.frame[which],
             joint=lambda indices: self.joint(which[np.asarray(indices, np.int64)]),
+            unlike=None if self.unlike is None else self.unlike.only(which),
         )
 
     def innovations(self) -> Array:
@@ -170,20 +186,23 @@ class Expectation:
                 f"{(self.HPHt[j] + self.R[i]).tolist()} is singular, or the innovation is not finite; "
                 "a positive definite covariance is needed"
             )
+        if self.unlike is not None:
+            d2 += self.unlike.distance
         d2.setflags(write=False)
         det.setflags(write=False)
         return d2, det
 
     def individual_distances(self) -> Array:
-        """Squared Mahalanobis distance (m, n) of every observation to every candidate, infinite in another frame.
-        Raises SingularInnovationError if a covariance is not positive definite, or a value not finite.
+        """Squared Mahalanobis distance (m, n) of every observation to every candidate, infinite in another frame, with
+        the terms of appearance. Raises SingularInnovationError if a covariance is not positive definite, or a value not
+        finite.
         """
         return self._formed[0]
 
     def log_determinants(self) -> Array:
         """Logarithm of det S (m, n) of every observation and candidate, infinite in another frame."""
         logs: Array = np.log(self._formed[1])
-        return logs
+        return logs if self.unlike is None else logs + self.unlike.log_determinant
 
     def paired(self, decisions: IntArray) -> tuple[IntArray, IntArray]:
         """Rows (k,) of the paired observations, and the candidates (k,) they are paired with."""

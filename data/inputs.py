@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from data.appearance import Appearance
 from data.locked import IntArray as IntArray
 from data.locked import Locked, read_only
 from data.pose_measurements import Closures, Fixes, FrameClosures, FrameFixes
@@ -73,12 +74,14 @@ class Observations(Locked):
     """Unlabelled observations: frame (M,) ascending, z (M, 2), R (M, 2, 2).
 
     sensor: (M,) row in the sensors of a log with several, ascending within a frame; None: there is one.
+    appearance: (M,) descriptors and classes; None: there are none.
     """
 
     frame: IntArray
     z: Array
     R: Array
     sensor: IntArray | None = field(default=None, kw_only=True)
+    appearance: Appearance | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +151,7 @@ class Frame(NamedTuple):
         fixes: absolute measurements of its pose, or None.
         closures: measured relative poses of which it is the later frame, or None.
         sensor: (m,) of each observation, as in `Observations`; None: the log has one.
+        appearance: (m,) as in `Observations`.
     """
 
     number: int
@@ -159,6 +163,7 @@ class Frame(NamedTuple):
     fixes: FrameFixes | None = None
     closures: FrameClosures | None = None
     sensor: IntArray | None = None
+    appearance: Appearance | None = None
 
     @property
     def sightings(self) -> FrameObservations:
@@ -171,7 +176,9 @@ class Frame(NamedTuple):
         label = None if self.label is None else self.label[begin:stop]
         seen = FrameObservations(self.observations.z[begin:stop], self.observations.R[begin:stop])
         sensor = None if self.sensor is None else self.sensor[begin:stop]
-        return self._replace(observations=seen, label=label, first=self.first + begin, sensor=sensor)
+        looks = None if self.appearance is None else self.appearance.only(slice(begin, stop))
+        first = self.first + begin
+        return self._replace(observations=seen, label=label, first=first, sensor=sensor, appearance=looks)
 
     def by_sensor(self) -> list[Frame]:
         """The frame in parts of one sensor each; one part without several sensors."""
@@ -230,6 +237,7 @@ class LandmarkMap(Locked):
     """Known landmarks: id (L,) ascending and >= 0, xy (L, 2) in the world frame.
 
     kind: (L,) names of kinds, where not every sensor sees all (`Sensor.sees`); None: one kind.
+    appearance: (L,) known descriptors and classes; None: they are learned.
     sigma: (L, 2) standard deviations [m] of x and y, independent of each other and of other landmarks, 0 where exact;
         None: all are exact.
     """
@@ -237,6 +245,7 @@ class LandmarkMap(Locked):
     id: IntArray
     xy: Array
     kind: tuple[str, ...] | None = None
+    appearance: Appearance | None = None
     sigma: Array | None = None
 
     def __post_init__(self) -> None:
@@ -332,8 +341,11 @@ class Inputs:
         fixes = None if self.fixes is None else self.fixes.of(number)
         closures = None if self.closures is None else self.closures.of(number)
         observations = self.frame_observations(number)
-        sensor = None if o.sensor is None else o.sensor[first : self.start[number + 1]]
-        return Frame(number, float(self.time[number]), increment, observations, label, first, fixes, closures, sensor)
+        rows = slice(first, int(self.start[number + 1]))
+        sensor = None if o.sensor is None else o.sensor[rows]
+        looks = None if o.appearance is None else o.appearance.only(rows)
+        time = float(self.time[number])
+        return Frame(number, time, increment, observations, label, first, fixes, closures, sensor, looks)
 
     def sensor_of(self, rows: IntArray | slice | None = None) -> Sensor | EachSensor:
         """The sensor of observations, by rows of the log (None: all): one for all, or one for each row."""
@@ -341,6 +353,12 @@ class Inputs:
         if which is None:
             return self.sensor
         return EachSensor(self.sensors, which if rows is None else which[rows])
+
+    @property
+    def descriptors(self) -> bool:
+        """Whether observations have descriptors."""
+        looks = self.observations.appearance
+        return looks is not None and looks.measures
 
     @property
     def labels_are_sensed(self) -> bool:
@@ -372,4 +390,11 @@ class Inputs:
     def without_labels(self) -> Inputs:
         """The same inputs without labels, for unknown association."""
         o = self.observations
-        return replace(self, observations=Observations(o.frame, o.z, o.R, sensor=o.sensor))
+        return replace(self, observations=Observations(o.frame, o.z, o.R, sensor=o.sensor, appearance=o.appearance))
+
+    def without_appearance(self) -> Inputs:
+        """The same inputs without descriptors and classes."""
+        if self.observations.appearance is None:
+            return self
+        known = None if self.map is None else replace(self.map, appearance=None)
+        return replace(self, observations=replace(self.observations, appearance=None), map=known)

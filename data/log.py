@@ -84,7 +84,9 @@ class Log:
         if label is None:
             raise ValueError(f"log {self.name!r} has no labels to grant")
         o = self.recorded.observations
-        labelled = LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed, sensor=o.sensor)
+        labelled = LabelledObservations(
+            o.frame, o.z, o.R, label, self.labels_are_sensed, sensor=o.sensor, appearance=o.appearance
+        )
         return replace(self.recorded, observations=labelled)
 
     @staticmethod
@@ -109,6 +111,8 @@ class Log:
                 standard deviations sx, sy. truth (N, 3), NaN where
                 unknown (with odometry (K, 4): t, x, y, theta). true_id (M,): -1 false alarm, NaN unknown. label (M,),
                 NaN unknown. labels_are_sensed: bool. observed_by (M,): names of sensors. kinds (L,) of landmarks.
+                descriptor (M,), NaN not measured, and classes (M,), blank not read, with sensor's descriptor_sigma and
+                class_error; landmark_descriptor (L,), landmark_classes (L,) where known.
                 fixes, closures: columns of fixes.csv or closures.csv by name,
                 each (K,) or one value for all rows, NaN blank, and sources, tables as [[fix]] or [[closure]], as in
                 `{"frame": [0, 9], "kind": "position", "x": [0.0, 4.1], "y": [0.1, 3.9], "sources": [{"name": "gps",
@@ -178,8 +182,11 @@ def shortened(log: Log, n: int) -> Log:
         r,
         time=r.time[:n],
         increments=replace(r.increments, mean=r.increments.mean[:n], covariance=r.increments.covariance[:n]),
-        observations=replace(o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m], sensor=_rows(o.sensor, slice(m))),
-    )
+        observations=replace(
+            o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m], sensor=_rows(o.sensor, slice(m)),
+            appearance=None if o.appearance is None else o.appearance.only(slice(m)),
+        ),
+    )  # fmt: skip
     if r.scans is not None:
         k = int(np.searchsorted(r.scans.frame, n))
         scans = replace(r.scans, frame=r.scans.frame[:k], ranges=r.scans.ranges[:k])

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import scipy
 
+from data.appearance import Appearance
 from data.inputs import CLUTTER, UNLABELLED, IntArray, Scanner
 from data.log import Log
 from data.pose_measurements import MEASURED, FixKind
@@ -137,7 +138,23 @@ def _observations(log: Log) -> list[Line]:
         rows = np.arange(m) if o.sensor is None else np.flatnonzero(o.sensor == i)
         if len(rows):
             lines.append(("measured", _measured(sensor, o.z[rows], int(outside[rows].sum()))))
-    return lines
+    return [*lines, *(("appearance", text) for text in _appearance(o.appearance))]
+
+
+def _appearance(looks: Appearance | None) -> list[str]:
+    """Spans of descriptors, and classes with their counts."""
+    if looks is None:
+        return []
+    there, read = looks.descriptor[np.isfinite(looks.descriptor)], looks.category[looks.category >= 0]
+    texts = []
+    if len(there):
+        sigma = np.median(looks.sigma[np.isfinite(looks.descriptor)])
+        texts.append(f"descriptor {there.min():.4g} to {there.max():.4g}, sigma {sigma:.4g}: {len(there)}")
+    if len(read):
+        counts = np.bincount(read, minlength=len(looks.names))
+        each = ", ".join(f"{n} {c}" for n, c in zip(looks.names[:8], counts.tolist(), strict=False))
+        texts.append(f"{counted(len(looks.names), 'class', 'classes')}: {each}{', ...' * (len(looks.names) > 8)}")
+    return texts
 
 
 def _measured(sensor: Sensor, z: Array, outside: int) -> str:

@@ -204,6 +204,7 @@ class Filter:
             if found.status != kernels.OK:
                 raise FilterDivergedError(kernels.FAILURES[found.status])
             done.used[i], done.nis[i], done.white[i, m.rows] = found.used, found.nis, found.white
+            done.S[i][np.ix_(m.rows, m.rows)] = found.S
         status = pose_updates.settle(self._mean, self._P, self._used, pending or [], self._clone_range)
         if status != kernels.OK:
             raise FilterDivergedError(kernels.FAILURES[status])

@@ -24,7 +24,7 @@ from data.sensors import Sensor
 from graph import expected
 from graph.calibration.open_end import CalibratedEnd
 from graph.engine import Engine
-from graph.factors import Factor, ObservationFactors, is_exact
+from graph.factors import Factor, ObservationFactors, is_exact, pose2
 from graph.in_turn import closures_of, fixes_of, in_turn
 from graph.observed import Observed
 from graph.open_end import OpenEnd
@@ -69,6 +69,7 @@ class Isam2Smoother:
         self._end = OpenEnd(prior)
         if errors := None if systematic is None else errors_of(systematic, sensor, prior):
             self._end, self.sensor = CalibratedEnd(prior, errors), errors.frame.sensor(sensor)
+        self._motion: int | None = None  # the engine's handle on the present motion, which joined without observations
         self._of_poses, self._systematic = list[PoseFactor](), errors  # fixes and closures so far
         self._observed = Observed(self.sensor, known, loss, errors)
         self._candidates = expected.Candidates(self.sensor, known)
@@ -89,13 +90,20 @@ class Isam2Smoother:
 
     def predict(self, increment: Increment) -> None:
         """Predict with an increment; the graph grows only with an observation."""
-        self.frame += 1
+        self.frame, self._motion = self.frame + 1, None
         self._end.move(increment)
         self._candidates.move(increment)
 
     def inflate(self, covariance: Array) -> None:
-        """Add an isotropic covariance (3, 3) to the last motion."""
-        self._end.inflate(covariance)
+        """Add an isotropic covariance (3, 3) to the last motion, whatever the frame's fixes and closures said since.
+
+        Raises ValueError after observations of the frame.
+        """
+        if self._motion is None:
+            self._end.inflate(covariance)
+        else:
+            self._engine.exchange(self._motion, self._end.inflated(covariance))
+            self._read()
         self._candidates.move(Increment(np.zeros(3), covariance))
 
     def estimate(self) -> PoseEstimate:
@@ -189,9 +197,10 @@ class Isam2Smoother:
         if not take.all():
             observations, number = FrameObservations(observations.z[take], observations.R[take]), number[take]
         if len(number):
+            again = at is not None and self._motion is not None  # the pose is in the graph, elsewhere
             if at is not None:
-                self._end.place(at)
-            self._extend(observations, number)
+                self._end.place(at, joined=again)
+            self._extend(observations, number, again=again)
         return Updated(used, created, nis, dof, likelihood)
 
     def _gate(
@@ -213,20 +222,24 @@ class Isam2Smoother:
         used[rows[~keep]] = False
         return e.innovation_statistics(rows[keep], which[keep])
 
-    def _extend(self, observations: FrameObservations, number: IntArray) -> None:
-        """Add the motion since the anchor and these observations to the graph, and read the newest pose."""
-        motion, values = self._flush()
-        motion += self._join(number, values)
+    def _extend(self, observations: FrameObservations, number: IntArray, *, again: bool = False) -> None:
+        """Add the motion since the anchor and these observations to the graph, and read the newest pose. `again`: that
+        is in the graph, and linearized where it was placed now.
+        """
+        (motion, values), self._motion = self._flush(), None
+        if again:
+            values.insert(X(self.frame), pose2(self._end.mean))
+        motion += self._priors(number, values)
         seen = self._observed.factors_of(
             observations, np.full(len(number), self.frame), number, self._end, self._engine, values
         )
         if self.map is None:
             self._observed.start(observations, number, self._end.mean, values)
             self._candidates.see(observations, number, self._end.P)
-        self._add(motion, seen, values)
+        self._add(motion, seen, values, again=again)
         self._read()
 
-    def _join(self, number: IntArray, values: gtsam.Values) -> list[Factor]:
+    def _priors(self, number: IntArray, values: gtsam.Values) -> list[Factor]:
         """See `Observed.join`; QR is used if a prior is delicate."""
         found = self._observed.join(number, values)
         if found and self._least < DELICATE:
@@ -234,10 +247,17 @@ class Isam2Smoother:
         return [p.factor for p in found]
 
     def _add(
-        self, motion: list[Factor], seen: Sequence[ObservationFactors], values: gtsam.Values, *, late: bool = False
+        self,
+        motion: list[Factor],
+        seen: Sequence[ObservationFactors],
+        values: gtsam.Values,
+        *,
+        late: bool = False,
+        again: bool = False,
     ) -> None:
         """Give factors to the engine; those of a landmark, or of a frame in a known map, can be removed again."""
-        handles = self._engine.add([*motion, *self._observed.add(seen, values, late=late)], values)
+        add = self._engine.add_from if again else self._engine.add
+        handles = add([*motion, *self._observed.add(seen, values, late=late)], values)
         self._observed.hold(seen, handles[len(motion) :])
 
     def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
@@ -247,9 +267,14 @@ class Isam2Smoother:
         used = self._note(fix_factors([self.frame] * len(done.used), fixes, sources, self.loss), done)
         if used:
             motion, values = self._flush()
-            self._engine.add([*motion, *used], values)
+            self._join(motion, self._engine.add([*motion, *used], values))
             self._read()
         return done
+
+    def _join(self, motion: list[Factor], handles: list[int]) -> None:
+        """Note the handle on the motion's last factor; handles: on its factors (m) and others after them."""
+        if motion:
+            self._motion = handles[len(motion) - 1]
 
     def keep(self, last_use: dict[int, int]) -> None:
         """Every frame stays in the graph."""
@@ -267,7 +292,7 @@ class Isam2Smoother:
             return done
         # the poses that they tie at the root of the tree, where their joint covariance is quick
         motion, values = self._flush()
-        self._engine.add(motion, values, [X(k) for k in frames.tolist()])
+        self._join(motion, self._engine.add(motion, values, [X(k) for k in frames.tolist()]))
         done = in_turn(*self._poses(frames), measured, gate)
         used = self._note(factors, done)
         if used:
@@ -313,7 +338,7 @@ class Isam2Smoother:
         if former:
             self._engine.drop(former)
         motion, values = self._flush()
-        motion += self._join(decisions[take], values)
+        motion += self._priors(decisions[take], values)
         again_seen = FrameObservations(observations.z[take], observations.R[take])
         seen = self._observed.factors_of(again_seen, frames[take], decisions[take], self._end, self._engine, values)
         self._add(motion, seen, values, late=True)

@@ -85,6 +85,8 @@ FLAGS = {
     ),
     "fix-lever": ("X,Y", "place of the antenna in the body frame (default: 0,0)"),
     "fix-rotation": ("ANGLE", "direction of the compass in the body frame (default: 0)"),
+    "descriptor-sigma": ("S", "noise of the column descriptor of observations, such as diameters"),
+    "class-error": ("P", "probability that the column class of observations is wrong"),
     "closure-sigma": ("SX,SY,STHETA", "noise of closures without columns sx, sy, stheta"),
     "track-width": ("M", "of wheel ticks: distance between the wheels"),
     "metres-per-tick": ("M[,M]", "of wheel ticks: for both, or left and right"),

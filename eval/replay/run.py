@@ -142,6 +142,8 @@ def step_by_step(
     begin = time.perf_counter()
     _check_granted(inputs, association)
     setup = setup.settled(inputs.labels_are_sensed)
+    if not setup.appearance:
+        inputs = inputs.without_appearance()
     try:
         if is_foreign(name):
             require(name, task, association, setup)

@@ -14,6 +14,7 @@ import numpy as np
 import tomli_w
 
 from data.errors import DataError
+from data.formats.open_log import appearance as looks
 from data.formats.open_log import closures as closures_file
 from data.formats.open_log import fixes as fixes_file
 from data.formats.open_log import sensors as sensors_file
@@ -124,6 +125,8 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         columns = {"t": inputs.time[observations.frame].tolist()}
     sensors = inputs.sensors or (inputs.sensor,)
     columns |= sensors_file.columns_of(sensors, observations.z, observations.R, observations.sensor)
+    if observations.appearance is not None:
+        columns |= looks.columns_of(observations.appearance)
     if truth.landmark_of is not None:
         columns["true_id"] = _or_blank(truth.landmark_of, UNKNOWN_ID)
     if log.label is not None:
@@ -156,6 +159,8 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
             places |= {n: ["" if math.isnan(v) else v for v in c] for n, c in zip(TRUE_PLACE, at, strict=True)}
         if landmarks.kind is not None:
             places["kind"] = landmarks.kind
+        if landmarks.appearance is not None:
+            places |= looks.columns_of(landmarks.appearance, known=True)
         files[LANDMARKS] = _csv(places, zip(*places.values(), strict=True))
     return files
 
@@ -192,7 +197,8 @@ def _is_latest(log: Log) -> bool:
     inputs, sensor, known = log.recorded, log.recorded.sensor, _landmarks(log)
     named = bool(sensor.label or sensor.sees) or (known is not None and known.kind is not None)
     measured = inputs.fixes is not None or inputs.closures is not None
-    return measured or named or bool(inputs.sensors) or not sensor.locates
+    described = inputs.observations.appearance is not None or (known is not None and known.appearance is not None)
+    return measured or named or described or bool(inputs.sensors) or not sensor.locates
 
 
 def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:

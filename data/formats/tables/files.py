@@ -70,6 +70,10 @@ class TextTable:
         """The fields of a column in the rows to keep (K,)."""
         return [row[column] for row, wanted in zip(self.rows, keep.tolist(), strict=True) if wanted]
 
+    def number(self, field: str) -> float:
+        """A field as a number; ValueError if it is none."""
+        return _decimal(field) if self.decimal_comma else _number(field)
+
     def numbers(self, column: int, keep: BoolArray, *, stamps: bool) -> Array:
         """A column as numbers, NaN where blank; `stamps`: dates as 2024-05-01T12:00:00.5 in s since 1970. DataError if
         invalid.
@@ -202,7 +206,7 @@ QUANTITIES = {
     "v": "length/time",
     "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
-    **dict.fromkeys(("frame1", "frame2", "source"), ""),
+    **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class"), ""),
 }
 """Quantities of columns, and their dimensions; rates are per second by default."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,13 +11,15 @@ from typing import Any
 import numpy as np
 
 from data.errors import DataError, UsageError, did_you_mean, unknown
+from data.formats.open_log.appearance import Noise
 from data.formats.recordings.laser import TravelNoise
-from data.formats.tables.files import ROLES, Columns, Units, quantity_with_unit, read_text
+from data.formats.tables.files import ROLES, Columns, TextTable, Units, quantity_with_unit, read_text
 from data.formats.tables.motion import KINDS, Wheels, kind_of
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.se2 import Array
 from data.toml_table import load_toml
 
+UNSTATED = Noise()
 FROM_TRUTH = "truth"
 """The prior's mean is the first true pose."""
 
@@ -40,6 +43,7 @@ class Wanted:
         sensed: a sensor read the labels.
         backward: a row's velocities held since the row before; else until the next one.
         fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated.
+        looks: noise of descriptors and classes; what is None is not read.
         fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes.
     """
 
@@ -65,6 +69,7 @@ class Wanted:
     closure_sigma: Array | None = None
     fix_lever: tuple[float, float] = (0.0, 0.0)
     fix_rotation: float = 0.0
+    looks: Noise = UNSTATED
 
 
 TABLES = ("columns", "unit", "time-offset")
@@ -184,7 +189,25 @@ def settle(given: Given) -> Wanted:
         sensed=bool(given.get("labels-sensed", False)),
         backward=_backward(given, kind),
         **_of_fixes(given, files),
+        looks=_of_looks(given, seen, columns),
     )
+
+
+def _of_looks(given: Given, seen: TextTable | None, columns: Columns) -> Noise:
+    """The noise of descriptors and classes of observations."""
+    found: dict[str, float] = {}
+    for quantity, flag, high in (("descriptor", "descriptor-sigma", math.inf), ("class", "class-error", 0.5)):
+        if flag not in given:
+            continue
+        value = float(numbers(given[flag], ("",), flag, "one number")[0])
+        if not 0.0 < value < high:
+            right = "must be more than 0" if high == math.inf else "a probability above 0 and below 0.5 is needed"
+            raise UsageError(f"--{flag} {given[flag]}: {right}")
+        if seen is None or columns.find(seen, "observations", quantity) is None:
+            what = f"the observations have no column {quantity}"
+            raise UsageError(f"--{flag} {given[flag]}: {what}; --columns observations.{quantity}=NAME names it")
+        found["sigma" if quantity == "descriptor" else "error"] = value
+    return Noise(**found)
 
 
 def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from data import se2
 from data.digest import file_sha256
 from data.errors import DataError, UsageError
 from data.formats.csv_table import Table
+from data.formats.open_log.appearance import CLASS, DESCRIPTOR, of_landmarks, of_observations, together
 from data.formats.open_log.writer import Recording, Samples
 from data.formats.recordings.laser import FLOOR
 from data.formats.tables.files import TextTable, headings, read_text, shared
@@ -52,6 +53,7 @@ class FrameObservations:
 
 
 Part = FrameObservations | Measured
+LOOKS_FLAGS = ("descriptor-sigma", "class-error")
 ALONE: dict[str, type[Sensor]] = {"range": Range, "bearing": Bearing}
 """Sensors of one number by its column."""
 
@@ -71,9 +73,15 @@ def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameOb
     if not by_stamp and columns.find(file, "observations", "frame") is None:
         columns.require(file, "observations", ("t",) if odometry.stamped else ("frame",))
     values = (alone,) if alone is not None else ("range", "bearing") if polar else ("x", "y")
-    table, texts, skipped = columns.table(file, "observations", (*values, key), texts=("true_id", "label"))
-    together = "observations" in shared(wanted.files)
-    notes = [f"{file.path.name}: {skipped} rows without an observation"] if skipped and not together else []
+    table, texts, skipped = columns.table(
+        file, "observations", (*values, key), texts=("true_id", "label", *_looked(wanted))
+    )
+    table = with_looks(file, table, texts)
+    shares = "observations" in shared(wanted.files)
+    notes = [f"{file.path.name}: {skipped} rows without an observation"] if skipped and not shares else []
+    for quantity, flag, noise in zip((DESCRIPTOR, CLASS), LOOKS_FLAGS, wanted.looks, strict=True):
+        if noise is None and columns.find(file, "observations", quantity) is not None:
+            notes.append(f"{file.path.name}: column {quantity} is not used; --{flag} uses it")
     z = np.zeros((len(table), 2))
     z[:, [1] if alone == "bearing" else list(range(len(values)))] = table.stack(values)
     if polar and alone != "bearing":
@@ -91,6 +99,27 @@ def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameOb
         notes.append(f"{file.path.name}: {back} observations were stamped before the one above; sorted")
         found = replace(found.part(np.argsort(at, kind="stable").astype(np.int64)), notes=tuple(notes))
     return found
+
+
+def _looked(wanted: Wanted) -> tuple[str, ...]:
+    """Columns of appearance to read."""
+    return tuple(q for q, noise in zip((DESCRIPTOR, CLASS), wanted.looks, strict=True) if noise is not None)
+
+
+def with_looks(file: TextTable, table: Table, texts: Mapping[str, Sequence[str]]) -> Table:
+    """A table with the descriptors and classes among `texts`, blank where unknown."""
+    if DESCRIPTOR in texts:
+        values = np.full(len(table), np.nan)
+        for i, field in enumerate(texts[DESCRIPTOR]):
+            if field and field.lower() != "nan":
+                try:
+                    values[i] = file.number(field)
+                except ValueError:
+                    raise table.error(
+                        i, DESCRIPTOR, f"{field!r} is not a number; leave it blank where unknown"
+                    ) from None
+        table = replace(table, columns={**table.columns, DESCRIPTOR: values})
+    return replace(table, texts={**table.texts, CLASS: texts[CLASS]}) if CLASS in texts else table
 
 
 def whole(table: Table, fields: list[str], name: str) -> IntArray:
@@ -179,11 +208,16 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     labels = {key: whole(seen.table, seen.texts[key], key) for key in ("true_id", "label") if key in seen.texts}
     sensor = _sensor(wanted, seen, notes) if "observations" in texts else RangeBearing()
     R = np.tile(np.diag(wanted.sigma**2), (len(frame), 1, 1))
+    looks, known_looks = together(
+        of_observations(seen.table, None, [("", wanted.looks)]), None if known is None else known.appearance
+    )
+    if known is not None:
+        known = replace(known, appearance=known_looks)
     inputs = Inputs(
         prior=_prior(wanted, pose, known, absolute="fixes" in found),
         time=time,
         increments=replace(increments, covariance=covariance),
-        observations=Observations(frame, seen.z, R),
+        observations=Observations(frame, seen.z, R, appearance=looks),
         sensor=sensor,
         map=known,
         time_is_index=not odometry.stamped,
@@ -276,7 +310,9 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     """
     columns = wanted.columns
     stated = [q for q in ("sx", "sy") if columns.find(file, "map", q) is not None]
-    table, texts, _ = columns.table(file, "map", ("x", "y"), optional=stated, texts=("id",), may_be_blank=stated)
+    texts_wanted = ("id", *_looked(wanted))
+    table, texts, _ = columns.table(file, "map", ("x", "y"), optional=stated, texts=texts_wanted, may_be_blank=stated)
+    table = with_looks(file, table, texts)
     ids = whole(table, texts["id"], "id") if "id" in texts else np.arange(len(table), dtype=np.int64)
     order = np.argsort(ids, kind="stable")
     twice = np.flatnonzero(ids[order][1:] == ids[order][:-1])
@@ -286,8 +322,11 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     if len(ids) and ids.min() < 0:
         raise table.error(int(np.argmin(ids)), "id", f"{ids.min()} is negative; ids are whole numbers from 0 up")
     sigma = _map_sigmas(table, stated, float(wanted.map_pose[2]))
-    xy = se2.transform_points(wanted.map_pose, table.stack(("x", "y")))
-    return LandmarkMap(ids[order], xy[order], sigma=None if sigma is None else sigma[order])
+    xy, looks = se2.transform_points(wanted.map_pose, table.stack(("x", "y"))), of_landmarks(table)
+    return LandmarkMap(
+        ids[order], xy[order], appearance=None if looks is None else looks.only(order),
+        sigma=None if sigma is None else sigma[order],
+    )  # fmt: skip
 
 
 def _map_sigmas(table: Table, stated: Sequence[str], turn: float) -> Array | None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from association.scans.constraints import Chain, LaserRun
 from association.scans.corners import corners
-from data.inputs import Increments, Inputs, Observations
+from data.inputs import Increments, Inputs, IntArray, Observations, Scans
 from data.motion.velocity import floor_covariances
 from data.notice import Code, Severity, notice
 from data.result import Failure, Innovations, Run
@@ -37,18 +37,28 @@ def corner_log(inputs: Inputs, setup: Setup) -> CornerLog:
     assert scans is not None
     front = run_front_end(inputs, LaserParameters(keyframe_distance=setup.keyframe_distance))
     chain = front.chain
-    seen = [(k, *corners(r, scans.scanner)) for k, f in enumerate(chain.frame) if (r := scans.of(int(f))) is not None]
+    covariance, floored = floor_covariances(chain.covariance, inputs.covariance_floor)
+    given = Inputs(
+        inputs.prior, inputs.time[chain.frame], Increments(chain.motion, covariance), corners_at(scans, chain.frame),
+        corner_sensor(scans), time_is_index=inputs.time_is_index, covariance_floor=inputs.covariance_floor,
+        floored=floored,
+    )  # fmt: skip
+    return CornerLog(given, chain, float(front.seconds.sum()))
+
+
+def corners_at(scans: Scans, frames: IntArray) -> Observations:
+    """Corners (body frame) of the scans at key poses (K,), which are numbered from 0; a key without a scan has none."""
+    seen = [(k, *corners(r, scans.scanner)) for k, f in enumerate(frames) if (r := scans.of(int(f))) is not None]
     z = np.concatenate([np.empty((0, 2)), *(xy for _, xy, _ in seen)])
     R = np.concatenate([np.empty((0, 2, 2)), *(R for _, _, R in seen)])
     frame = np.repeat(np.array([k for k, _, _ in seen], np.int64), [len(xy) for _, xy, _ in seen])
-    covariance, floored = floor_covariances(chain.covariance, inputs.covariance_floor)
+    return Observations(frame, z, R)
+
+
+def corner_sensor(scans: Scans) -> RelativePoint:
+    """The sensor of corners: points in the body frame."""
     lever = float(np.hypot(*scans.scanner.translation))
-    given = Inputs(
-        inputs.prior, inputs.time[chain.frame], Increments(chain.motion, covariance), Observations(frame, z, R),
-        RelativePoint(max_range=scans.scanner.max_range + lever), time_is_index=inputs.time_is_index,
-        covariance_floor=inputs.covariance_floor, floored=floored,
-    )  # fmt: skip
-    return CornerLog(given, chain, float(front.seconds.sum()))
+    return RelativePoint(max_range=scans.scanner.max_range + lever)
 
 
 def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:
