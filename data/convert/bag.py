@@ -55,7 +55,7 @@ def convert(args: argparse.Namespace) -> Log | str:
     from data.formats.bags.log import Wanted, log_of_bag
     from data.formats.bags.reading import collect
     from data.formats.bags.topics import chosen, listed, topics_of
-    from data.formats.tables.flags import POSE, numbers
+    from data.formats.tables.values import POSE, numbers
 
     topics = chosen(
         args.source, topics_of(args.source), odometry=args.odom, scans=args.scan, truth=args.truth, skip=args.skip

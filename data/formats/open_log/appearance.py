@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from data.appearance import UNREAD, Appearance
+from data.appearance import UNREAD, Appearance, joined
 from data.formats.csv_table import Table
 from data.formats.open_log.named import column, is_name
 from data.inputs import IntArray
@@ -125,6 +125,18 @@ def together(seen: Appearance | None, known: Appearance | None) -> tuple[Appeara
     """Observations and landmarks with the same classes."""
     names = tuple(sorted({*(seen.names if seen else ()), *(known.names if known else ())}))
     return _named(seen, names), _named(known, names)
+
+
+def every(parts: Sequence[Appearance | None], counts: Sequence[int]) -> Appearance | None:
+    """Appearance of all rows of parts with so many each, None where no part has one; blank where a part has none."""
+    if all(part is None for part in parts):
+        return None
+    names = tuple(sorted({name for part in parts if part is not None for name in part.names}))
+    return joined([_named(p, names) or _blank(n, names) for p, n in zip(parts, counts, strict=True)])
+
+
+def _blank(count: int, names: tuple[str, ...]) -> Appearance:
+    return Appearance(np.full(count, np.nan), np.ones(count), np.full(count, UNREAD), np.full(count, 0.5), names)
 
 
 def _named(looks: Appearance | None, names: tuple[str, ...]) -> Appearance | None:
