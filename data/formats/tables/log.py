@@ -11,6 +11,7 @@ import numpy as np
 from data import se2
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
+from data.formats.csv_table import Table
 from data.formats.open_log.appearance import of_landmarks, together
 from data.formats.open_log.named import is_name
 from data.formats.open_log.writer import Recording, Samples
