@@ -6,15 +6,16 @@ s = v + sigma^2. The squared distance of a pair grows by (z - m)^2 / s, and gate
 
 A class is read wrongly with probability e, as each other class alike (the confusion matrix has 1 - e on its diagonal
 and e / (C - 1) beside it). Each landmark has the posterior of its class, uniform at first. The squared distance grows
-by -2 ln of the probability of what was read over that of the likeliest reading, which is zero or positive; the gates
-stay as they are.
+by -2 ln of the probability of what was read over that of the likeliest reading, which is zero or positive. Gates keep
+their probability: the squared distance of right pairings is then chi-square plus the cost of the misread ones.
 
 Both terms add up over the pairings of a frame, as no landmark is paired twice there.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -26,23 +27,30 @@ from data.se2 import Array, BoolArray
 UNKNOWN = 1.0  # squared distance where one of both has no descriptor: its mean, so that a sum over pairings has its own
 
 
-class Unlike(NamedTuple):
-    """By observation (m) and candidate (n): terms of the squared distance and of the logarithm of its determinant.
-
-    dims: degrees of freedom of each squared distance.
+class Evidence(NamedTuple):
+    """What the appearance of a right pairing adds to its squared distance: chi-square of `dims` degrees of freedom, and
+    `cost` with probability `error`, that of a misread class.
     """
+
+    dims: int = 0
+    error: float = 0.0
+    cost: float = 0.0
+
+
+class Unlike(NamedTuple):
+    """By observation (m) and candidate (n): terms of the squared distance and of the logarithm of its determinant."""
 
     distance: Array
     log_determinant: Array
-    dims: int
+    right: Evidence
 
     def only(self, which: IntArray) -> Unlike:
         """The same of some candidates."""
-        return Unlike(self.distance[:, which], self.log_determinant[:, which], self.dims)
+        return self._replace(distance=self.distance[:, which], log_determinant=self.log_determinant[:, which])
 
     def of(self, rows: IntArray) -> Unlike:
         """The same of some observations."""
-        return Unlike(self.distance[rows], self.log_determinant[rows], self.dims)
+        return self._replace(distance=self.distance[rows], log_determinant=self.log_determinant[rows])
 
 
 class Looks:
@@ -68,9 +76,8 @@ class Looks:
         m, n = len(seen), len(numbers)
         self._room(seen.names)
         mean, variance, log = self._of(numbers)
-        distance, log_det, dims = np.zeros((m, n)), np.zeros((m, n)), 0
+        distance, log_det = np.zeros((m, n)), np.zeros((m, n))
         if seen.measures:
-            dims = 1
             s = variance[None] + seen.sigma[:, None] ** 2
             there = np.isfinite(s) & np.isfinite(seen.descriptor)[:, None] & np.isfinite(mean)[None]
             s = np.where(there, s, 1.0)
@@ -79,20 +86,50 @@ class Looks:
             log_det += np.where(there, np.log(s), 0.0)
         if seen.classifies:
             distance += self._misread(log, seen)
-        return Unlike(distance, log_det, dims)
+        return Unlike(distance, log_det, evidence(seen))
 
     def _misread(self, log: Array, seen: Appearance) -> Array:
         """-2 ln of the probability (m, n) of each class read, over that of the likeliest."""
         found = np.zeros((len(seen), len(log)))
+        for i, read in self._read(log, seen):
+            found[i] = -2.0 * np.log(read[:, seen.category[i]] / read.max(axis=1))
+        return found
+
+    def _read(self, log: Array, seen: Appearance) -> Iterator[tuple[int, Array]]:
+        """Each observation with a class, and the probability (n, C) that each class is read of each landmark."""
         count = log.shape[1]
         if count < 2 or not len(log):
-            return found
+            return
         likely = np.exp(log - log.max(axis=1, keepdims=True))
         likely /= likely.sum(axis=1, keepdims=True)
         for i in np.flatnonzero(seen.category >= 0).tolist():
             other = seen.error[i] / (count - 1)
-            read = (1.0 - seen.error[i]) * likely + other * (1.0 - likely)  # (n, C)
-            found[i] = -2.0 * np.log(read[:, seen.category[i]] / read.max(axis=1))
+            yield i, (1.0 - seen.error[i]) * likely + other * (1.0 - likely)
+
+    def log_ratio(self, numbers: IntArray, seen: Appearance) -> Array:
+        """Logarithm of the likelihood (m, n) of each observation's appearance if it is of each landmark, over that if
+        it is of something else, which looks like any of them.
+        """
+        self._room(seen.names)
+        mean, variance, log = self._of(numbers)
+        found = np.zeros((len(seen), len(numbers)))
+        known = self._mean[np.isfinite(self._variance)]
+        if seen.measures and len(known) > 1:
+            noise = seen.sigma[:, None] ** 2
+            ours, any_ = variance[None] + noise, known.var() + noise
+            off, stray = seen.descriptor[:, None] - mean[None], seen.descriptor[:, None] - known.mean()
+            there = np.isfinite(ours) & np.isfinite(off)
+            ratio = 0.5 * (np.log(any_) - np.log(ours) + stray * stray / any_ - off * off / ours)
+            found += np.where(there, ratio, 0.0)
+        if seen.classifies:
+            found += self._readings(log, seen)
+        return found
+
+    def _readings(self, log: Array, seen: Appearance) -> Array:
+        """Logarithm of the probability (m, n) of each class read, over that of a class read at random."""
+        found = np.zeros((len(seen), len(log)))
+        for i, read in self._read(log, seen):
+            found[i] = np.log(read[:, seen.category[i]] * log.shape[1])
         return found
 
     def see(self, numbers: IntArray, seen: Appearance) -> None:
@@ -194,3 +231,16 @@ class Looks:
             self._noise = np.concatenate([self._noise, [[1.0, 0.5]]])
             self._log = np.concatenate([self._log, np.zeros((1, self._log.shape[1]))])
         return row
+
+
+def evidence(seen: Appearance | None) -> Evidence:
+    """Of right pairings of observations (m,) with landmarks that are known well."""
+    if seen is None:
+        return Evidence()
+    count, read, dims = len(seen.names), seen.category >= 0, int(seen.measures)
+    if count < 2 or not read.any():
+        return Evidence(dims)
+    error = float(seen.error[read].mean())
+    cost = 2.0 * math.log((1.0 - error) * (count - 1) / error)
+    # rounded, since thresholds are kept by these numbers
+    return Evidence(dims, round(error * float(read.mean()), 6), max(round(cost, 6), 0.0))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from association.expectation import SINGULAR, Expectation, SingularInnovationError, gate_threshold
+from association.expectation import SINGULAR, Expectation, SingularInnovationError
 from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, BoolArray
@@ -354,7 +354,7 @@ def search(expectation: Expectation, gate: float | None, *, first: bool = False,
     The joint covariance is formed once, for the compatible candidates alone. Raises SingularInnovationError if the
     innovation covariance of a pair, or of the pairings together, is not positive definite.
     """
-    threshold, dof = gate_threshold(gate, expectation.dof), expectation.dof
+    threshold = expectation.threshold(gate)
     if budget < 1:
         raise ValueError(f"budget {budget}: a search needs at least one node")
     e = expectation if first else expectation.by_age()
@@ -363,7 +363,7 @@ def search(expectation: Expectation, gate: float | None, *, first: bool = False,
     rows, columns = np.flatnonzero(compatible.any(axis=1)), np.flatnonzero(compatible.any(axis=0))
     if len(rows) == 0:
         return Search(decisions, 0.0, 0, 0, True)
-    thresholds = np.array([np.inf, *(gate_threshold(gate, dof * (q + 1)) for q in range(len(rows)))])
+    thresholds = np.array([np.inf, *(e.threshold(gate, q + 1) for q in range(len(rows)))])
     kernel = search_first if first else search_best
     choice, distance, pairings, nodes, status = kernel(
         np.array(e.residual(e.z[rows, None, :], e.z_hat[None, columns, :]), float, order="C"),

@@ -356,10 +356,10 @@ class Inputs:
         return EachSensor(self.sensors, which if rows is None else which[rows])
 
     @property
-    def descriptors(self) -> bool:
-        """Whether observations have descriptors."""
+    def looks(self) -> tuple[int, int]:
+        """Numbers that a descriptor adds to an observation (0 or 1), and number of classes."""
         looks = self.observations.appearance
-        return looks is not None and looks.measures
+        return (0, 0) if looks is None else (int(looks.measures), len(looks.names))
 
     @property
     def labels_are_sensed(self) -> bool:

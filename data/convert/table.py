@@ -43,6 +43,7 @@ What a column may hold (keys of --columns; its name in the file, or its number f
 >>>>>>> 3f604b16ae80fa5a3438bc8dde206863ff87321c
   truth          t, x, y, theta; blank where unknown
   fixes          t (or frame), x, y and theta, blank where not measured; sx, sy, stheta: sigma; source: a name
+  second-odometry    as odometry, without ticks
   closures       t1, t2 (or frame1, frame2), dx, dy, dtheta: pose at t2 in the frame of t1; sx, sy, stheta; source
 A key alone applies to every file, with a part before it (odometry.t, truth.x; with --sensor its NAME) to that part. A
 column named as its key need not be stated.
@@ -70,6 +71,12 @@ FLAGS = {
         "needed where there are some",
     ),
     "closures": ("FILE", "relative poses of two frames (loop closures, scan matches), which estimators get; likewise"),
+    "second-odometry": (
+        "FILE",
+        "another odometry of the same robot, as of a camera beside the wheels: closures between successive frames",
+    ),
+    "second-odometry-sigma": ("S,...", "its noise, as of --odometry-sigma (velocities: density)"),
+    "second-odometry-kind": ("KIND", "velocities, poses or steps (default: by the columns)"),
     "columns": ("KEY=NAME,...", "names of the columns"),
     "unit": (
         "KEY=UNIT,...",
@@ -108,8 +115,8 @@ FLAGS = {
     "hold": ("WAY", "velocities: each holds forward, until the next row (default), or backward, since the row before"),
     "time-offset": (
         "PART=SECONDS,...",
-        "added to the stamps of odometry, observations, truth, fixes or closures, as in observations=-0.05 for "
-        "readings stamped 0.05 s late",
+        "added to the stamps of odometry, observations, truth, fixes, closures or second-odometry, as in "
+        "observations=-0.05 for readings stamped 0.05 s late",
     ),
     "ticks": ("WHICH", "total: counted from the start (default); each: since the row before"),
     "tick-wrap": ("N", "total ticks start again at N, as 65536"),
@@ -157,8 +164,8 @@ def convert(args: argparse.Namespace) -> Recording:
         given = with_mapping(args.source, given, (*FLAGS, *KEYS_ALONE))
     else:
         given["odometry"] = str(args.source)
-    # a log of odometry with fixes or closures needs no observations
-    if not {"fixes", "closures", "sensor"} & set(given):
+    # a log of odometry with fixes, closures or a second odometry needs no observations
+    if not {"fixes", "closures", "sensor", "second-odometry"} & set(given):
         given.setdefault("observations", given.get("odometry"))
     wanted = settle(given)
     return read_log(args.out.absolute().name, wanted, open_files(wanted.files))

@@ -68,6 +68,9 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
     except UnderConstrained as stop:
         return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
+    gated = front.gated_final
+    if result.gated is not None:  # residuals pass nearly the same test as innovations did: the narrower counts
+        gated = min(result.gated, gated or front.gated)
     state = None
     if result.map is not None:
         found = result.map if inputs.map is None else map_with(inputs.map, result.map)
@@ -76,7 +79,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
         name, front.association, front.task, None, result.trajectory, state, front.decisions, final,
         front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,
         iterations=result.iterations, last_step_sigma=result.last_step, errors_final=result.systematic,
-        begun=None if front.begun is None else initialized, gated_final=front.gated_final,
+        begun=None if front.begun is None else initialized, gated_final=gated,
         left=front.left, fixes_final=result.fixes, closures_final=result.closures,
     )  # fmt: skip
 
@@ -147,9 +150,16 @@ def _left_out(decisions: IntArray, initialized: IntArray, accepted: BoolArray) -
 
 
 def _start_of(other: Callable[[], Run], inputs: Inputs, initialized: IntArray) -> Start | None:
-    """The path of another run as a start; None: it has none."""
+    """The path of another run as a start; None: it has none, or its landmarks are others.
+
+    A run whose landmarks begin late numbers them in its own order, and has no place for those that did not begin.
+    """
     run = other()
-    return None if run.failure is not None or run.online is None else start_at(inputs, run, initialized)
+    if run.failure is not None or run.online is None:
+        return None
+    if inputs.several_or_partial and inputs.map is None and not np.array_equal(run.initialized, initialized):
+        return None
+    return start_at(inputs, run, initialized)
 
 
 def _chordal(inputs: Inputs, initialized: IntArray) -> Start:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.appearance import Looks
+from association.appearance import Evidence, Looks, evidence
 from association.candidates import in_view
 from association.decide import Decided, decide, horizon, pair_by_label
 from association.expectation import Expectation, gate_threshold
@@ -102,7 +102,7 @@ class FrontEnd:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)
         self.given = Beginning(
             given.prior, given.sensor, given.map, given.systematic, given.fixes, given.closures, given.sensors,
-            given.descriptors,
+            given.looks,
         )  # fmt: skip
         self.setup = setup
         self.sensor = given.sensor  # that of the observations at hand
@@ -113,8 +113,10 @@ class FrontEnd:
         self.k, self.incomplete = -1, 0  # frame; frames in which the search ran out of its budget
         # labels and hindsight use no distance, and the reach of a foreign method is unknown
         far = association in ("known", HINDSIGHT) or is_foreign(association)
-        dof = 3 if given.descriptors else 2
-        within = math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=not self.slam, dof=dof)
+        known = not self.slam
+        within = (
+            math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=known, looks=given.looks)
+        )
         if isinstance(self.estimator, EkfLocalizer):
             self.estimator.within = within
         # a graph need not park, and leaving it is no forgetting: the landmark was never seen
@@ -131,13 +133,13 @@ class FrontEnd:
         self.waiting = WaitingLandmarks() if partial else None  # landmarks that are not located yet
         self.begun: list[Begun] = []  # those that began in this frame
         if self.parking is None and given.closures is None and not partial:
-            self.parking = automatic_parking(self.estimator, association, setup, dof)
+            self.parking = automatic_parking(self.estimator, association, setup, given.looks)
         self.faces = Faces(given.sensor) if self.slam and not given.sensor.sees_points else None
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
         self._label_gate = setup.label_gate if gated else None
         self._threshold = gate_threshold(self._label_gate, len(self.sensor.measures))
-        self.looks = Looks.of_map(given.map)
+        self.looks, self._right = Looks.of_map(given.map), Evidence()  # of landmarks; of a frame's right pairings
         self._kind: dict[int, str] = {}  # of landmarks that are not for every sensor, by number
         if given.map is not None and given.map.kind is not None:
             self._kind = dict(zip(given.map.id.tolist(), given.map.kind, strict=True))
@@ -194,7 +196,7 @@ class FrontEnd:
         """The gates that a used pairing has passed."""
         if self.known is not None:
             return Acceptance(self._threshold)
-        return acceptance(self.association, self.setup.gate, len(self.sensor.measures))
+        return acceptance(self.association, self.setup.gate, len(self.sensor.measures), self._right)
 
     def expect(self, observations: FrameObservations, appearance: Appearance | None = None) -> Expectation:
         """The estimator's expectation of its candidates, compared with the observations' appearance; parked landmarks
@@ -202,6 +204,7 @@ class FrontEnd:
         """
         if self.parking is not None:
             self.parking.offer(observations)
+        self._right = evidence(appearance)
         e = self.estimator.expect(observations)
         if not self.sensor.sees_points:
             e = aligned_with_observations(e, self.sensor)

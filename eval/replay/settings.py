@@ -182,8 +182,8 @@ class Given(Protocol):
         """Measured relative poses between frames, or None."""
 
     @property
-    def descriptors(self) -> bool:
-        """Whether observations have descriptors."""
+    def looks(self) -> tuple[int, int]:
+        """Numbers that a descriptor adds to an observation (0 or 1), and number of classes."""
 
 
 class Beginning(NamedTuple):
@@ -196,4 +196,4 @@ class Beginning(NamedTuple):
     fixes: Fixes | None = None
     closures: Closures | None = None
     sensors: tuple[Sensor, ...] = ()
-    descriptors: bool = False
+    looks: tuple[int, int] = (0, 0)

@@ -12,11 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, multivariate_normal
 
-from association.appearance import Looks
+from association.appearance import Evidence, Looks
 from association.conditional import prune
 from association.decide import PLAIN, decide, horizon
-from association.expectation import gate_threshold
+from association.expectation import gate_threshold, threshold_with
 from association.jcbb import search
+from association.truncated import of_places, truncated_square
 from data.appearance import UNREAD, Appearance
 from tests.association.problems import exhaustive, problem
 from tests.quick import examples
@@ -108,7 +109,7 @@ def test_jcbb_is_as_good_as_an_exhaustive_search_of_dense_three_number_problems(
 def test_appearance_that_tells_nothing_changes_no_decision(seed, m, n):
     e = problem(seed, m, n)
     nothing = Looks().unlike(e.number, classes([UNREAD] * m))
-    assert nothing.dims == 0
+    assert nothing.right.dims == 0
     for method in ("nn", "ml", "gnn", "singles", "jcbb"):
         same = decide(method, e.with_appearance(nothing), GATE, 0.99999).decisions
         assert same.tolist() == decide(method, e, GATE, 0.99999).decisions.tolist()
@@ -162,7 +163,7 @@ def test_the_term_of_a_class_is_bayes_rule():
     assert unlike.distance[:3, 0] == pytest.approx([-2.0 * math.log(p / max(read)) for p in read])
     assert not unlike.distance[:, 1].any()  # a landmark without a reading
     assert not unlike.distance[3].any()
-    assert unlike.dims == 0
+    assert unlike.right.dims == 0
 
 
 def test_a_missing_descriptor_counts_as_its_mean():
@@ -170,7 +171,7 @@ def test_a_missing_descriptor_counts_as_its_mean():
     looks.see(np.array([0]), descriptors([0.5]))
     unlike = looks.unlike(np.array([0, 1]), descriptors([0.5, np.nan]))
     assert unlike.distance.tolist() == [[0.0, 1.0], [1.0, 1.0]]
-    assert unlike.dims == 1
+    assert unlike.right.dims == 1
 
 
 def test_a_known_appearance_stays_as_it_is():
@@ -216,13 +217,71 @@ def test_landmarks_differ_by_the_noise_of_a_reading_not_of_their_means():
 def test_the_horizon_holds_every_landmark_that_decides(seed):
     e, *_ = described(seed, 3, 6)
     for method in ("nn", "ml", "gnn", "jcbb", "singles"):
-        near = e.only(
-            np.flatnonzero(
-                (replace(e, unlike=None).individual_distances() <= horizon(method, GATE, 0.99999, dof=3)).any(axis=0)
-            )
-        )
+        reach = horizon(method, GATE, 0.99999, looks=(1, 0))
+        inside = replace(e, unlike=None).individual_distances() <= reach
+        near = e.only(np.flatnonzero(inside.any(axis=0)))
         few = decide(method, near, GATE, 0.99999).decisions
         assert few.tolist() == decide(method, e, GATE, 0.99999).decisions.tolist()
+
+
+@pytest.mark.parametrize(("error", "pairs"), [(0.05, 1), (0.1, 4), (0.02, 12)])
+def test_right_pairings_pass_the_gate_as_often_as_it_says_whatever_was_misread(error, pairs):
+    rng, n, names = np.random.default_rng(0), 200_000, ("a", "b", "c", "d")
+    looks = Looks()
+    looks.see(np.zeros(100, np.int64), classes(np.zeros(100, np.int64), error, names))
+    e = problem(0, 1, 1).with_appearance(looks.unlike(np.array([0]), classes([0], error, names)))
+    misread = looks.unlike(np.array([0]), classes([3], error, names)).distance[0, 0]
+    drawn = rng.chisquare(2 * pairs, n) + misread * rng.binomial(pairs, error, n)
+    for gate in (0.9, 0.99):
+        passed = np.mean(drawn < e.threshold(gate, pairs))
+        assert passed == pytest.approx(gate, abs=4.0 * math.sqrt(gate * (1.0 - gate) / n))
+    assert e.threshold(None) == math.inf
+    assert e.threshold(GATE) > gate_threshold(GATE)
+
+
+@given(st.integers(0, 10_000), st.floats(0.001, 0.49), st.integers(2, 30), st.floats(0.5, 0.999999))
+@settings(max_examples=examples(50), deadline=None)
+def test_the_horizon_is_beyond_every_gate_with_classes(seed, error, count, gate):
+    rng = np.random.default_rng(seed)
+    seen = classes(rng.integers(0, count, 3), error, tuple(map(str, range(count))))
+    e = problem(seed, 3, 2).with_appearance(Looks().unlike(np.arange(2), seen))
+    assert e.threshold(gate) <= horizon("jcbb", gate, gate, looks=(0, count)) * (1 + 1e-9)
+
+
+@given(st.integers(0, 10_000), st.booleans())
+@settings(max_examples=examples(20), deadline=None)
+def test_the_log_ratio_is_that_of_both_likelihoods(seed, classed):
+    rng = np.random.default_rng(seed)
+    mean, z = rng.normal(size=5), rng.normal(size=3)
+    looks = Looks()
+    looks.see(np.arange(5), descriptors(mean, 0.2))
+    got = looks.log_ratio(np.arange(6), descriptors(z, 0.3))
+    any_ = multivariate_normal(mean.mean(), mean.var() + 0.09).logpdf(z)
+    for j in range(5):
+        own = [multivariate_normal(mean[j], 0.04 + 0.09).logpdf(v) for v in z]
+        assert got[:, j] == pytest.approx(own - any_)
+    assert not got[:, 5].any()  # an unknown landmark
+    if classed:
+        looks.see(np.array([0]), classes([1], 0.1))
+        likely = [0.9, 0.05, 0.05]  # of the reading's class, given the true one in turn
+        for c in range(3):
+            p = sum(w * (0.8 if k == c else 0.1) for k, w in zip((1, 0, 2), likely, strict=True))
+            assert looks.log_ratio(np.array([0]), classes([c], 0.2))[0, 0] == pytest.approx(math.log(3 * p))
+
+
+@pytest.mark.parametrize("right", [Evidence(1), Evidence(0, 0.05, 8.0), Evidence(1, 0.1, 5.0)])
+@pytest.mark.parametrize("pairs", [1, 6])
+def test_the_place_of_right_pairings_has_the_mean_that_the_gate_with_appearance_leaves(right, pairs):
+    rng, n, gate = np.random.default_rng(1), 400_000, 0.99
+    place = rng.chisquare(2 * pairs, n)
+    more = right.cost * rng.binomial(pairs, right.error, n)
+    if right.dims:
+        more = more + rng.chisquare(pairs, n)
+    left = place[place + more < threshold_with(gate, 2, pairs, right)]
+    mean, variance = truncated_square(of_places(gate, 2, pairs, right), 2 * pairs)
+    assert mean == pytest.approx(left.mean(), abs=4.0 * left.std() / math.sqrt(len(left)))
+    assert variance == pytest.approx(left.var(), rel=0.05)
+    assert of_places(gate, 2, pairs) == gate_threshold(gate, 2 * pairs)
 
 
 def test_without_descriptors_the_search_is_the_exhaustive_one():

@@ -164,10 +164,3 @@ def columns_of(looks: Appearance, *, known: bool = False) -> dict[str, list[Any]
 
 def _or_blank(values: list[Any], there: list[bool]) -> list[Any]:
     return [value if yes else "" for value, yes in zip(values, there, strict=True)]
-
-
-def require_format(table: TomlTable) -> None:
-    """Raise for keys of appearance in a log of format 1."""
-    for key in KEYS:
-        if key in table:
-            raise table.error(key, "format = 2 is needed")

@@ -278,7 +278,8 @@ def quantity_with_unit(text: str, dimension: str, where: str) -> float:
     return value * (factor(dimension, unit, where) if unit else 1.0)
 
 
-ROLES = ("odometry", "observations", "map", "truth", "fixes", "closures")
+SECOND = "second-odometry"
+ROLES = ("odometry", "observations", "map", "truth", "fixes", "closures", SECOND)
 QUATERNION = ("qx", "qy", "qz", "qw")
 
 

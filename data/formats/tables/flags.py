@@ -11,8 +11,9 @@ import numpy as np
 
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.recordings.laser import TravelNoise
-from data.formats.tables.files import ROLES, Columns, Units, quantity_with_unit, read_text
+from data.formats.tables.files import ROLES, SECOND, Columns, Units, quantity_with_unit, read_text
 from data.formats.tables.motion import KINDS, Wheels, kind_of
+from data.formats.tables.second import Second
 from data.formats.tables.sensors import (
     OF_SENSORS,
     SENSOR,
@@ -23,7 +24,7 @@ from data.formats.tables.sensors import (
     from_tables,
     sensors_of,
 )
-from data.formats.tables.values import POSE, STAMPED, Given, numbers, one_of, pairs, sigmas
+from data.formats.tables.values import POSE, STAMPED, TRAVEL, Given, numbers, one_of, pairs, sigmas
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.se2 import Array
 from data.toml_table import load_toml
@@ -50,6 +51,7 @@ class Wanted:
         backward: a row's velocities held since the row before; else until the next one.
         fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated.
         fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes.
+        second: a second odometry; None: there is none.
     """
 
     files: Mapping[str, Path]
@@ -70,11 +72,11 @@ class Wanted:
     closure_sigma: Array | None = None
     fix_lever: tuple[float, float] = (0.0, 0.0)
     fix_rotation: float = 0.0
+    second: Second | None = None
 
 
 TABLES = ("columns", "unit", "time-offset")
 """Flags of pairs KEY=VALUE, tables of a mapping file."""
-TRAVEL = ("length", "length", "angle", "angle")
 
 
 def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, object]:
@@ -133,7 +135,7 @@ def settle(given: Given) -> Wanted:
     if kind is not None and kind not in KINDS:
         raise UsageError(f"--odometry-kind {kind}: {unknown(str(kind), KINDS)}")
     kind = kind_of(read_text(files["odometry"]), columns, None if kind is None else str(kind))
-    spread = given.get("prior-sigma")
+    second, spread = _second(given, files, columns), given.get("prior-sigma")
     return Wanted(
         files=files,
         columns=columns,
@@ -149,6 +151,7 @@ def settle(given: Given) -> Wanted:
         every_row=one_of(given, "frames", ("observations", "odometry")) == "odometry",
         sensed=bool(given.get("labels-sensed", False)),
         backward=_backward(given, kind),
+        second=second,
         **_of_fixes(given, files),
     )
 
@@ -219,14 +222,34 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
     return Wheels(width, (float(metres[0]), float(metres[-1])), each, int(wrap))
 
 
-def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
-    """Odometry noise, by the kind of odometry."""
+def _second(given: Given, files: Mapping[str, Path], columns: Columns) -> Second | None:
+    """What is stated of a second odometry; None: there is none."""
+    if SECOND not in files:
+        for flag in (f"{SECOND}-sigma", f"{SECOND}-kind", f"{SECOND}-noise"):
+            if flag in given:
+                raise UsageError(f"--{flag} {given[flag]}: there is none; --{SECOND} FILE names it")
+        return None
+    known = [kind for kind in KINDS if kind != "ticks"]
+    asked = given.get(f"{SECOND}-kind")
+    if asked is not None and asked not in known:
+        raise UsageError(f"--{SECOND}-kind {asked}: {unknown(str(asked), known)}")
+    kind = kind_of(read_text(files[SECOND]), columns, None if asked is None else str(asked), SECOND)
+    if kind == "ticks":
+        raise UsageError(
+            f"--{SECOND} {files[SECOND]}: wheel ticks; {', '.join(known)} are needed, or make it the first"
+        )
+    return Second(kind, _noise(given, kind, SECOND))
+
+
+def _noise(given: Given, kind: str, of: str = "odometry") -> VelocityNoise | TravelNoise:
+    """Odometry noise, by the kind of odometry, in flags that begin with `of`."""
+    stated = f"{of}-sigma"
     velocities = kind == "velocities"
     default = "density" if velocities else "travel"
     known = ("density", "velocity", "displacement", "textbook") if velocities else ("travel",)
-    model = str(given.get("odometry-noise", default))
+    model = str(given.get(f"{of}-noise", default))
     if model not in known:
-        raise UsageError(f"--odometry-noise {model}: for {kind}{did_you_mean(model, known)}: {', '.join(known)}")
+        raise UsageError(f"--{of}-noise {model}: for {kind}{did_you_mean(model, known)}: {', '.join(known)}")
     what = {
         "density": "of v [m] and omega [rad], per square root of a second, as in 0.05,2deg",
         "velocity": "of v [m/s] and omega [rad/s], of each sample, as in 0.1,5deg",
@@ -236,15 +259,16 @@ def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
         "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
         f"{','.join(f'{n:g}' for n in TravelNoise())} was measured on a robot with wheels in an office",
     }[model]
-    if "odometry-sigma" not in given:
-        raise UsageError(f"unknown odometry noise; --odometry-sigma is needed: {what}; {TUNED}")
-    text = given["odometry-sigma"]
+    if stated not in given:
+        hint = f"; {TUNED}" if of == "odometry" else ""
+        raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}{hint}")
+    text = given[stated]
     if model == "travel":
-        return TravelNoise(*sigmas(text, TRAVEL, "odometry-sigma", what).tolist())
+        return TravelNoise(*sigmas(text, TRAVEL, stated, what).tolist())
     if model in WITH_ALPHAS:
         count = 6 if model == "textbook" and len(str(text).replace(",", " ").split()) == 6 else 4
-        return VelocityNoise(model, alphas=tuple(sigmas(text, ("",) * count, "odometry-sigma", what).tolist()))
-    sigma_v, sigma_omega = sigmas(text, ("length", "angle"), "odometry-sigma", what).tolist()
+        return VelocityNoise(model, alphas=tuple(sigmas(text, ("",) * count, stated, what).tolist()))
+    sigma_v, sigma_omega = sigmas(text, ("length", "angle"), stated, what).tolist()
     return VelocityNoise(model, sigma=(sigma_v, sigma_omega))
 
 

@@ -16,7 +16,8 @@ from data.formats.open_log.appearance import of_landmarks, together
 from data.formats.open_log.named import is_name
 from data.formats.open_log.writer import Recording, Samples
 from data.formats.recordings.laser import FLOOR
-from data.formats.tables.files import TextTable, headings, read_text
+from data.formats.second_odometry import together as together_closures
+from data.formats.tables.files import SECOND, TextTable, headings, read_text
 from data.formats.tables.flags import Wanted
 from data.formats.tables.measured import Measured, read_closures, read_fixes
 from data.formats.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
@@ -28,6 +29,7 @@ from data.formats.tables.observations import (
     whole,
     with_looks,
 )
+from data.formats.tables.second import read_second, second_closures
 from data.formats.tables.sensors import SENSOR, TableSensor
 from data.inputs import Inputs, LandmarkMap, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
@@ -87,12 +89,19 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
         parts.append(read_fixes(texts["fixes"], wanted, odometry, notes))
     if "closures" in texts:
         parts.append(read_closures(texts["closures"], wanted, odometry))
+    second = None
+    if wanted.second is not None:
+        second = read_second(texts[SECOND], wanted.second, columns, odometry)
     true = _true_poses(texts["truth"], wanted, notes, stamped=odometry.stamped) if "truth" in texts else None
     if isinstance(wanted.prior, str) and true is not None:
         odometry, parts = _from_truth_on(odometry, parts, true, notes)
     time, parts = _frames(odometry, parts, wanted, notes)
     seen = [part for part in parts if isinstance(part, FrameObservations)]
     found = {part.what: part for part in parts if isinstance(part, Measured)}
+    measured = [found["closures"].closures(time)] if "closures" in found else []
+    if second is not None and wanted.second is not None:
+        taken = [name for closures in measured for name in closures.sources]
+        measured.append(second_closures(texts[SECOND], second, wanted.second, time, taken, notes))
     increments, gaps = odometry.increments(time, wanted.noise, wanted.model)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if odometry.velocity is None:
@@ -122,7 +131,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
         covariance_floor=FLOOR,
         floored=floored,
         fixes=found["fixes"].fixes(time, wanted.fix_lever, wanted.fix_rotation) if "fixes" in found else None,
-        closures=found["closures"].closures(time) if "closures" in found else None,
+        closures=together_closures(measured),
     )
     several = [sensor.name for sensor in wanted.sensors if sensor.name]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}

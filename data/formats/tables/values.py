@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from data.errors import UsageError, unknown
-from data.formats.tables.files import quantity_with_unit
+from data.formats.tables.files import SECOND, quantity_with_unit
 from data.se2 import Array
 
 Given = Mapping[str, object]
 """Texts by flag (without leading dashes); flags of pairs as text or as a table of texts."""
 POSE = ("length", "length", "angle")
-STAMPED = ("odometry", "observations", "truth", "fixes", "closures")
+TRAVEL = ("length", "length", "angle", "angle")
+STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND)
 """Roles of files with stamps, beside the names of sensors."""
 
 

@@ -69,7 +69,7 @@ def reassociate(
         e = _expected(sensor, pose[k], known, seen.z[rows], seen.R[rows])
         if looks is not None and seen.appearance is not None:
             e = e.with_appearance(looks.unlike(e.number, seen.appearance.only(rows)))
-        threshold = gate_threshold(constants.REASSOCIATION_GATE, e.dof)
+        threshold = e.threshold(constants.REASSOCIATION_GATE)
         number[rows] = gnn(e, constants.REASSOCIATION_GATE)
         alone[rows] = (e.individual_distances() < threshold).sum(axis=1) == 1
     return Reassociation(number, alone & (number >= 0))

@@ -14,8 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association.appearance import Looks
 from association.expectation import gate_threshold
 from data import se2
+from data.appearance import Appearance
 from data.blocks import coordinates_from
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior
 from data.motion.systematic import sensor_frame
@@ -26,6 +28,7 @@ from data.sensors import RANGE_BEARING, Sensor
 from ekf import kernels, updates
 from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
 from ekf.pose_updates import Clones, Measured, PoseRule, absorb, of_closures, of_fixes
+from eval.replay.hindsight import constants
 from eval.replay.hindsight.noise import learned, log_density, stated
 
 GATE = 0.9999  # gate of a single pairing; wide, because a wrong pairing is outweighed later and a missed one is not
@@ -87,7 +90,7 @@ class Hypotheses:
 
     def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT) -> None:
         """Start at the prior; `options` of the updates."""
-        self.sensor, self.map = sensor, known
+        self.sensor, self.map, self._looks = sensor, known, Looks.of_map(known)
         self._how, self._extrinsic = (
             updates.UpdateRule(math.inf, *options.rule(), False, kernels.NEWEST),
             sensor.extrinsic,
@@ -148,8 +151,11 @@ class Hypotheses:
         self._keep(self.members)
         return done
 
-    def observe(self, observations: FrameObservations, first_row: int) -> Standing:
+    def observe(
+        self, observations: FrameObservations, first_row: int, appearance: Appearance | None = None
+    ) -> Standing:
         """Branch over the observations of a frame, which are the rows of the log from `first_row` on."""
+        alike = None if appearance is None else self._looks.log_ratio(self.map.id, appearance)
         for h in self.members:
             h.taken, h.squares = frozenset(), ()
         m = len(observations.z)
@@ -158,11 +164,14 @@ class Hypotheses:
             if self.map.sigma is not None:
                 self._join(observations.z[i : i + 1], observations.R[i : i + 1])
             for h in self.members:
-                children += self._branches(h, observations.z[i : i + 1], observations.R[i : i + 1], first_row + i)
+                z, R = observations.z[i : i + 1], observations.R[i : i + 1]
+                children += self._branches(h, z, R, first_row + i, None if alike is None else alike[i])
             self._keep(children)
         self._miss()
         self._learn()
         decisions, sure = self.opinion(m)
+        if appearance is not None:
+            self._looks.see(np.where(sure >= constants.DECISION_WEIGHT, decisions, DISCARD), appearance)
         return Standing(decisions, sure, self.members[0].nis, 2 * int((decisions >= 0).sum()))
 
     def opinion(self, newest: int) -> tuple[IntArray, Array]:
@@ -253,8 +262,11 @@ class Hypotheses:
         d2 = (S[:, 1, 1] * nu[:, 0] ** 2 - 2 * S[:, 0, 1] * nu[:, 0] * nu[:, 1] + S[:, 0, 0] * nu[:, 1] ** 2) / det
         return np.asarray(d2 < self._gate)
 
-    def _branches(self, h: Hypothesis, z: Array, R: Array, row: int) -> list[Hypothesis]:
-        """The hypothesis with its observation unpaired, and paired with each free landmark in the gate."""
+    def _branches(self, h: Hypothesis, z: Array, R: Array, row: int, alike: Array | None) -> list[Hypothesis]:
+        """The hypothesis with its observation unpaired, and paired with each free landmark in the gate.
+
+        alike: (L,) log-likelihood ratio of its appearance to each landmark's, None: it has none.
+        """
         z_hat, S = self._expect(h)
         S += R[0]
         found = [
@@ -274,6 +286,8 @@ class Hypotheses:
             d2_there = float(stats[0])
             log_det = -2.0 * float(stats[1]) - d2_there - 2.0 * math.log(2.0 * math.pi)
             weight = h.weight + log_density(self.noise, d2_there, log_det)
+            if alike is not None:
+                weight += float(alike[j])
             past, taken = Choice(row, number, h.past), h.taken | {number}
             found.append(Hypothesis(mean, P, weight, past, taken, (*h.squares, d2_there)))
         return found

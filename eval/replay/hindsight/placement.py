@@ -267,7 +267,7 @@ def _verified(
 
 def _clear(believed: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
     """Unambiguous pairings of both sides, given all; all pairings if these are too few."""
-    near = believed.individual_distances() < gate_threshold(gate, believed.dof)
+    near = believed.individual_distances() < believed.threshold(gate)
     rows, chosen = believed.paired(decisions)
     clear = (near[rows].sum(axis=1) == 1) & (near[:, chosen].sum(axis=0) == 1) & near[rows, chosen]
     if clear.sum() < constants.PLACE_PAIRINGS:

@@ -193,6 +193,48 @@ def test_one_sensor_tells_the_class_and_another_the_diameter(convert):
     assert o.appearance.sigma[2] == 0.05
 
 
+TREES = "t,range,bearing,dm,class\n1,5,0.1,31,oak\n2,6,0.2,,\n"
+SEEN = ("--observations", "trees.csv", "--observation-sigma", "0.1,2deg", *OF[POSES], "--columns", "descriptor=dm")
+LOOKS = (*SEEN, "--descriptor-sigma", "2", "--class-error", "0.05")
+
+
+def test_a_survey_tells_what_landmarks_look_like(convert):
+    files = {"odo.csv": POSES, "trees.csv": TREES, "map.csv": "id,x,y,dm,class\n7,5,1,,ash\n3,6,1,29.5,oak\n"}
+    status, said = convert(files, *LOOKS, "--map", "map.csv", "--prior", "0,0,0", "--prior-sigma", "0,0,0")
+    assert status == 0, said
+    r = load_folder(Path("out")).recorded
+    assert r.map.appearance.names == r.observations.appearance.names == ("ash", "oak")
+    assert r.map.appearance.category.tolist() == [1, 0]
+    assert r.map.appearance.descriptor.tolist() == pytest.approx([29.5, np.nan], nan_ok=True)
+    assert r.observations.appearance.descriptor.tolist() == pytest.approx([31.0, np.nan], nan_ok=True)
+    assert r.observations.appearance.category.tolist() == [1, -1]
+
+
+@pytest.mark.parametrize(
+    ("trees", "words", "message"),
+    [
+        (TREES, (*SEEN, "--descriptor-sigma", "0"), "--descriptor-sigma 0: must be more than 0"),
+        (TREES, (*SEEN, "--class-error", "0.5"), "--class-error 0.5: a probability above 0 and below 0.5 is needed"),
+        (TREES.replace("class", "kind"), LOOKS, "--class-error 0.05: the observations have no column class"),
+        (TREES.replace("31", "x"), LOOKS, "trees.csv:2: column descriptor: 'x' is not a number"),
+        (TREES.replace("31", "inf"), LOOKS, "trees.csv:2: column descriptor: "),
+        (TREES.replace("oak", '"o""k"'), LOOKS, "trees.csv:2: column class: "),
+    ],
+)
+def test_bad_appearance_is_named_in_a_line(convert, trees, words, message):
+    status, said = convert({"odo.csv": POSES, "trees.csv": trees}, *words)
+    assert status == 2
+    assert message in said
+    assert len(said.strip().splitlines()) == 1
+
+
+def test_columns_without_noise_are_not_used_and_that_is_said(convert):
+    status, said = convert({"odo.csv": POSES, "trees.csv": TREES}, *SEEN[:-2])
+    assert status == 0
+    assert "trees.csv: column class is not used; --class-error uses it" in said
+    assert load_folder(Path("out")).recorded.observations.appearance is None
+
+
 def test_stamps_of_one_sensor_are_moved(convert):
     files, words = two(POSES)
     status, said = convert(files, *words, "--time-offset", "radio=-0.25")
