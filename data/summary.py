@@ -305,6 +305,9 @@ def _landmarks(log: Log) -> list[Line]:
     if not log.recorded.sensor.sees_points:
         return [("landmarks", f"{text}walls, rho {x0:.4g} to {x1:.4g} m")]
     text += f"x {x0:.4g} to {x1:.4g} m, y {y0:.4g} to {y1:.4g} m"
+    if landmarks.sigma is not None:
+        low, high = landmarks.sigma.min(), landmarks.sigma.max()
+        text += f"; sigma {low:.3g} to {high:.3g} m"
     if len(xy) > 1:
         distance = np.asarray(scipy.spatial.cKDTree(xy).query(xy, k=2)[0])
         text += f"; closest two {distance[:, 1].min():.3g} m apart"
