@@ -20,7 +20,7 @@ from eval.replay.hindsight import constants
 
 
 class Reassociation(NamedTuple):
-    """Landmark (m,) of every observation, -1 for none; alone (m,): inside no other landmark's gate."""
+    """Landmark (m,) of every observation, -1 for none; alone (m,): near it, and inside no other landmark's gate."""
 
     number: IntArray
     alone: BoolArray
@@ -63,12 +63,15 @@ def reassociate(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observati
         rows = slice(begin[k], begin[k + 1])
         e = _expected(sensor, pose[k], known, seen.z[rows], seen.R[rows])
         number[rows] = gnn(e, constants.REASSOCIATION_GATE)
-        alone[rows] = (e.individual_distances() < threshold).sum(axis=1) == 1
+        d2 = e.individual_distances()
+        alone[rows] = ((d2 < threshold).sum(axis=1) == 1) & (
+            d2.min(axis=1, initial=np.inf) < gate_threshold(constants.REASSOCIATION_FIRST)
+        )
     return Reassociation(number, alone & (number >= 0))
 
 
 def beginnings(found: Reassociation) -> dict[int, int]:
-    """The observation that each landmark begins with: the first unambiguous one, or else the first.
+    """The observation that each landmark begins with: the first that is near it and unambiguous, or else the first.
 
     It names the landmark, so an error there would make all right decisions after it wrong.
     """
