@@ -57,16 +57,14 @@ def _distances(
 def reassociate(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations) -> Reassociation:
     """Global nearest neighbour in every frame, from exact poses (N, 3), for observations (m) ascending by frame."""
     number, alone = np.full(len(seen.frame), -1, np.int64), np.zeros(len(seen.frame), np.bool_)
-    threshold = gate_threshold(constants.REASSOCIATION_GATE)
+    threshold, near = (gate_threshold(p) for p in (constants.REASSOCIATION_GATE, constants.REASSOCIATION_QUANTILE))
     begin = np.searchsorted(seen.frame, np.arange(len(pose) + 1))
     for k in np.unique(seen.frame).tolist():
         rows = slice(begin[k], begin[k + 1])
         e = _expected(sensor, pose[k], known, seen.z[rows], seen.R[rows])
         number[rows] = gnn(e, constants.REASSOCIATION_GATE)
         d2 = e.individual_distances()
-        alone[rows] = ((d2 < threshold).sum(axis=1) == 1) & (
-            d2.min(axis=1, initial=np.inf) < gate_threshold(constants.REASSOCIATION_FIRST)
-        )
+        alone[rows] = ((d2 < threshold).sum(axis=1) == 1) & (d2 < near).any(axis=1)
     return Reassociation(number, alone & (number >= 0))
 
 
