@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.expectation import Expectation, gate_threshold
+from association.expectation import Expectation
 from association.jcbb import BUDGET, search
 from data.blocks import diagonal_blocks, of_points
 from data.inputs import IntArray
@@ -56,10 +56,12 @@ def conditional_innovations(e: Expectation, rows: IntArray, chosen: IntArray) ->
 
 def prune(e: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
     """Decisions (m,) without the pairings that lie outside `gate` (2 dof) given the others, removed worst first."""
-    threshold, kept = gate_threshold(gate, e.dims), decisions.copy()
+    threshold, kept = e.threshold(gate), decisions.copy()
     while True:
         rows, chosen = e.paired(kept)
         d2 = conditional_innovations(e, rows, chosen).distance
+        if e.unlike is not None:
+            d2 = d2 + e.unlike.distance[rows, chosen]
         if not len(d2) or d2.max() < threshold:
             return kept
         kept[rows[np.argmax(d2)]] = NEW
@@ -116,7 +118,7 @@ def blocked_by_pairings(e: Expectation, decisions: IntArray, new_gate: float | N
 
 def _close(e: Expectation, decisions: IntArray, rows: IntArray, gate: float | None) -> BoolArray:
     """Whether observations `rows` (k,) are inside the gate of each candidate (k, n), given the pairings."""
-    threshold = gate_threshold(gate, e.dims)
+    threshold = e.threshold(gate)
     # conditioning reduces the covariance: only what is inside the gate without the pairings can be inside with them
     close: BoolArray = e.individual_distances()[rows] < threshold
     candidates = np.flatnonzero(close.any(axis=0))

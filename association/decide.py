@@ -32,14 +32,28 @@ class Decided(NamedTuple):
     complete: bool
 
 
-def horizon(method: str, gate: float | None, new_gate: float | None, *, known_map: bool = False) -> float:
+def horizon(
+    method: str,
+    gate: float | None,
+    new_gate: float | None,
+    *,
+    known_map: bool = False,
+    looks: tuple[int, int] = (0, 0),
+) -> float:
     """Squared distance from every observation beyond which no candidate influences the decisions; infinite without a
     gate. The ratio test needs the second best candidate, which may be anywhere inside the gate or compete with "new".
+    `looks`: as of `Inputs.looks`; terms of appearance only add to a distance.
     """
     if gate is None:
         return math.inf
-    outer = 0.0 if known_map or method == OWN_NEWNESS else gate_threshold(new_gate)
-    return max(RATIO * max(ALPHA, gate_threshold(gate)), outer)
+    dof, classes = 2 + looks[0], max(looks[1], 1)
+
+    def reach(p: float | None) -> float:
+        # the tail of a distance with misread classes is at most as many times that of the plain one
+        return gate_threshold(p if p is None or classes == 1 else 1.0 - (1.0 - p) / classes, dof)
+
+    outer = 0.0 if known_map or method == OWN_NEWNESS else reach(new_gate)
+    return max(RATIO * max(ALPHA, reach(gate)), outer)
 
 
 def decide(

@@ -12,8 +12,10 @@ from functools import cached_property, lru_cache, partial
 
 import numba
 import numpy as np
-from scipy.special import gammaincinv
+import scipy
+from scipy.special import chdtrc, gammaincinv
 
+from association.appearance import Evidence, Unlike
 from data.blocks import add_to_diagonal, diagonal_blocks, of_points
 from data.inputs import IntArray
 from data.se2 import Array
@@ -40,6 +42,30 @@ def gate_threshold(probability: float | None, dof: int = 2) -> float:
 def _chi2(probability: float, dof: int) -> float:
     """Inverse chi-square distribution, cached."""
     return float(2.0 * gammaincinv(0.5 * dof, probability))
+
+
+def threshold_with(gate: float | None, dims: int, pairs: int, right: Evidence) -> float:
+    """Squared distance that right pairings, of `dims` numbers each and with appearance, stay below together with
+    probability `gate`; None: infinite.
+    """
+    dof = (dims + right.dims) * pairs
+    if not right.error or gate is None or not 0.0 < gate < 1.0:
+        return gate_threshold(gate, dof)
+    return _with_misreadings(gate, dof, pairs, right.error, right.cost)
+
+
+@lru_cache(maxsize=4096)
+def _with_misreadings(probability: float, dof: int, pairs: int, error: float, cost: float) -> float:
+    """Quantile of a chi-square variable plus `cost` for each of `pairs` classes that is misread, with probability
+    `error`.
+    """
+    wrong = np.arange(pairs + 1)
+    share = scipy.stats.binom.pmf(wrong, pairs, error)
+
+    def outside(threshold: float) -> float:
+        return float(share @ chdtrc(dof, np.maximum(threshold - cost * wrong, 0.0))) - (1.0 - probability)
+
+    return float(scipy.optimize.brentq(outside, 0.0, _chi2(probability, dof) + cost * pairs + 1.0, xtol=1e-9))
 
 
 def plain_residual(z: Array, z_hat: Array) -> Array:
@@ -96,6 +122,7 @@ class Expectation:
     joint: Callable[[IntArray], Array]  # joint covariance (2k, 2k) of k candidates, in the order of their indices
     elsewhere: Callable[[Array], Expectation] | None = None  # linearized at a pose (3,): h(pose) + H (mean - pose)
     dims: int = 2  # numbers measured of each; 1: bearings or ranges alone (see `data.sensors`)
+    unlike: Unlike | None = None  # (m, n) terms of appearance in the distances; None: there is none
 
     @classmethod
     def from_arrays(
@@ -130,6 +157,23 @@ class Expectation:
             partial(of_points, full),
         )
 
+    @property
+    def dof(self) -> int:
+        """Degrees of freedom of the squared distance of a pair."""
+        return self.dims if self.unlike is None else self.dims + self.unlike.right.dims
+
+    def threshold(self, gate: float | None, pairs: int = 1) -> float:
+        """Squared distance that right pairings stay below together with probability `gate`; None: infinite."""
+        return threshold_with(gate, self.dims, pairs, Evidence() if self.unlike is None else self.unlike.right)
+
+    def with_appearance(self, unlike: Unlike | None) -> Expectation:
+        """The same problem with terms of appearance."""
+        elsewhere = self.elsewhere
+        return self if unlike is None else replace(
+            self, unlike=unlike,
+            elsewhere=None if elsewhere is None else lambda pose: elsewhere(pose).with_appearance(unlike),
+        )  # fmt: skip
+
     def by_age(self) -> Expectation:
         """The same problem with its candidates in ascending landmark number, then frame. Methods that break ties by
         order start with this, so that no decision depends on how a map is stored.
@@ -148,6 +192,7 @@ class Expectation:
             HPHt=self.HPHt[which],
             frame=self.frame[which],
             joint=lambda indices: self.joint(which[np.asarray(indices, np.int64)]),
+            unlike=None if self.unlike is None else self.unlike.only(which),
         )
 
     def innovations(self) -> Array:
@@ -170,20 +215,23 @@ class Expectation:
                 f"{(self.HPHt[j] + self.R[i]).tolist()} is singular, or the innovation is not finite; "
                 "a positive definite covariance is needed"
             )
+        if self.unlike is not None:
+            d2 += self.unlike.distance
         d2.setflags(write=False)
         det.setflags(write=False)
         return d2, det
 
     def individual_distances(self) -> Array:
-        """Squared Mahalanobis distance (m, n) of every observation to every candidate, infinite in another frame.
-        Raises SingularInnovationError if a covariance is not positive definite, or a value not finite.
+        """Squared Mahalanobis distance (m, n) of every observation to every candidate, infinite in another frame, with
+        the terms of appearance. Raises SingularInnovationError if a covariance is not positive definite, or a value not
+        finite.
         """
         return self._formed[0]
 
     def log_determinants(self) -> Array:
         """Logarithm of det S (m, n) of every observation and candidate, infinite in another frame."""
         logs: Array = np.log(self._formed[1])
-        return logs
+        return logs if self.unlike is None else logs + self.unlike.log_determinant
 
     def paired(self, decisions: IntArray) -> tuple[IntArray, IntArray]:
         """Rows (k,) of the paired observations, and the candidates (k,) they are paired with."""

@@ -2,9 +2,9 @@
 
 Two compiled searches: most pairings with least joint distance (`search_best`), and first found (`search_first`). Both
 take m observations and k candidates, each individually compatible with something: nu (m, k, 2) innovations, compatible
-(m, k), C (2k, 2k) joint covariance of the expectations, R (m, 2, 2), thresholds (m + 1,) squared joint distance at 2 q
-dof for q pairings, infinite for q = 0 and without a gate. The joint distance grows with two rows of the factor per
-pairing: S = L L', w = L^-1 nu, d^2 = w'w.
+(m, k), C (2k, 2k) joint covariance of the expectations, R (m, 2, 2), unlike (m, k) terms of appearance, thresholds
+(m + 1,) squared joint distance at 2 q dof for q pairings (3 q with descriptors), infinite for q = 0 and without a gate.
+The joint distance grows with two rows of the factor per pairing: S = L L', w = L^-1 nu, d^2 = w'w, and by its term.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from association.expectation import SINGULAR, Expectation, SingularInnovationError, gate_threshold
+from association.expectation import SINGULAR, Expectation, SingularInnovationError
 from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, BoolArray
@@ -118,7 +118,7 @@ def _condition(
 
 @numba.njit(cache=True)
 def search_best(
-    nu: Array, compatible: BoolArray, C: Array, R: Array, thresholds: Array, budget: int
+    nu: Array, compatible: BoolArray, C: Array, R: Array, unlike: Array, thresholds: Array, budget: int
 ) -> tuple[IntArray, float, int, int, int]:
     """Most pairings, one-to-one, jointly compatible as a whole; among these the least joint distance.
 
@@ -178,7 +178,7 @@ def search_best(
                     x, y, l00, _, _ = _whitened(i, j, q, nu, R, given)
                     if l00 == 0.0:
                         return best_choice, best_d2, best, nodes, SINGULAR_JOINT
-                    gain[p] = x * x + y * y
+                    gain[p] = x * x + y * y + unlike[i, j]
                     if d2[t] + gain[p] >= limit:
                         closed_at[p] = t
                         continue
@@ -244,14 +244,14 @@ def search_best(
                     if closed_at[p] > t:
                         need[candidate[p]] = True
         x, y = _condition(i, j, q, nu, C, R, given, need)
-        made[t + 1], d2[t + 1] = q + 1, d2[t] + x * x + y * y
+        made[t + 1], d2[t + 1] = q + 1, d2[t] + x * x + y * y + unlike[i, j]
         t += 1
     return best_choice, best_d2, best, nodes, COMPLETE
 
 
 @numba.njit(cache=True)
 def search_first(
-    nu: Array, compatible: BoolArray, C: Array, R: Array, thresholds: Array, budget: int
+    nu: Array, compatible: BoolArray, C: Array, R: Array, unlike: Array, thresholds: Array, budget: int
 ) -> tuple[IntArray, float, int, int, int]:
     """Depth first over observations in order, candidates in order, last unpaired; the first of most pairings is kept.
 
@@ -315,7 +315,7 @@ def search_first(
                 return best_choice, best_d2, best, nodes, SINGULAR_JOINT
             w[n] = x / l00
             w[n + 1] = (y - l10 * w[n]) / l11
-            distance = d2[t] + w[n] * w[n] + w[n + 1] * w[n + 1]
+            distance = d2[t] + w[n] * w[n] + w[n + 1] * w[n + 1] + unlike[t, j]
             if not distance < thresholds[q + 1]:
                 continue
             L[n, n], L[n + 1, n], L[n + 1, n + 1] = l00, l10, l11
@@ -354,7 +354,7 @@ def search(expectation: Expectation, gate: float | None, *, first: bool = False,
     The joint covariance is formed once, for the compatible candidates alone. Raises SingularInnovationError if the
     innovation covariance of a pair, or of the pairings together, is not positive definite.
     """
-    threshold, dims = gate_threshold(gate, expectation.dims), expectation.dims
+    threshold = expectation.threshold(gate)
     if budget < 1:
         raise ValueError(f"budget {budget}: a search needs at least one node")
     e = expectation if first else expectation.by_age()
@@ -363,13 +363,14 @@ def search(expectation: Expectation, gate: float | None, *, first: bool = False,
     rows, columns = np.flatnonzero(compatible.any(axis=1)), np.flatnonzero(compatible.any(axis=0))
     if len(rows) == 0:
         return Search(decisions, 0.0, 0, 0, True)
-    thresholds = np.array([np.inf, *(gate_threshold(gate, dims * (q + 1)) for q in range(len(rows)))])
+    thresholds = np.array([np.inf, *(e.threshold(gate, q + 1) for q in range(len(rows)))])
     kernel = search_first if first else search_best
     choice, distance, pairings, nodes, status = kernel(
         np.array(e.residual(e.z[rows, None, :], e.z_hat[None, columns, :]), float, order="C"),
         np.ascontiguousarray(compatible[np.ix_(rows, columns)]),
         np.array(e.joint(columns), float, order="C"),
         np.array(e.R[rows], float, order="C"),
+        np.zeros((len(rows), len(columns))) if e.unlike is None else e.unlike.distance[np.ix_(rows, columns)].copy(),
         thresholds,
         budget,
     )

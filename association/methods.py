@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from association.expectation import Expectation, gate_threshold
+from association.expectation import Expectation
 from data.inputs import IntArray
 from data.result import DISCARD, NEW
 from data.se2 import Array
@@ -27,7 +27,7 @@ def cheapest(number: IntArray, cost: Array) -> IntArray:
 def _distances(expectation: Expectation, gate: float | None) -> tuple[Expectation, Array, float]:
     """The expectation by age, its squared distances (m, n), and the threshold of a gate."""
     e = expectation.by_age()
-    return e, e.individual_distances(), gate_threshold(gate, e.dims)
+    return e, e.individual_distances(), e.threshold(gate)
 
 
 def nn(expectation: Expectation, gate: float | None) -> IntArray:
@@ -78,7 +78,7 @@ def singles(expectation: Expectation, gate: float | None) -> IntArray:
     """Pairs without any ambiguity (SINGLES of the data-association lab after Neira and Tardos 2001). Observation and
     landmark are paired if each is the only one compatible with the other: d^2 < chi-square at `gate`, 2 dof.
     """
-    compatible = expectation.individual_distances() < gate_threshold(gate, expectation.dims)
+    compatible = expectation.individual_distances() < expectation.threshold(gate)
     alone = compatible.sum(axis=1) == 1
     pair = compatible & alone[:, None] & (compatible.sum(axis=0) == 1)[None, :]
     decisions = np.full(len(pair), NEW, np.int64)
@@ -120,5 +120,5 @@ def newness(expectation: Expectation, decisions: IntArray, new_gate: float | Non
     `new_gate` equal to the method's gate one true pair in a hundred initializes a duplicate; a wider gate discards it.
     `new_gate` None: only an empty map gets new landmarks.
     """
-    inside = (expectation.individual_distances() < gate_threshold(new_gate, expectation.dims)).any(axis=1)
+    inside = (expectation.individual_distances() < expectation.threshold(new_gate)).any(axis=1)
     return np.where((decisions == NEW) & inside, DISCARD, decisions)

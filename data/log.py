@@ -84,7 +84,9 @@ class Log:
         if label is None:
             raise ValueError(f"log {self.name!r} has no labels to grant")
         o = self.recorded.observations
-        labelled = LabelledObservations(o.frame, o.z, o.R, label, self.labels_are_sensed, sensor=o.sensor)
+        labelled = LabelledObservations(
+            o.frame, o.z, o.R, label, self.labels_are_sensed, sensor=o.sensor, appearance=o.appearance
+        )
         return replace(self.recorded, observations=labelled)
 
     @staticmethod
@@ -105,9 +107,12 @@ class Log:
             observations: (M, 3): frame from 0 (with `odometry`: time [s]), z1, z2, ascending.
             more: increments (N, 3), row 0 zero, with covariance (N, 3, 3), (3, 3) or sigmas (3,), and time (N,) [s]
                 (None: frames without stamps); or odometry (K, 3): t, v, omega, with motion: the keys of [motion].
-                R (M, 2, 2) or (2, 2) instead of the sensor's sigma. landmarks (L, 3): id, x, y. truth (N, 3), NaN where
+                R (M, 2, 2) or (2, 2) instead of the sensor's sigma. landmarks (L, 3): id, x, y, or (L, 5) with the
+                standard deviations sx, sy. truth (N, 3), NaN where
                 unknown (with odometry (K, 4): t, x, y, theta). true_id (M,): -1 false alarm, NaN unknown. label (M,),
                 NaN unknown. labels_are_sensed: bool. observed_by (M,): names of sensors. kinds (L,) of landmarks.
+                descriptor (M,), NaN not measured, and classes (M,), blank not read, with sensor's descriptor_sigma and
+                class_error; landmark_descriptor (L,), landmark_classes (L,) where known.
                 fixes, closures: columns of fixes.csv or closures.csv by name,
                 each (K,) or one value for all rows, NaN blank, and sources, tables as [[fix]] or [[closure]], as in
                 `{"frame": [0, 9], "kind": "position", "x": [0.0, 4.1], "y": [0.1, 3.9], "sources": [{"name": "gps",
@@ -177,8 +182,11 @@ def shortened(log: Log, n: int) -> Log:
         r,
         time=r.time[:n],
         increments=replace(r.increments, mean=r.increments.mean[:n], covariance=r.increments.covariance[:n]),
-        observations=replace(o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m], sensor=_rows(o.sensor, slice(m))),
-    )
+        observations=replace(
+            o, frame=o.frame[:m], z=o.z[:m], R=o.R[:m], sensor=_rows(o.sensor, slice(m)),
+            appearance=None if o.appearance is None else o.appearance.only(slice(m)),
+        ),
+    )  # fmt: skip
     if r.scans is not None:
         k = int(np.searchsorted(r.scans.frame, n))
         scans = replace(r.scans, frame=r.scans.frame[:k], ranges=r.scans.ranges[:k])

@@ -194,6 +194,7 @@ class PoseInnovations(Locked):
         dof: (F,) its degrees of freedom.
         white: (F, 3) innovations whitened by the Cholesky factor of their covariance; NaN: not measured or not formed.
         gate: chi-square probability of the gate; None: there was none.
+        S: (F, 3, 3) covariance of the innovations; NaN: not measured or not formed; None: not kept.
     """
 
     used: NDArray[np.bool_]
@@ -201,6 +202,7 @@ class PoseInnovations(Locked):
     dof: IntArray
     white: Array
     gate: float | None = None
+    S: Array | None = None
 
 
 class PoseUpdated(NamedTuple):
@@ -210,9 +212,13 @@ class PoseUpdated(NamedTuple):
     nis: Array
     dof: IntArray
     white: Array
+    S: Array
 
 
 def not_used(dof: Sequence[int]) -> PoseUpdated:
     """The result of an update with measurements (f,) of these degrees of freedom before any is used."""
     f = len(dof)
-    return PoseUpdated(np.zeros(f, np.bool_), np.full(f, np.nan), np.array(dof, np.int64), np.full((f, 3), np.nan))
+    nothing = np.full((f, 3), np.nan)
+    return PoseUpdated(
+        np.zeros(f, np.bool_), nothing[:, 0].copy(), np.array(dof, np.int64), nothing, np.full((f, 3, 3), np.nan)
+    )

@@ -61,12 +61,15 @@ class PoseRule(NamedTuple):
 
 
 class PoseOutcome(NamedTuple):
-    """Result of one measurement; white (m,) whitened innovation and log det S, of the first linearization."""
+    """Result of one measurement; white (m,) whitened innovation, its covariance S (m, m) and log det S, of the first
+    linearization.
+    """
 
     status: int
     used: bool
     nis: float
     white: Array
+    S: Array
     log_det: float = math.nan
 
 
@@ -91,25 +94,26 @@ def absorb(
         rows -= W[:, at].T @ W
     nu, H, L, white = _innovation(measure, prior, prior, prior if linearized is None else linearized, rows[:, at], R)
     if L is None:
-        return PoseOutcome(NOT_PSD, False, math.nan, np.full(len(nu), math.nan))
+        return PoseOutcome(NOT_PSD, False, math.nan, np.full(len(nu), math.nan), np.full((len(nu),) * 2, math.nan))
+    S: Array = L @ L.T
     nis, own, log_det = float(white @ white), white, 2.0 * float(np.log(np.diag(L)).sum())
     if not nis < rule.threshold:
-        return PoseOutcome(OK, False, nis, own, log_det)
+        return PoseOutcome(OK, False, nis, own, S, log_det)
     point, sigma = prior, np.sqrt(np.maximum(rows[np.arange(len(at)), at], 0.0))
     for _ in range(rule.iterations - 1):
         moved, point = point, prior + np.linalg.solve(L, H @ rows[:, at]).T @ white
         nu, H, L, white = _innovation(measure, prior, point, point, rows[:, at], R)
         if L is None:
-            return PoseOutcome(NOT_PSD, False, nis, own)
+            return PoseOutcome(NOT_PSD, False, nis, own, S)
         if (np.abs(point - moved) <= 1e-6 * sigma).all():
             break
     V = np.ascontiguousarray(np.linalg.solve(L, H @ rows))
     if pending is not None:
         mean[:d] += white @ V
         pending.append(V)
-        return PoseOutcome(OK, True, nis, own, log_det)
+        return PoseOutcome(OK, True, nis, own, S, log_det)
     status = correct_all(mean, P, d, V, white, rule.retraction, rule.clones, rule.clones_end)
-    return PoseOutcome(status, True, nis, own, log_det)
+    return PoseOutcome(status, True, nis, own, S, log_det)
 
 
 def settle(mean: Array, P: Array, d: int, pending: list[Array], clones: tuple[int, int]) -> int:

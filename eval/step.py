@@ -28,7 +28,7 @@ SHARED = (
     replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(ASSOCIATIONS)}, or your own (default: jcbb)"),
     replace(TABLE["estimator"], metavar="NAME", help=f"of {', '.join(STEPPING)}, or your own (default: ekf)"),
     replace(TABLE["task"], metavar="NAME", help=TASKS),
-    *(TABLE[name] for name in ("gate", "new_gate", "gate_known", "in_view", "maintain")),
+    *(TABLE[name] for name in ("gate", "new_gate", "gate_known", "gate_poses", "in_view", "maintain")),
 )
 """Flags shared with `slamref run`."""
 DEFAULTS = {"association": "jcbb", "estimator": "ekf"}

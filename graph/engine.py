@@ -103,6 +103,17 @@ class Engine:
             self._slot.update(zip(handles, found.getNewFactorsIndices(), strict=True))
         return handles
 
+    def replace(self, factors: Sequence[Factor], values: gtsam.Values, handles: Sequence[int]) -> list[int]:
+        """`add` and `drop` in one update, so that nothing is undetermined in between."""
+        new = [self._keep(f) for f in factors]
+        try:
+            found = self.isam.update(graph_of(factors), values, self._release(handles))
+        except RuntimeError as fault:
+            self._recover(fault)
+        else:
+            self._slot.update(zip(new, found.getNewFactorsIndices(), strict=True))
+        return new
+
     def _keep(self, factor: Factor) -> int:
         """A new handle on a factor; none is used again."""
         self._factors[self._next] = factor
@@ -121,6 +132,19 @@ class Engine:
             self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), self._release(handles))
         except RuntimeError as fault:
             self._recover(fault)
+
+    def exchange(self, handle: int, factor: Factor) -> None:
+        """Replace a factor by another one of the same variables. It costs an update with all factors."""
+        self._factors[handle] = factor
+        self._rebuild()
+
+    def add_from(self, factors: Sequence[Factor], values: gtsam.Values) -> list[int]:
+        """As `add`, with everything linearized again, at `values` where they name a variable."""
+        handles = [self._keep(f) for f in factors]
+        start = self.isam.calculateEstimate()
+        start.insert_or_assign(values)
+        self._rebuild(start)
+        return handles
 
     def settle(self, key: int, before: gtsam.Pose2) -> gtsam.Pose2:
         """Estimate of the newest pose, after more updates if it jumped away from `before`."""
@@ -257,9 +281,9 @@ class Engine:
         self.qr = True
         self._rebuild()
 
-    def _rebuild(self) -> None:
-        """The same problem in a new ISAM2 object, at the present estimate."""
-        values = self.isam.calculateEstimate()
+    def _rebuild(self, values: gtsam.Values | None = None) -> None:
+        """The same problem in a new ISAM2 object, at the present estimate or others."""
+        values = self.isam.calculateEstimate() if values is None else values
         self.isam = self._fresh()
         if not self._factors:
             return
@@ -368,7 +392,7 @@ class Window(Engine):
             place.insert2(key, MIDDLE)  # keeps existing groups
         self.isam.update(gtsam.NonlinearFactorGraph(), gtsam.Values(), [], place, None, _key_list(every), True)
 
-    def _rebuild(self) -> None:
+    def _rebuild(self, values: gtsam.Values | None = None) -> None:
         """The same problem in a new ISAM2 object; linear factors keep their linearization point."""
         point = self.isam.getLinearizationPoint()
         for h in self._linear:
@@ -376,7 +400,7 @@ class Window(Engine):
             if isinstance(factor, gtsam.LinearContainerFactor):
                 self._factors[h] = gtsam.LinearContainerFactor(factor.factor(), point)
         self._linear = []
-        super()._rebuild()
+        super()._rebuild(values)
         self._handle = {slot: h for h, slot in self._slot.items()}
 
 

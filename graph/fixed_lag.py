@@ -18,6 +18,7 @@ from graph.factors import Factor
 from graph.incremental import SKIP, THRESHOLD, Isam2Smoother
 from graph.optimum import in_world
 from graph.pose_factors import PoseFactor
+from graph.uncertain_map import is_uncertain
 
 SLACK = 0.1  # share of the lag by which the oldest pose may exceed it, before all older ones are marginalized together
 
@@ -75,21 +76,21 @@ class FixedLagSmoother(Isam2Smoother):
             raise ValueError(f"frame {self.frame} at {time} is not after the one before, at {self._time[-2]}")
         self._time[-1] = time
 
-    def _extend(self, observations: FrameObservations, number: IntArray) -> None:
-        """Add the motion since the anchor and these observations, then marginalize what is too old."""
-        super()._extend(observations, number)
+    def _extend(self, observations: FrameObservations, number: IntArray, *, again: bool = False) -> None:
+        """As `Isam2Smoother._extend`, then marginalize what is too old."""
+        super()._extend(observations, number, again=again)
         self._marginalize_old()
 
     def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """As `Isam2Smoother.fix`, then marginalize what is too old."""
         done = super().fix(fixes, sources, gate)
-        self._marginalize_old()
+        self._marginalize_old(but=1)
         return done
 
     def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
         """As `fix`, with closures of the newest pose to frames in the window; others are not used."""
         done = super().close_loops(closures, gate)
-        self._marginalize_old()
+        self._marginalize_old(but=1)
         return done
 
     def _note(self, factors: list[PoseFactor], done: PoseUpdated) -> list[Factor]:
@@ -102,13 +103,17 @@ class FixedLagSmoother(Isam2Smoother):
         """A closure to a frame that left the window is not used."""
         return frames[frames >= self._oldest]
 
-    def _marginalize_old(self) -> None:
-        """Marginalize poses that are too old, if the newest pose is in the graph."""
+    def _marginalize_old(self, but: int = 0) -> None:
+        """Marginalize poses that are too old, if the newest pose is in the graph. `but` of them before it stay: the
+        motion may be inflated.
+        """
         now = self._time[-1]
         if self._end.anchor < self.frame:
             return
         if now - self._time[self._oldest - self._timed] > (1.0 + self.slack) * self.lag:
-            self._marginalize_before(self._timed + bisect_left(self._time, now - self.lag))
+            oldest = min(self._timed + bisect_left(self._time, now - self.lag), self.frame - but)
+            if oldest > self._oldest:
+                self._marginalize_before(oldest)
 
     def _marginalize_before(self, oldest: int) -> None:
         """Marginalize the poses of all frames before `oldest`, with the copies of landmarks observed from them."""
@@ -165,7 +170,7 @@ class FixedLagSmoother(Isam2Smoother):
         kept = np.array(self._left).reshape(self.frame + 1, -1)
         self._oldest = self.frame + 1
         path, covariance = kept[:, :3].copy(), kept[:, 3:12].reshape(-1, 3, 3)
-        found = None if self.map is not None else self.landmarks()
+        found = self.landmarks() if self.map is None or is_uncertain(self.map) else None
         errors = self._end.history(kept[:, 12:].reshape(len(kept), 2, -1))
         return Finished(Trajectory(path, in_world(path, covariance)), found, systematic=errors)
 

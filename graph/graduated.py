@@ -1,4 +1,4 @@
-"""Graduated non-convexity on a whole smoothing problem, for fixes and closures beside observations.
+"""Graduated non-convexity on a whole smoothing problem: fixes and closures beside observations, bearings and ranges.
 
 Yang, Antonante, Tzoumas and Carlone, "Graduated Non-Convexity for Robust Spatial Perception", IEEE RA-L 5(2), 2020,
 with truncated least squares. gtsam's optimizer of that name cannot evaluate factors in Python, and optimizes to the end

@@ -22,6 +22,7 @@ from data.pose_measurements import (
     PoseUpdated,
     expected_closure,
     expected_fix,
+    not_used,
 )
 from data.se2 import Array, wrap_angle
 
@@ -38,15 +39,9 @@ class Measured(NamedTuple):
     expected: Expected
 
 
-def not_reached(dof: Sequence[int]) -> PoseUpdated:
-    """The result for measurements (f,) before any is tested."""
-    f = len(dof)
-    return PoseUpdated(np.zeros(f, np.bool_), np.full(f, np.nan), np.array(dof, np.int64), np.full((f, 3), np.nan))
-
-
 def in_turn(mean: Array, P: Array, measured: Sequence[Measured | None], gate: float | None) -> PoseUpdated:
     """Test measurements (f,) of poses with mean (q,) and covariance P (q, q), world frame; None: it cannot be used."""
-    done = not_reached([3 if m is None else len(m.entries) for m in measured])
+    done = not_used([3 if m is None else len(m.entries) for m in measured])
     for i, m in enumerate(measured):
         if m is None:
             continue
@@ -54,10 +49,12 @@ def in_turn(mean: Array, P: Array, measured: Sequence[Measured | None], gate: fl
         nu = m.z - z_hat
         if m.entries[-1] == 2:
             nu[-1] = wrap_angle(float(nu[-1]))
-        L = np.linalg.cholesky(H @ P @ H.T + m.R)
+        S = H @ P @ H.T + m.R
+        L = np.linalg.cholesky(S)
         white = np.linalg.solve(L, nu)
         done.nis[i] = white @ white
         done.white[i, list(m.entries)] = white
+        done.S[i][np.ix_(m.entries, m.entries)] = S
         done.used[i] = done.nis[i] < gate_threshold(gate, len(m.entries))
         if done.used[i]:
             W = np.linalg.solve(L, H @ P)

@@ -54,6 +54,7 @@ class OpenEnd:
         self.mean, self.P = prior.mean.copy(), prior.covariance.copy()  # newest pose, world frame
         self.anchor = -1  # frame of the newest pose in the graph, -1 before there is one
         self._increments, self._path = list[Increment](), list[Array]()
+        self._joined: Increment | None = None  # the motion into the newest pose in the graph
         self._known_exactly = is_exact(prior)
         self._motion = list[gtsam.BetweenFactorPose2]()
         self._anchor = self.mean, self.P
@@ -113,6 +114,19 @@ class OpenEnd:
         self._increments[-1] = Increment(mean, stated + covariance)
         self._propagate_again()
 
+    def inflated(self, covariance: Array) -> Factor:
+        """Factor of the motion into the newest pose in the graph, with that much covariance (3, 3) more."""
+        assert self._joined is not None  # the newest pose joined with a motion
+        mean, stated = self._joined
+        self._joined = Increment(mean, stated + covariance)
+        return self._motion_again(self._joined)
+
+    def _motion_again(self, increment: Increment) -> Factor:
+        """The newest motion's factor anew, with another covariance."""
+        (factor,), _ = between_factors(self.anchor, increment.mean[None], increment.covariance[None])
+        self._motion[-1:] = [factor]  # of a window, none are kept
+        return factor
+
     def _propagate_again(self) -> None:
         """Propagate all increments since the anchor again."""
         self._reset()
@@ -128,10 +142,12 @@ class OpenEnd:
         """A robot's pose (3,) in the frame of the graph."""
         return pose
 
-    def place(self, pose: Array) -> None:
-        """Start the newest pose at another pose (3,) of the graph, if there was motion."""
+    def place(self, pose: Array, *, joined: bool = False) -> None:
+        """Start the newest pose at another pose (3,) of the graph, if there was motion or it is in the graph."""
         if self._increments:
             self.mean = self._path[-1] = pose.copy()
+        elif joined:
+            self.mean = pose.copy()
 
     def join_graph(self, values: gtsam.Values) -> tuple[list[Factor], float]:
         """Factors of the increments (and the prior), start values added to `values`: the newest pose is the anchor.
@@ -146,6 +162,7 @@ class OpenEnd:
         for k, pose in enumerate(self._path, self.anchor + 1):
             values.insert(X(k), pose2(pose))
         factors, pivot = self._motion_factors(values)
+        self._joined = self._increments[-1]
         self.anchor += len(self._increments)
         self._increments, self._path = [], []
         return first + factors, pivot

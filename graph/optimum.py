@@ -66,6 +66,7 @@ class Smoothed:
     systematic: Systematics | None = None  # the systematic errors, if estimated
     fixes: PoseInnovations | None = None  # of each by itself, against all other data; None: there are none
     closures: PoseInnovations | None = None
+    gated: tuple[float, float] | None = None  # mean and variance of chi-square per dof, if measurements were truncated
 
     @property
     def total_nis(self) -> tuple[float, int] | None:

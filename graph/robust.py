@@ -13,7 +13,8 @@ import gtsam
 import numpy as np
 
 from association.expectation import gate_threshold
-from data.inputs import FrameObservations, Inputs, IntArray, Prior
+from association.truncated import truncated_square
+from data.inputs import FrameObservations, Inputs, IntArray, LandmarkMap, Prior
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
 from graph.batch import Rejected, Start, build, smooth, start_values
@@ -22,6 +23,7 @@ from graph.graduated import graduated
 from graph.incremental import DELICATE
 from graph.optimum import Smoothed, poses_of
 from graph.problem import Problem
+from graph.systematic import Calibrated
 from graph.walls import about, along, known_wall_factors, lines_of, placed, wall_factors
 
 PROBABILITY = 0.99  # of the chi-square quantile beyond which a measurement is rejected
@@ -35,8 +37,8 @@ def gnc(
 
     Conventions of `graph.batch.smooth`. Prior, motion and known landmarks are trusted. A measurement is rejected if its
     squared whitened residual, at this optimum, is not below the chi-square quantile of `probability`; so chi-square and
-    covariances are slightly too small. A landmark without accepted observations leaves the map. It is a local method:
-    consistent wrong pairings can win.
+    covariances are slightly too small, chi-square as `Smoothed.gated` says. A landmark without accepted observations
+    leaves the map. It is a local method: consistent wrong pairings can win.
 
     Raises `UnderConstrained`, DataError for a singular covariance, ValueError for a probability not in (0, 1).
     """
@@ -46,8 +48,8 @@ def gnc(
     used = np.flatnonzero(number >= 0)
     if problem.calibrated is not None:
         # with wrong errors, right pairings would be rejected
-        start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start)
-    if problem.pose_factors:
+        start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start, inputs.map)
+    if problem.pose_factors or any(s.dims != 2 for s in problem.observations):
         start, believed = _graduate_all(problem, start, threshold)
     else:
         walls = None if inputs.sensor.sees_points else _walls(inputs, used, number, start)
@@ -60,17 +62,30 @@ def gnc(
         accepted[used[believed[: len(used)]]] = True
         kept = np.where(accepted, decisions, DISCARD), np.where(accepted, created, -1)
         result = smooth(inputs, *kept, start, rejected=_rejected(problem, ~believed[len(used) :]))
-        start = _as_start(result, start)
+        start = _as_start(result, start, inputs.map)
         square = _squares(problem, start)
-        if result.map is not None:
+        if result.map is not None and not problem.priors:
             # a landmark without accepted observations has no position
             alone = ~np.isin([s.number for s in problem.observations], result.map.number)
             square[: len(used)][alone] = np.inf
         cost = float(np.minimum(square, threshold).sum())
         believed, last = square < threshold, believed
         if (believed == last).all() or not cost < before:
-            return result, accepted
+            return _truncated(result, problem, last, probability), accepted
         before = cost
+
+
+def _truncated(result: Smoothed, problem: Problem, believed: BoolArray, probability: float) -> Smoothed:
+    """The result with what its chi-square, and each NIS, are expected to be where some are not believed (k,).
+
+    With a measurement the cost is larger by its NIS against all others, and without it by the threshold. So at the
+    minimum it is believed where its NIS is below the threshold: a truncated chi-square variable.
+    """
+    dims = np.array([s.dims for s in problem.observations] + [len(p.entries) for p in problem.pose_factors])[believed]
+    each = np.array([truncated_square(gate_threshold(probability, int(d)), int(d)) for d in dims]).reshape(-1, 2)
+    mean, variance = (each.sum(axis=0) / max(int(dims.sum()), 1)).tolist()
+    fixes, closures = (None if of is None else replace(of, gate=probability) for of in (result.fixes, result.closures))
+    return replace(result, gated=(mean, variance) if len(dims) else None, fixes=fixes, closures=closures)
 
 
 def thresholds(problem: Problem, probability: float) -> Array:
@@ -87,17 +102,19 @@ def _rejected(problem: Problem, out: BoolArray) -> Rejected:
 
 
 def _graduate_all(problem: Problem, start: Start, threshold: Array) -> tuple[Start, BoolArray]:
-    """As `_graduate`, with fixes and closures; systematic errors stay at the start, and are the robot's own."""
-    values, errors = start_values(problem, start), start.errors
-    if problem.calibrated is not None:
-        at = problem.calibrated.errors(values)
-        problem.calibrated.remove(values)
-        problem = problem.held(at)
+    """As `_graduate`, with fixes and closures, bearings and ranges: gtsam's optimizer takes one threshold for all
+    dimensions, and no factor in Python. Systematic errors stay at the start.
+    """
+    values, calibrated = start_values(problem, start), problem.calibrated
+    if calibrated is not None:
+        errors = calibrated.errors(values)
+        calibrated.remove(values)
+        problem = problem.held(errors)
     values, believed = graduated(problem, values, threshold)
-    pose, landmark = _start_of(replace(problem, about=None), values, start)[:2]
+    found = _start_of(replace(problem, about=None), values, start)
     if problem.about is not None:
-        landmark[problem.numbers] = about(landmark[problem.numbers], -problem.about)
-    return Start(pose, landmark, errors), believed
+        found.landmark[problem.rows] = about(found.landmark[problem.rows], -problem.about)
+    return found if calibrated is None else _of_robot(calibrated, errors, found, problem.rows), believed
 
 
 def is_delicate(inputs: Inputs) -> bool:
@@ -147,11 +164,10 @@ def _graduate(
     control parameter starts from the residuals at `start`, not at the first least-squares solution as in the paper.
     """
     values, calibrated = start_values(problem, start), problem.calibrated
-    errors = np.empty((0, 0))
     if calibrated is not None:
         errors = calibrated.errors(values)
-        problem = problem.held(errors)
         calibrated.remove(values)
+        problem = problem.held(errors)
     if walls is not None:
         for n in problem.numbers.tolist():
             values.erase(gtsam.symbol("l", n))
@@ -166,6 +182,7 @@ def _graduate(
         for s in problem.observations
         if s.key is not None and s.xy is not None
     ]
+    believed += [p.factor for p in problem.priors]
     steps = gtsam.LevenbergMarquardtParams()
     steps.setLinearSolverType("MULTIFRONTAL_QR" if qr else "MULTIFRONTAL_CHOLESKY")
     parameters = gtsam.GncLMParams(steps)
@@ -183,12 +200,13 @@ def _graduate(
     first = np.cumsum(count) - count
     smallest = np.minimum.reduceat(weight, first) if len(count) else weight
     found = _start_of(problem, values, start)
-    if calibrated is not None:
-        pose = calibrated.frame.poses_out(found.pose, errors)[0]
-        there = problem.numbers
-        found.landmark[there] = calibrated.frame.points_out(found.landmark[there], errors[-1])[0]
-        found = Start(pose, found.landmark, errors)
-    return found, smallest > 0.5
+    return found if calibrated is None else _of_robot(calibrated, errors, found, problem.rows), smallest > 0.5
+
+
+def _of_robot(calibrated: Calibrated, errors: Array, found: Start, rows: IntArray) -> Start:
+    """A solution in the sensor's frame as the robot's in the world: its poses, landmarks of these rows, and errors."""
+    found.landmark[rows] = calibrated.frame.points_out(found.landmark[rows], errors[-1])[0]
+    return Start(calibrated.frame.poses_out(found.pose, errors)[0], found.landmark, errors)
 
 
 def _start_of(problem: Problem, values: gtsam.Values, start: Start) -> Start:
@@ -196,17 +214,18 @@ def _start_of(problem: Problem, values: gtsam.Values, start: Start) -> Start:
     landmark = start.landmark.copy()
     keys = [gtsam.symbol("l", n) for n in problem.numbers.tolist()]
     if problem.about is None:
-        landmark[problem.numbers] = np.array([values.atPoint2(key) for key in keys]).reshape(-1, 2)
+        landmark[problem.rows] = np.array([values.atPoint2(key) for key in keys]).reshape(-1, 2)
     else:
-        landmark[problem.numbers] = lines_of([values.atPose2(key) for key in keys])[0]
+        landmark[problem.rows] = lines_of([values.atPose2(key) for key in keys])[0]
     return Start(poses_of(values, len(problem.motion) + 1), landmark)
 
 
-def _as_start(result: Smoothed, start: Start) -> Start:
-    """A solution as a start; landmarks that are not in it are unchanged."""
+def _as_start(result: Smoothed, start: Start, known: LandmarkMap | None) -> Start:
+    """A solution as a start; landmarks that are not in it are unchanged, so that rejected observations may return."""
     landmark = start.landmark.copy()
     if result.map is not None:
-        landmark[result.map.number] = result.map.xy
+        number = result.map.number
+        landmark[number if known is None else known.rows(number)] = result.map.xy
     return Start(result.trajectory.pose, landmark, None if result.systematic is None else result.systematic.mean)
 
 

@@ -6,9 +6,9 @@ import argparse
 import os
 import shlex
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from data.command import COMPLETION, Parser, complete
 from data.convert import bag, g2o, mrclam, recordings, table, visual, worlds
@@ -39,15 +39,14 @@ examples:
   python -m data.convert visual my_lab --seed 0
   python -m data.convert lab my_lab logs/lab
 """
-SOURCES = (mrclam, recordings, bag, table, g2o, worlds, visual)
-CONVERTERS: dict[str, Callable[[argparse.Namespace], Log | Recording | str]] = {
-    kind: source.convert for source in SOURCES for kind in source.KINDS
-}
-"""By kind: the log to write, or a sentence about a file written in another format."""
+SOURCES: tuple[Any, ...] = (mrclam, recordings, bag, table, g2o, worlds, visual)
+"""Modules with the names of their KINDS, `add_parsers`, and `convert`: the log to write, or a sentence about a file
+written in another format.
+"""
 
 
-def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentParser:
-    """The command line; `simulators`: with their flags, which take the simulators to be loaded."""
+def parser(*, simulators: bool = True, prog: str = PROG, more: Sequence[Any] = ()) -> argparse.ArgumentParser:
+    """The command line, with `more` sources; `simulators`: with their flags, which take these to be loaded."""
     top = Parser(
         prog=prog,
         description="Write a recording or a simulation as an open log folder; OUT's last component becomes its name.",
@@ -58,7 +57,7 @@ def parser(*, simulators: bool = True, prog: str = PROG) -> argparse.ArgumentPar
     def add(name: str, *, help: str, description: str, epilog: str) -> argparse.ArgumentParser:
         return kinds.add_parser(name, help=help, description=description, epilog=epilog.replace(PROG, prog))
 
-    for source in SOURCES:
+    for source in (*SOURCES, *more):
         source.add_parsers(add, parameters=simulators)
     return top
 
@@ -98,17 +97,18 @@ def summary(log: Log) -> list[str]:
     return lines
 
 
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """Convert and report; 0, or 2 with one line on stderr."""
-    return ended(lambda: _convert(argv, prog), "interrupted; nothing was written")
+def main(argv: Sequence[str] | None = None, prog: str = PROG, more: Sequence[Any] = ()) -> int:
+    """Convert and report; 0, or 2 with one line on stderr. `more`: sources that take other packages."""
+    return ended(lambda: _convert(argv, prog, more), "interrupted; nothing was written")
 
 
-def _convert(argv: Sequence[str] | None, prog: str) -> None:
+def _convert(argv: Sequence[str] | None, prog: str, more: Sequence[Any]) -> None:
     given = list(sys.argv[1:] if argv is None else argv)
-    reader = parser(simulators=any(kind in given for kind in SIMULATORS) or COMPLETION in os.environ, prog=prog)
+    simulators = any(kind in given for kind in SIMULATORS) or COMPLETION in os.environ
+    reader = parser(simulators=simulators, prog=prog, more=more)
     complete(reader)
     args = reader.parse_args(given)
-    made = CONVERTERS[args.kind](args)
+    made: Log | Recording | str = next(s for s in (*SOURCES, *more) if args.kind in s.KINDS).convert(args)
     if isinstance(made, str):
         print(made)
         return

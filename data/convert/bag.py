@@ -26,6 +26,7 @@ Odometry (nav_msgs/Odometry, or tf) with whatever there is of:
   Detection2DArray, apriltag_msgs    observations: bearings, by tf and CameraInfo
   LaserScan                          scans
   PoseStamped, Odometry              the truth, with --truth
+  a second Odometry                  closures between successive frames, with --second-odom
 """
 
 
@@ -38,6 +39,10 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("--odom", metavar="TOPIC", help="of the odometry, or tf (default: the only one, else tf)")
     sub.add_argument("--scan", metavar="TOPIC", help="of the scans (default: the only one)")
     sub.add_argument("--truth", metavar="TOPIC", help="of the true poses (default: none)")
+    text = "of another odometry, as a camera's: closures between successive frames, with the noise of its twists"
+    sub.add_argument("--second-odom", metavar="TOPIC", help=text)
+    text = "its noise instead: of travel per sqrt(m) and sqrt(rad), of the heading per sqrt(m) and sqrt(rad)"
+    sub.add_argument("--second-odom-sigma", metavar="S,S,S,S", help=text)
     sub.add_argument("--skip", metavar="TOPIC", action="append", default=[], help="a topic to leave out; repeatable")
     sub.add_argument("--point-sigma", metavar="M", help="noise of points, along x and y")
     sub.add_argument("--bearing-sigma", metavar="ANGLE", help="noise of bearings, as 1deg or 0.02")
@@ -55,11 +60,13 @@ def convert(args: argparse.Namespace) -> Log | str:
     from data.formats.bags.log import Wanted, log_of_bag
     from data.formats.bags.reading import collect
     from data.formats.bags.topics import chosen, listed, topics_of
-    from data.formats.tables.flags import POSE, numbers
+    from data.formats.recordings.laser import TravelNoise
+    from data.formats.tables.values import POSE, TRAVEL, numbers, sigmas
 
     topics = chosen(
-        args.source, topics_of(args.source), odometry=args.odom, scans=args.scan, truth=args.truth, skip=args.skip
-    )
+        args.source, topics_of(args.source), odometry=args.odom, scans=args.scan, truth=args.truth,
+        second=args.second_odom, skip=args.skip,
+    )  # fmt: skip
     if args.list:
         return listed(topics)
     if args.out is None:
@@ -74,6 +81,15 @@ def convert(args: argparse.Namespace) -> Log | str:
             raise UsageError(f"--{flag} {text}: must be more than 0")
         return value
 
+    def travel() -> list[float]:
+        if args.second_odom is None:
+            raise UsageError(
+                f"--second-odom-sigma {args.second_odom_sigma}: there is none; --second-odom TOPIC names it"
+            )
+        what = "of travel [m] per sqrt(m) and sqrt(rad), of the heading [rad] per sqrt(m) and sqrt(rad)"
+        found: list[float] = sigmas(args.second_odom_sigma, TRAVEL, "second-odom-sigma", what).tolist()
+        return found
+
     wanted = Wanted(
         None if args.prior is None else numbers(args.prior, POSE, "prior", "x, y [m], heading [rad]"),
         None if args.prior_sigma is None else numbers(args.prior_sigma, POSE, "prior-sigma", "of x, y [m], heading"),
@@ -81,5 +97,6 @@ def convert(args: argparse.Namespace) -> Log | str:
         sigma("bearing-sigma", "angle"),
         sigma("position-sigma", "length"),
         sigma("heading-sigma", "angle"),
+        None if args.second_odom_sigma is None else TravelNoise(*travel()),
     )
     return log_of_bag(args.source, args.out.absolute().name, topics, collect(args.source, topics), wanted)

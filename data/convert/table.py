@@ -24,6 +24,8 @@ examples:
   python -m data.convert table wheels.csv logs/robot --observations cones.csv --columns left=encL,right=encR \\
       --track-width 0.54 --metres-per-tick 0.00012 --tick-wrap 65536 \\
       --odometry-sigma 0.05,0.05,0.075,0.045 --observation-sigma 0.1,2deg
+  python -m data.convert table odo.csv logs/robot --sensor lidar=cones.csv --sensor radio=beacons.csv \\
+      --observation-sigma lidar=0.1,2deg --observation-sigma radio=0.3 --odometry-sigma 0.05,2deg
   python -m data.convert table robot.toml logs/robot      the same keys in a file: odometry = "odo.csv", ...
 """
 TEXT = """\
@@ -34,19 +36,33 @@ What a column may hold (keys of --columns; its name in the file, or its number f
                  for theta also a quaternion qx, qy, qz, qw
   observations   t (or frame: row of the odometry, from 0), and range, bearing (or one) | x, y in the sensor's frame;
                  true_id: true landmark, for the referee only; label: the sensor's landmark; -1: false alarm
-  map            x, y, and id
+<<<<<<< HEAD
+  map            x, y, and id; sx, sy: sigma, where surveyed (blank or 0: exact)
+=======
+  map            x, y, and id; kind: a word, where not all sensors see all landmarks
+>>>>>>> 3f604b16ae80fa5a3438bc8dde206863ff87321c
   truth          t, x, y, theta; blank where unknown
   fixes          t (or frame), x, y and theta, blank where not measured; sx, sy, stheta: sigma; source: a name
+  second-odometry    as odometry, without ticks
   closures       t1, t2 (or frame1, frame2), dx, dy, dtheta: pose at t2 in the frame of t1; sx, sy, stheta; source
-A key alone applies to every file, with a part before it (odometry.t, truth.x) to that part. A column named as its
-key need not be stated.
+A key alone applies to every file, with a part before it (odometry.t, truth.x; with --sensor its NAME) to that part. A
+column named as its key need not be stated.
 """
 SENSED = "labels-sensed"
 TABLES = ("columns", "unit", "time-offset")
+REPEATED = (
+    *("sensor", "observation-sigma", "sensor-pose", "max-range", "view", "sees"),
+    *("descriptor-sigma", "class-error"),
+)
 KEYS_ALONE = ("odometry", SENSED)
 """Keys of a mapping file besides the flags below."""
 FLAGS = {
     "observations": ("FILE", "file with the observations (default: SOURCE)"),
+    "sensor": (
+        "NAME=FILE",
+        "instead of --observations: the file of one of several sensors; repeatable. NAME.range and so on name its "
+        "columns, NAME=VALUE its noise, pose, view and kind of landmark below (VALUE: of all sensors)",
+    ),
     "map": ("FILE", "known landmarks"),
     "truth": ("FILE", "true poses"),
     "fixes": (
@@ -55,6 +71,12 @@ FLAGS = {
         "needed where there are some",
     ),
     "closures": ("FILE", "relative poses of two frames (loop closures, scan matches), which estimators get; likewise"),
+    "second-odometry": (
+        "FILE",
+        "another odometry of the same robot, as of a camera beside the wheels: closures between successive frames",
+    ),
+    "second-odometry-sigma": ("S,...", "its noise, as of --odometry-sigma (velocities: density)"),
+    "second-odometry-kind": ("KIND", "velocities, poses or steps (default: by the columns)"),
     "columns": ("KEY=NAME,...", "names of the columns"),
     "unit": (
         "KEY=UNIT,...",
@@ -76,7 +98,7 @@ FLAGS = {
         "of velocities: arc (default), midpoint, turn-first or drive-first, as the program that recorded them drives",
     ),
     "observation-sigma": (
-        "S1,S2",
+        "[NAME=]S1,S2",
         "noise of range and bearing, or of x and y, as in 0.1,2deg; one number: of ranges or bearings alone",
     ),
     "fix-sigma": (
@@ -85,14 +107,16 @@ FLAGS = {
     ),
     "fix-lever": ("X,Y", "place of the antenna in the body frame (default: 0,0)"),
     "fix-rotation": ("ANGLE", "direction of the compass in the body frame (default: 0)"),
+    "descriptor-sigma": ("[NAME=]S", "noise of the column descriptor of observations, such as diameters"),
+    "class-error": ("[NAME=]P", "probability that the column class of observations is wrong"),
     "closure-sigma": ("SX,SY,STHETA", "noise of closures without columns sx, sy, stheta"),
     "track-width": ("M", "of wheel ticks: distance between the wheels"),
     "metres-per-tick": ("M[,M]", "of wheel ticks: for both, or left and right"),
     "hold": ("WAY", "velocities: each holds forward, until the next row (default), or backward, since the row before"),
     "time-offset": (
         "PART=SECONDS,...",
-        "added to the stamps of odometry, observations, truth, fixes or closures, as in observations=-0.05 for "
-        "readings stamped 0.05 s late",
+        "added to the stamps of odometry, observations, truth, fixes, closures or second-odometry, as in "
+        "observations=-0.05 for readings stamped 0.05 s late",
     ),
     "ticks": ("WHICH", "total: counted from the start (default); each: since the row before"),
     "tick-wrap": ("N", "total ticks start again at N, as 65536"),
@@ -103,9 +127,10 @@ FLAGS = {
         "pose of the map's frame in the world: each point is turned by THETA (counter-clockwise), then shifted by X, Y",
     ),
     "truth-transform": ("X,Y,THETA", "the same for the truth"),
-    "sensor-pose": ("X,Y,THETA", "pose of the sensor in the body frame (default: 0,0,0)"),
-    "max-range": ("M", "reach of the sensor (default: the farthest observation)"),
-    "view": ("LOW,HIGH", "least and largest bearing of the sensor, as in -60deg,60deg (default: all around)"),
+    "sensor-pose": ("[NAME=]X,Y,THETA", "pose of the sensor in the body frame (default: 0,0,0)"),
+    "max-range": ("[NAME=]M", "reach of the sensor (default: the farthest observation)"),
+    "view": ("[NAME=]LOW,HIGH", "least and largest bearing of the sensor, as in -60deg,60deg (default: all around)"),
+    "sees": ("[NAME=]KIND", "kind of landmark that the sensor observes, of column kind of the map (default: all)"),
     "frames": (
         "WHICH",
         "instants with a pose: observations (default; those of fixes and closures, and every 1 s), or odometry: also "
@@ -123,7 +148,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     sub.add_argument("source", metavar="SOURCE", type=Path, help=text)
     sub.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     for name, (metavar, text) in FLAGS.items():
-        action = "append" if name in TABLES else "store"
+        action = "append" if name in (*TABLES, *REPEATED) else "store"
         sub.add_argument(f"--{name}", dest=name, metavar=metavar, help=text, action=action)
     text = "a sensor read the labels (barcodes), so some may be wrong"
     sub.add_argument(f"--{SENSED}", dest=SENSED, action="store_true", help=text)
@@ -139,8 +164,8 @@ def convert(args: argparse.Namespace) -> Recording:
         given = with_mapping(args.source, given, (*FLAGS, *KEYS_ALONE))
     else:
         given["odometry"] = str(args.source)
-    # a log of odometry with fixes or closures needs no observations
-    if not ("fixes" in given or "closures" in given):
+    # a log of odometry with fixes, closures or a second odometry needs no observations
+    if not {"fixes", "closures", "sensor", "second-odometry"} & set(given):
         given.setdefault("observations", given.get("odometry"))
     wanted = settle(given)
     return read_log(args.out.absolute().name, wanted, open_files(wanted.files))

@@ -19,11 +19,12 @@ from data.se2 import Array
 from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
 from data.worlds.erring import Erring, as_read, check_erring, reported
-from data.worlds.parameters import check_parameters, drawn_prior, driven, streams
+from data.worlds.looking import Looking, check_looking, dressed
+from data.worlds.parameters import check_parameters, drawn_prior, driven, streams, surveyed
 
 
 @dataclass(frozen=True)
-class Arena(Erring):
+class Arena(Looking, Erring):
     """Parameters of the world; with the defaults linearization errors are small.
 
     Attributes:
@@ -43,6 +44,7 @@ class Arena(Erring):
         prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
         detection: probability that a landmark in view is reported.
         clutter: mean number of false alarms per frame (Poisson), uniform over the field of view.
+        sigma_map: m, error of the map in x and y of each landmark, which the map states; 0: it is exact.
     """
 
     landmarks: int = 25
@@ -66,10 +68,12 @@ class Arena(Erring):
     prior_sigma_heading: float = 0.03
     detection: float = 1.0
     clutter: float = 0.0
+    sigma_map: float = 0.0
 
     def __post_init__(self) -> None:
         world = type(self).__name__.lower()
         check_erring(world, self)
+        check_looking(world, self)
         sensors = {"sensor": ("range_bearing", "relative_point")}
         check_parameters(world, self, positive=self.positive, not_negative=self.not_negative, choices=sensors)
         if not 0.0 <= self.detection <= 1.0:
@@ -84,7 +88,17 @@ class Arena(Erring):
     @property
     def not_negative(self) -> tuple[str, ...]:
         """Names of parameters from zero up."""
-        return ("sigma_v", "sigma_omega", "min_range", "prior_sigma", "prior_sigma_heading", "clutter")
+        return (
+            "sigma_v",
+            "sigma_omega",
+            "min_range",
+            "prior_sigma",
+            "prior_sigma_heading",
+            "clutter",
+            "sigma_map",
+            "descriptor_sigma",
+            "classes",
+        )
 
     def model(self) -> Sensor:
         """The sensor with its field of view."""
@@ -113,7 +127,8 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     prior = drawn_prior(truth[0], arena.prior_sigma, arena.prior_sigma_heading, prior_rng)
     inputs = Inputs(prior, frame_time, increments, Observations(frame, z, R), sensor, known, floored=floored)
     truth_side = Truth(truth, known, true_id, errors=errors)
-    return Log(name or f"arena:{seed}", inputs, truth_side, source={"kind": "arena", "seed": seed})
+    log = Log(name or f"arena:{seed}", inputs, truth_side, source={"kind": "arena", "seed": seed})
+    return surveyed(dressed(arena, log, seed), arena.sigma_map, seed)
 
 
 def _drive(arena: Arena, frame_time: Array, rng: np.random.Generator) -> tuple[Array, Increments, int]:

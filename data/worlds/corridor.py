@@ -24,6 +24,7 @@ from data.se2 import Array, wrap_angle
 from data.sensors import RelativePoint
 from data.truth import Truth
 from data.worlds.erring import Erring, as_read, check_erring, described, reported
+from data.worlds.looking import Looking, check_looking, dressed, plainly
 from data.worlds.parameters import in_degrees, streams
 from data.worlds.registry import name_of, written
 
@@ -74,7 +75,7 @@ NEAREST = 1e-3
 
 
 @dataclass(frozen=True)
-class Corridor(Erring):
+class Corridor(Looking, Erring):
     """Parameters of the lab, with its own numbers as defaults. Angles: radians here, degrees in names and flags.
 
     UsageError for a number out of range, or one without effect.
@@ -136,12 +137,15 @@ class Corridor(Erring):
 
     def __post_init__(self) -> None:
         check_erring("corridor", self)
+        check_looking("corridor", self)
         for f in fields(self):
             value = getattr(self, f.name)
             if f.name in ("frames", "crowd") and value < 1:
                 raise UsageError(f"corridor: {f.name} = {value}; at least 1 is needed")
             if f.name in ("range", "srho", "sphi") and not 0.0 < value < math.inf:
                 raise UsageError(f"corridor: {f.name} = {written(f, value)}; a positive number is needed")
+            if f.name in ("classes", "class_error"):
+                continue
             spread = f.name.endswith("_sigma") or f.name.startswith(("sx", "sy", "stheta", "sv", "sa"))
             if spread and not 0.0 <= value < math.inf:
                 raise UsageError(f"corridor: {f.name} = {written(f, value)}; a number from 0 up is needed")
@@ -165,6 +169,8 @@ class Corridor(Erring):
                 return "with odometry; add no-odometry"
             idle = primed if key.endswith("_blind") else key == "constant_velocity" and self.forward
             return "with a motion prior; one can be stated" if idle else ""
+        if key == "class_error":
+            return "" if self.classes else "without classes"
         if key in ("step_mean", "step_sigma"):
             return "" if self.forward else "without forward"
         if key in ("velocity", "velocity_sigma"):
@@ -218,9 +224,10 @@ def simulate(corridor: Corridor, seed: int, name: str | None = None) -> Log:
         floored=floored,
     )
     truth_side = Truth(truth, known, np.concatenate(true_id), errors=errors)
-    source = {"kind": "corridor", "seed": seed, "corridor": described(corridor)}
+    source = {"kind": "corridor", "seed": seed, "corridor": plainly(corridor, described(corridor))}
     notes = () if prior is None else (note_of(prior),)
-    return Log(name or name_of("corridor", corridor, seed), inputs, truth_side, source=source, notes=notes)
+    log = Log(name or name_of("corridor", corridor, seed), inputs, truth_side, source=source, notes=notes)
+    return dressed(corridor, log, seed)
 
 
 def _odometry(corridor: Corridor, turned: IntArray, rng: np.random.Generator) -> tuple[Increments, int]:

@@ -23,6 +23,7 @@ from data.se2 import Array
 from data.sensors import RangeBearing
 from data.truth import Truth
 from data.worlds.erring import Erring, as_read, check_erring, reported
+from data.worlds.looking import Looking, check_looking, dressed
 from data.worlds.parameters import check_parameters, drawn_prior, driven, streams
 
 RADIUS, TURN = 5, 8
@@ -32,7 +33,7 @@ HEADINGS = ((1, 0), (0, 1), (-1, 0), (0, -1))
 
 
 @dataclass(frozen=True)
-class Park(Erring):
+class Park(Looking, Erring):
     """Parameters of the world; park size and number of trees follow from the length of the drive. UsageError if
     invalid.
 
@@ -72,10 +73,11 @@ class Park(Erring):
 
     def __post_init__(self) -> None:
         check_erring("park", self)
+        check_looking("park", self)
         layout = ("frames", "period", "step", "block", "revisits", "spacing", "strip")
         sensing = ("sigma_range", "sigma_bearing", "max_range", "field_of_view", "detection")
         positive = (*layout, "sigma_v", "sigma_omega", *sensing)
-        not_negative = ("min_range", "prior_sigma", "prior_sigma_heading")
+        not_negative = ("min_range", "prior_sigma", "prior_sigma_heading", "descriptor_sigma", "classes")
         check_parameters("park", self, positive=positive, not_negative=not_negative)
         if self.block < 20:
             raise UsageError(f"park: block = {self.block}; at least 20 is needed, or the turns do not fit")
@@ -115,7 +117,7 @@ def simulate(park: Park, seed: int, name: str | None = None) -> Log:
     prior = drawn_prior(truth[0], park.prior_sigma, park.prior_sigma_heading, prior_rng)
     inputs = Inputs(prior, time, increments, Observations(frame, z, R), sensor, known, floored=floored)
     truth_side = Truth(truth, known, true_id, errors=errors)
-    return Log(name or f"park:{seed}", inputs, truth_side, source={"kind": "park", "seed": seed})
+    return dressed(park, Log(name or f"park:{seed}", inputs, truth_side, source={"kind": "park", "seed": seed}), seed)
 
 
 def _route(park: Park, rng: np.random.Generator) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 from association.decide import METHODS, PLAIN
 from association.jcbb import jcbb, jcbb_first
 from data.errors import UsageError
-from eval.checks import associations, estimators
+from eval.checks import associations, estimators, pose_measurements
 from eval.checks.exactness import exactness
 from eval.checks.finding import CheckError, Finding
 from eval.replay.external.guard import ForeignError
@@ -22,7 +22,7 @@ from eval.replay.settings import STEPPING, TASKS
 ESTIMATOR = (
     *(estimators.purity, estimators.covariances, estimators.runs, exactness, estimators.without_noise),
     *(estimators.seams, estimators.empty_frames, estimators.determinism, estimators.covariance, estimators.numbers),
-    estimators.removal,
+    *(estimators.removal, pose_measurements.fixes, pose_measurements.closures),
 )
 OWN = {**PLAIN, "jcbb": jcbb, "jcbb-first": jcbb_first}
 

@@ -46,10 +46,10 @@ def off(poses: Array, right: Array, covariance: Array) -> float:
 
 
 def completed(
-    text: str, inputs: Inputs, task: str, where: str = "", association: str = "known"
+    text: str, inputs: Inputs, task: str, where: str = "", association: str = "known", setup: Setup = SETUP
 ) -> tuple[Run, Trajectory]:
     """A run and its online path. Raises FailedError if it stopped; `where` begins the message."""
-    run = step_by_step(text, inputs, task, association)
+    run = step_by_step(text, inputs, task, association, setup)
     if run.failure is not None:
         raise FailedError(f"{where}stopped at {run.failure.text}")
     assert run.online is not None

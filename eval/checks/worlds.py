@@ -66,7 +66,7 @@ def small(world: str) -> Inputs:
     sigma = np.array([w.position, w.position, w.heading])
     M = _covariances(rng, sigma, n)
     motion = np.zeros((n, 3))
-    motion[1:] = between(pose[:-1], pose[1:]) + _drawn(rng, M[1:])
+    motion[1:] = between(pose[:-1], pose[1:]) + drawn(rng, M[1:])
     M[0] = 0.0
     P0 = _covariances(rng, sigma, 1)
     frame, label = [], []
@@ -79,12 +79,12 @@ def small(world: str) -> Inputs:
         frame += [k] * len(ids)
     R = _covariances(rng, np.array(w.seen), len(frame))
     truly = known.positions(np.where(np.array(label) >= 0, label, known.id[0]))
-    z = sensor.predict(pose[frame], truly) + _drawn(rng, R)
+    z = sensor.predict(pose[frame], truly) + drawn(rng, R)
     if world == MILD:
         z[:, 1] = wrap_angle(z[:, 1])
     z[np.array(label) == CLUTTER] += 0.7 * w.size * np.array([1.0, 0.1])
     observations = LabelledObservations(np.array(frame), z, R, np.array(label))
-    prior = Prior(pose[0] + _drawn(rng, P0)[0], P0[0])
+    prior = Prior(pose[0] + drawn(rng, P0)[0], P0[0])
     return Inputs(prior, np.arange(float(n)), Increments(motion, M), observations, sensor, known)
 
 
@@ -100,7 +100,7 @@ def _covariances(rng: np.random.Generator, sigma: Array, count: int) -> Array:
     return found
 
 
-def _drawn(rng: np.random.Generator, covariance: Array) -> Array:
+def drawn(rng: np.random.Generator, covariance: Array) -> Array:
     """A draw (n, d) from each covariance (n, d, d)."""
     return np.asarray(
         np.einsum("nij,nj->ni", np.linalg.cholesky(covariance), rng.standard_normal(covariance.shape[:2]))

@@ -134,7 +134,7 @@ class Watch(Writing):
             and isinstance(front.estimator, Filter)
             and not (front.can.parkable is not None and len(front.can.parkable.parked))
         ):
-            e = front.expect(frame.observations)
+            e = front.expect(frame.observations, frame.appearance)
         if e is not None and len(e.number):
             try:
                 self._compare(front, frame, e.by_age(), pairing.decisions)

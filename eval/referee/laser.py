@@ -177,17 +177,29 @@ class ClosureCounts:
 
 def right_closures(loops: Loops, truth: Array) -> BoolArray:
     """Which loop closures (L,) are right, given true key poses (K, 3)."""
-    error = closure_errors(loops, truth)
+    return right_relatives(loops.relative, loops.covariance, truth[loops.key1], truth[loops.key2])
+
+
+def right_relatives(relative: Array, covariance: Array, first: Array, second: Array) -> BoolArray:
+    """Which measured relative poses (L, 3) with covariances (L, 3, 3) are right, given true poses (L, 3) of their ends:
+    near the truth, or inside their own covariance's gate. False where a pose is NaN.
+    """
+    error = _off(relative, first, second)
     near = (np.hypot(error[:, 0], error[:, 1]) <= NEAR_M) & (np.abs(error[:, 2]) <= NEAR_RAD)
-    honest: BoolArray = squared_distance(error, loops.covariance) <= gate_threshold(HONEST, 3)
+    honest: BoolArray = squared_distance(error, covariance) <= gate_threshold(HONEST, 3)
     return near | honest
+
+
+def _off(relative: Array, first: Array, second: Array) -> Array:
+    """Measured minus true relative pose."""
+    error: Array = relative - between(first, second)
+    error[:, 2] = wrap_angle(error[:, 2])
+    return error
 
 
 def closure_errors(loops: Loops, truth: Array) -> Array:
     """Measured minus true relative pose (L, 3) [m, m, rad], frame of key1."""
-    error: Array = loops.relative - between(truth[loops.key1], truth[loops.key2])
-    error[:, 2] = wrap_angle(error[:, 2])
-    return error
+    return _off(loops.relative, truth[loops.key1], truth[loops.key2])
 
 
 def knowable(loops: Loops, truth: Array, points: Sequence[Array]) -> BoolArray:

@@ -8,12 +8,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association.appearance import Evidence, Looks, evidence
 from association.candidates import in_view
 from association.decide import Decided, decide, horizon, pair_by_label
 from association.expectation import Expectation, gate_threshold
 from association.faces import Faces, aligned_with_observations
 from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
+from data.appearance import Appearance
 from data.errors import UsageError
 from data.inputs import Frame, FrameObservations, IntArray, LandmarkMap
 from data.notice import Code, Notice, Severity, notice
@@ -99,7 +101,8 @@ class FrontEnd:
         if association == HINDSIGHT and not given.sensor.sees_points:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)
         self.given = Beginning(
-            given.prior, given.sensor, given.map, given.systematic, given.fixes, given.closures, given.sensors
+            given.prior, given.sensor, given.map, given.systematic, given.fixes, given.closures, given.sensors,
+            given.looks,
         )  # fmt: skip
         self.setup = setup
         self.sensor = given.sensor  # that of the observations at hand
@@ -110,7 +113,10 @@ class FrontEnd:
         self.k, self.incomplete = -1, 0  # frame; frames in which the search ran out of its budget
         # labels and hindsight use no distance, and the reach of a foreign method is unknown
         far = association in ("known", HINDSIGHT) or is_foreign(association)
-        within = math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=not self.slam)
+        known = not self.slam
+        within = (
+            math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=known, looks=given.looks)
+        )
         if isinstance(self.estimator, EkfLocalizer):
             self.estimator.within = within
         # a graph need not park, and leaving it is no forgetting: the landmark was never seen
@@ -127,12 +133,13 @@ class FrontEnd:
         self.waiting = WaitingLandmarks() if partial else None  # landmarks that are not located yet
         self.begun: list[Begun] = []  # those that began in this frame
         if self.parking is None and given.closures is None and not partial:
-            self.parking = automatic_parking(self.estimator, association, setup)
+            self.parking = automatic_parking(self.estimator, association, setup, given.looks)
         self.faces = Faces(given.sensor) if self.slam and not given.sensor.sees_points else None
         self.known = KnownAssociation(given.map) if association == "known" else None
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
         self._label_gate = setup.label_gate if gated else None
         self._threshold = gate_threshold(self._label_gate, len(self.sensor.measures))
+        self.looks, self._right = Looks.of_map(given.map), Evidence()  # of landmarks; of a frame's right pairings
         self._kind: dict[int, str] = {}  # of landmarks that are not for every sensor, by number
         if given.map is not None and given.map.kind is not None:
             self._kind = dict(zip(given.map.id.tolist(), given.map.kind, strict=True))
@@ -179,7 +186,7 @@ class FrontEnd:
                 self.waiting.add(frame, np.flatnonzero(decisions == NEW), self.sensor, self._delaying)
                 decisions = np.where(decisions == NEW, DISCARD, decisions)
             return Pairing(decisions)
-        expectation = self.expect(frame.observations)
+        expectation = self.expect(frame.observations, frame.appearance)
         decisions, complete = self.decide(expectation)
         self.incomplete += not complete
         return Pairing(decisions, expectation, S=expectation.joint_innovation(*expectation.paired(decisions))[1])
@@ -189,12 +196,15 @@ class FrontEnd:
         """The gates that a used pairing has passed."""
         if self.known is not None:
             return Acceptance(self._threshold)
-        return acceptance(self.association, self.setup.gate, len(self.sensor.measures))
+        return acceptance(self.association, self.setup.gate, len(self.sensor.measures), self._right)
 
-    def expect(self, observations: FrameObservations) -> Expectation:
-        """The estimator's expectation of its candidates; parked landmarks that may be in view are restored first."""
+    def expect(self, observations: FrameObservations, appearance: Appearance | None = None) -> Expectation:
+        """The estimator's expectation of its candidates, compared with the observations' appearance; parked landmarks
+        that may be in view are restored first.
+        """
         if self.parking is not None:
             self.parking.offer(observations)
+        self._right = evidence(appearance)
         e = self.estimator.expect(observations)
         if not self.sensor.sees_points:
             e = aligned_with_observations(e, self.sensor)
@@ -203,7 +213,9 @@ class FrontEnd:
             e = e.only(np.flatnonzero(np.array(kinds, object) == self.sensor.sees))
         if self.faces is not None and len(e.number):
             e = e.only(np.flatnonzero(self.faces.visible(*self.estimator.estimate(), e.number, e.z_hat)))
-        return e.only(np.flatnonzero(in_view(self.sensor, e.z_hat, e.HPHt))) if self.setup.in_view else e
+        if self.setup.in_view:
+            e = e.only(np.flatnonzero(in_view(self.sensor, e.z_hat, e.HPHt)))
+        return e if appearance is None else e.with_appearance(self.looks.unlike(e.number, appearance))
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
         """Decisions by the method of this run, or by another one for comparison."""
@@ -232,6 +244,8 @@ class FrontEnd:
         )
         if self.known is not None and self.slam:
             self.known.initialized(frame, done.created)
+        if frame.appearance is not None:
+            self.looks.see(np.where(done.used, pairing.decisions, done.created), frame.appearance)
         if self.slam and self.sensor.sees:
             self._kind |= dict.fromkeys(done.created[done.created >= 0].tolist(), self.sensor.sees)
         if self.faces is not None or self.map_management is not None or self.parking is not None:

@@ -242,8 +242,13 @@ class AutomaticParking:
         return []
 
 
-def automatic_parking(estimator: Estimator, association: str, setup: Setup) -> AutomaticParking | None:
-    """For an estimator whose large map may be parked without changing anything, else None.
+def automatic_parking(
+    estimator: Estimator,
+    association: str,
+    setup: Setup,
+    looks: tuple[int, int] = (0, 0),
+) -> AutomaticParking | None:
+    """For an estimator whose large map may be parked without changing anything, else None; `looks`: as of `horizon`.
 
     Excluded are smoothers and localizers; the invariant filter and first estimates, which cannot park; the iterated
     filter, which stops by the motion of all landmarks; methods without a gate, which consider every landmark.
@@ -255,12 +260,12 @@ def automatic_parking(estimator: Estimator, association: str, setup: Setup) -> A
         return None
     if is_foreign(association):  # its reach is unknown
         return None
-    within = horizon(association, setup.gate, setup.new_gate)
+    within = horizon(association, setup.gate, setup.new_gate, looks=looks)
     if association in (
         "known",
         HINDSIGHT,
     ):  # decided without this estimator, but an observer may ask for an expectation
-        within = horizon("jcbb", setup.gate, setup.new_gate)
+        within = horizon("jcbb", setup.gate, setup.new_gate, looks=looks)
     elif not np.isfinite(within):
         return None
     return AutomaticParking(estimator, within)

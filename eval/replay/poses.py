@@ -51,11 +51,13 @@ class PoseRecord:
         n = len(dof)
         self._used, self._nis = np.zeros(n, np.bool_), np.full(n, np.nan)
         self._dof, self._white, self._given = np.array(dof, np.int64), np.full((n, 3), np.nan), False
+        self._S = np.full((n, 3, 3), np.nan)
 
     def enter(self, rows: slice, done: PoseUpdated) -> None:
         """The result of an update with those of these rows."""
         self._given = True
         self._used[rows], self._nis[rows], self._white[rows] = done.used, done.nis, done.white
+        self._S[rows] = done.S
 
     @property
     def rejected(self) -> BoolArray:
@@ -64,7 +66,8 @@ class PoseRecord:
 
     def innovations(self, gate: float | None) -> PoseInnovations | None:
         """Of all; None: they were not used."""
-        return PoseInnovations(self._used, self._nis, self._dof, self._white, gate) if self._given else None
+        found = PoseInnovations(self._used, self._nis, self._dof, self._white, gate, self._S)
+        return found if self._given else None
 
 
 class PoseRecords:

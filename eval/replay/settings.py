@@ -38,6 +38,7 @@ class Setup:
         gate_smoothers: apply that gate to smoothers, too.
         gate_poses: of each absolute fix of the pose, and of each closure.
         in_view: the EKF offers only landmarks in range and view as candidates, as iSAM2 always does.
+        appearance: association uses descriptors and classes, where the log has them.
         maintain: remove landmarks seen once and more than two frames ago.
         forget_after: the EKF drops landmarks unseen for this long.
         deactivate_after: the EKF parks landmarks unseen for this long, and restores them when they may be seen again.
@@ -81,6 +82,7 @@ class Setup:
         f"gate for fixes of the pose and closures, or none (default: {POSE_GATE})",
     )
     in_view: bool = row(False, switch, "", "the EKF offers only landmarks in range and view")
+    appearance: bool = row(True, switch, "", "association ignores descriptors and classes of landmarks")
     maintain: bool = row(False, switch, "", "SLAM: remove landmarks seen once and more than two frames ago")
     forget_after: float | None = row(
         None, positive_or_none, "S", "EKF-SLAM drops landmarks unseen for S seconds (frames without stamps)"
@@ -179,6 +181,10 @@ class Given(Protocol):
     def closures(self) -> Closures | None:
         """Measured relative poses between frames, or None."""
 
+    @property
+    def looks(self) -> tuple[int, int]:
+        """Numbers that a descriptor adds to an observation (0 or 1), and number of classes."""
+
 
 class Beginning(NamedTuple):
     """The same without a log."""
@@ -190,3 +196,4 @@ class Beginning(NamedTuple):
     fixes: Fixes | None = None
     closures: Closures | None = None
     sensors: tuple[Sensor, ...] = ()
+    looks: tuple[int, int] = (0, 0)

@@ -18,6 +18,7 @@ from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.recorder import Observer
 from eval.stepping.matching import paint_compatibility, paint_matching
 from eval.stepping.pictures import ImageWriter, paint_ground_truth, paint_map, paint_observations
+from eval.stepping.poses import of_frame
 from eval.stepping.problem import FrameSoFar, pose_problem, removed_so_far
 from eval.stepping.text import (
     Block,
@@ -25,6 +26,7 @@ from eval.stepping.text import (
     closing,
     compatibility_text,
     moved_text,
+    poses_block,
     run_text,
     statistics,
     step_block,
@@ -59,7 +61,7 @@ class Walk(Observer):
         self.path: list[Any] = []
         self.digits = max(3, len(str(len(log.recorded) - 1 + first)))
         self.kind = f"{style_of(estimator).label} {'SLAM' if task == 'slam' else task}"
-        self.printed = False
+        self.printed = self.tried = False
 
     def pause(self, stage: str) -> None:
         """Wait for Enter, if interactive."""
@@ -100,7 +102,7 @@ class Walk(Observer):
 
     def moved(self, front: FrontEnd) -> None:
         """Move and observe."""
-        self.k, self.printed = front.k, False
+        self.k, self.printed, self.tried = front.k, False, False
         r = self.log.recorded
         self.rows = slice(int(r.start[self.k]), int(r.start[self.k + 1]))
         if (image := next(self.camera, None)) is not None:
@@ -119,11 +121,12 @@ class Walk(Observer):
 
     def decided(self, front: FrontEnd, frame: Frame, pairing: Pairing) -> None:
         """Compatibility and matching, once there is a map."""
+        self._print_poses(front)
         decisions, expectation = pairing.decisions, pairing.expectation
         self.decisions[frame.first : frame.first + len(decisions)] = decisions
         wanted = self.images.wanted or self.pausing
         if expectation is None and wanted:
-            expectation = front.expect(frame.observations)
+            expectation = front.expect(frame.observations, frame.appearance)
         if expectation is not None and len(expectation.number) and wanted:
             self.say("compatibility", compatibility_text(expectation, front.setup.gate))
             problem = None
@@ -136,6 +139,16 @@ class Walk(Observer):
                 self.show("matching", lambda fig: paint_matching(fig, problem))
             self._print_step(front)
             self.pause("matching")
+
+    def _print_poses(self, front: FrontEnd) -> None:
+        """The frame's fixes and closures, once they were tried."""
+        if self.tried or self.block is not step_block:
+            return
+        self.tried = True
+        steps = of_frame(self.log, self.k, front.poses.fixed, front.poses.closed)
+        if text := poses_block(self.k, steps, front.poses.gate):
+            print(text, end="\n\n", flush=True)
+            self.pause("fixes and closures")
 
     def _frame(self, front: FrontEnd) -> FrameSoFar:
         removed = removed_so_far(front, self.created)
@@ -153,6 +166,7 @@ class Walk(Observer):
 
     def updated(self, front: FrontEnd, decisions: IntArray, created: IntArray) -> None:
         """Update, and the end of the step."""
+        self._print_poses(front)
         if self.rows.stop > self.rows.start:
             self._print_step(front)
         self.decisions[self.rows], self.created[self.rows] = decisions[self.rows], created[self.rows]

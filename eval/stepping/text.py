@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from association.expectation import Expectation, gate_threshold
+from association.expectation import Expectation
 from data.inputs import IntArray
 from data.log import Log
 from data.result import DISCARD, NEW, PoseEstimate, Run
@@ -22,6 +22,7 @@ from data.words import environment, number, sentence
 from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import metric
 from eval.referee.score import confusion_of, metrics_row
+from eval.stepping.poses import PoseStep, of_run, rows_of
 from eval.stepping.problem import TruthRow, row_of
 
 WIDTH = 100  # columns of the terminal
@@ -67,6 +68,14 @@ def step_block(s: Step) -> str:
     return _wrapped(_say("step", s=s, table=_table(rows)))
 
 
+def poses_block(frame: int, steps: Sequence[PoseStep], gate: float | None) -> str:
+    """The lines of a step's fixes and closures; empty where it has none."""
+    if not steps:
+        return ""
+    counts = [sum(s.name.startswith(kind) for s in steps) for kind in ("fix", "closure")]
+    return _wrapped(_say("poses", frame=frame, fixes=counts[0], closures=counts[1], table=_table(rows_of(steps, gate))))
+
+
 def lab_block(s: Step) -> str:
     """The lines of one step as the lab's program prints them, for comparison.
 
@@ -100,7 +109,9 @@ Block = Callable[[Step], str]  # text of a step, as of `step_block`; may be empt
 
 
 def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_block) -> str:
-    """All steps of a run that have observations, each by `block`, and the totals.
+    """All steps of a run that have observations, fixes or closures, each by `block`, and the totals.
+
+    The lab's program knows no fixes and closures, so its text has none.
 
     `phase` is `online` or `final`: decisions as they were made, or after all revisions.
     """
@@ -108,13 +119,14 @@ def run_text(log: Log, run: Run, phase: str = "online", block: Block = step_bloc
     decisions = run.decisions if phase == "online" else run.final_decisions
     # in the end a retracted landmark never existed
     created = run.created if phase == "online" else run.initialized
-    frames = np.flatnonzero(np.diff(inputs.start))
-    if run.failure is not None:
-        frames = frames[frames < run.failure.frame]
+    end = len(inputs) if run.failure is None else run.failure.frame
     blocks = []
-    for k in frames.tolist():
+    for k in range(end):
         rows = slice(int(inputs.start[k]), int(inputs.start[k + 1]))
-        blocks.append(block(Step(k, row_of(confusion, rows), decisions[rows], created[rows])))
+        if block is step_block:
+            blocks.append(poses_block(k, *of_run(log, run, k)))
+        if rows.stop > rows.start:
+            blocks.append(block(Step(k, row_of(confusion, rows), decisions[rows], created[rows])))
     return "\n\n".join([*filter(None, blocks), closing(log, run, phase)])
 
 
@@ -159,7 +171,7 @@ def _sigmas(pose: PoseEstimate) -> list[float]:
 
 def compatibility_text(e: Expectation, gate: float | None) -> str:
     """Number of individually compatible pairs, and of ambiguous observations."""
-    each = (e.individual_distances() < gate_threshold(gate)).sum(axis=1)
+    each = (e.individual_distances() < e.threshold(gate)).sum(axis=1)
     none, one, several = (int(mask.sum()) for mask in (each == 0, each == 1, each > 1))
     pairs, landmarks = int(each.sum()), len(e.number)
     return _say("compatible", pairs=pairs, landmarks=landmarks, without=none, one=one, several=several)

@@ -316,7 +316,9 @@ def _head(inputs: Inputs, frames: int) -> Inputs:
         inputs,
         time=inputs.time[:frames],
         increments=Increments(inputs.increments.mean[:frames], inputs.increments.covariance[:frames]),
-        observations=replace(o, frame=o.frame[:rows], z=o.z[:rows], R=o.R[:rows], label=o.label[:rows], sensor=which),
+        observations=replace(
+            o, frame=o.frame[:rows], z=o.z[:rows], R=o.R[:rows], label=o.label[:rows], sensor=which, appearance=None
+        ),
         fixes=None if fixes is None else fixes.before(frames),
         closures=None if closures is None else closures.before(frames),
     )

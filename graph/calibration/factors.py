@@ -218,6 +218,12 @@ class Motion:
         ]
         return found, pivot
 
+    def again(self, frame: int, increment: Increment) -> Factor:
+        """The factor of the newest increment, into this frame, anew with another covariance."""
+        (root,), _ = increment_roots(frame, increment.covariance[None])
+        self._covariance[-1] = increment.covariance
+        return increment_factor(self._errors, frame, increment, root, self._knots[-1], self.now)
+
     def knot_of(self, frame: int) -> int:
         """Knot of the increment into a frame of the graph (0 of frame 0)."""
         return self._knots[max(frame - 1 - self.oldest, 0)] if self._knots else self.knot

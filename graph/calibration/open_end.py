@@ -172,6 +172,9 @@ class CalibratedEnd(OpenEnd):
         self._path_b, self._ended = [], []
         return found + factors, pivot
 
+    def _motion_again(self, increment: Increment) -> Factor:
+        return self._motion_log.again(self.anchor, increment)
+
     def _settle(self, engine: Engine, before: gtsam.Pose2) -> None:
         """As `Engine.settle`, with all that determines newest pose and errors. After a jump it goes on until the pose
         stays: a loop closure changes the errors, and they the path.

@@ -97,9 +97,11 @@ def marked() -> Files:
 
 
 def fixed() -> Files:
-    """A bag with satellite fixes, headings and pose fixes."""
+    """A bag with satellite fixes, headings, pose fixes and a second odometry."""
     maker = Full("sqlite3")
     maker.drive(np.arange(0.0, 3.01, 0.5))
+    for t in np.arange(0.0, 2.6, 0.5):
+        maker.odometry(t, (t, 0.1 * t, 0.0), "/vo", 0.01)
     maker.mounting("base_link", "antenna", 0.1, 0.0, 0.0)
     for t in (0.75, 1.5):
         maker.satellites(t, (48.0 + 1e-5 * t, 11.0), 0.25)
@@ -110,7 +112,9 @@ def fixed() -> Files:
 
 def read_full(folder: Path) -> Log:
     path = _inside(folder)
-    topics = chosen(path, topics_of(path))
+    every = topics_of(path)
+    second = "/vo" if any(t.name == "/vo" for t in every) else None
+    topics = chosen(path, every, odometry="/odom" if second else None, second=second)
     stated = Wanted(np.zeros(3), np.ones(3), 0.1, 0.1, 1.0, 0.1)
     return log_of_bag(path, "bag", topics, collect(path, topics), stated)
 

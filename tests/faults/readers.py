@@ -220,6 +220,20 @@ MEASURED = {
 }
 
 
+SEVERAL = {
+    "robot.toml": 'odometry = "robot.csv"\nsecond_odometry = "camera.csv"\nsecond_odometry_sigma = "0.1,1deg"\n'
+    'odometry_sigma = [1, 1, 1, 1]\nmap = "map.csv"\nprior = "0,0,0"\n'
+    'prior_sigma = [1, 1, 1]\nmax_range = 30\nview = "-90deg,90deg"\n[columns]\n"radio.range" = "dist"\n'
+    '[sensor.lidar]\nfile = "cones.csv"\nobservation_sigma = [0.1, 0.1]\nsees = "cone"\nsensor_pose = "0.1,0,5deg"\n'
+    '[sensor.radio]\nfile = "radio.csv"\nobservation_sigma = 0.3\nsees = "beacon"\nmax_range = "50m"\n',
+    "robot.csv": POSED,
+    "map.csv": "id,x,y,kind\n1,2,3,cone\n4,5,6,beacon\n",
+    "camera.csv": "t,v,omega\n" + "".join(f"{k / 2},1,0.{k}\n" for k in range(9)),
+    "cones.csv": "t,range,bearing,label\n0.5,2,0.1,1\n2,3,0.2,\n2,4,-0.1,1\n",
+    "radio.csv": "t;dist;label\n2,0;4,5;4\n3;4,4;\n",
+}
+
+
 def read_tables(folder: Path) -> Any:
     words = argparse.Namespace(source=folder / "robot.toml", out=folder / "out")
     return table.convert(words).log
@@ -260,7 +274,9 @@ READERS = {
     "Victoria Park": Reader(
         lambda: [{"park.txt": PARK.encode()}], lambda folder: load_victoria_park(folder / "park.txt"), assert_sound
     ),
-    "tables of another program": Reader(lambda: [encoded(TABLES), encoded(MEASURED)], read_tables, assert_sound),
+    "tables of another program": Reader(
+        lambda: [encoded(TABLES), encoded(MEASURED), encoded(SEVERAL)], read_tables, assert_sound
+    ),
     "stored run of a study": Reader(
         stored_runs, lambda folder: esde.log_of(esde.load_esde(folder / "results.mat"), "run"), assert_sound
     ),

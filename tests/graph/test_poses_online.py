@@ -9,12 +9,13 @@ import pytest
 
 from data import se2
 from data.errors import UsageError
-from data.inputs import FrameObservations, Prior, Systematic
-from data.pose_measurements import expected_closure
+from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
+from data.pose_measurements import FrameFixes, expected_closure
+from data.sensors import RelativePoint
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
 from tests.graph.driving import TIGHT
-from tests.graph.test_pose_factors import TIES, closures_of, dense, drive, fix_error, found
+from tests.graph.test_pose_factors import SOURCES, TIES, closures_of, dense, drive, fix_error, found
 
 NONE = FrameObservations(np.empty((0, 2)), np.empty((0, 2, 2)))
 
@@ -193,3 +194,53 @@ def test_errors_of_odometry_are_estimated_beside_them_and_those_of_the_sensor_re
     of_sensor = isam2(inputs, systematic=Systematic(("bearing",), np.array([0.02])))
     with pytest.raises(UsageError, match="beside fixes or closures"):
         stepped(inputs, of_sensor)
+
+
+@pytest.mark.parametrize("make", ["isam2", "fixed lag", "errors of odometry"])
+@pytest.mark.parametrize("measured", ["fix", "closure"])
+def test_a_motion_is_doubted_after_the_frames_fixes_and_closures_as_if_it_had_been_so_stated(make, measured):
+    """A robot that was moved unseen may be found so by what it sees, after its receiver said where it is."""
+    inputs, _ = drive(seed=8)
+    at, more = (16, np.diag([25.0, 25.0, 9.0])) if measured == "fix" else (19, np.diag([25.0, 25.0, 9.0]))
+    stated = inputs.increments.covariance.copy()
+    stated[at] += more
+    doubted = replace(inputs, increments=replace(inputs.increments, covariance=stated))
+    if make == "errors of odometry":
+        errors = {"systematic": Systematic(("scale",), np.array([0.05]))}
+        inputs, doubted = replace(inputs, **errors), replace(doubted, **errors)
+
+    def smoother():
+        if make == "fixed lag":
+            return FixedLagSmoother(
+                inputs.prior, inputs.sensor, lag=0.0 if measured == "fix" else 30.0, slack=0.0, **TIGHT
+            )
+        return isam2(inputs, systematic=inputs.systematic)
+
+    s, other = smoother(), smoother()
+    stepped(inputs, s, until=at + 1)
+    sure = s.estimate().covariance
+    s.inflate(more)
+    stepped(doubted, other, until=at + 1)
+    # without a lag the frame before is about to leave, and was linearized at another pose
+    near = {"atol": 1e-3} if make == "fixed lag" else {"atol": 1e-5}
+    np.testing.assert_allclose(s.estimate().mean, other.estimate().mean, **near)
+    np.testing.assert_allclose(s.estimate().covariance, other.estimate().covariance, rtol=1e-3, **near)
+    assert np.trace(s.estimate().covariance) > 1.2 * np.trace(sure)
+    if make != "fixed lag":
+        np.testing.assert_allclose(s.finish().total_nis, other.finish().total_nis, rtol=1e-8)
+
+
+def test_a_robot_that_was_turned_unseen_is_found_where_it_was_placed_after_its_position_was_measured():
+    """From the prediction, which is turned by 3.1 rad, the search ends metres away."""
+    known = LandmarkMap(np.arange(3), np.array([[9.0, 2.0], [4.0, 9.0], [-3.0, 5.0]]))
+    sensor, truth = RelativePoint(), np.array([3.0, 2.0, 3.1])
+    s = Isam2Smoother(Prior(np.zeros(3), 0.01 * np.eye(3)), sensor, known, **TIGHT)
+    s.predict(Increment(np.array([3.0, 2.0, 0.0]), 0.01 * np.eye(3)))
+    one = np.array([0])
+    position = FrameFixes(one, one, np.array([[3.0, 2.0, 0.0]]), np.diag([0.01, 0.01, 0.0])[None], 0)
+    assert s.fix(position, SOURCES, 0.99).used.all()
+    s.inflate(np.diag([100.0, 100.0, np.pi**2]))
+    seen = FrameObservations(sensor.predict(truth, known.xy), np.tile(1e-4 * np.eye(2), (3, 1, 1)))
+    s.update(seen, known.id, at=truth)
+    np.testing.assert_allclose(s.estimate().mean, truth, atol=1e-3)
+    np.testing.assert_allclose(s.finish().final.pose[-1], truth, atol=1e-3)

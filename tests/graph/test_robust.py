@@ -300,3 +300,21 @@ def test_near_readings_which_are_points_are_judged_like_all_others():
     assert accepted.mean() > 0.97
     plain = smooth(inputs, decisions, created, filtered(inputs, decisions))
     assert rms(result.trajectory.pose, log.truth.pose) < 1.5 * rms(plain.trajectory.pose, log.truth.pose)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("task", "rate", "runs"), [("localization", 0.1, 20), ("slam", 0.0, 20)])
+def test_its_chi_square_is_that_of_truncated_measurements(task, rate, runs):
+    """Without the truncation at the gate, 1 would be expected, and every log with outliers would look conservative."""
+    found = []
+    for seed in range(runs):
+        inputs = for_task(simulate(Arena(frames=100), seed).inputs(labels=True), task)
+        decisions, created = known_decisions(inputs)
+        wrong = confused(inputs, decisions, created, rate, seed)
+        result, _ = gnc(inputs, wrong, created, filtered(inputs, decisions))
+        found.append((result.cost, result.dof, result.gated[0]))
+    cost, dof, expected = np.array(found).T
+    error = np.sqrt(2.0 / dof.sum())
+    assert cost.sum() / dof.sum() == pytest.approx(expected.mean(), abs=3.3 * error)
+    assert expected.mean() == pytest.approx(0.9535, abs=1e-4)
+    assert cost.sum() / dof.sum() < 1.0 - 3.3 * error  # what a chi-square without truncation contradicts

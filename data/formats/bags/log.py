@@ -17,8 +17,9 @@ from data.digest import source_file
 from data.errors import DataError, UsageError
 from data.formats.bags.geodesy import east_north
 from data.formats.bags.reading import Collected, Pose
+from data.formats.bags.second import second_closures
 from data.formats.bags.topics import FIXES, Role, Topic
-from data.formats.recordings.laser import FLOOR, increments_of
+from data.formats.recordings.laser import FLOOR, TravelNoise, increments_of
 from data.formats.recordings.ros import ODOM_FRAME, TF, log_of, read_bag
 from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scans
 from data.log import Log
@@ -40,7 +41,7 @@ FIRST = (0.1, 0.1, 0.05)
 @dataclass(frozen=True)
 class Wanted:
     """What messages do not state: prior mean and sigma (3,); sigma of points [m], bearings [rad], positions [m] and
-    headings [rad] without covariance. None: not stated.
+    headings [rad] without covariance; second: noise of a second odometry. None: not stated.
     """
 
     prior: Array | None = None
@@ -49,6 +50,7 @@ class Wanted:
     bearings: float | None = None
     positions: float | None = None
     headings: float | None = None
+    second: TravelNoise | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +87,8 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         laser = log_of(path, read_bag(path, scan, odometry))
         scans = laser.recorded.scans
         notes += [note for note in laser.notes if note.startswith(("The laser", "The bag", "No return"))]
-    if not seen and not fixed and scans is None:
+    second = next((t for t in topics if t.role is Role.SECOND), None)
+    if not seen and not fixed and scans is None and second is None:
         reasons = "; ".join(left) or "no topic of scans, detections or fixes"
         raise DataError.at(path, f"nothing beside the odometry: {reasons}; --list names what each topic becomes")
     notes = [f"Odometry: {odometry}, poses of {robot or 'the robot'} interpolated at the frames.", *notes, *left]
@@ -94,15 +97,20 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         raise DataError.at(path, f"the odometry spans {last - first:.6g} s; stamps in seconds are needed")
     at = [s.at for s in seen] + [f.at for f in fixed]
     at += [laser.recorded.time] if scans is not None else []
-    every = np.concatenate(at)
+    every = np.concatenate([np.empty(0), *at])
     inside = (every >= first) & (every <= last)
-    if not inside.any():
+    if at and not inside.any():
         what = f"messages at {every.min():.3f} to {every.max():.3f} s, odometry at {first:.3f} to {last:.3f} s"
         raise DataError.at(path, f"{what}; some within the odometry are needed")
     if not inside.all():
         notes.append(f"{int((~inside).sum())} of {len(inside)} messages before or after all odometry: left out.")
     time = frame_times(every[inside], first, last)
     increments, floored = increments_of(se2.interpolate(stamp, pose, time))
+    closures = None
+    if second is not None:
+        taken = [f.source.name for f in fixed]
+        closures, note = second_closures(second, _named(second.name), found, wanted.second, robot, time, taken)
+        notes.append(note)
     observations, sensors, label = _joined(seen, time)
     true = _truth(topics, found, robot, time)
     if datum is not None:
@@ -118,6 +126,7 @@ def log_of_bag(path: Path, name: str, topics: Sequence[Topic], found: Collected,
         floored=floored,
         scans=None if scans is None else Scans(scans.scanner, _at(laser.recorded.time, time), scans.ranges),
         fixes=_all_fixes(fixed, time) if fixed else None,
+        closures=closures,
         sensors=sensors if len(sensors) > 1 else (),
     )
     roles = {t.name: t.role.value for t in topics if t.role not in (Role.NOTHING, Role.TRANSFORMS, Role.CAMERA)}

@@ -60,6 +60,7 @@ class Collected:
 
     Attributes:
         poses: of odometry, truth, pose fixes and headings, with the frames of each topic: of the header and the body's.
+            Of a second odometry the covariance is that of the velocity along, across and of the turn.
         positions, detections: by topic.
         cameras: fx, fy, cx, cy by frame.
         tree: transforms.
@@ -125,7 +126,11 @@ def _add(found: Collected, role: Role, topic: str, kind: str, message: Any, reco
         P[2, 2] = C[2, 2] if C[2, 2] > 0.0 else np.nan
         found.poses.setdefault(topic, []).append(Pose(stamp_of(message, recorded), (0.0, 0.0, angle), P))
     else:
-        found.poses.setdefault(topic, []).append(_pose(message, recorded, where))
+        pose = _pose(message, recorded, where)
+        if role is Role.SECOND:
+            C = np.asarray(message.twist.covariance, float).reshape(6, 6)[np.ix_((0, 1, 5), (0, 1, 5))]
+            pose = pose._replace(covariance=0.5 * (C + C.T))
+        found.poses.setdefault(topic, []).append(pose)
         found.frames[topic] = bare(message.header.frame_id), bare(getattr(message, "child_frame_id", ""))
 
 

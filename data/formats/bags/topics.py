@@ -31,6 +31,7 @@ class Role(StrEnum):
     POSES = "pose fixes"
     POINTS = "observations: points"
     BEARINGS = "observations: bearings"
+    SECOND = "second odometry: closures"
     TRUTH = "truth"
     TRANSFORMS = "transforms"
     CAMERA = "camera model"
@@ -44,6 +45,7 @@ OF = {
     FLAT_BOXES: Role.BEARINGS, FLAT_TAGS: Role.BEARINGS,
 }  # fmt: skip
 """What the messages of a type become by default."""
+SECOND_FLAG = "--second-odom"
 CAN_BE_TRUTH = (ODOMETRY, POSE, BARE)
 FIXES = (Role.POSITIONS, Role.HEADINGS, Role.POSES)
 DETECTIONS = (Role.POINTS, Role.BEARINGS)
@@ -90,11 +92,13 @@ def chosen(
     odometry: str | None = None,
     scans: str | None = None,
     truth: str | None = None,
+    second: str | None = None,
     skip: Collection[str] = (),
 ) -> tuple[Topic, ...]:
     """The topics with the roles that the flags give them. UsageError for an unknown or an ambiguous one."""
     names = [t.name for t in topics]
-    for flag, name in (("--odom", odometry), ("--scan", scans), ("--truth", truth), *(("--skip", s) for s in skip)):
+    flags = (("--odom", odometry), ("--scan", scans), ("--truth", truth), (SECOND_FLAG, second))
+    for flag, name in (*flags, *(("--skip", s) for s in skip)):
         if name is not None and name not in names and name != TF:
             raise UsageError(f"{flag} {name}: no such topic in {path}{did_you_mean(name, names)}")
     by_name = {t.name: t for t in topics}
@@ -104,6 +108,15 @@ def chosen(
         if by_name[truth].kind not in CAN_BE_TRUTH:
             raise UsageError(f"--truth {truth}: its messages are {by_name[truth].kind}; poses are needed")
         by_name[truth] = replace(by_name[truth], role=Role.TRUTH, why="--truth")
+    if second is not None:
+        if second in (odometry, truth):
+            raise UsageError(
+                f"{SECOND_FLAG} {second}: {'--odom' if second == odometry else '--truth'} is the same topic"
+            )
+        if second not in by_name or by_name[second].kind != ODOMETRY:
+            kind = f"its messages are {by_name[second].kind}" if second in by_name else "transforms have no noise"
+            raise UsageError(f"{SECOND_FLAG} {second}: {kind}; {ODOMETRY} is needed")
+        by_name[second] = replace(by_name[second], role=Role.SECOND, why=SECOND_FLAG)
     for name, t in by_name.items():
         if t.role is Role.TRUTH and name != truth:
             by_name[name] = replace(t, role=Role.NOTHING, why=f"--truth {name} makes it the truth")
@@ -120,6 +133,7 @@ def chosen(
         for name in of_role:
             if name != keep:
                 why = f"{flag} {keep or TF} is used; --truth {name} makes it the truth"
+                why += f", {SECOND_FLAG} {name} closures" if role is Role.ODOMETRY else ""
                 by_name[name] = replace(by_name[name], role=Role.NOTHING, why=why)
     return tuple(by_name.values())
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from data.errors import DataError, unknown
 from data.formats.csv_table import Table
+from data.formats.open_log import appearance as looks
 from data.formats.open_log import closures as closures_file
 from data.formats.open_log import fixes as fixes_file
 from data.formats.open_log.closures import closures_of
@@ -21,6 +22,7 @@ from data.formats.open_log.reader import (
     IDS,
     KIND,
     MEAN,
+    SIGMAS,
     Measured,
     frames_in,
     frames_of,
@@ -31,6 +33,7 @@ from data.formats.open_log.reader import (
     odometry_of,
     stamped_truth,
     truth_per_frame,
+    usable_sigmas,
     with_measured,
 )
 from data.formats.open_log.sensors import FIRST, NOISE
@@ -63,6 +66,10 @@ def log_of_arrays(
     labels_are_sensed: bool = False,
     observed_by: ArrayLike | None = None,
     kinds: ArrayLike | None = None,
+    descriptor: ArrayLike | None = None,
+    classes: ArrayLike | None = None,
+    landmark_descriptor: ArrayLike | None = None,
+    landmark_classes: ArrayLike | None = None,
     fixes: Mapping[str, Any] | None = None,
     closures: Mapping[str, Any] | None = None,
 ) -> Log:
@@ -76,7 +83,7 @@ def log_of_arrays(
 
     mean, spread = (np.asarray(p, float) for p in prior)
     stated = {"sigma" if spread.ndim == 1 else "covariance": spread.tolist(), "mean": mean.tolist()}
-    parts = (fixes, closures, observed_by, kinds)
+    parts = (fixes, closures, observed_by, kinds, descriptor, classes, landmark_descriptor, landmark_classes)
     latest = any(part is not None for part in parts) or not isinstance(sensor, Mapping) or _is_latest(sensor)
     tables: dict[str, Any] = {"format": LATEST if latest else FORMAT, "name": name, "prior": stated}
     tables["sensor"] = _plain(sensor) if isinstance(sensor, Mapping) else [_plain(each) for each in sensor]
@@ -97,9 +104,13 @@ def log_of_arrays(
     for column, values in extra.items():
         if values.shape != (len(seen),):
             raise fault(f"{column} has shape {values.shape}; ({len(seen)},) is needed, one for each observation")
+    if descriptor is not None:
+        extra[looks.DESCRIPTOR] = _numbers(f"{name}: descriptor", descriptor, len(seen))
     seen = _joined(seen, extra)
-    if observed_by is not None:
-        seen = replace(seen, texts={SENSOR: _words(f"{name}: observed_by", observed_by, len(seen))})
+    for column, words in ((SENSOR, observed_by), (looks.CLASS, classes)):
+        if words is not None:
+            called = f"{name}: {'observed_by' if column == SENSOR else 'classes'}"
+            seen = replace(seen, texts={**seen.texts, column: _words(called, words, len(seen))})
     found = observations_of(seen, header, key)
     fixed = closed = None
     if fixes is not None:
@@ -144,19 +155,30 @@ def log_of_arrays(
         true = table("truth", truth, ("t", *POSE) if by_stamp else POSE)
         true.require_finite(POSE, blank=True)
         pose = stamped_truth(true, moved.time) if by_stamp else truth_per_frame(true, len(moved.time))
-    known = None
+    known, notes = None, list[str]()
     if landmarks is not None:
-        places = table("landmarks", landmarks, ("id", "x", "y"))
-        if kinds is not None:
-            places = replace(places, texts={KIND: _words(f"{name}: kinds", kinds, len(places))})
+        wide = np.ndim(landmarks) == 2 and np.shape(landmarks)[1] == 3 + len(SIGMAS)
+        places = table("landmarks", landmarks, ("id", "x", "y", *(SIGMAS if wide else ())))
+        if landmark_descriptor is not None:
+            given = _numbers(f"{name}: landmark_descriptor", landmark_descriptor, len(places))
+            places = _joined(places, {looks.DESCRIPTOR: given})
+        for column, called, words in (
+            (KIND, "kinds", kinds),
+            (looks.CLASS, "landmark_classes", landmark_classes),
+        ):
+            if words is not None:
+                there = _words(f"{name}: {called}", words, len(places))
+                places = replace(places, texts={**places.texts, column: there})
         known = landmarks_of(places)[0]
+        known, notes = usable_sigmas(known, header)
     recorded, inliers = with_measured(inputs_of(header, moved, frame, found, known), measured, key)
     return Log(
         name=name,
         recorded=recorded,
-        truth=Truth(pose, known, found.true_id, fix_inlier=inliers[0], closure_inlier=inliers[1]),
+        truth=Truth(pose, recorded.map, found.true_id, fix_inlier=inliers[0], closure_inlier=inliers[1]),
         label=found.label,
         labels_are_sensed=labels_are_sensed,
+        notes=tuple(notes),
     )
 
 
@@ -203,7 +225,7 @@ def _columns(
 
 def _is_latest(sensor: Mapping[str, Any]) -> bool:
     """Whether a sensor is of format 2 alone."""
-    return "name" in sensor or "sees" in sensor or sensor.get("kind") not in (None, *FIRST)
+    return any(key in sensor for key in ("name", "sees", *looks.KEYS)) or sensor.get("kind") not in (None, *FIRST)
 
 
 def _words(place: str, values: ArrayLike, count: int) -> list[str]:
@@ -211,6 +233,13 @@ def _words(place: str, values: ArrayLike, count: int) -> list[str]:
     if words.shape != (count,):
         raise DataError(f"{place} has shape {words.shape}; ({count},) is needed, one for each row")
     found: list[str] = words.tolist()
+    return found
+
+
+def _numbers(place: str, values: ArrayLike, count: int) -> Array:
+    found = np.asarray(values, float)
+    if found.shape != (count,):
+        raise DataError(f"{place} has shape {found.shape}; ({count},) is needed, one for each row")
     return found
 
 

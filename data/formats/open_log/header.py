@@ -2,7 +2,7 @@
 
 Formats 1 and 2. Keys, with their defaults where they may be left out:
 
-    format = 1                          2 with [[fix]], [[closure]], fixes.csv or closures.csv
+    format = 1                          2 with [[fix]], [[closure]], fixes.csv, closures.csv or appearance
     name = "..."                        unique in a run; it becomes part of file names
     time_is_index = false               t is a frame number, there are no stamps
     covariance_floor = 1e-10            smallest eigenvalue of an increment's covariance; 0 for none

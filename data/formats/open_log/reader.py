@@ -4,9 +4,11 @@
     frames.csv          t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt        row 0: zero increment
     or odometry.csv     t,v,omega                                           preintegrated on loading
     observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame;
-                        in format 2 also sensor, and blank fields (see `sensors`)
+                        in format 2 also sensor, and blank fields (see `sensors`), and descriptor, class (see
+                        `appearance`)
     truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
-    landmarks.csv       id,x,y[,sx,sy]                                      optional; in format 2 also kind
+    landmarks.csv       id,x,y[,sx,sy][,true_x,true_y]                      optional; in format 2 also kind, descriptor,
+                        class
     scans.npz           range scans (see `scans`); then observations.csv and [sensor] may be missing
     relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt]         optional
     fixes.csv           absolute measurements of the pose (see `fixes`)     format 2; then observations.csv and
@@ -31,8 +33,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data.appearance import Appearance
 from data.errors import DataError
 from data.formats.csv_table import FIRST_ROW, Table, read_table
+from data.formats.open_log import appearance as looks
 from data.formats.open_log import closures as closures_file
 from data.formats.open_log import fixes as fixes_file
 from data.formats.open_log.closures import ClosureTable, read_closures
@@ -55,34 +59,63 @@ from data.truth import CLUTTER, UNKNOWN_ID, Relations, Truth
 KIND = "kind"
 
 
-def read_landmarks(path: Path, *, kinds: bool = False) -> tuple[LandmarkMap | None, bool]:
-    """landmarks.csv, ascending by id (None without the file), and whether a survey's sigmas were ignored.
+SIGMAS = ("sx", "sy")
+TRUE_PLACE = ("true_x", "true_y")
 
-    `kinds`: with its column kind (format 2).
+
+def read_landmarks(path: Path, *, latest: bool = False) -> tuple[LandmarkMap | None, LandmarkMap | None]:
+    """landmarks.csv, ascending by id: the map, and the true landmarks, which are the map unless stated (None without
+    the file). `latest`: with its columns kind, descriptor and class (format 2).
     """
     if not path.exists():
-        return None, False
-    return landmarks_of(read_table(path, ("id", "x", "y"), ("sx", "sy", *((KIND,) * kinds)), words=(KIND,)))
+        return None, None
+    more = (KIND, looks.DESCRIPTOR, looks.CLASS) if latest else ()
+    blank, words = (*SIGMAS, *TRUE_PLACE, looks.DESCRIPTOR), (KIND, looks.CLASS)
+    found = read_table(path, ("id", "x", "y"), (*SIGMAS, *TRUE_PLACE, *more), may_be_blank=blank, words=words)
+    return landmarks_of(found)
 
 
-def landmarks_of(table: Table) -> tuple[LandmarkMap, bool]:
-    """The map of a table with its columns, and whether a survey's sigmas were ignored."""
-    sigmas = [n for n in ("sx", "sy") if n in table]
-    table.require_finite(("x", "y", *sigmas))
+def landmarks_of(table: Table) -> tuple[LandmarkMap, LandmarkMap]:
+    """The map of a table with its columns, and the true landmarks."""
+    sigmas = [n for n in SIGMAS if n in table]
+    table.require_finite(("x", "y"))
+    for pair in (SIGMAS, TRUE_PLACE):
+        table.require_finite([n for n in pair if n in table], blank=True)
+        missing = [name for name in pair if name not in table]
+        if len(missing) == 1:
+            raise table.error(-1, missing[0], f"no such column; {' and '.join(pair)} come together")
     for name in sigmas:
-        table.require(table.columns[name] >= 0.0, name, "{} is a negative standard deviation")
+        negative = table.columns[name] < 0.0
+        table.require(~negative, name, "{} is a negative standard deviation; 0 or blank is an exact landmark")
     number = table.integers("id", 0)
     order = np.argsort(number, kind="stable")
     repeated = np.zeros(len(number), bool)
     repeated[order[1:]] = number[order[1:]] == number[order[:-1]]
     table.require(~repeated, "id", "{} is the id of two landmarks")
-    surveyed = any((table.columns[n] > 0.0).any() for n in sigmas)
+    sigma = np.nan_to_num(table.stack(SIGMAS)[order]) if sigmas else np.zeros(0)
     given = table.texts.get(KIND)
     for row, word in enumerate(given or ()):
         if word and not is_name(word):
             raise table.error(row, KIND, f"{word!r} holds a quote; a plain name is needed")
     kind = None if given is None else tuple(given[k] for k in order.tolist())
-    return LandmarkMap(number[order], table.stack(("x", "y"))[order], kind), surveyed
+    seen = looks.of_landmarks(table)
+    known = LandmarkMap(
+        number[order], table.stack(("x", "y"))[order], kind, None if seen is None else seen.only(order),
+        sigma if sigma.any() else None,
+    )  # fmt: skip
+    if TRUE_PLACE[0] not in table:
+        return known, known
+    place = table.stack(TRUE_PLACE)[order]
+    there = np.flatnonzero(np.isfinite(place).all(axis=1))
+    kind = None if kind is None else tuple(kind[k] for k in there.tolist())
+    return known, LandmarkMap(known.id[there], place[there], kind)
+
+
+def usable_sigmas(known: LandmarkMap | None, header: Header) -> tuple[LandmarkMap | None, list[str]]:
+    """The map with the sigmas that estimators can use, and a note where these are none of those stated."""
+    if known is None or known.sigma is None or all(s.sensor.sees_points for s in header.sensors):
+        return known, []
+    return known.exact, [f"{LANDMARKS}: sigmas of walls are not used; estimators take the map as exact"]
 
 
 RELATIVE = ("x", "y", "theta")
@@ -156,8 +189,7 @@ LONGEST = 1e6
 def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log:
     """Read an open log folder; `relations`: a file instead of its relations.csv.
 
-    Observations outside the sensor's stated field of view are kept. The covariance floor is applied here. A survey's
-    sigmas (sx, sy in landmarks.csv) are checked but not used, since estimators take the map as exact; a note says so.
+    Observations outside the sensor's stated field of view are kept. The covariance floor is applied here.
 
     Raises DataError with file, line, column and value.
     """
@@ -187,13 +219,15 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
         pose = truth_per_frame(_truth_table(folder / TRUTH, POSE), len(motion.time))
     frame = frames_in(observations.table, key, motion.time)
-    landmarks, survey = read_landmarks(folder / LANDMARKS, kinds=header.format == LATEST)
+    stated, true_landmarks = read_landmarks(folder / LANDMARKS, latest=header.format == LATEST)
+    known, unusable = usable_sigmas(stated, header)
     scans = _scans(folder, header, len(motion.time), by_stamp=by_stamp)
     reference = folder / RELATIONS if relations is None else relations
     related = None
     if relations is not None or reference.exists():
         related = read_relations(reference, len(motion.time), motion.stamp)
-    recorded, inliers = with_measured(inputs_of(header, motion, frame, observations, landmarks), measured, key)
+    inputs = inputs_of(header, motion, frame, observations, known)
+    recorded, inliers = with_measured(inputs, measured, key)
     notes = list(header.notes) + ([note_of(header.motion_prior)] if header.motion_prior is not None else [])
     for name, part in ((OBSERVATIONS, observations), (FIXES, measured.fixes), (CLOSURES, measured.closures)):
         if part is not None:
@@ -201,12 +235,18 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     if gaps:
         many = counted(gaps, "gap")
         notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
-    if survey:
-        notes.append(f"{LANDMARKS}: the survey's sigmas are ignored; estimators take the map as exact")
+    notes += unusable
     return Log(
         name=header.name,
         recorded=replace(recorded, scans=scans),
-        truth=Truth(pose, landmarks, observations.true_id, related, fix_inlier=inliers[0], closure_inlier=inliers[1]),
+        truth=Truth(
+            pose,
+            recorded.map if true_landmarks is stated else true_landmarks,
+            observations.true_id,
+            related,
+            fix_inlier=inliers[0],
+            closure_inlier=inliers[1],
+        ),
         label=observations.label,
         labels_are_sensed=header.labels_are_sensed,
         source=header.source,
@@ -218,12 +258,15 @@ def inputs_of(
     header: Header, motion: Motion, frame: IntArray, observations: FrameTable, landmarks: LandmarkMap | None
 ) -> Inputs:
     """What estimators get; the covariance floor is applied."""
+    seen, known = looks.together(observations.appearance, None if landmarks is None else landmarks.appearance)
+    if landmarks is not None and known is not None:
+        landmarks = replace(landmarks, appearance=known)
     covariance, floored = floor_covariances(motion.increments.covariance, header.covariance_floor)
     return Inputs(
         prior=header.prior,
         time=motion.time,
         increments=Increments(motion.increments.mean, covariance),
-        observations=Observations(frame, observations.z, observations.R, sensor=observations.sensor),
+        observations=Observations(frame, observations.z, observations.R, sensor=observations.sensor, appearance=seen),
         sensor=header.sensors[0].sensor if header.sensors else RangeBearing(),
         sensors=tuple(s.sensor for s in header.sensors) if len(header.sensors) > 1 else (),
         map=landmarks,
@@ -295,7 +338,9 @@ def with_measured(
 
 
 class FrameTable(NamedTuple):
-    """Observations without frames: z (M, 2), R (M, 2, 2), row of the sensor, true_id and label (M,) or None."""
+    """Observations without frames: z (M, 2), R (M, 2, 2), row of the sensor, true_id, label and appearance (M,) or
+    None.
+    """
 
     table: Table
     z: Array
@@ -303,6 +348,7 @@ class FrameTable(NamedTuple):
     sensor: IntArray | None
     true_id: IntArray | None
     label: IntArray | None
+    appearance: Appearance | None = None
 
     def by_sensor(self, sensor: IntArray, key: str) -> FrameTable:
         """Sorted by sensor (M,) within each frame; DataError unless `key` ascends."""
@@ -316,6 +362,7 @@ class FrameTable(NamedTuple):
             sensor[by],
             None if self.true_id is None else self.true_id[by],
             None if self.label is None else self.label[by],
+            None if self.appearance is None else self.appearance.only(by),
         )
 
 
@@ -373,8 +420,10 @@ def _observations(path: Path, header: Header, key: str, measured: Measured) -> F
     other = "t" if key == "frame" else "frame"
     second = ("z2",) if any(s.sensor.locates for s in header.sensors) else ()
     blank = may_be_blank(header.sensors)
-    optional = (*NOISE, *IDS, other, *(("z2", SENSOR) if blank else ()))
-    table = read_table(path, (key, "z1", *second), optional, may_be_blank=(*IDS, other, *blank), words=(SENSOR,))
+    more = (*looks.NUMBERS, looks.CLASS) if header.format == LATEST else ()
+    optional = (*NOISE, *IDS, other, *more, *(("z2", SENSOR) if blank else ()))
+    may = (*IDS, other, *looks.NUMBERS, *blank)
+    table = read_table(path, (key, "z1", *second), optional, may_be_blank=may, words=(SENSOR, looks.CLASS))
     return observations_of(table, header, key)
 
 
@@ -390,6 +439,7 @@ def observations_of(table: Table, header: Header, key: str) -> FrameTable:
         sensor,
         table.integers("true_id", CLUTTER, blank=UNKNOWN_ID) if "true_id" in table else None,
         table.integers("label", CLUTTER, blank=UNLABELLED) if "label" in table else None,
+        looks.of_observations(table, sensor, [(s.sensor.label, s.looks) for s in header.sensors]),
     )
     return found if sensor is None else found.by_sensor(sensor, key)
 

@@ -7,6 +7,7 @@
                         is z1 (and its variance r11), with z2, r12 and r22 blank
     sees = "tree"       kind of landmark that it observes, as in column kind of landmarks.csv (default: all); format 2
     sigma = [0.02]      default noise: one number for each that it measures
+    descriptor_sigma, class_error: of what landmarks look like (see `appearance`); format 2
     max_range, min_angle, max_angle or field_of_view, rotation, translation: see `header`
 
 Observations of a frame are sorted by sensor on reading.
@@ -22,6 +23,8 @@ import numpy as np
 
 from data.errors import DataError
 from data.formats.csv_table import Table
+from data.formats.open_log import appearance as looks
+from data.formats.open_log.appearance import Noise
 from data.formats.open_log.named import column, is_name, names_of, source_rows
 from data.formats.open_log.scans import mounting
 from data.inputs import IntArray
@@ -32,7 +35,7 @@ from data.toml_table import TomlTable, finite, positive
 TABLE = "sensor"
 KEYS = (
     *("kind", "sigma", "max_range", "min_angle", "max_angle", "field_of_view"),
-    *("rotation", "translation", "extrinsic", "name", "sees"),
+    *("rotation", "translation", "extrinsic", "name", "sees", *looks.KEYS),
 )
 KINDS: dict[str, Callable[..., Sensor]] = {s.name: s for s in (RangeBearing, RelativePoint, Line, Bearing, Range)}
 FIRST = tuple(s.name for s in (RangeBearing, RelativePoint, Line))
@@ -41,10 +44,11 @@ NOISE = ("r11", "r12", "r22")
 
 
 class Stated(NamedTuple):
-    """A sensor, and sigma (d,) of what it measures, None: not stated."""
+    """A sensor, sigma (d,) of what it measures, None: not stated, and the noise of what landmarks look like."""
 
     sensor: Sensor
     sigma: Array | None
+    looks: Noise = Noise()
 
 
 def stated(top: TomlTable, *, first_format: bool) -> tuple[Stated, ...]:
@@ -53,7 +57,7 @@ def stated(top: TomlTable, *, first_format: bool) -> tuple[Stated, ...]:
     tables = top.tables_of(TABLE) if several else [found for found in [top.optional_table(TABLE)] if found is not None]
     if first_format:
         for table in tables:
-            for key in ("name", "sees"):
+            for key in ("name", "sees", *looks.KEYS):
                 if key in table:
                     raise table.error(key, "format = 2 is needed")
         if several:
@@ -82,7 +86,11 @@ def _sensor(table: TomlTable, name: str, *, first_format: bool) -> Stated:
     for key, word in words.items():
         if not is_name(word):
             raise table.error(key, "a name without commas, quotes and outer spaces is needed")
-    return Stated(kind(max_range, low, high, *mounted, words.get("name", name), words.get("sees", "")), sigma)
+    return Stated(
+        kind(max_range, low, high, *mounted, words.get("name", name), words.get("sees", "")),
+        sigma,
+        looks.noise_of(table),
+    )
 
 
 def _view(table: TomlTable) -> tuple[float, float]:

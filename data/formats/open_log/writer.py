@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -13,6 +14,7 @@ import numpy as np
 import tomli_w
 
 from data.errors import DataError
+from data.formats.open_log import appearance as looks
 from data.formats.open_log import closures as closures_file
 from data.formats.open_log import fixes as fixes_file
 from data.formats.open_log import sensors as sensors_file
@@ -31,7 +33,9 @@ from data.formats.open_log.reader import (
     ODOMETRY,
     RELATIONS,
     SCANS,
+    SIGMAS,
     STAMP,
+    TRUE_PLACE,
     TRUTH,
     load_folder,
     relations_columns,
@@ -75,8 +79,7 @@ def write_folder(log: Log, path: str | PathLike[str], samples: Samples | None = 
 
     Increments are written (frames.csv), with calibration, preintegration and covariance floor applied; with `samples`,
     these (odometry.csv). The folder is written beside its final name, read back as a check, and moved into place;
-    returned is what was read. landmarks.csv is map and truth in one, so a log with true landmarks but without a map
-    gets them as its map.
+    returned is what was read. A log with true landmarks but without a map gets them as its map.
 
     Raises DataError if `path` holds something else, cannot be written, or the format cannot hold the log.
     """
@@ -122,6 +125,8 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
         columns = {"t": inputs.time[observations.frame].tolist()}
     sensors = inputs.sensors or (inputs.sensor,)
     columns |= sensors_file.columns_of(sensors, observations.z, observations.R, observations.sensor)
+    if observations.appearance is not None:
+        columns |= looks.columns_of(observations.appearance)
     if truth.landmark_of is not None:
         columns["true_id"] = _or_blank(truth.landmark_of, UNKNOWN_ID)
     if log.label is not None:
@@ -147,8 +152,15 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
     if landmarks is not None:
         x, y = landmarks.xy.reshape(-1, 2).T.tolist()
         places: dict[str, Sequence[object]] = {"id": landmarks.id.tolist(), "x": x, "y": y}
+        if landmarks.sigma is not None:
+            places |= dict(zip(SIGMAS, landmarks.sigma.T.tolist(), strict=True))
+        if (true := truth.landmarks) is not None and not _same(landmarks, true):
+            at = true.positions(landmarks.id).T.tolist()
+            places |= {n: ["" if math.isnan(v) else v for v in c] for n, c in zip(TRUE_PLACE, at, strict=True)}
         if landmarks.kind is not None:
             places["kind"] = landmarks.kind
+        if landmarks.appearance is not None:
+            places |= looks.columns_of(landmarks.appearance, known=True)
         files[LANDMARKS] = _csv(places, zip(*places.values(), strict=True))
     return files
 
@@ -166,14 +178,18 @@ def _frames(log: Log) -> str:
 
 
 def _landmarks(log: Log) -> LandmarkMap | None:
-    """The only map that the format can hold."""
+    """The map as the format can hold it: with the true landmarks beside those of the map."""
     known, true = log.recorded.map, log.truth.landmarks
     if known is None or true is None:
         return known if known is not None else true
-    if not (np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy) and known.kind == true.kind):
-        what = f"log {log.name!r}: its map differs from its true landmarks"
-        raise DataError(f"{what}; {LANDMARKS} can hold only one of them")
+    if not _same(known, true) and (known.rows(true.id) < 0).any():
+        what = f"log {log.name!r}: its map lacks some of its true landmarks"
+        raise DataError(f"{what}; {LANDMARKS} can hold only landmarks of the map")
     return known
+
+
+def _same(known: LandmarkMap, true: LandmarkMap) -> bool:
+    return np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy)
 
 
 def _is_latest(log: Log) -> bool:
@@ -181,7 +197,8 @@ def _is_latest(log: Log) -> bool:
     inputs, sensor, known = log.recorded, log.recorded.sensor, _landmarks(log)
     named = bool(sensor.label or sensor.sees) or (known is not None and known.kind is not None)
     measured = inputs.fixes is not None or inputs.closures is not None
-    return measured or named or bool(inputs.sensors) or not sensor.locates
+    described = inputs.observations.appearance is not None or (known is not None and known.appearance is not None)
+    return measured or named or described or bool(inputs.sensors) or not sensor.locates
 
 
 def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:

@@ -70,6 +70,10 @@ class TextTable:
         """The fields of a column in the rows to keep (K,)."""
         return [row[column] for row, wanted in zip(self.rows, keep.tolist(), strict=True) if wanted]
 
+    def number(self, field: str) -> float:
+        """A field as a number; ValueError if it is none."""
+        return _decimal(field) if self.decimal_comma else _number(field)
+
     def numbers(self, column: int, keep: BoolArray, *, stamps: bool) -> Array:
         """A column as numbers, NaN where blank; `stamps`: dates as 2024-05-01T12:00:00.5 in s since 1970. DataError if
         invalid.
@@ -202,7 +206,7 @@ QUANTITIES = {
     "v": "length/time",
     "omega": "angle/time",
     **dict.fromkeys(("left", "right", "frame", "id", "true_id", "label", "qx", "qy", "qz", "qw"), ""),
-    **dict.fromkeys(("frame1", "frame2", "source"), ""),
+    **dict.fromkeys(("frame1", "frame2", "source", "descriptor", "class", "kind"), ""),
 }
 """Quantities of columns, and their dimensions; rates are per second by default."""
 
@@ -274,7 +278,8 @@ def quantity_with_unit(text: str, dimension: str, where: str) -> float:
     return value * (factor(dimension, unit, where) if unit else 1.0)
 
 
-ROLES = ("odometry", "observations", "map", "truth", "fixes", "closures")
+SECOND = "second-odometry"
+ROLES = ("odometry", "observations", "map", "truth", "fixes", "closures", SECOND)
 QUATERNION = ("qx", "qy", "qz", "qw")
 
 
@@ -282,20 +287,23 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 class Columns:
     """Stated column names by key `quantity` or `role.quantity`; other quantities have their own names.
 
-    `offsets`: s added to the stamps of a role's file; `used`: keys that named a column so far.
+    `offsets`: s added to the stamps of a role's file; `roles`: of files, with the names of sensors; `used`: keys that
+    named a column so far.
     """
 
     given: Mapping[str, str]
     units: Units
     offsets: Mapping[str, float] = field(default_factory=dict)
+    roles: tuple[str, ...] = ROLES
     used: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         for key, name in self.given.items():
             role, dot, quantity = key.rpartition(".")
-            if quantity not in QUANTITIES or (dot and role not in ROLES):
-                near = did_you_mean(quantity, QUANTITIES) if quantity not in QUANTITIES else did_you_mean(role, ROLES)
-                known = f"{', '.join(QUANTITIES)}, each also as in odometry.t (files: {', '.join(ROLES)})"
+            if quantity not in QUANTITIES or (dot and role not in self.roles):
+                unheard = quantity not in QUANTITIES
+                near = did_you_mean(quantity, QUANTITIES) if unheard else did_you_mean(role, self.roles)
+                known = f"{', '.join(QUANTITIES)}, each also as in odometry.t (files: {', '.join(self.roles)})"
                 raise UsageError(f"--columns {key}={name}: unknown quantity {key!r}{near}; known: {known}")
 
     def stated(self, role: str, quantities: Collection[str]) -> bool:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,20 @@ import numpy as np
 
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.recordings.laser import TravelNoise
-from data.formats.tables.files import ROLES, Columns, Units, quantity_with_unit, read_text
+from data.formats.tables.files import ROLES, SECOND, Columns, Units, quantity_with_unit, read_text
 from data.formats.tables.motion import KINDS, Wheels, kind_of
+from data.formats.tables.second import Second
+from data.formats.tables.sensors import (
+    OF_SENSORS,
+    SENSOR,
+    TUNED,
+    TableSensor,
+    by_sensor,
+    files_of,
+    from_tables,
+    sensors_of,
+)
+from data.formats.tables.values import POSE, STAMPED, TRAVEL, Given, numbers, one_of, pairs, sigmas
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.se2 import Array
 from data.toml_table import load_toml
@@ -26,21 +38,20 @@ class Wanted:
     """The request, in SI units.
 
     Attributes:
-        files: path by role (odometry, observations, map, truth).
+        files: path by role (odometry, observations or the name of a sensor, map, truth, fixes, closures).
         columns: columns and units.
         kind: of odometry; None: by its columns.
         wheels: of wheel ticks.
         noise: of the odometry; model: how velocities become increments.
-        sigma: (2,) of an observation; alone: "range" or "bearing", where nothing else is measured.
+        sensors: of observations; none where there are none.
         prior: mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None.
         map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's.
         every_row: every odometry row is a frame, not only those with observations.
-        max_range: m, view: rad, least and largest bearing; None: as observed.
-        sensor_pose: (3,) of the sensor in the body frame.
         sensed: a sensor read the labels.
         backward: a row's velocities held since the row before; else until the next one.
         fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated.
         fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes.
+        second: a second odometry; None: there is none.
     """
 
     files: Mapping[str, Path]
@@ -49,34 +60,23 @@ class Wanted:
     wheels: Wheels | None
     noise: VelocityNoise | TravelNoise
     model: str
-    sigma: Array
+    sensors: tuple[TableSensor, ...]
     prior: Array | str | None
     prior_sigma: Array | None
     map_pose: Array
     truth_pose: Array
     every_row: bool
-    max_range: float | None
-    view: tuple[float, float] | None
-    sensor_pose: Array
     sensed: bool
     backward: bool = False
-    alone: str | None = None
     fix_sigma: Array | None = None
     closure_sigma: Array | None = None
     fix_lever: tuple[float, float] = (0.0, 0.0)
     fix_rotation: float = 0.0
+    second: Second | None = None
 
 
 TABLES = ("columns", "unit", "time-offset")
 """Flags of pairs KEY=VALUE, tables of a mapping file."""
-STAMPED = ("odometry", "observations", "truth", "fixes", "closures")
-"""Roles of files with stamps."""
-POSE = ("length", "length", "angle")
-TRAVEL = ("length", "length", "angle", "angle")
-TUNED = "`slamref tune LOG OUT` fits it afterwards where the log has labels"
-
-Given = Mapping[str, object]
-"""Texts by flag (without leading dashes), `columns` and `unit` as text or as a table of texts."""
 
 
 def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, object]:
@@ -88,11 +88,17 @@ def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, obj
         flag = key.replace("_", "-")
         if flag not in keys:
             raise DataError.at(path, f"key {key!r}: {unknown(flag, keys)}")
-        if flag in TABLES:
+        if flag == SENSOR:
+            for name, texts in from_tables(path, value).items():
+                merged[name] = {**by_sensor(merged.get(name, {}), name), **texts}
+        elif flag in TABLES:
             if not isinstance(value, dict):
                 line = "truth = 0.5" if flag == "time-offset" else 't = "stamp"'
                 raise DataError.at(path, f"{key}: a table is needed, as [{key}] with lines such as {line}")
             merged[flag] = dict(_flat(value))
+        elif flag in OF_SENSORS and isinstance(value, str | int | float | list) and not isinstance(value, bool):
+            text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+            merged[flag] = {"": text, **by_sensor(merged.get(flag, {}), flag)}
         elif isinstance(value, list):
             merged[flag] = ",".join(str(v) for v in value)
         elif isinstance(value, str | int | float) and not isinstance(value, bool):
@@ -102,8 +108,8 @@ def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, obj
         else:
             raise DataError.at(path, f"{key} = {value}: a text, a number or a list is needed")
     for key, value in given.items():
-        both = key in TABLES and key in merged
-        merged[key] = {**pairs(merged[key], key), **pairs(value, key)} if both else value
+        read = pairs if key in TABLES else by_sensor if key in (SENSOR, *OF_SENSORS) else None
+        merged[key] = value if read is None or key not in merged else {**read(merged[key], key), **read(value, key)}
     return merged
 
 
@@ -115,55 +121,21 @@ def _flat(table: Mapping[str, object], above: str = "") -> list[tuple[str, str]]
     return flat
 
 
-def pairs(value: object, flag: str) -> dict[str, str]:
-    """`a=b,c=d` (or several such texts, or a table) as a dict."""
-    if isinstance(value, Mapping):
-        return {str(k): str(v) for k, v in value.items()}
-    texts = value if isinstance(value, list) else [str(value)]
-    found: dict[str, str] = {}
-    for part in [p.strip() for text in texts for p in str(text).split(",") if p.strip()]:
-        key, equals, name = part.partition("=")
-        if not (key.strip() and equals and name.strip()):
-            right = "KEY=NAME is needed, as in t=stamp (names with commas: in a mapping file)"
-            if flag == "time-offset":
-                right = f"PART=SECONDS is needed, as in truth=-0.5, of {', '.join(STAMPED)}"
-            raise UsageError(f"--{flag} {part}: {right}")
-        if key.strip() in found:
-            raise UsageError(f"--{flag}: {key.strip()} is named twice")
-        found[key.strip()] = name.strip()
-    return found
-
-
-def numbers(text: object, dimensions: Sequence[str], flag: str, what: str) -> Array:
-    """Numbers with or without units, one for each dimension; `what` describes them in a message."""
-    parts = [p for p in str(text).replace(",", " ").split() if p]
-    if len(parts) != len(dimensions):
-        raise UsageError(f"--{flag} {text}: {len(dimensions)} numbers are needed: {what}")
-    return np.array([quantity_with_unit(p, d, f"--{flag}") for p, d in zip(parts, dimensions, strict=True)])
-
-
-def _sigmas(text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool = True) -> Array:
-    found = numbers(text, dimensions, flag, what)
-    if (found < 0.0).any() or (not zero and (found == 0.0).any()):
-        raise UsageError(f"--{flag} {text}: must be {'0 or more' if zero else 'more than 0'}")
-    return found
-
-
 def settle(given: Given) -> Wanted:
     """The request in SI units; UsageError for missing, unknown or invalid values."""
     files = {role: Path(str(given[role])) for role in ROLES if given.get(role) is not None}
     if "odometry" not in files:
         raise UsageError('a mapping file names the file with the odometry: odometry = "FILE"')
+    files |= (several := files_of(given))
     units = Units(pairs(given.get("unit", {}), "unit"))
-    columns = Columns(pairs(given.get("columns", {}), "columns"), units, _offsets(given, files))
+    columns = Columns(
+        pairs(given.get("columns", {}), "columns"), units, _offsets(given, files, several), roles=(*ROLES, *several)
+    )
     kind = given.get("odometry-kind")
     if kind is not None and kind not in KINDS:
         raise UsageError(f"--odometry-kind {kind}: {unknown(str(kind), KINDS)}")
     kind = kind_of(read_text(files["odometry"]), columns, None if kind is None else str(kind))
-    seen = read_text(files["observations"]) if "observations" in files else None
-    found = [q for q in ("range", "bearing") if seen is not None and columns.find(seen, "observations", q) is not None]
-    alone = found[0] if len(found) == 1 and len(_words(given.get("observation-sigma", ""))) == 1 else None
-    spread = given.get("prior-sigma")
+    second, spread = _second(given, files, columns), given.get("prior-sigma")
     return Wanted(
         files=files,
         columns=columns,
@@ -171,18 +143,15 @@ def settle(given: Given) -> Wanted:
         wheels=_wheels(given, kind),
         noise=_noise(given, kind),
         model=_model(given, kind),
-        alone=alone,
-        sigma=np.ones(2) if seen is None else _observation_sigma(given, alone, polar=bool(found)),
+        sensors=sensors_of(given, files, columns),
         prior=_prior(given),
-        prior_sigma=None if spread is None else _sigmas(spread, POSE, "prior-sigma", "x and y [m], heading [rad]"),
+        prior_sigma=None if spread is None else sigmas(spread, POSE, "prior-sigma", "x and y [m], heading [rad]"),
         map_pose=_pose(given, "map-transform"),
         truth_pose=_pose(given, "truth-transform"),
-        every_row=_one_of(given, "frames", ("observations", "odometry")) == "odometry",
-        max_range=_reach(given),
-        view=_view(given),
-        sensor_pose=_pose(given, "sensor-pose"),
+        every_row=one_of(given, "frames", ("observations", "odometry")) == "odometry",
         sensed=bool(given.get("labels-sensed", False)),
         backward=_backward(given, kind),
+        second=second,
         **_of_fixes(given, files),
     )
 
@@ -200,11 +169,11 @@ def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
         entries = {1: [2], 2: [0, 1]}.get(count, [0, 1, 2])
         sigma = np.full(3, np.nan)
         what = "of x and y [m], of the heading [rad], or of all three, as in 0.5,0.5,2deg"
-        sigma[entries] = _sigmas(text, [POSE[k] for k in entries], "fix-sigma", what, zero=False)
+        sigma[entries] = sigmas(text, [POSE[k] for k in entries], "fix-sigma", what, zero=False)
         found["fix_sigma"] = sigma
     if "closure-sigma" in given:
         what = "of dx and dy [m] and of the turn [rad], as in 0.1,0.1,1deg"
-        found["closure_sigma"] = _sigmas(given["closure-sigma"], POSE, "closure-sigma", what, zero=False)
+        found["closure_sigma"] = sigmas(given["closure-sigma"], POSE, "closure-sigma", what, zero=False)
     if "fix-lever" in given:
         x, y = numbers(given["fix-lever"], ("length",) * 2, "fix-lever", "x and y [m] in the body frame").tolist()
         found["fix_lever"] = (x, y)
@@ -214,12 +183,12 @@ def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
     return found
 
 
-def _offsets(given: Given, files: Mapping[str, Path]) -> dict[str, float]:
-    """Seconds to add to the stamps, by role."""
-    found = {}
+def _offsets(given: Given, files: Mapping[str, Path], sensors: Collection[str]) -> dict[str, float]:
+    """Seconds to add to the stamps, by role; sensors have one each."""
+    found, known = {}, (*STAMPED, *sensors)
     for role, text in pairs(given.get("time-offset", {}), "time-offset").items():
-        if role not in STAMPED:
-            raise UsageError(f"--time-offset {role}={text}: {unknown(role, STAMPED)}")
+        if role not in known:
+            raise UsageError(f"--time-offset {role}={text}: {unknown(role, known)}")
         if role not in files:
             raise UsageError(f"--time-offset {role}={text}: there is no file of it; --{role} FILE names one")
         found[role] = quantity_with_unit(text, "time", f"--time-offset {role}")
@@ -229,14 +198,7 @@ def _offsets(given: Given, files: Mapping[str, Path]) -> dict[str, float]:
 def _backward(given: Given, kind: str) -> bool:
     if "hold" in given and kind != "velocities":
         raise UsageError(f"--hold {given['hold']}: the odometry has {kind}; velocities hold, between rows")
-    return _one_of(given, "hold", ("forward", "backward")) == "backward"
-
-
-def _one_of(given: Given, flag: str, known: Sequence[str]) -> str:
-    value = str(given.get(flag, known[0]))
-    if value not in known:
-        raise UsageError(f"--{flag} {value}: {unknown(value, known)}")
-    return value
+    return one_of(given, "hold", ("forward", "backward")) == "backward"
 
 
 def _wheels(given: Given, kind: str) -> Wheels | None:
@@ -256,18 +218,38 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
     wrap = str(given.get("tick-wrap", "0"))
     if not wrap.isdecimal():
         raise UsageError(f"--tick-wrap {wrap}: a whole number of ticks is needed, as in 65536")
-    each = _one_of(given, "ticks", ("total", "each")) == "each"
+    each = one_of(given, "ticks", ("total", "each")) == "each"
     return Wheels(width, (float(metres[0]), float(metres[-1])), each, int(wrap))
 
 
-def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
-    """Odometry noise, by the kind of odometry."""
+def _second(given: Given, files: Mapping[str, Path], columns: Columns) -> Second | None:
+    """What is stated of a second odometry; None: there is none."""
+    if SECOND not in files:
+        for flag in (f"{SECOND}-sigma", f"{SECOND}-kind", f"{SECOND}-noise"):
+            if flag in given:
+                raise UsageError(f"--{flag} {given[flag]}: there is none; --{SECOND} FILE names it")
+        return None
+    known = [kind for kind in KINDS if kind != "ticks"]
+    asked = given.get(f"{SECOND}-kind")
+    if asked is not None and asked not in known:
+        raise UsageError(f"--{SECOND}-kind {asked}: {unknown(str(asked), known)}")
+    kind = kind_of(read_text(files[SECOND]), columns, None if asked is None else str(asked), SECOND)
+    if kind == "ticks":
+        raise UsageError(
+            f"--{SECOND} {files[SECOND]}: wheel ticks; {', '.join(known)} are needed, or make it the first"
+        )
+    return Second(kind, _noise(given, kind, SECOND))
+
+
+def _noise(given: Given, kind: str, of: str = "odometry") -> VelocityNoise | TravelNoise:
+    """Odometry noise, by the kind of odometry, in flags that begin with `of`."""
+    stated = f"{of}-sigma"
     velocities = kind == "velocities"
     default = "density" if velocities else "travel"
     known = ("density", "velocity", "displacement", "textbook") if velocities else ("travel",)
-    model = str(given.get("odometry-noise", default))
+    model = str(given.get(f"{of}-noise", default))
     if model not in known:
-        raise UsageError(f"--odometry-noise {model}: for {kind}{did_you_mean(model, known)}: {', '.join(known)}")
+        raise UsageError(f"--{of}-noise {model}: for {kind}{did_you_mean(model, known)}: {', '.join(known)}")
     what = {
         "density": "of v [m] and omega [rad], per square root of a second, as in 0.05,2deg",
         "velocity": "of v [m/s] and omega [rad/s], of each sample, as in 0.1,5deg",
@@ -277,15 +259,16 @@ def _noise(given: Given, kind: str) -> VelocityNoise | TravelNoise:
         "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
         f"{','.join(f'{n:g}' for n in TravelNoise())} was measured on a robot with wheels in an office",
     }[model]
-    if "odometry-sigma" not in given:
-        raise UsageError(f"unknown odometry noise; --odometry-sigma is needed: {what}; {TUNED}")
-    text = given["odometry-sigma"]
+    if stated not in given:
+        hint = f"; {TUNED}" if of == "odometry" else ""
+        raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}{hint}")
+    text = given[stated]
     if model == "travel":
-        return TravelNoise(*_sigmas(text, TRAVEL, "odometry-sigma", what).tolist())
+        return TravelNoise(*sigmas(text, TRAVEL, stated, what).tolist())
     if model in WITH_ALPHAS:
         count = 6 if model == "textbook" and len(str(text).replace(",", " ").split()) == 6 else 4
-        return VelocityNoise(model, alphas=tuple(_sigmas(text, ("",) * count, "odometry-sigma", what).tolist()))
-    sigma_v, sigma_omega = _sigmas(text, ("length", "angle"), "odometry-sigma", what).tolist()
+        return VelocityNoise(model, alphas=tuple(sigmas(text, ("",) * count, stated, what).tolist()))
+    sigma_v, sigma_omega = sigmas(text, ("length", "angle"), stated, what).tolist()
     return VelocityNoise(model, sigma=(sigma_v, sigma_omega))
 
 
@@ -297,24 +280,7 @@ def _model(given: Given, kind: str) -> str:
     """The motion model of velocities."""
     if "integrate" in given and kind != "velocities":
         raise UsageError(f"--integrate {given['integrate']}: for velocities; {kind} are integrated already")
-    return INTEGRATED[_one_of(given, "integrate", tuple(INTEGRATED))]
-
-
-def _words(text: object) -> list[str]:
-    return str(text).replace(",", " ").split()
-
-
-def _observation_sigma(given: Given, alone: str | None, *, polar: bool) -> Array:
-    """Standard deviations (2,), 1 in the place of what is not measured."""
-    if alone is not None:
-        dimension, what = ("length", "of a range alone [m]") if alone == "range" else ("angle", "of a bearing [rad]")
-        one = _sigmas(given["observation-sigma"], (dimension,), "observation-sigma", what, zero=False)
-        return np.concatenate([one, [1.0]] if alone == "range" else [[1.0], one])
-    what = "of a range [m] and a bearing [rad], as in 0.1,2deg" if polar else "of x and y [m], as in 0.1,0.1"
-    if "observation-sigma" not in given:
-        raise UsageError(f"unknown observation noise; --observation-sigma is needed: {what}; {TUNED}")
-    dimensions = ("length", "angle" if polar else "length")
-    return _sigmas(given["observation-sigma"], dimensions, "observation-sigma", what, zero=False)
+    return INTEGRATED[one_of(given, "integrate", tuple(INTEGRATED))]
 
 
 def _prior(given: Given) -> Array | str | None:
@@ -325,21 +291,3 @@ def _prior(given: Given) -> Array | str | None:
 
 def _pose(given: Given, flag: str) -> Array:
     return numbers(given.get(flag, "0,0,0"), POSE, flag, "x, y [m], angle [rad or as in 90deg]")
-
-
-def _reach(given: Given) -> float | None:
-    if "max-range" not in given:
-        return None
-    reach = float(numbers(given["max-range"], ("length",), "max-range", "metres")[0])
-    if reach <= 0.0:
-        raise UsageError(f"--max-range {given['max-range']}: must be more than 0")
-    return reach
-
-
-def _view(given: Given) -> tuple[float, float] | None:
-    if "view" not in given:
-        return None
-    low, high = numbers(given["view"], ("angle",) * 2, "view", "least and largest bearing, as in -60deg,60deg").tolist()
-    if not low < high:
-        raise UsageError(f"--view {given['view']}: the smaller bearing first")
-    return low, high

@@ -10,104 +10,39 @@ import numpy as np
 
 from data import se2
 from data.digest import file_sha256
-from data.errors import DataError, UsageError
+from data.errors import DataError, UsageError, unknown
 from data.formats.csv_table import Table
+from data.formats.open_log.appearance import of_landmarks, together
+from data.formats.open_log.named import is_name
 from data.formats.open_log.writer import Recording, Samples
 from data.formats.recordings.laser import FLOOR
-from data.formats.tables.files import TextTable, headings, read_text, shared
+from data.formats.second_odometry import together as together_closures
+from data.formats.tables.files import SECOND, TextTable, headings, read_text
 from data.formats.tables.flags import Wanted
 from data.formats.tables.measured import Measured, read_closures, read_fixes
 from data.formats.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
-from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior
+from data.formats.tables.observations import (
+    FrameObservations,
+    joined,
+    read_observations,
+    sensor_of,
+    whole,
+    with_looks,
+)
+from data.formats.tables.second import read_second, second_closures
+from data.formats.tables.sensors import SENSOR, TableSensor
+from data.inputs import Inputs, LandmarkMap, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.se2 import Array, BoolArray
-from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
+from data.sensors import RangeBearing
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
-from data.truth import UNKNOWN_ID, Truth
-
-
-@dataclass(frozen=True, eq=False)
-class FrameObservations:
-    """Observations in the order of their stamps `at` (M,) [s], as the odometry's: z (M, 2), kind of sensor."""
-
-    table: Table
-    texts: Mapping[str, list[str]]
-    z: Array
-    at: Array
-    kind: type[Sensor]
-    notes: tuple[str, ...]
-    what, one = "observations", "observation"
-
-    @property
-    def stamped(self) -> bool:
-        """At their own stamps, not at rows of the odometry."""
-        return "t" in self.table
-
-    def part(self, rows: IntArray) -> FrameObservations:
-        """Some of them, in this order."""
-        texts = {q: [fields[i] for i in rows.tolist()] for q, fields in self.texts.items()}
-        return replace(self, table=self.table.part(rows), texts=texts, z=self.z[rows], at=self.at[rows])
-
+from data.truth import Truth
 
 Part = FrameObservations | Measured
-ALONE: dict[str, type[Sensor]] = {"range": Range, "bearing": Bearing}
-"""Sensors of one number by its column."""
-
-
-def observations(file: TextTable, wanted: Wanted, odometry: Odometry) -> FrameObservations:
-    """The observations of a file: range and bearing, one of them alone, or x and y in the sensor's frame."""
-    columns, alone = wanted.columns, wanted.alone
-    polar = alone is not None or columns.find(file, "observations", "range") is not None
-    if not polar and columns.find(file, "observations", "bearing") is not None:
-        what = f"bearings without a range: {file.described()}; name its column, as in --columns range=DIST"
-        raise DataError.at(file.path, f"{what}; if there are only bearings, --observation-sigma has one number")
-    if not polar and not columns.has(file, "observations", ("x", "y")):
-        what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
-        raise DataError.at(file.path, f"{what}; name them as in --columns range=DIST,bearing=ANGLE")
-    by_stamp = odometry.stamped and columns.find(file, "observations", "t") is not None
-    key = "t" if by_stamp else "frame"
-    if not by_stamp and columns.find(file, "observations", "frame") is None:
-        columns.require(file, "observations", ("t",) if odometry.stamped else ("frame",))
-    values = (alone,) if alone is not None else ("range", "bearing") if polar else ("x", "y")
-    table, texts, skipped = columns.table(file, "observations", (*values, key), texts=("true_id", "label"))
-    together = "observations" in shared(wanted.files)
-    notes = [f"{file.path.name}: {skipped} rows without an observation"] if skipped and not together else []
-    z = np.zeros((len(table), 2))
-    z[:, [1] if alone == "bearing" else list(range(len(values)))] = table.stack(values)
-    if polar and alone != "bearing":
-        table.require(z[:, 0] >= 0.0, "range", "{} is a negative range")
-    at = table.columns[key]
-    if not by_stamp:
-        rows = table.integers("frame", 0)
-        last = len(odometry.time) - 1
-        table.require(rows <= last, "frame", f"{{}} is out of range; the odometry has rows 0 to {last}")
-        at = odometry.time[rows]
-    kind = ALONE[alone] if alone is not None else RangeBearing if polar else RelativePoint
-    found = FrameObservations(table, texts, z, at, kind, tuple(notes))
-    back = int((np.diff(at) < 0.0).sum())
-    if back:
-        notes.append(f"{file.path.name}: {back} observations were stamped before the one above; sorted")
-        found = replace(found.part(np.argsort(at, kind="stable").astype(np.int64)), notes=tuple(notes))
-    return found
-
-
-def whole(table: Table, fields: list[str], name: str) -> IntArray:
-    """Ids: whole numbers, blank for unknown, -1 for false alarms."""
-    blank = UNLABELLED if name == "label" else UNKNOWN_ID
-    ids = np.full(len(fields), blank, np.int64)
-    for i, field in enumerate(fields):
-        if field and field.lower() != "nan":
-            try:
-                value = float(field)
-                ids[i] = int(value)
-            except (ValueError, OverflowError):
-                value = 0.5
-            if value != ids[i] or ids[i] < CLUTTER:
-                raise table.error(i, name, f"{field!r} is not a whole number from -1 up (-1: clutter; blank: unknown)")
-    return ids
-
+KIND = "kind"
+"""Column of the map."""
 
 LONGEST = 1e6
 """s, longest log; stamps in another unit would fill the memory with keyframes."""
@@ -143,28 +78,30 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     odometry = read_odometry(texts["odometry"], columns, kind, wanted.wheels)
     if wanted.backward:
         odometry = odometry.held_backward()
-    if "observations" in texts:
-        seen = observations(texts["observations"], wanted, odometry)
-    else:
-        none = Table(texts["odometry"].path, {"t": np.zeros(0)})
-        seen = FrameObservations(none, {}, np.zeros((0, 2)), np.zeros(0), RangeBearing, ())
-    notes = [*odometry.notes, *seen.notes]
+    seen = [read_observations(texts[sensor.role], sensor, wanted, odometry) for sensor in wanted.sensors]
+    notes = [*odometry.notes, *(note for part in seen for note in part.notes)]
     if odometry.velocity is not None:
         way = "since the row before" if wanted.backward else "until the next row"
         other = "forward: until the next row" if wanted.backward else "backward: since the row before"
         notes.append(f"v and omega are taken to hold {way} (--hold {other})")
-    parts: list[Part] = [seen]
+    parts: list[Part] = [*seen]
     if "fixes" in texts:
         parts.append(read_fixes(texts["fixes"], wanted, odometry, notes))
     if "closures" in texts:
         parts.append(read_closures(texts["closures"], wanted, odometry))
+    second = None
+    if wanted.second is not None:
+        second = read_second(texts[SECOND], wanted.second, columns, odometry)
     true = _true_poses(texts["truth"], wanted, notes, stamped=odometry.stamped) if "truth" in texts else None
     if isinstance(wanted.prior, str) and true is not None:
         odometry, parts = _from_truth_on(odometry, parts, true, notes)
     time, parts = _frames(odometry, parts, wanted, notes)
-    seen = next(part for part in parts if isinstance(part, FrameObservations))
-    frame = np.searchsorted(time, seen.at).astype(np.int64)
+    seen = [part for part in parts if isinstance(part, FrameObservations)]
     found = {part.what: part for part in parts if isinstance(part, Measured)}
+    measured = [found["closures"].closures(time)] if "closures" in found else []
+    if second is not None and wanted.second is not None:
+        taken = [name for closures in measured for name in closures.sources]
+        measured.append(second_closures(texts[SECOND], second, wanted.second, time, taken, notes))
     increments, gaps = odometry.increments(time, wanted.noise, wanted.model)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
     if odometry.velocity is None:
@@ -176,25 +113,33 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     known = _map(texts["map"], wanted) if "map" in texts else None
     pose = None if true is None else _at_frames(true, texts["truth"], wanted, time)
     columns.check_used(list(dict.fromkeys(texts.values())))
-    labels = {key: whole(seen.table, seen.texts[key], key) for key in ("true_id", "label") if key in seen.texts}
-    sensor = _sensor(wanted, seen, notes) if "observations" in texts else RangeBearing()
-    R = np.tile(np.diag(wanted.sigma**2), (len(frame), 1, 1))
+    observed, labels = joined(seen, time)
+    looks, known_looks = together(observed.appearance, None if known is None else known.appearance)
+    observed = replace(observed, appearance=looks)
+    known = None if known is None else replace(known, appearance=known_looks)
+    sensors = tuple(sensor_of(part, notes) for part in seen) or (RangeBearing(),)
+    _check_kinds(wanted.sensors, known)
     inputs = Inputs(
         prior=_prior(wanted, pose, known, absolute="fixes" in found),
         time=time,
         increments=replace(increments, covariance=covariance),
-        observations=Observations(frame, seen.z, R),
-        sensor=sensor,
+        observations=observed,
+        sensor=sensors[0],
+        sensors=sensors if len(sensors) > 1 else (),
         map=known,
         time_is_index=not odometry.stamped,
         covariance_floor=FLOOR,
         floored=floored,
         fixes=found["fixes"].fixes(time, wanted.fix_lever, wanted.fix_rotation) if "fixes" in found else None,
-        closures=found["closures"].closures(time) if "closures" in found else None,
+        closures=together_closures(measured),
     )
-    files = {role: path.name for role, path in wanted.files.items()}
-    files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items()}
+    several = [sensor.name for sensor in wanted.sensors if sensor.name]
+    files = {role: path.name for role, path in wanted.files.items() if role not in several}
+    files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items() if role not in several}
     more: dict[str, object] = {ODOMETRY_KIND: kind}
+    if several:
+        of = {name: wanted.files[name] for name in several}
+        more[SENSOR] = {name: {"file": path.name, "sha256": file_sha256(path)} for name, path in of.items()}
     if kind == "velocities" and len(odometry.time) > 1:
         more |= {ODOMETRY_PERIOD: float(np.median(np.diff(odometry.time))), INTEGRATION: wanted.model}
     more |= {"hold": "backward"} if wanted.backward else {}
@@ -270,9 +215,21 @@ def _span(time: Array) -> str:
 
 
 def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
-    """Landmarks in the world frame; without ids they are numbered from 0 in the order of the file."""
+    """Landmarks in the world frame; without ids they are numbered from 0 in the order of the file. Blank sigmas are 0.
+
+    DataError for sigmas that the map's rotation would correlate.
+    """
     columns = wanted.columns
-    table, texts, _ = columns.table(file, "map", ("x", "y"), texts=("id",))
+    # a column of that name is something else where no sensor sees a kind
+    kind = (KIND,) * (any(sensor.sees for sensor in wanted.sensors) or columns.stated("map", (KIND,)))
+    looked = dict.fromkeys(q for sensor in wanted.sensors for q in sensor.looked)
+    stated = [q for q in ("sx", "sy") if columns.find(file, "map", q) is not None]
+    words = ("id", *kind, *looked)
+    table, texts, _ = columns.table(file, "map", ("x", "y"), optional=stated, texts=words, may_be_blank=stated)
+    table = with_looks(file, table, texts)
+    for row, word in enumerate(texts.get(KIND, ())):
+        if word and not is_name(word):
+            raise table.error(row, KIND, f"{word!r} holds a comma or a quote; a plain name is needed")
     ids = whole(table, texts["id"], "id") if "id" in texts else np.arange(len(table), dtype=np.int64)
     order = np.argsort(ids, kind="stable")
     twice = np.flatnonzero(ids[order][1:] == ids[order][:-1])
@@ -281,7 +238,39 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
         raise table.error(row, "id", f"{ids[row]} is repeated; each landmark needs an id of its own")
     if len(ids) and ids.min() < 0:
         raise table.error(int(np.argmin(ids)), "id", f"{ids.min()} is negative; ids are whole numbers from 0 up")
-    return LandmarkMap(ids[order], se2.transform_points(wanted.map_pose, table.stack(("x", "y")))[order])
+    kinds = None if KIND not in texts else tuple(texts[KIND][row] for row in order.tolist())
+    sigma = _map_sigmas(table, stated, float(wanted.map_pose[2]))
+    xy, looks = se2.transform_points(wanted.map_pose, table.stack(("x", "y"))), of_landmarks(table)
+    return LandmarkMap(
+        ids[order], xy[order], kinds, appearance=None if looks is None else looks.only(order),
+        sigma=None if sigma is None else sigma[order],
+    )  # fmt: skip
+
+
+def _map_sigmas(table: Table, stated: Sequence[str], turn: float) -> Array | None:
+    """Standard deviations (L, 2) of the turned map, or None where there are none."""
+    if not stated:
+        return None
+    if len(stated) == 1:
+        raise table.error(-1, stated[0], "sx and sy come together")
+    sigma = np.nan_to_num(table.stack(stated))
+    for k, q in enumerate(stated):
+        table.require(sigma[:, k] >= 0.0, q, "{} is a negative standard deviation; 0 or blank is an exact landmark")
+    quarters = turn / (0.5 * np.pi)
+    if abs(quarters - round(quarters)) > 1e-9:
+        different = "{} differs from sy; a map turned by --map-transform needs both equal"
+        table.require(sigma[:, 0] == sigma[:, 1], stated[0], different)
+    return (sigma[:, ::-1] if round(quarters) % 2 else sigma) if sigma.any() else None
+
+
+def _check_kinds(sensors: Sequence[TableSensor], known: LandmarkMap | None) -> None:
+    """UsageError for a sensor of landmarks that the map has none of."""
+    for sensor in sensors if known is not None else ():
+        kinds = set(known.kind or ()) if known is not None else set()
+        if sensor.sees and sensor.sees not in kinds:
+            have = unknown(sensor.sees, sorted(kinds - {""})) if kinds - {""} else "not in the map, which has no kinds"
+            text = f"{sensor.name}={sensor.sees}" if sensor.name else sensor.sees
+            raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
 
 
 def _true_poses(file: TextTable, wanted: Wanted, notes: list[str], *, stamped: bool) -> TruePoses:
@@ -333,19 +322,3 @@ def _prior(wanted: Wanted, pose: Array | None, known: LandmarkMap | None, *, abs
             raise UsageError("--prior truth: the first frame has no true pose; state it with --prior X,Y,THETA")
         mean = pose[0]
     return Prior(mean, np.diag(wanted.prior_sigma**2))
-
-
-def _sensor(wanted: Wanted, seen: FrameObservations, notes: list[str]) -> Sensor:
-    """The sensor, with the stated or observed field of view."""
-    kind = seen.kind
-    polar = kind().polar(seen.z)
-    reach, view = wanted.max_range, wanted.view
-    if reach is None and kind is Bearing:
-        reach = np.inf
-    elif reach is None:
-        # a little more, so that the farthest observation is inside whatever the rounding
-        reach = 1.001 * float(polar[:, 0].max()) if len(polar) and polar[:, 0].max() > 0.0 else np.inf
-        notes.append(f"max_range is {reach:.4g} m, the farthest observation; --max-range states the sensor's own")
-    low, high = view or (-np.pi, np.pi)
-    back = se2.inverse(wanted.sensor_pose)
-    return kind(reach, low, high, float(back[2]), (float(back[0]), float(back[1])))

@@ -103,24 +103,25 @@ class Odometry:
         return increments_of(self.pose if same else se2.interpolate(self.time, self.pose, at), noise)
 
 
-def kind_of(file: TextTable, columns: Columns, asked: str | None) -> str:
+def kind_of(file: TextTable, columns: Columns, asked: str | None, role: str = "odometry") -> str:
     """The requested kind of odometry, else the only one whose columns a file has; DataError for none or several."""
     if asked is not None:
         return asked
-    found = [k for k, qs in KINDS.items() if columns.has(file, "odometry", _alternative(file, columns, qs))]
-    named = [k for k in found if columns.stated("odometry", KINDS[k])]
+    found = [k for k, qs in KINDS.items() if columns.has(file, role, _alternative(file, columns, qs, role))]
+    named = [k for k in found if columns.stated(role, KINDS[k])]
     if len(named or found) == 1:
         return (named or found)[0]
     listed = "; ".join(f"{k} ({', '.join(qs)})" for k, qs in KINDS.items())
     if not found:
         what = f"no odometry: {file.described()}; one of {listed} is needed"
-        raise DataError.at(file.path, f"{what}; name them as in --columns v=SPEED,omega=TURN_RATE")
-    raise DataError.at(file.path, f"holds {' and '.join(named or found)}; choose one with --odometry-kind {found[0]}")
+        own = "" if role == "odometry" else f"{role}."
+        raise DataError.at(file.path, f"{what}; name them as in --columns {own}v=SPEED,{own}omega=TURN_RATE")
+    raise DataError.at(file.path, f"holds {' and '.join(named or found)}; choose one with --{role}-kind {found[0]}")
 
 
-def _alternative(file: TextTable, columns: Columns, quantities: Sequence[str]) -> Sequence[str]:
+def _alternative(file: TextTable, columns: Columns, quantities: Sequence[str], role: str) -> Sequence[str]:
     """The quantities, with a quaternion instead of a missing theta."""
-    if "theta" in quantities and columns.find(file, "odometry", "theta") is None:
+    if "theta" in quantities and columns.find(file, role, "theta") is None:
         return (*[q for q in quantities if q != "theta"], *QUATERNION)
     return quantities
 
@@ -131,13 +132,15 @@ def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...
     return ("x", "y", *QUATERNION) if quaternion else ("x", "y", "theta")
 
 
-def read_odometry(file: TextTable, columns: Columns, kind: str, wheels: Wheels | None) -> Odometry:
+def read_odometry(
+    file: TextTable, columns: Columns, kind: str, wheels: Wheels | None, role: str = "odometry"
+) -> Odometry:
     """The odometry of a file; DataError for missing or invalid columns, UsageError for ticks without wheels."""
-    quantities = pose_columns(file, columns, "odometry") if kind == "poses" else KINDS[kind]
-    stamped = columns.find(file, "odometry", "t") is not None
+    quantities = pose_columns(file, columns, role) if kind == "poses" else KINDS[kind]
+    stamped = columns.find(file, role, "t") is not None
     if not stamped and kind in STAMPED:
-        columns.require(file, "odometry", ("t",))
-    table, _, skipped = columns.table(file, "odometry", (*(("t",) if stamped else ()), *quantities))
+        columns.require(file, role, ("t",))
+    table, _, skipped = columns.table(file, role, (*(("t",) if stamped else ()), *quantities))
     if len(table) == 0:
         raise DataError.at(file.path, f"no row has {', '.join(quantities)}")
     notes = []
@@ -158,7 +161,7 @@ def read_odometry(file: TextTable, columns: Columns, kind: str, wheels: Wheels |
     if kind == "velocities":
         return Odometry(table, time, stamped, None, table.stack(("v", "omega")), tuple(notes))
     if kind == "poses":
-        notes += suspicious(file, columns, headings(values), time if stamped else None, "odometry")
+        notes += suspicious(file, columns, headings(values), time if stamped else None, role)
         pose = np.stack([values["x"], values["y"], se2.wrap_angle(headings(values))], axis=-1)
     elif kind == "steps":
         steps = table.stack(KINDS["steps"])

@@ -204,7 +204,7 @@ def pose_updated_of(who: str, given: Any, dof: list[int]) -> PoseUpdated:
         if found.shape != done.used.shape or found.dtype != np.bool_:
             raise ForeignError(f"{who}: used is {found.dtype} {found.shape}; bool {done.used.shape} is needed")
         done.used[:] = found
-    for name, field in (("nis", done.nis), ("white", done.white)):
+    for name, field in (("nis", done.nis), ("white", done.white), ("S", done.S)):
         if stated.get(name) is not None:
             field[:] = array(who, stated[name], field.shape, name, finite=False)
     return done

@@ -59,7 +59,9 @@ class Duplicates:
 
 
 class Compared(NamedTuple):
-    """New and old landmarks with their joint statistics; `covisible` (m, n): they cannot be the same."""
+    """New and old landmarks with their joint statistics; `covisible` (m, n): they cannot be the same, as they
+    were seen together or look different.
+    """
 
     new: Landmarks
     old: Landmarks
@@ -76,6 +78,7 @@ def compare(slam: EkfSlam, ledger: Ledger, young: list[int], old: list[int]) -> 
     new, there = Landmarks(mean[:m].reshape(-1, 2), P[:m, :m]), Landmarks(mean[m:].reshape(-1, 2), P[m:, m:])
     d2, det = squared_distances(new, there, P[:m, m:])
     never = np.array([np.isin(old, [*ledger.records[a].covisible, a]) for a in young])
+    never |= ledger.looks.differ(np.array(young), np.array(old), gate_threshold(constants.SAME_GATE, 1))
     return Compared(new, there, P[:m, m:], d2, det, never)
 
 

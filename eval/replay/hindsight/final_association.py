@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association.appearance import Looks
 from association.expectation import Expectation, gate_threshold
 from association.methods import gnn
 from data.inputs import IntArray, LandmarkMap, Observations
@@ -54,14 +55,21 @@ def _distances(
     return d2
 
 
-def reassociate(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations) -> Reassociation:
-    """Global nearest neighbour in every frame, from exact poses (N, 3), for observations (m) ascending by frame."""
+def reassociate(
+    sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, looks: Looks | None = None
+) -> Reassociation:
+    """Global nearest neighbour in every frame, from exact poses (N, 3), for observations (m) ascending by frame.
+
+    `looks`: what the landmarks look like, if the observations have an appearance.
+    """
     number, alone = np.full(len(seen.frame), -1, np.int64), np.zeros(len(seen.frame), np.bool_)
-    threshold, near = (gate_threshold(p) for p in (constants.REASSOCIATION_GATE, constants.REASSOCIATION_QUANTILE))
     begin = np.searchsorted(seen.frame, np.arange(len(pose) + 1))
     for k in np.unique(seen.frame).tolist():
         rows = slice(begin[k], begin[k + 1])
         e = _expected(sensor, pose[k], known, seen.z[rows], seen.R[rows])
+        if looks is not None and seen.appearance is not None:
+            e = e.with_appearance(looks.unlike(e.number, seen.appearance.only(rows)))
+        threshold, near = (e.threshold(p) for p in (constants.REASSOCIATION_GATE, constants.REASSOCIATION_QUANTILE))
         number[rows] = gnn(e, constants.REASSOCIATION_GATE)
         d2 = e.individual_distances()
         alone[rows] = ((d2 < threshold).sum(axis=1) == 1) & (d2 < near).any(axis=1)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from association.appearance import Looks
 from association.decide import decide
 from data.inputs import Frame, IntArray, LandmarkMap, Observations
 from data.result import DISCARD
@@ -81,7 +82,7 @@ def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> Pla
 
     It is lost then, and takes long.
     """
-    held = EkfSlam(given.prior, given.sensor)
+    held, looks = EkfSlam(given.prior, given.sensor), Looks()
     poses = PoseMeasurements(given, held, held, setup.gate_poses)
     numbers, path = [], []
     for frame in frames:
@@ -89,12 +90,16 @@ def plain(given: Given, setup: Setup, frames: Sequence[Frame], most: int) -> Pla
             held.predict(frame.increment)
         poses.use(frame)
         if len(frame.observations.z):
-            e = held.expect(frame.observations)
+            e, seen = held.expect(frame.observations), frame.appearance
+            if seen is not None:
+                e = e.with_appearance(looks.unlike(e.number, seen))
             decisions = decide("jcbb", e, setup.gate, setup.new_gate).decisions
             done = held.update(frame.observations, decisions)
             if done.created.max(initial=-1) >= most:
                 return None
             numbers.append(np.where(done.created >= 0, done.created, np.where(done.used, decisions, DISCARD)))
+            if seen is not None:
+                looks.see(numbers[-1], seen)
         path.append(held.estimate().mean)
     number = np.concatenate([np.empty(0, np.int64), *numbers])
     landmarks = held.landmarks()

@@ -13,6 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from association.appearance import Looks
 from association.candidates import holding, narrower
 from association.conditional import ConditionalInnovations, conditional_innovations
 from association.expectation import Expectation
@@ -53,6 +54,7 @@ class Ledger:
         # number of the next landmark, newest frame, number of frames with observations, distance travelled [m]
         self.created, self.frame, self.frames, self.travelled = 0, -1, 0, 0.0
         self.epoch = Epoch()
+        self.looks = Looks()  # what the landmarks look like
         self.events: list[Event] = []  # the revisions, in order
         # at the end: landmarks of the map that left before; landmarks removed from a folded map, and their last
         # observations
@@ -122,7 +124,10 @@ class Ledger:
             record = Record([(frame.first + i, NEW)], place, self.travelled, self.travelled)
             record.familiar.update(beside(cell(polar[i, 0], pose[2] + polar[i, 1])))
             self.records[self.created - 1] = record
-        together = [n for n in np.where(done.created >= 0, done.created, decisions).tolist() if n >= 0]
+        number = np.where(done.created >= 0, done.created, decisions)
+        if frame.appearance is not None:
+            self.looks.see(number, frame.appearance)
+        together = [n for n in number.tolist() if n >= 0]
         for n in together:
             record = self.records[n]
             record.last, record.times = self.travelled, record.times + 1
@@ -215,12 +220,14 @@ class Ledger:
 
     def drop(self, numbers: IntArray) -> None:
         """Remove landmarks from the map without revisions."""
+        self.looks.forget(numbers)
         for n in numbers.tolist():
             for other in self.records.pop(n).covisible:
                 self.records[other].covisible.discard(n)
 
     def merge(self, pairs: list[tuple[int, int]]) -> None:
         """Merge landmarks (away, kept): decisions for the first become decisions for the second."""
+        self.looks.merge(pairs)
         for away, kept in pairs:
             old, into = self.records.pop(away), self.records[kept]
             self.events += [Event(self.frame, row, decision, kept, MERGED) for row, decision in old.observations]

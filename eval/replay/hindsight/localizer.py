@@ -65,7 +65,7 @@ class HindsightLocalizer:
     def decide(self, frame: Frame) -> IntArray:
         """Decisions (m,) about observations of this frame: landmark id, or `DISCARD` where they are postponed."""
         past = self.bank.members[0].past
-        standing = self.bank.observe(frame.observations, frame.first)
+        standing = self.bank.observe(frame.observations, frame.first, frame.appearance)
         self._revise(past, self.bank.members[0].past)
         before, paired = self.health, int((standing.decisions >= 0).sum())
         self.health = watch(before, len(standing.decisions), paired, standing.nis, standing.dof)

@@ -13,7 +13,7 @@ import numpy as np
 
 from association.candidates import in_view
 from association.expectation import Expectation
-from data.inputs import ERRORS, Frame, FrameObservations, IntArray, Systematic
+from data.inputs import ERRORS, Frame, IntArray, Systematic
 from data.notice import Code, Notice, notice
 from data.result import Event
 from data.se2 import Array
@@ -116,7 +116,7 @@ class HindsightMapper:
     def decide(self, frame: Frame) -> Mapped:
         """Steps 2 to 7: decisions about observations of this frame, also used by the filter."""
         frame = self.restated.restated(frame)
-        e = self._expect(frame.observations)
+        e = self._expect(frame)
         placed = self.motion.place(e, self.filter.estimate().mean)  # 2
         if placed is None:
             decisions, complete = self._pair(e)  # 3, 4
@@ -137,9 +137,11 @@ class HindsightMapper:
             self.whole.loosen(decided.kidnapped)
         return decided
 
-    def _expect(self, observations: FrameObservations) -> Expectation:
-        e = self.filter.expect(observations)
-        return e.only(np.flatnonzero(in_view(self.restated.widened(self.filter.sensor), e.z_hat, e.HPHt)))
+    def _expect(self, frame: Frame) -> Expectation:
+        e = self.filter.expect(frame.observations)
+        e = e.only(np.flatnonzero(in_view(self.restated.widened(self.filter.sensor), e.z_hat, e.HPHt)))
+        seen = frame.appearance
+        return e if seen is None else e.with_appearance(self.ledger.looks.unlike(e.number, seen))
 
     def _pair(self, e: Expectation) -> tuple[IntArray, bool]:
         """Step 3, pair by the learned noise; step 4, postpone what only the stated noise explains."""

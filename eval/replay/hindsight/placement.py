@@ -267,7 +267,7 @@ def _verified(
 
 def _clear(believed: Expectation, decisions: IntArray, gate: float | None) -> IntArray:
     """Unambiguous pairings of both sides, given all; all pairings if these are too few."""
-    near = believed.individual_distances() < gate_threshold(gate)
+    near = believed.individual_distances() < believed.threshold(gate)
     rows, chosen = believed.paired(decisions)
     clear = (near[rows].sum(axis=1) == 1) & (near[:, chosen].sum(axis=0) == 1) & near[rows, chosen]
     if clear.sum() < constants.PLACE_PAIRINGS:
@@ -286,6 +286,8 @@ def _more(believed: Expectation, decisions: IntArray, gate: float | None) -> Int
     rest = replace(
         believed.only(free), z=believed.z[left], R=believed.R[left], observed_frame=believed.observed_frame[left]
     )
+    if rest.unlike is not None:
+        rest = replace(rest, unlike=rest.unlike.of(left))
     more = decisions.copy()
     more[left] = search(rest, gate).decisions
     return more

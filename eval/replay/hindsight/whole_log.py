@@ -9,8 +9,11 @@ import math
 
 import numpy as np
 
+from association.appearance import Looks, evidence
 from association.candidates import narrower
 from association.expectation import SingularInnovationError, gate_threshold
+from association.truncated import of_places
+from data.appearance import joined
 from data.errors import DataError
 from data.inputs import Frame, FrameObservations, Increments, Inputs, IntArray, LandmarkMap, Observations, Systematic
 from data.motion.systematic import sensor_frame
@@ -123,7 +126,7 @@ class WholeLog:
         return self.smoothed
 
     def _settled_gate(self, s: Smoothed) -> Reassociation:
-        self.gate = s.share * gate_threshold(constants.REASSOCIATION_GATE)
+        self.gate = s.share * of_places(constants.REASSOCIATION_GATE, 2, right=evidence(s.seen.appearance))
         return s.found
 
     def _smooth(
@@ -140,6 +143,8 @@ class WholeLog:
             scaled = Observations(best.seen.frame, best.seen.z, best.share * best.seen.R)
             view = narrower(best.sensor, self._view)
             pairs = same_landmarks(view, best.pose, best.known, scaled, best.found.number)
+            looks, limit = _looks(best.seen, best.found.number), gate_threshold(constants.SAME_GATE, 1)
+            pairs = [p for p in pairs if looks is None or not looks.differ(np.array(p[:1]), np.array(p[1:]), limit)]
             if not pairs:
                 break
             found, to = best.found.number, np.arange(len(places))
@@ -173,8 +178,8 @@ class WholeLog:
         known, seen = LandmarkMap(found.map.number, xy), log.observations
         share = noise_share(sensor, pose, known, seen, number)
         motion = max(found.cost - squares(sensor, pose, known, seen, number), 0.0)
-        scaled = Observations(seen.frame, seen.z, share * seen.R)
-        paired = reassociate(sensor, pose, known, scaled)
+        scaled = Observations(seen.frame, seen.z, share * seen.R, appearance=seen.appearance)
+        paired = reassociate(sensor, pose, known, scaled, _looks(seen, number))
         looks = recounted(narrower(sensor, self._view), pose, known, scaled, paired.number)
         return Smoothed(sensor, pose, known, seen, paired, share, motion, looks, again)
 
@@ -195,7 +200,11 @@ class WholeLog:
     def _seen(self) -> Observations:
         each = [f.observations for f in self._frames]
         of = np.repeat(np.arange(len(each)), [len(s.z) for s in each])
-        return Observations(of, np.concatenate([s.z for s in each]), np.concatenate([s.R for s in each]))
+        looks = [f.appearance for f in self._frames if f.appearance is not None]
+        return Observations(
+            of, np.concatenate([s.z for s in each]), np.concatenate([s.R for s in each]),
+            appearance=joined(looks) if looks else None,
+        )  # fmt: skip
 
     def _inputs(self, restated: Restated, systematic: Systematic | None) -> Inputs:
         n, seen = len(self._frames), self._seen()
@@ -207,9 +216,18 @@ class WholeLog:
         R = with_shares(self._given.sensor, FrameObservations(seen.z, seen.R), restated.shares).R
         return Inputs(
             self._given.prior, np.arange(n, dtype=float), Increments(mean, covariance),
-            Observations(seen.frame, seen.z, R), self._given.sensor, systematic=systematic,
+            Observations(seen.frame, seen.z, R, appearance=seen.appearance), self._given.sensor, systematic=systematic,
             fixes=self._given.fixes, closures=self._given.closures,
         )  # fmt: skip
+
+
+def _looks(seen: Observations, number: IntArray) -> Looks | None:
+    """What landmarks look like, by the number (m,) of each observation; None: observations have no appearance."""
+    if seen.appearance is None:
+        return None
+    looks = Looks()
+    looks.see(number, seen.appearance)
+    return looks
 
 
 def _numbers(records: dict[int, Record], observations: int) -> IntArray:

@@ -13,15 +13,15 @@ import numpy as np
 from association.scans.constraints import SCAN, LaserRun
 from association.scans.points import beams_of, scan_points
 from association.scans.redundant import redundant, without
-from association.scans.uncertainty import learned_scale, residuals, spanned
 from data.errors import UsageError
 from data.inputs import Inputs
 from data.notice import Code, Notice, Severity, notice
 from data.result import Run
 from data.se2 import Array, between, compose, dead_reckoned, transform_points
 from eval.replay.laser.backends import NAMES, Solved, backend
-from eval.replay.laser.front_end import FrontEndResult, Repeated, consistent_front_end
+from eval.replay.laser.front_end import FrontEndResult, Repeated
 from eval.replay.laser.parameters import LaserParameters
+from eval.replay.laser.scale import scaled, scaled_front_end
 from eval.replay.settings import Setup
 
 
@@ -51,7 +51,6 @@ def between_scans(inputs: Inputs, pose: Array) -> Array:
 
 
 CONTRAST = 0.999  # gate of the filter shown for comparison with the ungated one
-FEWEST = 20  # loop closures needed to learn a scale, which then is known to a quarter or better
 
 
 def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> list[LaserRun]:
@@ -65,25 +64,22 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
         if name not in NAMES:
             raise UsageError(f"{name} with association {SCAN}: of laser logs there are {', '.join(NAMES)}")
     parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
-    front, repeated = consistent_front_end(inputs, parameters)
-    learned = _learned(inputs, front, setup)
-    factor, error = learned or (1.0, 0.0)
-    front = _scaled(front, factor)
+    found = scaled_front_end(inputs, parameters, setup)
+    front, repeated = found.front, found.repeated
     if setup.least_information is not None:
         front = _thinned(inputs, front, setup.least_information, parameters)
-    claimed = parameters.variance_scale * factor
     gate = setup.settled(False).label_gate
     runs = []
     for name in estimators:
         run = _run(inputs, front, backend(name, inputs, front.chain, front.loops, setup, gate=gate))
-        if learned and run.chain is not None:
-            run = replace(run, scale=(claimed, parameters.variance_scale * error))
+        if found.error is not None and run.chain is not None:
+            run = replace(run, scale=(found.claimed, found.error))
         if name == "ekf" and gate is None and run.failure is None:
-            scaled, unscaled = (
+            honest, unscaled = (
                 _run(inputs, given, backend(name, inputs, given.chain, given.loops, setup, gate=CONTRAST))
-                for given in (front, _scaled(front, 1.0 / claimed))
+                for given in (front, scaled(front, 1.0 / found.claimed))
             )
-            run = replace(run, with_gate=(scaled, unscaled))
+            run = replace(run, with_gate=(honest, unscaled))
         runs.append(run if repeated is None or run.chain is None else replace(run, notes=(*run.notes, _note(repeated))))
     return runs
 
@@ -93,31 +89,6 @@ def _note(repeated: Repeated) -> Notice:
         Code.CHAIN_WIDENED, Severity.INFO, first=repeated.first.revisits, taken=repeated.taken.revisits,
         factor=repeated.factor, believed=repeated.believed,
     )  # fmt: skip
-
-
-def _learned(inputs: Inputs, front: FrontEndResult, setup: Setup) -> tuple[float, float] | None:
-    """Factor on the front end's covariances and its standard error; None with too few loop closures."""
-    chain, loops = front.chain, front.loops
-    believed = np.flatnonzero(loops.believed >= 0)
-    if len(believed) < FEWEST:
-        return None
-    solved = backend("batch", inputs, chain, loops, setup)
-    if solved.run.failure is not None:
-        return None
-    key1, key2 = loops.key1[believed], loops.key2[believed]
-    step = 1 + np.flatnonzero(spanned(len(chain.frame), key1, key2))
-    d2 = residuals(
-        solved.final_keys, np.concatenate([step - 1, key1]), np.concatenate([step, key2]),
-        np.concatenate([chain.motion[step], loops.relative[believed]]),
-        np.concatenate([chain.covariance[step], loops.covariance[believed]]),
-    )  # fmt: skip
-    return learned_scale(d2, len(believed))
-
-
-def _scaled(front: FrontEndResult, factor: float) -> FrontEndResult:
-    c, o = front.chain, front.loops
-    chain = replace(c, covariance=factor * c.covariance, since_covariance=factor * c.since_covariance)
-    return replace(front, chain=chain, loops=replace(o, covariance=factor * o.covariance))
 
 
 def _thinned(inputs: Inputs, front: FrontEndResult, least: float, parameters: LaserParameters) -> FrontEndResult:

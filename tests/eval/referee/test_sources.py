@@ -7,6 +7,8 @@ import pandas as pd
 import pytest
 import scipy.stats
 
+from data.log import shortened
+from data.logs import open_log
 from data.notice import Code
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource, PoseInnovations
 from data.words import sentence
@@ -14,8 +16,9 @@ from eval.referee import consistency
 from eval.referee.diagnostics import notices, unused
 from eval.referee.headline import Objection, Verdict
 from eval.referee.score import Trial, score
-from eval.referee.sources.scored import outcomes_of, score_source, source_notices, sources_of
+from eval.referee.sources.scored import outcomes_of, score_source, scores_of, source_notices, sources_of
 from eval.referee.trust import of_online
+from eval.replay.run import compare
 from eval.report.overview_facts import facts_of
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
@@ -219,3 +222,15 @@ def test_copies_of_dead_reckoning_beside_closures_are_not_trusted():
     used = replace(run, closures=found), replace(smoother, closures_final=found)
     trusted = facts_of(Trial(log, "slam", used), score([Trial(log, "slam", used)]), ())
     assert not trusted.objections
+
+
+def test_what_gnc_accepts_is_expected_below_its_threshold_by_source():
+    log = shortened(open_log("mixed:7:jumps=true+closure_gap=2+closure_period=1"), 60)
+    (run,) = compare(log.inputs(labels=True), "localization", ("gnc",), "known")
+    dof = {"gps": 2, "compass": 1, "loops": 3}
+    scored = {s.source: s for s in scores_of(run, log.recorded, log.truth) if s.phase == "final"}
+    for name, d in dof.items():
+        c = scipy.stats.chi2.ppf(0.99, d)
+        assert scored[name].expected == pytest.approx(scipy.stats.chi2.cdf(c, d + 2) / scipy.stats.chi2.cdf(c, d))
+        assert scored[name].gate == 0.99
+    assert scored["gps"].outcomes[2] == 0

@@ -207,3 +207,59 @@ def test_delayed_initialization_is_consistent(sensors: tuple[Sensor, ...], name:
         squared.append(off @ np.linalg.solve(run.online.covariance[-1], off))
     low, high = chi2.ppf([0.005, 0.995], 300) / 100
     assert low < np.mean(squared) < high
+
+
+OFF_CENTRE: dict[str, tuple[Sensor, ...]] = {
+    "bearings": (Bearing(rotation=0.1, translation=(0.4, -0.3), label="camera"),),
+    "ranges": (Range(translation=(0.4, -0.3), label="radio"),),
+    "both kinds": (LIDAR, Bearing(rotation=0.1, translation=(0.4, -0.3), label="camera")),
+}
+"""Sensors with a lever arm, whose factors are evaluated in Python."""
+
+
+def mislabelled(log: Log, share: float) -> tuple[Inputs, np.ndarray]:
+    """Inputs with labels, and which of them (M,) name another landmark of the same kind."""
+    inputs = log.inputs(labels=True)
+    o = inputs.observations
+    wrong = (np.random.default_rng(0).random(len(o.label)) < share) & (o.label < 12)
+    return replace(inputs, observations=replace(o, label=np.where(wrong, (o.label + 5) % 12, o.label))), wrong
+
+
+@pytest.mark.parametrize("task", ["localization", pytest.param("slam", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", ["bearings", *(pytest.param(n, marks=pytest.mark.slow) for n in [*OFF_CENTRE][1:])])
+def test_gnc_finds_wrong_labels_of_sensors_with_a_lever_arm(task, name):
+    log = drive(3, OFF_CENTRE[name], frames=40)
+    inputs, wrong = mislabelled(log, 0.08)
+    inputs = inputs if task == "localization" else inputs.without_map()
+    (run,) = compare(inputs, task, ("gnc",), "known")
+    assert run.failure is None
+    left = run.final_decisions < 0
+    assert wrong.sum() > 15
+    assert (wrong & ~left).sum() <= 2
+    if name == "bearings":
+        c = chi2.ppf(0.99, 1)
+        assert run.gated_final[0] == pytest.approx(chi2.cdf(c, 3) / chi2.cdf(c, 1))
+    if task == "localization":
+        assert (left & ~wrong).mean() < 0.03
+    else:  # those that wait for their landmark's beginning are no pairings
+        assert ((run.decisions >= 0) & left & ~wrong).mean() < 0.05
+
+
+@pytest.mark.slow
+def test_gnc_has_a_threshold_for_each_dimension():
+    """Of right bearings as few are rejected as of right pairs of range and bearing."""
+    for name in ("bearings", "both kinds"):
+        rejected = []
+        for seed in range(6):
+            inputs = drive(seed, OFF_CENTRE[name], frames=30).inputs(labels=True)
+            (run,) = compare(inputs, "localization", ("gnc",), "known")
+            rejected.append((run.final_decisions < 0).mean())
+        assert 0.003 < np.mean(rejected) < 0.02  # 1 % beyond the quantile of 0.99, fewer as each residual is its fit's
+
+
+@pytest.mark.slow
+def test_a_path_with_other_landmarks_is_no_start():
+    """Wrong labels mislead the filter; the iterated one begins other landmarks, and dead reckoning none."""
+    inputs, _ = mislabelled(drive(3, (Range(translation=(0.4, -0.3), label="radio"),)), 0.08)
+    runs = compare(inputs.without_map(), "slam", ("ekf", "batch"), "known")
+    assert runs[1].failure is None or "start" not in str(runs[1].failure.notice)

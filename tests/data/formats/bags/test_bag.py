@@ -169,7 +169,8 @@ def test_the_list_says_what_each_topic_becomes_and_writes_nothing(maker, tmp_pat
         "/mocap": "- (--truth /mocap makes it the truth)",
         "/odom": "odometry",
         "/tf_static": "transforms",
-        "/visual_odom": "- (--odom /odom is used; --truth /visual_odom makes it the truth)",
+        "/visual_odom": "- (--odom /odom is used; --truth /visual_odom makes it the truth, --second-odom /visual_odom "
+        "closures)",
     }
     assert sorted(p.name for p in tmp_path.iterdir()) == ["small"]
 

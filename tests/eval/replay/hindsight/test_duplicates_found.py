@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from association.appearance import Looks
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants, duplicates
 from eval.replay.hindsight.duplicates import Duplicates, single
@@ -117,7 +118,8 @@ class Map:
 
     def __init__(self, xy, together=()):
         self.xy = np.array(xy, float)
-        self.ledger = SimpleNamespace(records={n: SimpleNamespace(covisible=set()) for n in range(len(xy))})
+        records = {n: SimpleNamespace(covisible=set()) for n in range(len(xy))}
+        self.ledger = SimpleNamespace(records=records, looks=Looks())
         for a, b in together:
             self.ledger.records[a].covisible.add(b)
             self.ledger.records[b].covisible.add(a)

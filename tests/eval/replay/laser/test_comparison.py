@@ -13,11 +13,12 @@ from data.se2 import between, compose, dead_reckoned, pose_error
 from data.worlds.registry import named_log
 from eval.referee.laser import closure_counts, kept, paths_of, relation_rows
 from eval.referee.score import Trial, score
-from eval.replay.laser import comparison
+from eval.replay.laser import scale
 from eval.replay.laser.backends import backend
-from eval.replay.laser.comparison import FEWEST, between_scans
+from eval.replay.laser.comparison import between_scans
 from eval.replay.laser.front_end import FrontEndResult, run_front_end
 from eval.replay.laser.parameters import LaserParameters
+from eval.replay.laser.scale import FEWEST
 from eval.replay.run import compare
 
 
@@ -104,8 +105,8 @@ def test_variances_are_scaled_by_what_loop_closures_tell_and_no_pose_moves_by_it
 def test_with_enough_loop_closures_every_estimator_gets_the_scale_and_no_pose_moves(log, runs, monkeypatch):
     given = runs["batch"]
     front = FrontEndResult(given.chain, given.loops, given.last, given.frame_seconds, given.key_pose)
-    monkeypatch.setattr(comparison, "consistent_front_end", lambda inputs, parameters: (front, None))
-    monkeypatch.setattr(comparison, "FEWEST", 1)
+    monkeypatch.setattr(scale, "consistent_front_end", lambda inputs, parameters: (front, None))
+    monkeypatch.setattr(scale, "FEWEST", 1)
     filtered, smoothed, dead = compare(log.recorded, "slam", ["ekf", "batch", "dead-reckoning"], "scan")
     assert filtered.scale == smoothed.scale
     assert dead.scale is None

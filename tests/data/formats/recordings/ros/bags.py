@@ -57,7 +57,10 @@ class Maker:
         values = {"ranges": np.array(ranges, np.float32), "intensities": np.zeros(0, np.float32)}
         self.messages.append((at, topic, SCAN, self._of(SCAN, header=header, **geometry, **values)))
 
-    def odometry(self, at: float, pose: Iterable[float], topic: str = "/odom") -> None:
+    def odometry(
+        self, at: float, pose: Iterable[float], topic: str = "/odom", twist: float = 0.0, body: str = "base_link"
+    ) -> None:
+        """`twist`: variance of the velocity along; half of it across, a tenth of the turn."""
         x, y, yaw = pose
         vector = self._of("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
         point = self._of("geometry_msgs/msg/Point", float(x), float(y), 0.0)
@@ -66,10 +69,12 @@ class Maker:
         message = self._of(
             ODOMETRY,
             header=self._header("odom", at),
-            child_frame_id="base_link",
+            child_frame_id=body,
             pose=self._of("geometry_msgs/msg/PoseWithCovariance", place, covariance),
             twist=self._of(
-                "geometry_msgs/msg/TwistWithCovariance", self._of("geometry_msgs/msg/Twist", vector, vector), covariance
+                "geometry_msgs/msg/TwistWithCovariance",
+                self._of("geometry_msgs/msg/Twist", vector, vector),
+                np.diag(twist * np.array([1.0, 0.5, 9.0, 9.0, 9.0, 0.1])).ravel(),
             ),
         )
         self.messages.append((at, topic, ODOMETRY, message))

@@ -1,0 +1,87 @@
+"""A second odometry of a recording (of a camera, beside the wheels): its motion between successive frames, as closures.
+
+The first one is the motion of the log. Both move the same robot with errors of their own, so the second enters as
+measured relative poses of the frames that it covers, each with the next such frame. Increments of either have
+independent errors; a drift that both share, or that lasts, is in neither covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from data.formats.recordings.laser import FLOOR
+from data.inputs import Increments, IntArray
+from data.motion.velocity import floor_covariances
+from data.pose_measurements import Closures
+from data.se2 import Array, BoolArray, between, compose, interpolate
+from data.timeline import MAX_GAP
+
+
+def covered(stamp: Array, time: Array) -> BoolArray:
+    """Which frames at `time` (N,) lie between stamps (K,) at most `MAX_GAP` apart, or at one."""
+    after = np.clip(np.searchsorted(stamp, time), 0, len(stamp) - 1)
+    before = np.maximum(after - 1, 0)
+    exact = stamp[after] == time
+    inside = (stamp[before] < time) & (time < stamp[after]) & (stamp[after] - stamp[before] <= MAX_GAP + 1e-6)
+    return np.asarray(exact | inside)
+
+
+def closures_between(frames: IntArray, motion: Increments, name: str, left_out: BoolArray | None = None) -> Closures:
+    """Closures between successive frames (F,), ascending, from the motion into each of them (F).
+
+    `left_out` (F - 1,): pairs without a measurement.
+    """
+    kept = np.ones(len(frames) - 1, np.bool_) if left_out is None else ~left_out
+    covariance, _ = floor_covariances(motion.covariance, FLOOR)
+    return Closures(
+        frames[:-1][kept], frames[1:][kept], motion.mean[1:][kept], covariance[1:][kept],
+        np.zeros(int(kept.sum()), np.int64), (name,),
+    )  # fmt: skip
+
+
+def of_twists(stamp: Array, pose: Array, covariance: Array, at: Array) -> Increments:
+    """Motion between instants `at` (F,) within the stamps (K,) of poses (K, 3), with the noise that twists state.
+
+    `covariance` (K, 3, 3) is that of the velocity along, across and of the turn at each stamp, which holds since the
+    stamp before; errors of two messages are independent. So over an interval of d s the error has covariance C d^2,
+    and over a part of it the same share.
+    """
+    points = np.union1d(stamp[(stamp > at[0]) & (stamp < at[-1])], at)
+    path = interpolate(stamp, pose, points)
+    step = between(path[:-1], path[1:])
+    row = np.clip(np.searchsorted(stamp, points[1:]), 1, len(stamp) - 1)
+    spread = covariance[row] * ((stamp[row] - stamp[row - 1]) * np.diff(points))[:, None, None]
+    ends = np.searchsorted(points, at)
+    mean, P = np.zeros((len(at), 3)), np.zeros((len(at), 3, 3))
+    for k in range(1, len(at)):
+        for i in range(ends[k - 1], ends[k]):
+            F, G = np.eye(3), np.eye(3)
+            c, s = np.cos(mean[k, 2]), np.sin(mean[k, 2])
+            F[0, 2], F[1, 2] = -s * step[i, 0] - c * step[i, 1], c * step[i, 0] - s * step[i, 1]
+            G[:2, :2] = [[c, -s], [s, c]]
+            P[k] = F @ P[k] @ F.T + G @ spread[i] @ G.T
+            mean[k] = compose(mean[k], step[i])
+        mean[k] = between(path[ends[k - 1]], path[ends[k]])
+    return Increments(mean, 0.5 * (P + P.transpose(0, 2, 1)))
+
+
+def together(parts: Sequence[Closures]) -> Closures | None:
+    """All closures by their later frame; None: there are no parts."""
+    if len(parts) < 2:
+        return parts[0] if parts else None
+    sources = tuple(name for part in parts for name in part.sources)
+    first = np.cumsum([0, *(len(part.sources) for part in parts[:-1])])
+    source = [part.source + n for part, n in zip(parts, first, strict=True)]
+    frame1, frame2 = (np.concatenate([getattr(p, name) for p in parts]) for name in ("frame1", "frame2"))
+    by = np.argsort(np.maximum(frame1, frame2), kind="stable")
+    relative, covariance = (
+        np.concatenate([getattr(p, name) for p in parts])[by] for name in ("relative", "covariance")
+    )
+    return Closures(frame1[by], frame2[by], relative, covariance, np.concatenate(source)[by], sources)
+
+
+def own_name(name: str, taken: Collection[str]) -> str:
+    """The name of the source, different from others."""
+    return name if name not in taken else own_name(f"{name} odometry", taken)

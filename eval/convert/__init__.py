@@ -1,0 +1,1 @@
+"""`slamref convert`: recordings, simulations and laser logs as open logs."""

@@ -1,0 +1,113 @@
+"""A second topic of odometry in a bag: closures between successive frames, with the noise that its twists state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data.convert.__main__ import main
+from data.formats.open_log.reader import load_folder
+from data.se2 import between, compose, interpolate
+from tests.data.formats.bags.made import Full
+
+TIMES = np.arange(0.0, 4.01, 0.5)
+CAMERA = np.column_stack([0.4 * TIMES, 0.01 * TIMES**2, 0.05 * TIMES])
+
+
+@pytest.fixture
+def maker() -> Full:
+    made = Full()
+    made.drive(TIMES)
+    made.mounting("base_link", "camera", 0.25, 0.1, 0.5)
+    made.poses(1.25, [(2.0, 0.5)])
+    return made
+
+
+@pytest.fixture
+def convert(tmp_path, capsys):
+    """`convert(maker, *words)`: exit status and what was said."""
+
+    def run(maker, *words):
+        bag = maker.save(tmp_path)
+        status = main(["bag", str(bag), str(tmp_path / "out"), "--point-sigma", "0.1", "--odom", "/odom", *words])
+        said = capsys.readouterr()
+        return status, said.err if status else said.out
+
+    return run
+
+
+def with_camera(maker, twist=0.0, body="base_link", times=TIMES):
+    for t, pose in zip(TIMES, CAMERA, strict=True):
+        if t in times:
+            maker.odometry(t, pose, "/vo", twist, body)
+    return maker
+
+
+def test_it_is_another_measurement_of_each_step_that_it_covers(maker, convert, tmp_path):
+    status, said = convert(with_camera(maker, 0.04, times=TIMES[:7]), "--second-odom", "/vo")
+    assert status == 0, said
+    assert "/vo is a second odometry: closures between 3 of 5 pairs of successive frames; noise by the twist" in said
+    r = load_folder(tmp_path / "out").recorded
+    closures, time = r.closures, r.time[:4]
+    assert time[:3].tolist() == [0.0, 0.625, 1.25]
+    assert (closures.frame1.tolist(), closures.frame2.tolist()) == ([0, 1, 2], [1, 2, 3])
+    assert closures.sources == ("vo",)
+    at = interpolate(TIMES, CAMERA, time)
+    np.testing.assert_allclose(closures.relative, between(at[:-1], at[1:]), atol=1e-12)
+    # twists hold half a second: C 0.5^2 of an interval, and the same share of a part
+    along = 0.04 * 0.5 * np.diff(time)
+    np.testing.assert_allclose(closures.covariance[:, 0, 0], along, rtol=2e-2)
+    np.testing.assert_allclose(closures.covariance[:, 2, 2], 0.1 * along, rtol=1e-9)
+    assert r.increments.mean[1, 2] == pytest.approx(0.0625), "the first one is the motion"
+
+
+def test_a_camera_is_carried_to_the_robot_by_tf(maker, convert, tmp_path):
+    mounted = np.array([0.25, 0.1, 0.5])
+    for t, pose in zip(TIMES, CAMERA, strict=True):
+        maker.odometry(t, compose(pose, mounted), "/vo", 1e-12, "camera")
+    status, said = convert(maker, "--second-odom", "/vo")
+    assert status == 0, said
+    closures, time = (r := load_folder(tmp_path / "out").recorded).closures, r.time
+    at = interpolate(TIMES, CAMERA, time)
+    np.testing.assert_allclose(closures.relative, between(at[:-1], at[1:]), atol=1e-3)  # interpolated at the camera
+    assert np.linalg.eigvalsh(closures.covariance).min() > 0.0
+
+
+def test_a_stated_noise_stands_for_that_of_the_messages(maker, convert, tmp_path):
+    status, said = convert(with_camera(maker), "--second-odom", "/vo", "--second-odom-sigma", "0.2,0.1,0.05,2deg")
+    assert status == 0, said
+    closures = load_folder(tmp_path / "out").recorded.closures
+    d, turn = np.hypot(*closures.relative[:, :2].T), np.abs(closures.relative[:, 2])
+    np.testing.assert_allclose(closures.covariance[:, 0, 0], 0.2**2 * d + 0.1**2 * turn)
+    np.testing.assert_allclose(closures.covariance[:, 2, 2], 0.05**2 * d + np.radians(2.0) ** 2 * turn)
+
+
+@pytest.mark.parametrize(("words", "becomes"), [
+    (("--second-odom", "/vo"), "second odometry: closures (--second-odom)"),
+    ((), "--odom /odom is used; --truth /vo makes it the truth, --second-odom /vo closures"),
+])  # fmt: skip
+def test_the_list_says_what_it_becomes(maker, convert, words, becomes):
+    status, said = convert(with_camera(maker), "--list", *words)
+    assert status == 0
+    assert becomes in said
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (("--second-odom", "/vo"), "/vo: messages whose twist has no positive definite covariance of vx, vy and the turn"),
+    (("--second-odom", "/odom"), "--second-odom /odom: --odom is the same topic"),
+    (("--second-odom", "/vo", "--truth", "/vo"), "--second-odom /vo: --truth is the same topic"),
+    (("--second-odom", "/cones"), "--second-odom /cones: its messages are geometry_msgs/msg/PoseArray"),
+    (("--second-odom", "/nowhere"), "--second-odom /nowhere: no such topic"),
+    (("--second-odom", "/vo", "--second-odom-sigma", "1"), "--second-odom-sigma 1: 4 numbers are needed"),
+    (("--second-odom-sigma", "1,1,1,1"), "--second-odom-sigma 1,1,1,1: there is none; --second-odom TOPIC names it"),
+    (("--second-odom", "/far", "--second-odom-sigma", "1,1,1,1"), "/far: its messages at 1700000090.000 to"),
+    (("--second-odom", "/arm", "--second-odom-sigma", "1,1,1,1"), "/arm: poses of 'arm', which tf does not mount on"),
+])  # fmt: skip
+def test_one_line_says_what_is_wrong(maker, convert, words, said):
+    for t in (90.0, 91.0):
+        maker.odometry(t, (0.0, 0.0, 0.0), "/far")
+    maker.odometry(0.0, (0.0, 0.0, 0.0), "/arm", 1.0, "arm")
+    status, found = convert(with_camera(maker), *words)
+    assert status == 2
+    assert said in found
+    assert found.count("\n") == 1

@@ -1,0 +1,132 @@
+"""A second odometry in tables of another program: closures between successive frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from data.convert.__main__ import main
+from data.formats.open_log.reader import load_folder
+from data.se2 import between, interpolate
+
+POSES = "t,x,y,theta\n" + "".join(f"{k},{k},0,0\n" for k in range(6))
+VELOCITIES = "t,v,omega\n" + "".join(f"{k},1,0\n" for k in range(6))
+CAMERA = "t,x,y,theta\n" + "".join(f"{0.5 * k},{0.45 * k},{0.01 * k * k},{0.02 * k}\n" for k in range(2, 10))
+SIGMA = {
+    POSES: ("--odometry-sigma", "0.1,0.1,0.1,0.1"),
+    VELOCITIES: ("--odometry-sigma", "0.1,0.1"),
+}
+
+
+@pytest.fixture
+def convert(tmp_path, capsys, monkeypatch):
+    """`convert({name: text}, *words)`: exit status and what was said, of odo.csv and camera.csv."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(odometry, camera, *words, sigma="0.2,0.1,0.05,0.3"):
+        Path("odo.csv").write_text(odometry)
+        Path("camera.csv").write_text(camera)
+        given = ["--second-odometry", "camera.csv", *(("--second-odometry-sigma", sigma) if sigma else ())]
+        status = main(["table", "odo.csv", "out", *SIGMA.get(odometry, SIGMA[POSES]), *given, *words])
+        said = capsys.readouterr()
+        return status, said.err if status else said.out
+
+    return run
+
+
+@pytest.mark.parametrize("odometry", [POSES, VELOCITIES])
+def test_poses_become_the_motion_between_the_frames_that_they_cover(convert, odometry):
+    status, said = convert(odometry, CAMERA)
+    assert status == 0, said
+    assert "camera.csv: a second odometry, as closures between 3 of 5 pairs of successive frames, source camera" in said
+    r = load_folder(Path("out")).recorded
+    assert (r.closures.frame1.tolist(), r.closures.frame2.tolist()) == ([1, 2, 3], [2, 3, 4])
+    assert r.closures.sources == ("camera",)
+    k = np.arange(2, 10)
+    at = interpolate(0.5 * k, np.column_stack([0.45 * k, 0.01 * k * k, 0.02 * k]), r.time[1:5])
+    relative = between(at[:-1], at[1:])
+    np.testing.assert_allclose(r.closures.relative, relative, atol=1e-12)
+    d, turn = np.hypot(*relative[:, :2].T), np.abs(relative[:, 2])
+    along, heading = 0.2**2 * d + 0.1**2 * turn, 0.05**2 * d + 0.3**2 * turn
+    np.testing.assert_allclose(
+        np.diagonal(r.closures.covariance, axis1=1, axis2=2), np.column_stack([along, along, heading])
+    )
+    assert r.increments.mean[1:, 0] == pytest.approx(1.0), "the first one is the motion, unchanged"
+
+
+def test_velocities_say_nothing_across_a_gap_and_poses_do(convert):
+    gap = [0.0, 1.0, 2.0, 4.5, 5.0]
+    status, said = convert(POSES, "t,v,omega\n" + "".join(f"{t},1,0\n" for t in gap), sigma="0.1,1deg")
+    assert status == 0, said
+    closures = load_folder(Path("out")).recorded.closures
+    assert list(zip(closures.frame1.tolist(), closures.frame2.tolist(), strict=True)) == [(0, 1), (1, 2)]
+    assert closures.relative[:, 0] == pytest.approx(1.0)
+    assert closures.covariance[0, 2, 2] == pytest.approx(np.radians(1.0) ** 2)
+    status, said = convert(POSES, "t,x,y,theta\n" + "".join(f"{t},{t},0,0\n" for t in gap))
+    assert status == 0, said
+    closures = load_folder(Path("out")).recorded.closures
+    assert list(zip(closures.frame1.tolist(), closures.frame2.tolist(), strict=True)) == [(0, 1), (1, 2), (2, 5)]
+    assert closures.relative[-1] == pytest.approx([3.0, 0.0, 0.0])
+
+
+def test_beside_closures_it_is_a_source_of_its_own(convert):
+    Path("loops.csv").write_text("t1,t2,dx,dy,dtheta,source\n0,4,4,0,0,camera\n")
+    status, said = convert(VELOCITIES, CAMERA, "--closures", "loops.csv", "--closure-sigma", "1,1,1")
+    assert status == 0, said
+    closures = load_folder(Path("out")).recorded.closures
+    assert closures.sources == ("camera", "camera odometry")
+    assert closures.source.tolist() == [1, 1, 0, 1]
+    assert closures.later.tolist() == [2, 3, 4, 4]
+
+
+def test_its_stamps_units_and_columns_have_keys_of_their_own(convert):
+    camera = "stamp,px,py,yaw\n" + "".join(f"{1000 * k + 500},{100 * k},0,{k}\n" for k in range(6))
+    words = (
+        "--columns", "second-odometry.t=stamp,second-odometry.x=px,second-odometry.y=py,second-odometry.theta=yaw",
+        "--unit", "second-odometry.t=ms,second-odometry.x=cm,second-odometry.y=cm,second-odometry.theta=deg",
+        "--time-offset", "second-odometry=-0.5",
+    )  # fmt: skip
+    status, said = convert(POSES, camera, *words)
+    assert status == 0, said
+    closures = load_folder(Path("out")).recorded.closures
+    assert len(closures) == 5
+    assert closures.relative[:, 2] == pytest.approx(np.radians(1.0))
+    assert closures.relative[0, 0] == pytest.approx(1.0)
+
+
+def test_without_stamps_rows_go_together(convert):
+    steps = "dx,dy,dtheta\n" + "0.9,0,0.1\n" * 4
+    poses = "x,y,theta\n" + "".join(f"{k},0,0\n" for k in range(4))
+    status, said = convert(poses, steps)
+    assert status == 0, said
+    closures = load_folder(Path("out")).recorded.closures
+    assert closures.relative == pytest.approx(np.tile([0.9, 0.0, 0.1], (3, 1)))
+
+
+@pytest.mark.parametrize(("odometry", "camera", "words", "sigma", "said"), [
+    (POSES, CAMERA, (), None, "unknown second odometry noise; --second-odometry-sigma is needed: of travel"),
+    (POSES, POSES, (), "1,1,1,1", "camera.csv: the motion of the odometry once more; another one is needed"),
+    (VELOCITIES, VELOCITIES, (), "1,1", "camera.csv: the motion of the odometry once more"),
+    (POSES, "t,left,right\n0,1,1\n1,2,2\n", (), "1,1,1,1", "--second-odometry camera.csv: wheel ticks; velo"),
+    (POSES, "t,a\n0,1\n", (), "1,1,1,1", "no odometry: columns t, a; one of velocities"),
+    (POSES, CAMERA, ("--second-odometry-kind", "ticks"), "1,1,1,1", "--second-odometry-kind ticks: unknown"),
+    (POSES, "t,x,y,theta\n70,1,0,0\n71,2,0,0\n", (), "1,1,1,1", "from 70 to 71 s covers 0 frames of 0 to 5 s"),
+    (POSES, "x,y,theta\n0,0,0\n1,0,0\n", (), "1,1,1,1", "no column 't' for t"),
+    ("x,y,theta\n0,0,0\n1,0,0\n", "dx,dy,dtheta\n1,0,0\n", (), "1,1,1,1", "1 row, the odometry has 2; without stamps"),
+    (POSES, CAMERA + "5,1,x,0\n", (), "1,1,1,1", "camera.csv:10: column y: 'x' is not a number"),
+    (POSES, CAMERA, (), "1,1", "--second-odometry-sigma 1,1: 4 numbers are needed"),
+])  # fmt: skip
+def test_one_line_says_what_is_wrong(convert, odometry, camera, words, sigma, said):
+    status, found = convert(odometry, camera, *words, sigma=sigma)
+    assert status == 2
+    assert said in found
+    assert found.count("\n") == 1
+
+
+def test_noise_of_none_is_refused(tmp_path, capsys):
+    (tmp_path / "odo.csv").write_text(POSES)
+    words = [str(tmp_path / "odo.csv"), str(tmp_path / "out"), *SIGMA[POSES], "--second-odometry-sigma", "1,1,1,1"]
+    assert main(["table", *words]) == 2
+    assert "--second-odometry-sigma 1,1,1,1: there is none; --second-odometry FILE names it" in capsys.readouterr().err

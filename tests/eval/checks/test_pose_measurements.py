@@ -1,0 +1,155 @@
+"""Checks of `fix` and `close_loops`: a student's filter passes, each mistake is found and named, and lacking them is
+said.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.pose_measurements import expected_fix
+from data.se2 import wrap_angle
+from ekf.localizer import EkfLocalizer
+from ekf.slam import EkfSlam
+from eval.checks import pose_measurements
+from eval.replay.external.load import text_of
+from tests.eval.checks.plain import Plain
+
+
+class Fixing(Plain):
+    """A student's EKF with fixes, without a gate for them unless `gated`."""
+
+    gated = True
+
+    def fix(self, fixes, sources, gate):
+        used, stated = [], []
+        for i, kind in enumerate(fixes.kind):
+            z_hat, J = expected_fix(self.x[:3], kind, sources[fixes.source[i]])
+            rows = np.flatnonzero(np.diag(fixes.covariance[i]))
+            nu = fixes.z[i][rows] - z_hat
+            if rows[-1] == 2:
+                nu[-1] = wrap_angle(nu[-1])
+            H = np.hstack([J, np.zeros((len(rows), len(self.x) - 3))])
+            S = H @ self.P @ H.T + fixes.covariance[i][np.ix_(rows, rows)]
+            nis = nu @ np.linalg.solve(S, nu)
+            used.append(gate is None or not self.gated or nis < 9.0)
+            stated.append(nis)
+            if used[-1]:
+                K = self.P @ H.T @ np.linalg.inv(S)
+                self.x, self.P = self.x + K @ nu, self.P - K @ S @ K.T
+        return self.said(np.array(used), np.array(stated))
+
+    def said(self, used, nis):
+        return {"used": used, "nis": nis}
+
+
+def lines(check, estimator, task):
+    return list(check(text_of(estimator, "estimator"), task))
+
+
+@pytest.mark.parametrize("task", ["localization", "slam"])
+def test_a_students_filter_passes_and_what_was_found_is_said(task):
+    found = lines(pose_measurements.fixes, Fixing, task)
+    assert [f.line for f in found if not f.passed] == []
+    assert [f.check for f in found] == ["fixes", "fixes, covariance", "fixes, NIS", "fixes, gate"]
+    assert "the path with 7 fixes within 0.001 sigma" in found[0].sentence
+
+
+@pytest.mark.parametrize(
+    ("check", "words"),
+    [(pose_measurements.fixes, "it has no `fix`"), (pose_measurements.closures, "it has no `close_loops`")],
+)
+def test_that_it_has_neither_is_said_and_no_failure(check, words):
+    (found,) = lines(check, Plain, "slam")
+    assert found.passed
+    assert words in found.sentence
+
+
+def of_sources(**changes):
+    """A filter that reads the sources of fixes in another way."""
+
+    class Wrong(EkfLocalizer):
+        def fix(self, fixes, sources, gate):
+            read = tuple(replace(s, **{k: change(s) for k, change in changes.items()}) for s in sources)
+            return super().fix(fixes, read, gate)
+
+    return Wrong
+
+
+class Deaf(EkfSlam):
+    def fix(self, fixes, sources, gate):
+        return None
+
+    def close_loops(self, closures, gate):
+        return None
+
+
+class Scaled(EkfSlam):
+    def fix(self, fixes, sources, gate):
+        return super().fix(fixes._replace(covariance=2.0 * fixes.covariance), sources, gate)
+
+
+class Swapped(EkfSlam):
+    def close_loops(self, closures, gate):
+        return super().close_loops(closures._replace(frame1=closures.frame2, frame2=closures.frame1), gate)
+
+
+class Diagonal(EkfLocalizer):
+    def close_loops(self, closures, gate):
+        return super().close_loops(closures._replace(covariance=closures.covariance * np.eye(3)), gate)
+
+
+class Open(EkfLocalizer):
+    """All gates are open."""
+
+    def fix(self, fixes, sources, gate):
+        return super().fix(fixes, sources, None)
+
+    def close_loops(self, closures, gate):
+        return super().close_loops(closures, None)
+
+
+class Afterwards(Fixing):
+    def said(self, used, nis):
+        return {"used": used, "nis": 0.5 * nis}
+
+
+class Broken(EkfSlam):
+    def close_loops(self, closures, gate):
+        raise KeyError("frame1")
+
+
+class Turned(EkfLocalizer):
+    """The pose of a fix is used twice."""
+
+    def fix(self, fixes, sources, gate):
+        super().fix(fixes, sources, gate)
+        return super().fix(fixes, sources, gate)
+
+
+WRONG = [
+    (of_sources(lever=lambda s: (0.0, 0.0)), "fixes", "Likely: the source's lever is left out"),
+    (of_sources(lever=lambda s: (-s.lever[0], -s.lever[1])), "fixes", "Likely: the source's lever has the wrong sign"),
+    (of_sources(rotation=lambda s: 0.0), "fixes", "Likely: the source's rotation is left out"),
+    (of_sources(rotation=lambda s: -s.rotation), "fixes", "Likely: the source's rotation has the wrong sign"),
+    (Scaled, "fixes", "Likely: their covariance is doubled"),
+    (Turned, "fixes", "Likely: their covariance is halved"),
+    (Deaf, "fixes", "Likely: they are not used"),
+    (Deaf, "closures", "Likely: they are not used"),
+    (Swapped, "closures", "Likely: frame1 and frame2 are swapped"),
+    (Diagonal, "closures", "Likely: correlations within their covariance are dropped"),
+    (Open, "fixes", "one that is 20 m off was used"),
+    (Open, "closures", "one that is 20 m off was used"),
+    (Afterwards, "fixes", r"fix \d: NIS .* is that of its innovation before it is used"),
+    (Broken, "closures", r"Broken.close_loops raised KeyError"),
+]
+
+
+@pytest.mark.parametrize(("estimator", "check", "words"), WRONG, ids=lambda x: getattr(x, "__name__", None))
+def test_what_is_wrong_is_found_and_named(estimator, check, words):
+    task = "slam" if issubclass(estimator, EkfSlam) else "localization"
+    failed = [f for f in lines(getattr(pose_measurements, check), estimator, task) if not f.passed]
+    assert any(re.search(words, f.sentence) for f in failed), [f.line for f in failed]

@@ -1,0 +1,109 @@
+"""Appearance in a run: it helps where landmarks are dense, and can be left out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from association.appearance import Looks
+from data.appearance import UNREAD, Appearance
+from data.inputs import FrameObservations, LandmarkMap, Observations, Prior
+from data.sensors import RelativePoint
+from data.worlds.registry import named_log
+from eval.replay.hindsight.final_association import reassociate
+from eval.replay.hindsight.hypotheses import Hypotheses
+from eval.replay.run import compare
+from eval.replay.settings import Setup
+from eval.studies.twins import source_of, twin
+from tests.quick import slow
+
+DENSE = "arena:0:landmarks=70+frames=25"
+
+
+def wrong(log, run):
+    """Observations paired with a landmark that another one began."""
+    true, number = log.truth.landmark_of, run.final_decisions
+    begun = {int(n): int(true[i]) for i, n in enumerate(run.created) if n >= 0}
+    known = log.recorded.map is not None and run.task == "localization"
+    return sum(d >= 0 and (d if known else begun.get(int(d), -1)) != t for d, t in zip(number, true, strict=True))
+
+
+@pytest.mark.parametrize("task", ["slam", "localization"])
+@pytest.mark.parametrize("more", ["descriptor_sigma=0.1", "classes=4"])
+def test_fewer_pairings_are_wrong_with_appearance(task, more):
+    log = named_log(f"{DENSE}+{more}+sigma_bearing=0.08")
+    runs = [compare(log.inputs(), task, ["ekf"], "nn", Setup(appearance=on))[0] for on in (False, True)]
+    assert wrong(log, runs[1]) < 0.6 * wrong(log, runs[0])
+
+
+@pytest.mark.parametrize("task", ["slam", "localization"])
+@pytest.mark.parametrize("method", ["jcbb", slow("jcbb-hindsight")])
+def test_left_out_it_is_as_if_there_were_none(task, method):
+    plain, dressed = named_log("arena:1:frames=20"), named_log("arena:1:frames=20+descriptor_sigma=0.1+classes=3")
+    one = compare(plain.inputs(), task, ["ekf"], method)[0]
+    other = compare(dressed.inputs(), task, ["ekf"], method, Setup(appearance=False))[0]
+    assert one.online.pose.tobytes() == other.online.pose.tobytes()
+    assert one.final_decisions.tolist() == other.final_decisions.tolist()
+
+
+@pytest.mark.parametrize("task", [slow("slam"), "localization"])
+def test_hindsight_uses_it_in_every_decision(task):
+    log = named_log(f"{DENSE}+descriptor_sigma=0.1")
+    runs = [compare(log.inputs(), task, ["ekf"], "jcbb-hindsight", Setup(appearance=on))[0] for on in (False, True)]
+    assert wrong(log, runs[1]) <= wrong(log, runs[0])
+    assert wrong(log, runs[1]) <= 2
+
+
+def test_smoothers_get_it_too():
+    log = named_log(f"{DENSE}+descriptor_sigma=0.1+sigma_bearing=0.08")
+    filtered, smoothed = compare(log.inputs(), "slam", ["ekf", "isam2"], "jcbb")
+    assert max(wrong(log, filtered), wrong(log, smoothed)) <= 5
+
+
+def test_twins_draw_readings_about_the_mean_of_each_landmark():
+    log = named_log("arena:0:frames=30+descriptor_sigma=0.2+classes=3")
+    runs = compare(log.inputs(labels=True), "slam", ["ekf", "batch"], "known")
+    source = source_of(log, runs[1], ("ekf",), Setup())
+    drawn, own = (each.recorded.observations.appearance for each in (twin(source, 0), log))
+    true = log.truth.landmarks.appearance
+    rows = log.truth.landmarks.rows(log.truth.landmark_of)
+    assert not np.array_equal(drawn.descriptor, own.descriptor)
+    off = drawn.descriptor - true.descriptor[rows]
+    assert np.std(off) == pytest.approx(0.2, rel=0.2)
+    assert np.mean(drawn.category == true.category[rows]) == pytest.approx(0.95, abs=0.04)
+    assert twin(source, 0).recorded.observations.appearance.descriptor.tobytes() == drawn.descriptor.tobytes()
+
+
+NEAR = np.array([[2.0, 0.0], [2.0, 0.1]])
+LOOKS = Appearance(np.array([0.0, 1.0]), np.zeros(2), np.full(2, UNREAD), np.zeros(2))
+SENSOR = RelativePoint(max_range=5.0)
+
+
+def reading(*descriptor):
+    n = len(descriptor)
+    return Appearance(np.array(descriptor), np.full(n, 0.1), np.full(n, UNREAD), np.full(n, 0.5))
+
+
+@pytest.mark.parametrize(("descriptor", "expected"), [(0.0, 0), (1.0, 1)])
+def test_the_final_re_association_takes_the_landmark_that_looks_alike(descriptor, expected):
+    known = LandmarkMap(np.arange(2), NEAR, appearance=LOOKS)
+    seen = Observations(np.zeros(1, np.int64), np.array([[2.0, 0.05]]), 0.1 * np.eye(2)[None])
+    seen = replace(seen, appearance=reading(descriptor))
+    found = reassociate(SENSOR, np.zeros((1, 3)), known, seen, Looks.of_map(known))
+    assert found.number.tolist() == [expected]
+    assert found.alone.tolist() == [True]
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize(("descriptor", "expected"), [(0.0, 0), (1.0, 1)])
+def test_hypotheses_take_the_landmark_that_looks_alike(descriptor, expected, stated):
+    known = LandmarkMap(np.arange(2), NEAR, appearance=LOOKS if stated else None)
+    bank = Hypotheses(Prior(np.zeros(3), 0.01 * np.eye(3)), SENSOR, known)
+    R = np.tile(1e-3 * np.eye(2), (2, 1, 1))
+    if not stated:  # learned from a frame that is clear
+        bank.observe(FrameObservations(NEAR.copy(), R), 0, reading(0.0, 1.0))
+    standing = bank.observe(FrameObservations(np.array([[2.0, 0.05]]), R[:1]), 2, reading(descriptor))
+    assert standing.decisions.tolist() == [expected]
+    assert standing.sure[0] > 0.99
