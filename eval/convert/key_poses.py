@@ -39,8 +39,8 @@ def log_of_keys(name: str, log: Log, made: KeyLog, motion: str) -> Log:
         notes.append(f"{len(relations)} of {len(truth.relations)} relations join two key poses, and are carried there.")
     source = {**log.source, "laser": log.name, "motion": motion, "variance_scale": made.claimed}
     return Log(
-        name, inputs, Truth(pose, relations=relations, closure_inlier=inlier),
-        source={**source, "laser_frames": made.frame.tolist()}, notes=(*log.notes, *notes),
+        name, inputs, Truth(pose, relations=relations, closure_inlier=inlier), source=source,
+        notes=(*log.notes, *notes),
     )  # fmt: skip
 
 

@@ -7,7 +7,8 @@
                         in format 2 also sensor, and blank fields (see `sensors`), and descriptor, class (see
                         `appearance`)
     truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
-    landmarks.csv       id,x,y[,sx,sy]      optional; in format 2 also kind, descriptor, class
+    landmarks.csv       id,x,y[,sx,sy][,true_x,true_y]                      optional; in format 2 also kind, descriptor,
+                        class
     scans.npz           range scans (see `scans`); then observations.csv and [sensor] may be missing
     relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt]         optional
     fixes.csv           absolute measurements of the pose (see `fixes`)     format 2; then observations.csv and
@@ -58,31 +59,40 @@ from data.truth import CLUTTER, UNKNOWN_ID, Relations, Truth
 KIND = "kind"
 
 
-def read_landmarks(path: Path, *, latest: bool = False) -> tuple[LandmarkMap | None, bool]:
-    """landmarks.csv, ascending by id (None without the file), and whether a survey's sigmas were ignored.
+SIGMAS = ("sx", "sy")
+TRUE_PLACE = ("true_x", "true_y")
 
-    `latest`: with its columns kind, descriptor and class (format 2).
+
+def read_landmarks(path: Path, *, latest: bool = False) -> tuple[LandmarkMap | None, LandmarkMap | None]:
+    """landmarks.csv, ascending by id: the map, and the true landmarks, which are the map unless stated (None without
+    the file). `latest`: with its columns kind, descriptor and class (format 2).
     """
     if not path.exists():
-        return None, False
+        return None, None
     more = (KIND, looks.DESCRIPTOR, looks.CLASS) if latest else ()
-    words = (KIND, looks.CLASS)
-    found = read_table(path, ("id", "x", "y"), ("sx", "sy", *more), may_be_blank=(looks.DESCRIPTOR,), words=words)
+    blank, words = (*SIGMAS, *TRUE_PLACE, looks.DESCRIPTOR), (KIND, looks.CLASS)
+    found = read_table(path, ("id", "x", "y"), (*SIGMAS, *TRUE_PLACE, *more), may_be_blank=blank, words=words)
     return landmarks_of(found)
 
 
-def landmarks_of(table: Table) -> tuple[LandmarkMap, bool]:
-    """The map of a table with its columns, and whether a survey's sigmas were ignored."""
-    sigmas = [n for n in ("sx", "sy") if n in table]
-    table.require_finite(("x", "y", *sigmas))
+def landmarks_of(table: Table) -> tuple[LandmarkMap, LandmarkMap]:
+    """The map of a table with its columns, and the true landmarks."""
+    sigmas = [n for n in SIGMAS if n in table]
+    table.require_finite(("x", "y"))
+    for pair in (SIGMAS, TRUE_PLACE):
+        table.require_finite([n for n in pair if n in table], blank=True)
+        missing = [name for name in pair if name not in table]
+        if len(missing) == 1:
+            raise table.error(-1, missing[0], f"no such column; {' and '.join(pair)} come together")
     for name in sigmas:
-        table.require(table.columns[name] >= 0.0, name, "{} is a negative standard deviation")
+        negative = table.columns[name] < 0.0
+        table.require(~negative, name, "{} is a negative standard deviation; 0 or blank is an exact landmark")
     number = table.integers("id", 0)
     order = np.argsort(number, kind="stable")
     repeated = np.zeros(len(number), bool)
     repeated[order[1:]] = number[order[1:]] == number[order[:-1]]
     table.require(~repeated, "id", "{} is the id of two landmarks")
-    surveyed = any((table.columns[n] > 0.0).any() for n in sigmas)
+    sigma = np.nan_to_num(table.stack(SIGMAS)[order]) if sigmas else np.zeros(0)
     given = table.texts.get(KIND)
     for row, word in enumerate(given or ()):
         if word and not is_name(word):
@@ -90,9 +100,22 @@ def landmarks_of(table: Table) -> tuple[LandmarkMap, bool]:
     kind = None if given is None else tuple(given[k] for k in order.tolist())
     seen = looks.of_landmarks(table)
     known = LandmarkMap(
-        number[order], table.stack(("x", "y"))[order], kind, None if seen is None else seen.only(order)
+        number[order], table.stack(("x", "y"))[order], kind, None if seen is None else seen.only(order),
+        sigma if sigma.any() else None,
     )  # fmt: skip
-    return known, surveyed
+    if TRUE_PLACE[0] not in table:
+        return known, known
+    place = table.stack(TRUE_PLACE)[order]
+    there = np.flatnonzero(np.isfinite(place).all(axis=1))
+    kind = None if kind is None else tuple(kind[k] for k in there.tolist())
+    return known, LandmarkMap(known.id[there], place[there], kind)
+
+
+def usable_sigmas(known: LandmarkMap | None, header: Header) -> tuple[LandmarkMap | None, list[str]]:
+    """The map with the sigmas that estimators can use, and a note where these are none of those stated."""
+    if known is None or known.sigma is None or all(s.sensor.sees_points for s in header.sensors):
+        return known, []
+    return known.exact, [f"{LANDMARKS}: sigmas of walls are not used; estimators take the map as exact"]
 
 
 RELATIVE = ("x", "y", "theta")
@@ -166,8 +189,7 @@ LONGEST = 1e6
 def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log:
     """Read an open log folder; `relations`: a file instead of its relations.csv.
 
-    Observations outside the sensor's stated field of view are kept. The covariance floor is applied here. A survey's
-    sigmas (sx, sy in landmarks.csv) are checked but not used, since estimators take the map as exact; a note says so.
+    Observations outside the sensor's stated field of view are kept. The covariance floor is applied here.
 
     Raises DataError with file, line, column and value.
     """
@@ -197,7 +219,8 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
         pose = truth_per_frame(_truth_table(folder / TRUTH, POSE), len(motion.time))
     frame = frames_in(observations.table, key, motion.time)
-    known, survey = read_landmarks(folder / LANDMARKS, latest=header.format == LATEST)
+    stated, true_landmarks = read_landmarks(folder / LANDMARKS, latest=header.format == LATEST)
+    known, unusable = usable_sigmas(stated, header)
     scans = _scans(folder, header, len(motion.time), by_stamp=by_stamp)
     reference = folder / RELATIONS if relations is None else relations
     related = None
@@ -212,13 +235,17 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     if gaps:
         many = counted(gaps, "gap")
         notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
-    if survey:
-        notes.append(f"{LANDMARKS}: the survey's sigmas are ignored; estimators take the map as exact")
+    notes += unusable
     return Log(
         name=header.name,
         recorded=replace(recorded, scans=scans),
         truth=Truth(
-            pose, recorded.map, observations.true_id, related, fix_inlier=inliers[0], closure_inlier=inliers[1]
+            pose,
+            recorded.map if true_landmarks is stated else true_landmarks,
+            observations.true_id,
+            related,
+            fix_inlier=inliers[0],
+            closure_inlier=inliers[1],
         ),
         label=observations.label,
         labels_are_sensed=header.labels_are_sensed,

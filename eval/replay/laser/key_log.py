@@ -25,8 +25,9 @@ from data.inputs import Increments, Inputs, IntArray, Observations
 from data.motion.velocity import floor_covariances
 from data.pose_measurements import Closures
 from data.se2 import Array, between, compose, transform_points
+from data.sensors import RelativePoint
 from eval.replay.laser.closures import NO_PRIOR
-from eval.replay.laser.landmarks import corner_sensor, corners_at
+from eval.replay.laser.landmarks import corners_at
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.scale import scaled_front_end
 from eval.replay.laser.tracker import REACH, rotated
@@ -93,13 +94,19 @@ def key_log(
     seen = corners_at(scans, chain.frame) if corners else NO_CORNERS
     given = replace(
         inputs, time=inputs.time[frame], increments=replace(steps, covariance=covariance),
-        observations=replace(seen, frame=at[seen.frame]), sensor=corner_sensor(scans), floored=floored, scans=None,
+        observations=replace(seen, frame=at[seen.frame]), sensor=_as_observed(seen), floored=floored, scans=None,
         closures=closures if len(closures) else None,
     )  # fmt: skip
     return KeyLog(given, frame, chain, tested, found.claimed, found.error)
 
 
 NO_CORNERS = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
+
+
+def _as_observed(seen: Observations) -> RelativePoint:
+    """The sensor of corners, which are recognized far nearer than a scanner reaches: up to the farthest."""
+    farthest = float(np.hypot(*seen.z.T).max(initial=0.0))
+    return RelativePoint(max_range=1.001 * farthest if farthest > 0.0 else np.inf)
 
 
 class _Edges(NamedTuple):

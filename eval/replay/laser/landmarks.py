@@ -38,10 +38,11 @@ def corner_log(inputs: Inputs, setup: Setup) -> CornerLog:
     front = run_front_end(inputs, LaserParameters(keyframe_distance=setup.keyframe_distance))
     chain = front.chain
     covariance, floored = floor_covariances(chain.covariance, inputs.covariance_floor)
+    lever = float(np.hypot(*scans.scanner.translation))
     given = Inputs(
         inputs.prior, inputs.time[chain.frame], Increments(chain.motion, covariance), corners_at(scans, chain.frame),
-        corner_sensor(scans), time_is_index=inputs.time_is_index, covariance_floor=inputs.covariance_floor,
-        floored=floored,
+        RelativePoint(max_range=scans.scanner.max_range + lever), time_is_index=inputs.time_is_index,
+        covariance_floor=inputs.covariance_floor, floored=floored,
     )  # fmt: skip
     return CornerLog(given, chain, float(front.seconds.sum()))
 
@@ -53,12 +54,6 @@ def corners_at(scans: Scans, frames: IntArray) -> Observations:
     R = np.concatenate([np.empty((0, 2, 2)), *(R for _, _, R in seen)])
     frame = np.repeat(np.array([k for k, _, _ in seen], np.int64), [len(xy) for _, xy, _ in seen])
     return Observations(frame, z, R)
-
-
-def corner_sensor(scans: Scans) -> RelativePoint:
-    """The sensor of corners: points in the body frame."""
-    lever = float(np.hypot(*scans.scanner.translation))
-    return RelativePoint(max_range=scans.scanner.max_range + lever)
 
 
 def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:

@@ -54,11 +54,14 @@ class GraphFacts:
 def end_of(run: Run) -> Start:
     """The estimate that a batch smoother ends with."""
     assert run.final is not None
+    errors = None if run.errors_final is None else run.errors_final.mean
+    if run.task == "localization" and run.map is not None:
+        return Start(run.final.pose, run.map.xy, errors)
     places = np.full((int(run.initialized.max(initial=-1)) + 1, 2), np.nan)
     if run.map is not None:
         held = run.map.number < len(places)
         places[run.map.number[held]] = run.map.xy[held]
-    return Start(run.final.pose, places, None if run.errors_final is None else run.errors_final.mean)
+    return Start(run.final.pose, places, errors)
 
 
 def graph_at_end(trial: Trial, run: Run) -> Replayed:

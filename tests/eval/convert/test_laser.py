@@ -141,6 +141,7 @@ def test_the_command_writes_a_log_that_reads_back(tmp_path: Path, capsys: pytest
     (["floorplan:0:frames=50", "--keyframe-distance", "0"], "--keyframe-distance 0"),
     (["floorplan:0:frames=50", "--motion", "odometry", "--no-odometry"], "--motion odometry: "),
     (["floorplan:0:frames=50", "--leave-out", "scans"], "scans: unknown"),
+    (["floorplan:0:frames=50", "--leave-out", "loops", "--leave-out", "corners"], "nothing beside the motion is left"),
     (["nowhere.log"], "nowhere.log: no such log"),
 ])  # fmt: skip
 def test_what_cannot_be_is_refused_in_a_line(words, fault, tmp_path, capsys):
