@@ -23,7 +23,7 @@ Key poses of a laser log as frames of a log without scans, which every estimator
   motion        scan-match (default): scan matching from key pose to key pose, with the wheels as its prior
                 odometry: the wheels; each scan matched to those of key poses before is a closure, source scan-match
   closures.csv  loops that the front end believes, source loop
-  observations  corners of walls in the scans of key poses, without labels
+  observations  corners of walls in the scans of key poses, labelled by the front end's final path
   relations.csv reference relations of the laser log, whose frames are frames, too, with --motion odometry; else
                 each end is carried to its key pose by the front end's own match
 A pair of scans is never motion and closure at once, and wheels count once. Scans of neighbouring matches overlap, and

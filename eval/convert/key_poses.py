@@ -35,12 +35,15 @@ def log_of_keys(name: str, log: Log, made: KeyLog, motion: str) -> Log:
         f"Variances of scan matches and loops are {scale}, so their NIS is near 1 by construction.",
         "A closure is there at its later frame, some key poses before the front end believed it.",
     ]
+    label = made.label if len(made.label) else None
+    if label is not None:
+        notes.append("Labels of corners are by the front end's final path; --association jcbb decides without them.")
     if relations is not None and truth.relations is not None and len(relations) < len(truth.relations):
         notes.append(f"{len(relations)} of {len(truth.relations)} relations join two key poses, and are carried there.")
     source = {**log.source, "laser": log.name, "motion": motion, "variance_scale": made.claimed}
     return Log(
-        name, inputs, Truth(pose, relations=relations, closure_inlier=inlier), source=source,
-        notes=(*log.notes, *notes),
+        name, inputs, Truth(pose, relations=relations, closure_inlier=inlier), label=label, labels_are_sensed=True,
+        source=source, notes=(*log.notes, *notes),
     )  # fmt: skip
 
 

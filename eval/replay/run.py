@@ -44,9 +44,6 @@ from graph.factors import UnderConstrained
 
 PLAIN = Setup()
 NULL_OBSERVER = Observer()
-NEGLIGIBLE = 0.03
-"""Largest effect of a map's errors on a NEES, a hundredth of a pose's, that is not worth the time: iSAM2 takes twice as
-long on UTIAS Dataset 9 robot 3, whose effect is 0.01, and no pose moves by a ten-thousandth of its sigma."""
 DIVERGED = (FilterDivergedError, UnderConstrained, SingularInnovationError)
 """Errors of our estimators that cannot continue."""
 
@@ -289,8 +286,9 @@ def _compare(
     if set(estimators) - {"dead-reckoning"}:
         _check_granted(inputs, association)
     notes = list[Notice]()
-    if inputs.map is not None and inputs.map.sigma is not None and (effect := inputs.map_effect) < NEGLIGIBLE:
-        notes = [notice(Code.MAP_AS_EXACT, Severity.INFO, sigma=float(inputs.map.sigma.max()), effect=effect)]
+    if inputs.map is not None and inputs.map.sigma is not None and not inputs.map_is_uncertain:
+        sigma, effect = float(inputs.map.sigma.max()), inputs.map_effect
+        notes = [notice(Code.MAP_AS_EXACT, Severity.INFO, sigma=sigma, effect=effect)]
         inputs = replace(inputs, map=inputs.map.exact)
     each = _Comparison(inputs, task, estimators, association, setup.settled(inputs.labels_are_sensed), watch)
     runs = [each.run(name) for name in estimators]

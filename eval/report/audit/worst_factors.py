@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +67,8 @@ def end_of(run: Run) -> Start:
 def graph_at_end(trial: Trial, run: Run) -> Replayed:
     """The graph that a batch smoother ends with."""
     inputs = trial.log.recorded if run.task == "localization" else trial.log.recorded.without_map()
+    if inputs.map is not None and run.map is None:  # taken as exact
+        inputs = replace(inputs, map=inputs.map.exact)
     with threadpool_limits(1):
         if not isinstance(run, LaserRun):
             out = (None if of is None else ~of.used for of in (run.fixes_final, run.closures_final))
