@@ -20,6 +20,7 @@ from association.scans.uncertainty import LEVER, compose_covariances, inverse_co
 from data.inputs import IntArray, Prior
 from data.se2 import Array, compose, inverse, wrap_angle
 from graph.factors import Factor, noise, pose2
+from graph.incremental import DELICATE
 from graph.poses.online import PoseGraph, roots_at_end
 
 Link = tuple[Array, Array]  # relative pose (3,) and the covariance (3, 3) of its additive error
@@ -63,8 +64,11 @@ class ThinnedPoseGraph(PoseGraph):
             self._connect(a, b, (pose, P))
             self._loops = True
 
-    def remove(self, key: int) -> None:
-        """Remove a key pose, from the next `update` on; ValueError for the first, the newest, or an unknown one."""
+    def remove(self, key: int) -> list[tuple[int, int]]:
+        """Remove a key pose, from the next `update` on; returns the pairs of neighbours that are connected instead.
+
+        Raises ValueError for the first, the newest, or an unknown one.
+        """
         if key in (0, self.keys - 1) or key not in self._links:
             raise ValueError(f"key pose {key} cannot be removed")
         legs = self._links.pop(key)
@@ -81,6 +85,7 @@ class ThinnedPoseGraph(PoseGraph):
         shared = pose, len(legs) * covariance
         for other, leg in legs.items():
             self._connect(best, other, _composed(shared, leg))
+        return [(best, other) for other in legs]
 
     def _connect(self, a: int, b: int, link: Link) -> None:
         """Add a constraint, or its information to the one that there is."""
@@ -109,7 +114,9 @@ class ThinnedPoseGraph(PoseGraph):
 
     def _factor(self, a: int, b: int) -> Factor:
         relative, covariance = self._links[a][b]
-        roots, _ = roots_at_end(relative[None], covariance[None], f"motion from key pose {a} to {b}")
+        roots, pivot = roots_at_end(relative[None], covariance[None], f"motion from key pose {a} to {b}")
+        if pivot < DELICATE:
+            self._engine.use_qr()
         return gtsam.BetweenFactorPose2(X(a), X(b), pose2(relative), noise.Gaussian.SqrtInformation(roots[0]))
 
     def poses(self) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import takewhile
 
@@ -31,6 +31,8 @@ class KeyScan:
     points: Points
 
 
+MOST_STALE = 2
+"""Constraints that there have been over twice those that there are; from then on they are listed anew."""
 NOTHING = KeyScan(np.zeros(0), Points(np.zeros((0, 2)), np.zeros((0, 2))))
 """Of a key pose that was removed."""
 
@@ -123,18 +125,24 @@ class LoopCloser:
         return np.unique([c.key1 for c in late if not c.refused]).astype(np.int64)
 
     def remove(self, key: int) -> None:
-        """Forget the scan of a key pose, whose estimate is NaN from now on; `connect` follows."""
+        """Forget the scan and the constraints of a key pose, whose estimate is NaN from now on; `connect` follows."""
         self._keys[key] = NOTHING
+        self.edges.remove(key)
 
-    def connect(self, links: Mapping[int, Mapping[int, tuple[Array, Array]]]) -> None:
-        """The constraints between the key poses that are left, instead of all so far: by key pose and neighbour, the
+    def connect(self, links: Mapping[int, Mapping[int, tuple[Array, Array]]], new: Iterable[tuple[int, int]]) -> None:
+        """The constraints between the key poses that are left, `new` ones among them: by key pose and neighbour, the
         neighbour's relative pose (3,) and its covariance (3, 3).
         """
-        self._links, self.edges = links, PoseEdges()
-        for key, others in links.items():
-            for other, link in others.items():
-                if key < other:
-                    self.edges.add(key, other, *link)
+        self._links = links
+        for key, other in new:
+            if other in links.get(key, {}):  # neither of them was removed as well
+                self.edges.add(key, other, *links[key][other])
+        if len(self.edges) > MOST_STALE * sum(map(len, links.values())):  # each link counts twice
+            self.edges = PoseEdges()
+            for key, others in links.items():
+                for other, link in others.items():
+                    if key < other:
+                        self.edges.add(key, other, *link)
         # what no closure can agree with any more, and what is around other key poses now
         newest = len(self._keys) - 1
         self.candidates = [c for c in self.candidates if newest - c.key2 <= self.parameters.wait]

@@ -153,17 +153,22 @@ class ScanSlam:
         newest = len(self.frames) - 1
         self._places.add(newest, seen.xy)
         number, poses = self.keys()
-        keep = (newest - number <= self.parameters.wait) | (number == 0)
+        # only scans that share a cell with the newest one tell less than before, and their cells are in nearby scans
+        reach = 2.0 * min(self.scanner.max_range, self.parameters.max_range)
+        apart = np.hypot(*(poses - poses[-1])[:, :2].T)
+        near = apart <= 2.0 * reach
+        number, poses, apart = number[near], poses[near], apart[near]
+        keep = (newest - number <= self.parameters.wait) | (number == 0) | (apart > reach)
         keep |= np.isin(number, self.closer.needed())
         removed = least_informative(self._places.cells(number, poses), self._least, keep, most=MOST_AT_ONCE)
-        if not removed.any():
-            return False
+        connected: list[tuple[int, int]] = []
         for key in number[removed].tolist():
-            graph.remove(key)
+            connected += graph.remove(key)
             self._places.remove(key)
             self.closer.remove(key)
-        self.closer.connect(graph.links)
-        return True
+        if removed.any():
+            self.closer.connect(graph.links, connected)
+        return bool(removed.any())
 
 
 class Seen:
