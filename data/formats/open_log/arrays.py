@@ -17,23 +17,20 @@ from data.formats.open_log import fixes as fixes_file
 from data.formats.open_log.closures import closures_of
 from data.formats.open_log.fixes import POSE, fixes_of
 from data.formats.open_log.header import FORMAT, LATEST, header_of
+from data.formats.open_log.landmarks import KIND, SIGMAS, landmarks_of, usable_sigmas
 from data.formats.open_log.named import COVARIANCE, INLIER, SOURCE
 from data.formats.open_log.reader import (
     IDS,
-    KIND,
     MEAN,
-    SIGMAS,
     Measured,
     frames_in,
     frames_of,
     inputs_of,
     instants,
-    landmarks_of,
     observations_of,
     odometry_of,
     stamped_truth,
     truth_per_frame,
-    usable_sigmas,
     with_measured,
 )
 from data.formats.open_log.sensors import FIRST, NOISE

@@ -20,6 +20,7 @@ from data.formats.open_log import fixes as fixes_file
 from data.formats.open_log import sensors as sensors_file
 from data.formats.open_log.fixes import POSE
 from data.formats.open_log.header import FORMAT, LATEST
+from data.formats.open_log.landmarks import SIGMAS, TRUE_PLACE
 from data.formats.open_log.named import COVARIANCE
 from data.formats.open_log.reader import (
     CLOSURES,
@@ -33,9 +34,7 @@ from data.formats.open_log.reader import (
     ODOMETRY,
     RELATIONS,
     SCANS,
-    SIGMAS,
     STAMP,
-    TRUE_PLACE,
     TRUTH,
     load_folder,
     relations_columns,

@@ -19,6 +19,7 @@ from data.worlds.registry import named_log
 from ekf.localizer import EkfLocalizer
 from eval.referee.consistency import nees
 from eval.referee.score import Trial
+from eval.replay.estimators import OPTIONS
 from eval.replay.run import compare, filter_known, step_by_step
 from eval.replay.settings import FILTERS, Setup
 from eval.report.audit.worst_factors import graph_at_end
@@ -275,3 +276,31 @@ def test_the_graph_that_batch_ends_with_has_the_priors_it_used(sigma: float, kin
     assert len(graph.statistics.kinds.names) == kinds, "prior, odometry, observations, and landmarks of the map"
     assert run.total_nis is not None
     assert graph.statistics.freedom == run.total_nis[1]
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_a_landmark_that_joins_late_changes_nothing_beside_kept_poses(name: str) -> None:
+    """In front of the kept poses, whenever it is: as if all landmarks had been states from the first frame on."""
+    log = named_log("mixed:0:sigma_map=0.1+frames=60+max_range=4+closure_gap=5+closure_radius=6")
+    inputs, ends = log.inputs(labels=True), list[Array]()
+    assert inputs.map is not None
+    assert inputs.closures is not None
+    for early in (True, False):
+        f = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, OPTIONS[name])
+        f.keep(inputs.closures.last_use())
+        if early:
+            f._join(np.arange(len(inputs.map.id)))
+        sizes = list[tuple[int, int]]()
+        for k in range(len(inputs)):
+            frame = inputs.frame(k)
+            if frame.increment is not None:
+                f.predict(frame.increment)
+            if frame.closures is not None:
+                f.close_loops(frame.closures, None)
+            assert frame.label is not None
+            f.update(frame.observations, frame.label)
+            sizes.append((f.size, f.kept))
+        grew = {size for size, kept in sizes if kept}
+        assert (len(grew) > 2) != early, "landmarks join beside kept poses"
+        ends.append(np.concatenate([f.estimate().mean, f.estimate().covariance.ravel(), f.landmarks().xy.ravel()]))
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-10)
