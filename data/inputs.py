@@ -276,8 +276,8 @@ class LandmarkMap(Locked):
 
 
 NEGLIGIBLE = 0.03
-"""Largest effect of a map's errors on a NEES, a hundredth of a pose's, that is not worth the time: iSAM2 takes twice as
-long on UTIAS Dataset 9 robot 3, whose effect is 0.01, and no pose moves by a ten-thousandth of its sigma."""
+"""Largest effect of a map's errors on a NEES, a hundredth of a pose's, that is not worth the time: iSAM2 takes 1.4
+times as long on UTIAS Dataset 9 robot 3, whose effect is 0.01, and no pose moves by a ten-thousandth of its sigma."""
 
 
 @dataclass(frozen=True, eq=False)

