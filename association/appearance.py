@@ -27,18 +27,22 @@ from data.se2 import Array, BoolArray
 UNKNOWN = 1.0  # squared distance where one of both has no descriptor: its mean, so that a sum over pairings has its own
 
 
-class Unlike(NamedTuple):
-    """By observation (m) and candidate (n): terms of the squared distance and of the logarithm of its determinant.
-
-    dims: degrees of freedom of the distance; error: probability that a class was misread, cost: the term of a misread
-    one of a landmark that is known well.
+class Evidence(NamedTuple):
+    """What the appearance of a right pairing adds to its squared distance: chi-square of `dims` degrees of freedom, and
+    `cost` with probability `error`, that of a misread class.
     """
+
+    dims: int = 0
+    error: float = 0.0
+    cost: float = 0.0
+
+
+class Unlike(NamedTuple):
+    """By observation (m) and candidate (n): terms of the squared distance and of the logarithm of its determinant."""
 
     distance: Array
     log_determinant: Array
-    dims: int
-    error: float = 0.0
-    cost: float = 0.0
+    right: Evidence
 
     def only(self, which: IntArray) -> Unlike:
         """The same of some candidates."""
@@ -72,9 +76,8 @@ class Looks:
         m, n = len(seen), len(numbers)
         self._room(seen.names)
         mean, variance, log = self._of(numbers)
-        distance, log_det, dims, error, cost = np.zeros((m, n)), np.zeros((m, n)), 0, 0.0, 0.0
+        distance, log_det = np.zeros((m, n)), np.zeros((m, n))
         if seen.measures:
-            dims = 1
             s = variance[None] + seen.sigma[:, None] ** 2
             there = np.isfinite(s) & np.isfinite(seen.descriptor)[:, None] & np.isfinite(mean)[None]
             s = np.where(there, s, 1.0)
@@ -83,8 +86,7 @@ class Looks:
             log_det += np.where(there, np.log(s), 0.0)
         if seen.classifies:
             distance += self._misread(log, seen)
-            error, cost = _misreading(seen)
-        return Unlike(distance, log_det, dims, error, cost)
+        return Unlike(distance, log_det, evidence(seen))
 
     def _misread(self, log: Array, seen: Appearance) -> Array:
         """-2 ln of the probability (m, n) of each class read, over that of the likeliest."""
@@ -231,12 +233,14 @@ class Looks:
         return row
 
 
-def _misreading(seen: Appearance) -> tuple[float, float]:
-    """Probability that a class is misread among observations (m,), and the term of a misread one."""
-    count, read = len(seen.names), seen.category >= 0
-    if count < 2:
-        return 0.0, 0.0
+def evidence(seen: Appearance | None) -> Evidence:
+    """Of right pairings of observations (m,) with landmarks that are known well."""
+    if seen is None:
+        return Evidence()
+    count, read, dims = len(seen.names), seen.category >= 0, int(seen.measures)
+    if count < 2 or not read.any():
+        return Evidence(dims)
     error = float(seen.error[read].mean())
-    cost = 2.0 * math.log((1.0 - error) * (count - 1) / error) if error else 0.0
+    cost = 2.0 * math.log((1.0 - error) * (count - 1) / error)
     # rounded, since thresholds are kept by these numbers
-    return round(error * float(read.mean()), 6), max(round(cost, 6), 0.0)
+    return Evidence(dims, round(error * float(read.mean()), 6), max(round(cost, 6), 0.0))

@@ -15,7 +15,7 @@ import numpy as np
 import scipy
 from scipy.special import chdtrc, gammaincinv
 
-from association.appearance import Unlike
+from association.appearance import Evidence, Unlike
 from data.blocks import add_to_diagonal, diagonal_blocks, of_points
 from data.inputs import IntArray
 from data.se2 import Array
@@ -44,10 +44,20 @@ def _chi2(probability: float, dof: int) -> float:
     return float(2.0 * gammaincinv(0.5 * dof, probability))
 
 
+def threshold_with(gate: float | None, dims: int, pairs: int, right: Evidence) -> float:
+    """Squared distance that right pairings, of `dims` numbers each and with appearance, stay below together with
+    probability `gate`; None: infinite.
+    """
+    dof = (dims + right.dims) * pairs
+    if not right.error or gate is None or not 0.0 < gate < 1.0:
+        return gate_threshold(gate, dof)
+    return _with_misreadings(gate, dof, pairs, right.error, right.cost)
+
+
 @lru_cache(maxsize=4096)
 def _with_misreadings(probability: float, dof: int, pairs: int, error: float, cost: float) -> float:
-    """The same of a chi-square variable plus `cost` for each of `pairs` readings that is wrong, with probability
-    `error`: the quantile of a mixture.
+    """Quantile of a chi-square variable plus `cost` for each of `pairs` classes that is misread, with probability
+    `error`.
     """
     wrong = np.arange(pairs + 1)
     share = scipy.stats.binom.pmf(wrong, pairs, error)
@@ -150,14 +160,11 @@ class Expectation:
     @property
     def dof(self) -> int:
         """Degrees of freedom of the squared distance of a pair."""
-        return self.dims if self.unlike is None else self.dims + self.unlike.dims
+        return self.dims if self.unlike is None else self.dims + self.unlike.right.dims
 
     def threshold(self, gate: float | None, pairs: int = 1) -> float:
         """Squared distance that right pairings stay below together with probability `gate`; None: infinite."""
-        unlike = self.unlike
-        if unlike is None or not unlike.error or gate is None or not 0.0 < gate < 1.0:
-            return gate_threshold(gate, self.dof * pairs)
-        return _with_misreadings(gate, self.dof * pairs, pairs, unlike.error, unlike.cost)
+        return threshold_with(gate, self.dims, pairs, Evidence() if self.unlike is None else self.unlike.right)
 
     def with_appearance(self, unlike: Unlike | None) -> Expectation:
         """The same problem with terms of appearance."""

@@ -16,11 +16,13 @@ import scipy
 from numba import njit
 from scipy.special import chdtr, ndtri
 
-from association.expectation import gate_threshold
+from association.appearance import Evidence
+from association.expectation import threshold_with
 from association.methods import ALPHA, RATIO
 from data.se2 import Array
 
 DRAWS = 64  # innovations drawn per frame, which add 1/64 to the variance of a run's NIS
+NOTHING = Evidence()
 POINTS = 4096  # quasi-random points that frames take in turn, so that the sampling errors do not add up
 
 
@@ -30,6 +32,7 @@ class Acceptance(NamedTuple):
     individual: float = math.inf  # each pairing, 2 dof
     joint: float | None = None  # probability of the joint gate of all pairings of a frame, or None
     conditional: float = math.inf  # each pairing given the others of its frame, 2 dof
+    right: Evidence = Evidence()  # appearance of right pairings, which these tests include
 
     @property
     def everything(self) -> bool:
@@ -37,13 +40,31 @@ class Acceptance(NamedTuple):
         return math.isinf(self.individual) and self.joint is None and math.isinf(self.conditional)
 
 
-def acceptance(method: str, gate: float | None, dims: int = 2) -> Acceptance:
-    """The tests of an association method at a `gate` probability, None for no gate, of observations of `dims` numbers.
-    `ml-ratio` pairs only landmarks that beat "new" by its ratio, which is the narrower test.
+@cache
+def of_places(gate: float | None, dims: int, pairs: int = 1, right: Evidence = NOTHING) -> float:
+    """Threshold of a gate of pairings, for their places alone: below it these have the mean that they have where places
+    and appearance together pass the gate. E[x; x + y < c] = k F_{k+l+2}(c) of chi-square x and y with k and l dof.
     """
-    alone = gate_threshold(gate, dims)
+    dof, more = dims * pairs, right.dims * pairs
+    threshold = threshold_with(gate, dims, pairs, right)
+    if right == NOTHING or math.isinf(threshold):
+        return threshold
+    wrong = np.arange(pairs + 1)
+    share = scipy.stats.binom.pmf(wrong, pairs, right.error)
+    left = np.maximum(threshold - right.cost * wrong, 0.0)
+    wanted = float(share @ chdtr(dof + more + 2, left)) / float(share @ chdtr(dof + more, left))
+    return float(
+        scipy.optimize.brentq(lambda c: chdtr(dof + 2, c) / chdtr(dof, c) - wanted, 1e-6, threshold + 100.0 * dof)
+    )
+
+
+def acceptance(method: str, gate: float | None, dims: int = 2, right: Evidence = NOTHING) -> Acceptance:
+    """The tests of an association method at a `gate` probability, None for no gate, of observations of `dims` numbers
+    and of appearance. `ml-ratio` pairs only landmarks that beat "new" by its ratio, which is the narrower test.
+    """
+    alone = of_places(gate, dims, 1, right)
     if method in ("jcbb", "jcbb-first"):
-        return Acceptance(alone, gate)
+        return Acceptance(alone, gate, right=right)
     if method == "ml-ratio":
         return Acceptance(min(alone, ALPHA / RATIO))
     return Acceptance(alone)
@@ -76,7 +97,7 @@ def accepted_moments(
         return truncated_square(min(passed.individual, passed.conditional), dof)  # the joint gate is the individual one
     points = _points(1 << (dof - 1).bit_length())
     begin = turn * DRAWS % POINTS
-    joint = math.inf if passed.joint is None else gate_threshold(passed.joint, dof)
+    joint = math.inf if passed.joint is None else of_places(passed.joint, len(measures), len(S) // 2, passed.right)
     white = np.zeros((DRAWS, len(S)))
     white[:, (2 * np.arange(len(S) // 2)[:, None] + np.array(measures)).ravel()] = points[begin : begin + DRAWS, :dof]
     try:

@@ -107,7 +107,8 @@ class Log:
             observations: (M, 3): frame from 0 (with `odometry`: time [s]), z1, z2, ascending.
             more: increments (N, 3), row 0 zero, with covariance (N, 3, 3), (3, 3) or sigmas (3,), and time (N,) [s]
                 (None: frames without stamps); or odometry (K, 3): t, v, omega, with motion: the keys of [motion].
-                R (M, 2, 2) or (2, 2) instead of the sensor's sigma. landmarks (L, 3): id, x, y. truth (N, 3), NaN where
+                R (M, 2, 2) or (2, 2) instead of the sensor's sigma. landmarks (L, 3): id, x, y, or (L, 5) with the
+                standard deviations sx, sy. truth (N, 3), NaN where
                 unknown (with odometry (K, 4): t, x, y, theta). true_id (M,): -1 false alarm, NaN unknown. label (M,),
                 NaN unknown. labels_are_sensed: bool. observed_by (M,): names of sensors. kinds (L,) of landmarks.
                 descriptor (M,), NaN not measured, and classes (M,), blank not read, with sensor's descriptor_sigma and

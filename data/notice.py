@@ -58,6 +58,7 @@ class Code(StrEnum):
     NIS_STATED = "nis-stated"
     NIS_UNCHECKED = "nis-unchecked"
     FILTER_ONLY = "filter-only"
+    MAP_AS_EXACT = "map-as-exact"
     PARKED = "parked"
     NOT_PARKED = "not-parked"
     POSES_UNUSED = "poses-unused"

@@ -9,7 +9,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from data.inputs import IntArray
+from data.inputs import IntArray, LandmarkMap
 from data.locked import Locked
 from data.notice import Notice
 from data.pose_measurements import PoseInnovations
@@ -63,7 +63,7 @@ class Systematics(NamedTuple):
 
 
 class Finished(NamedTuple):
-    """The end of a run: final trajectory (None for a filter), last map (None in localization); others as of `Run`.
+    """The end of a run: final trajectory (None for a filter), last map (None in an exact map); others as of `Run`.
 
     fixes, closures: `fixes_final` and `closures_final` there.
     """
@@ -103,8 +103,32 @@ class MapEstimate(Locked):
         return len(self.number)
 
 
-def map_estimate(state: MapState, frame: IntArray, decisions: IntArray, created: IntArray) -> MapEstimate:
-    """The map, with first frame and number of observations of each landmark by the given decisions; `frame` (M,)."""
+def map_with(known: LandmarkMap, estimated: MapState) -> MapState:
+    """An uncertain map with those of its landmarks that were estimated, by id; the others as in the map."""
+    sigma = np.zeros((len(known.id), 2)) if known.sigma is None else known.sigma
+    xy, covariance, rows = known.xy.copy(), sigma[:, :, None] ** 2 * np.eye(2), known.rows(estimated.number)
+    xy[rows], covariance[rows] = estimated.xy, estimated.covariance
+    return MapState(known.id, xy, covariance)
+
+
+def map_estimate(
+    state: MapState, frame: IntArray, decisions: IntArray, created: IntArray, *, known: bool = False
+) -> MapEstimate:
+    """The map, with first frame and number of observations of each landmark by the given decisions; `frame` (M,).
+
+    `known`: numbers are ids of a given map, which no observation initializes.
+    """
+    if known:
+        ids, which = np.unique(np.where(decisions >= 0, decisions, -1), return_inverse=True)
+        rows = np.searchsorted(ids, state.number)
+        seen = np.isin(state.number, ids)
+        begun = np.full(len(ids), -1, np.int64)
+        begun[which[::-1]] = frame[::-1]
+        at = np.where(seen, rows, 0)
+        times = np.bincount(which, minlength=len(ids)).astype(np.int64)
+        n = np.asarray(state.number, np.int64)
+        first, count = (np.where(seen, each[at], other) for each, other in ((begun, -1), (times, 0)))
+        return MapEstimate(n, state.xy, state.covariance, first, count)
     number = np.where(created >= 0, created, decisions)
     seen = number >= 0
     size = int(max(number.max(initial=-1), np.max(state.number, initial=-1))) + 1
@@ -190,7 +214,7 @@ class Run(Locked):
         estimator, association, task: names as in the result files.
         online: estimates at each instant (None for a batch smoother).
         final: after all data (None for a filter).
-        map: the last map (None in localization).
+        map: the last map; in localization that of an uncertain map as estimated, in an exact one None.
         decisions: (M,) landmark number, `NEW` or `DISCARD`, as made online.
         final_decisions: (M,) after all revisions.
         created: (M,) number of the landmark an observation initialized, -1 for none.

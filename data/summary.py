@@ -7,7 +7,7 @@ import json
 import numpy as np
 import scipy
 
-from data.appearance import Appearance
+from data.appearance import misread, spread
 from data.inputs import CLUTTER, UNLABELLED, IntArray, Scanner
 from data.log import Log
 from data.pose_measurements import MEASURED, FixKind
@@ -138,11 +138,12 @@ def _observations(log: Log) -> list[Line]:
         rows = np.arange(m) if o.sensor is None else np.flatnonzero(o.sensor == i)
         if len(rows):
             lines.append(("measured", _measured(sensor, o.z[rows], int(outside[rows].sum()))))
-    return [*lines, *(("appearance", text) for text in _appearance(o.appearance))]
+    return [*lines, *(("appearance", text) for text in _appearance(log))]
 
 
-def _appearance(looks: Appearance | None) -> list[str]:
-    """Spans of descriptors, and classes with their counts."""
+def _appearance(log: Log) -> list[str]:
+    """Spans of descriptors, and classes with their counts; their errors, where landmarks are known."""
+    looks, label = log.recorded.observations.appearance, log.granted
     if looks is None:
         return []
     there, read = looks.descriptor[np.isfinite(looks.descriptor)], looks.category[looks.category >= 0]
@@ -150,10 +151,15 @@ def _appearance(looks: Appearance | None) -> list[str]:
     if len(there):
         sigma = np.median(looks.sigma[np.isfinite(looks.descriptor)])
         texts.append(f"descriptor {there.min():.4g} to {there.max():.4g}, sigma {sigma:.4g}: {len(there)}")
+        if label is not None and np.isfinite((found := spread(looks, label)).within):
+            within = f"{found.within:.3g} about a landmark's mean, {found.successive:.3g} from reading to reading"
+            texts[-1] += f"; by label {within}, {found.between:.3g} between landmarks"
     if len(read):
         counts = np.bincount(read, minlength=len(looks.names))
         each = ", ".join(f"{n} {c}" for n, c in zip(looks.names[:8], counts.tolist(), strict=False))
         texts.append(f"{counted(len(looks.names), 'class', 'classes')}: {each}{', ...' * (len(looks.names) > 8)}")
+        if label is not None and np.isfinite(share := misread(looks, label)):
+            texts[-1] += f"; by label {100.0 * share:.2g} % unlike the others of their landmark"
     return texts
 
 
@@ -299,6 +305,9 @@ def _landmarks(log: Log) -> list[Line]:
     if not log.recorded.sensor.sees_points:
         return [("landmarks", f"{text}walls, rho {x0:.4g} to {x1:.4g} m")]
     text += f"x {x0:.4g} to {x1:.4g} m, y {y0:.4g} to {y1:.4g} m"
+    if landmarks.sigma is not None:
+        low, high = landmarks.sigma.min(), landmarks.sigma.max()
+        text += f"; sigma {low:.3g} to {high:.3g} m"
     if len(xy) > 1:
         distance = np.asarray(scipy.spatial.cKDTree(xy).query(xy, k=2)[0])
         text += f"; closest two {distance[:, 1].min():.3g} m apart"

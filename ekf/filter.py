@@ -94,7 +94,7 @@ class Filter:
     def __init__(
         self, prior: Prior, sensor: Sensor, options: FilterOptions, errors: Systematic | None, landmarks: int = 0
     ) -> None:
-        """Start at the prior with room for `landmarks`; 0 in a known map."""
+        """Start at the prior with room for `landmarks` of SLAM; 0 in a known map."""
         self._frame, self._systematic = frame_of(errors, sensor, prior, options, slam=landmarks > 0), errors
         self._errors = systematic.as_states(errors, self._frame)
         self.sensor, self.options = self._frame.sensor(sensor), options
@@ -124,6 +124,15 @@ class Filter:
             self._mean, self._P = mean, P
             if len(self._first):
                 self._first = np.concatenate([self._first, np.zeros(capacity - old)])
+
+    def _before_carried(self, d: int, e: int, end: int) -> None:
+        """Move new landmarks at the offsets from e to end in front of the carried states, which begin at d."""
+        order = np.concatenate([np.arange(e, end), np.arange(d, e)])
+        self._mean[d:end] = self._mean[order]
+        self._P[:end, d:end] = self._P[:end, order]
+        self._P[d:end, :end] = self._P[order, :end]
+        if len(self._first):
+            self._first[d:end] = self._first[order]
 
     def look(self, sensor: Sensor) -> None:
         """Expect and use observations of this sensor from now on. ValueError beside errors of the sensor."""

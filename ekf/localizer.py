@@ -1,4 +1,12 @@
-"""EKF localization: pose and systematic errors, with a known map."""
+"""EKF localization: pose and systematic errors, with a known map, and its landmarks where that is uncertain.
+
+A landmark's error in the map is the same in all its observations: a bias, which no noise of the observations can stand
+for. So a landmark with standard deviations is a state, with its place in the map as prior, from its first use on; until
+then it is independent of all else, and nothing is lost. As an estimated state it learns from the observations, and the
+filter equals the smoothers of a linear problem; a consider state (Schmidt, "Application of state-space methods to
+navigation problems", Advances in Control Systems 3, 1966; Jazwinski, "Stochastic processes and filtering theory", 1970,
+section 8.4) would cost the same and learn nothing.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +16,16 @@ import numpy as np
 
 from association.candidates import Places, gate_radius
 from association.expectation import Expectation
+from data.blocks import coordinates_from
 from data.inputs import FrameObservations, IntArray, LandmarkMap, Prior, Systematic
-from data.result import Finished, MapState, Updated
+from data.result import Finished, MapState, Updated, map_with
 from data.se2 import Array
 from data.sensors import Sensor
 from ekf.filter import DEFAULT, Filter, FilterOptions
 from ekf.systematic import expect_known, hold_known
+
+EXACT, ABSENT = -1, -2
+"""Offsets of landmarks that are no states: without an error; uncertain, minus the row in the map."""
 
 
 class EkfLocalizer(Filter):
@@ -28,20 +40,32 @@ class EkfLocalizer(Filter):
         *,
         systematic: Systematic | None = None,
     ) -> None:
-        """Start at the prior with an exact map; `systematic`: errors to estimate."""
+        """Start at the prior; `systematic`: errors to estimate.
+
+        Raises ValueError for an uncertain map beside a range error, or of walls.
+        """
         super().__init__(prior, sensor, options, systematic)
         self.map, self.within = known, math.inf  # within: squared distance beyond which `expect` may omit landmarks
         self._places = Places(known.xy)
+        self._sigma = np.zeros((len(known.id), 2)) if known.sigma is None else known.sigma
+        self._slot = np.where(self._sigma.any(axis=1), ABSENT - np.arange(len(known.id)), EXACT)
+        """Of each row of the map: offset in the state, `EXACT`, or `ABSENT` minus the row."""
+        if known.sigma is not None and (self._errors.range_at >= 0 or not sensor.sees_points):
+            raise ValueError("an uncertain map needs a sensor of points, without a range error to estimate")
 
     def expect(self, observations: FrameObservations) -> Expectation:
         """Expectation of the map's landmarks, valid until the next `predict` or `update`."""
         near = self._places.around(*self._search_circle(observations))
-        return self._expect(observations, self.map.id[near], np.full(len(near), -1, np.int64), self.map.xy[near])
+        return self._expect(observations, self.map.id[near], self._slot[near], self.map.xy[near])
 
     def _search_circle(self, observations: FrameObservations) -> tuple[Array, float]:
-        """Centre (2,) in the world and radius [m] of a circle around all landmarks of `within`."""
+        """Centre (2,) in the world and radius [m] of a circle around all landmarks of `within`, by the map."""
         P, a = self._P, self._errors.range_at
         radius = gate_radius(self.sensor, P[:3, :3], observations, self.within)
+        if self.map.sigma is not None and math.isfinite(radius):
+            moved = self._states - self.map.xy[self._slot >= 0]
+            radius += math.sqrt(self.within) * float(np.hypot(*self._sigma.T).max())
+            radius += float(np.hypot(*moved.T).max(initial=0.0))
         if a < 0 or not math.isfinite(radius):
             return self._mean[:2], radius
         # a landmark at r from the sensor and q from the origin is expected at (1 + range) r, uncertain by at most the
@@ -51,9 +75,24 @@ class EkfLocalizer(Filter):
         swing = math.hypot(*(centre - self._errors.origin)) * sigmas
         return centre, (radius + swing) / (size - sigmas) if size > sigmas else math.inf
 
+    @property
+    def _states(self) -> Array:
+        """Means (n, 2) of the landmarks that are states, in the order of the map."""
+        return self._mean[self._at].reshape(-1, 2)
+
+    @property
+    def _at(self) -> IntArray:
+        """Offsets (2n,) of their coordinates."""
+        return coordinates_from(self._slot[self._slot >= 0])
+
     def _predict_measurements(self, state: Array, at: IntArray, known: Array, z_hat: Array, blocks: Array) -> None:
         if self._errors.range_at < 0:
             super()._predict_measurements(state, at, known, z_hat, blocks)
+            absent = np.flatnonzero(at <= ABSENT)
+            if len(absent):
+                pose = self._first if len(self._first) else state
+                H = self.sensor.jacobians(pose[:3], known[absent])[1]
+                blocks[absent] += (H * self._sigma[ABSENT - at[absent], None, :] ** 2) @ H.transpose(0, 2, 1)
             return
         expect_known(self._kind, self._extrinsic, state, self._P, known, z_hat, blocks, self._first, self._errors)
 
@@ -62,7 +101,16 @@ class EkfLocalizer(Filter):
 
     def _substate(self, state: Array, at: IntArray, known: Array) -> tuple[Array, Array, Array, IntArray]:
         if self._errors.range_at < 0:
-            return super()._substate(state, at, known)
+            mean, P, first, moved = super()._substate(state, at, known)
+            absent = np.flatnonzero(at <= ABSENT)
+            if not len(absent):
+                return mean, P, first, moved
+            d, xy = len(mean), known[absent].ravel()
+            mean, first = np.concatenate([mean, xy]), np.concatenate([first, xy]) if len(first) else first
+            whole = np.diag(np.concatenate([np.zeros(d), self._sigma[ABSENT - at[absent]].ravel() ** 2]))
+            whole[:d, :d] = P
+            moved[absent] = d + 2 * np.arange(len(absent))
+            return mean, whole, first, moved
         d, b = self.base + 2 * len(at), self.base
         mean, P, first = np.zeros(d), np.zeros((d, d)), self._first
         mean[:b], P[:b, :b] = state[:b], self._P[:b, :b]
@@ -88,7 +136,9 @@ class EkfLocalizer(Filter):
         if len(rows) and rows.min() < 0:
             raise ValueError(f"decisions {decisions[paired].tolist()} name a landmark the map does not have")
         known = self.map.xy[rows]
-        given = np.full(len(paired), -1, np.int64)
+        if self.map.sigma is not None:
+            self._join(rows)
+        given = self._slot[rows]
         if self._errors.range_at >= 0:
             # temporary states of the update
             self._grow(len(paired))
@@ -99,12 +149,34 @@ class EkfLocalizer(Filter):
         self._carried = self.kept
         return updated
 
+    def _join(self, rows: IntArray) -> None:
+        """Make uncertain landmarks, by rows of the map (k,), states if they are none yet, in this order."""
+        new = np.array([r for r in dict.fromkeys(rows.tolist()) if self._slot[r] <= ABSENT], np.int64)
+        if not len(new):
+            return
+        self._grow(len(new))
+        d, e = self.size, self._used
+        end = e + 2 * len(new)
+        self._mean[e:end] = self.map.xy[new].ravel()
+        self._P[e:end, :end], self._P[:end, e:end] = 0.0, 0.0
+        self._P[np.arange(e, end), np.arange(e, end)] = self._sigma[new].ravel() ** 2
+        if len(self._first):
+            self._first[e:end] = self._mean[e:end]
+        self._before_carried(d, e, end)
+        self._slot[new] = d + 2 * np.arange(len(new))
+        self.size += 2 * len(new)
+
     def reset(self, mean: Array, covariance: Array) -> None:
-        """Set pose (3,) and covariance (3, 3), and keep the systematic errors; earlier poses are no longer known."""
+        """Set pose (3,) and covariance (3, 3), and keep the systematic errors; earlier poses are no longer known.
+
+        Landmarks begin again with their places in the map.
+        """
         self._version += 1
         self._clones.frames.clear()
         self._carried = 0
-        b = self.base
+        joined = np.flatnonzero(self._slot >= 0)
+        self._slot[joined] = ABSENT - joined
+        b = self.size = self.base
         self._mean[:3] = self._frame.poses_in(mean[None], self._mean[None, 3:b])[0]
         self._P[:3, :3], self._P[:3, 3:b], self._P[3:b, :3] = covariance, 0.0, 0.0
         if not self._frame.same:
@@ -118,9 +190,11 @@ class EkfLocalizer(Filter):
             self._first[:3] = self._mean[:3]
 
     def landmarks(self) -> MapState:
-        """The given map, which has no covariance."""
-        return MapState(self.map.id, self.map.xy, np.zeros((len(self.map.id), 2, 2)))
+        """The map, without covariance where it is exact; landmarks that were used are where they are estimated."""
+        at = self._at.reshape(-1, 2)
+        blocks = self._P[at[:, :, None], at[:, None, :]]
+        return map_with(self.map, MapState(self.map.id[self._slot >= 0], self._states, blocks))
 
     def finish(self) -> Finished:
-        """No smoothed path, and no map of its own."""
-        return Finished(None, None)
+        """No smoothed path; the map as estimated, if it is uncertain."""
+        return Finished(None, None if self.map.sigma is None else self.landmarks())

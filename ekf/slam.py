@@ -306,15 +306,6 @@ class EkfSlam(Filter):
         self.size += 2
         return self.created - 1, done.nis, done.dof, done.log_likelihood
 
-    def _before_carried(self, d: int, e: int, end: int) -> None:
-        """Move new landmarks at the offsets from e to end in front of the carried states, which begin at d."""
-        order = np.concatenate([np.arange(e, end), np.arange(d, e)])
-        self._mean[d:end] = self._mean[order]
-        self._P[:end, d:end] = self._P[:end, order]
-        self._P[d:end, :end] = self._P[order, :end]
-        if len(self._first):
-            self._first[d:end] = self._first[order]
-
     def remove(self, numbers: IntArray) -> None:
         """Marginalize landmarks out, active or parked."""
         removed, parked = np.isin(self._number, numbers), np.isin(self.parked, numbers)

@@ -10,7 +10,7 @@ import numpy as np
 from data.blocks import diagonal_blocks
 from data.inputs import Inputs, IntArray, Systematic
 from data.motion.systematic import SensorFrame
-from data.result import DISCARD, NEW, MapState, Systematics
+from data.result import DISCARD, NEW, MapState, Systematics, map_with
 from data.se2 import Array, BoolArray
 from ekf import kernels, systematic
 from ekf.filter import DEFAULT, FilterOptions, frame_of
@@ -30,7 +30,7 @@ class FilterRun(NamedTuple):
     state_size: IntArray
     white: Array  # (M, 2) as in `Innovations`
     decisions: IntArray  # (M,) the given ones, gated pairings turned into `DISCARD`
-    map: MapState | None
+    map: MapState | None  # of SLAM, or an uncertain one as estimated
     failure: tuple[int, str] | None  # frame and reason; later rows are NaN
     errors: Systematics | None = None  # the systematic ones, where the inputs have any
 
@@ -58,13 +58,17 @@ def run_filter(
     room = int((decided == NEW).sum())
     if errors.range_at >= 0 and not slam:
         room = int(np.bincount(inputs.observations.frame[decided >= 0]).max(initial=0))
+    joining = None if slam else joining_of(inputs, decided)
+    if joining is not None:
+        room += len(joining.row)
     capacity = base + 2 * room
     mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
     mean[:base], P[:base, :base] = systematic.begin(inputs.prior, of, frame)
     track = empty_track(n, base, len(inputs.observations.z))
     state, variance = track.pose, track.covariance
     first = mean.copy() if options.first_estimates else NEWEST
-    steps, rules = steps_of(inputs, slice(0, n), decided, base), rules_of(options, threshold, base - 3, first)
+    steps = steps_of(inputs, slice(0, n), decided, base, joining)
+    rules = rules_of(options, threshold, base - 3, first)
     d, status, stopped = run(sensor.kind, sensor.extrinsic, mean, P, base, steps, rules, errors, track)
     steps.put(decided, track.white)
     failure = None
@@ -79,6 +83,10 @@ def run_filter(
         blocks = diagonal_blocks(P[base:d, base:d])
         found = MapState(np.arange(count, dtype=np.int64), mean[base:d].reshape(count, 2).copy(), blocks)
         found = systematic.landmarks(found, P[base:d, b].reshape(count, 2, base - 3), mean[b], P[b, b], frame)
+    elif joining is not None and inputs.map is not None:
+        number = inputs.map.id[joining.row[: (d - base) // 2]]
+        at, blocks = mean[base:d].reshape(-1, 2), diagonal_blocks(P[base:d, base:d])
+        found = map_with(inputs.map, MapState(number, at, blocks))
     return filter_run(track, of, frame, decided, found, failure)
 
 
@@ -131,13 +139,44 @@ class Steps(NamedTuple):
     R: Array  # (J, 2, 2)
     new: IntArray  # (N + 1,) first new landmark of each frame
 
+    join: IntArray  # (N + 1,) first landmark of an uncertain map that joins the state with each frame
+    xy: Array  # (I, 2) their places in the map
+    sigma: Array  # (I, 2)
+
     def put(self, decisions: IntArray, white: Array) -> None:
         """Enter the outcomes: into decisions (M,) that a pairing was rejected, the innovations into white (M, 2)."""
         decisions[self.rows[~self.keep]] = DISCARD
         white[self.rows] = self.white
 
 
-def steps_of(inputs: Inputs, frames: slice, decided: IntArray, base: int) -> Steps:
+class Joining(NamedTuple):
+    """Landmarks of an uncertain map that are states (`ekf.localizer`), in the order of their first pairing."""
+
+    row: IntArray  # (I,) of the map
+    frame: IntArray  # (I,) of the first pairing, ascending
+    place: IntArray  # (L,) of each landmark of the map among them; -1: none
+
+
+def joining_of(inputs: Inputs, decided: IntArray) -> Joining | None:
+    """Landmarks that join the state by rows of the map `decided` (M,); None in an exact map.
+
+    Raises ValueError for an uncertain map beside a range error, or of walls.
+    """
+    known = inputs.map
+    if known is None or known.sigma is None:
+        return None
+    if not inputs.sensor.sees_points or (inputs.systematic is not None and "range" in inputs.systematic.names):
+        raise ValueError("an uncertain map needs a sensor of points, without a range error to estimate")
+    rows = np.flatnonzero(decided >= 0)
+    rows = rows[known.sigma[decided[rows]].any(axis=1)]
+    row, first = np.unique(decided[rows], return_index=True)
+    order = np.argsort(first)
+    place = np.full(len(known.id), -1)
+    place[row[order]] = np.arange(len(row))
+    return Joining(row[order], inputs.observations.frame[rows[first[order]]], place)
+
+
+def steps_of(inputs: Inputs, frames: slice, decided: IntArray, base: int, joining: Joining | None = None) -> Steps:
     """Steps of the frames by `decided` (M,): the place of a landmark in the state behind `base`, or the row of the map.
 
     All arrays are copies: read-only ones would compile the loop once more.
@@ -148,11 +187,17 @@ def steps_of(inputs: Inputs, frames: slice, decided: IntArray, base: int) -> Ste
     at, known = base + 2 * decided[rows], np.zeros((len(rows), 2))
     if inputs.map is not None:
         at, known = np.full(len(rows), -1), inputs.map.xy[decided[rows]]
+    join, xy, sigma = np.zeros(len(starts), np.int64), np.zeros((0, 2)), np.zeros((0, 2))
+    if joining is not None and inputs.map is not None and inputs.map.sigma is not None:
+        place = joining.place[decided[rows]]
+        at = np.where(place >= 0, base + 2 * place, -1)
+        join = np.searchsorted(joining.frame, np.arange(frames.start, frames.stop + 1)).astype(np.int64)
+        xy, sigma = inputs.map.xy[joining.row], inputs.map.sigma[joining.row]
     return Steps(
         np.array(moves.mean[frames]), np.array(moves.covariance[frames]),
         Pairings(at, known, o.z[rows], o.R[rows]), rows, np.searchsorted(rows, starts),
         np.ones(len(rows), np.bool_), np.full((len(rows), 2), np.nan),
-        o.z[fresh], o.R[fresh], np.searchsorted(fresh, starts),
+        o.z[fresh], o.R[fresh], np.searchsorted(fresh, starts), join, xy, sigma,
     )  # fmt: skip
 
 
@@ -191,6 +236,12 @@ def run(
                 predict(mean, P, d, steps.motion[f], steps.M[f], first)
         begin, end = steps.paired[f], steps.paired[f + 1]
         status = OK
+        for i in range(steps.join[f], steps.join[f + 1]):
+            for q in range(2):
+                mean[d + q], P[d + q, d + q] = steps.xy[i, q], steps.sigma[i, q] ** 2
+                if len(first):
+                    first[d + q] = steps.xy[i, q]
+            d += 2
         if end > begin:
             used = d
             if errors.range_at >= 0 and seen.at[begin] < 0:  # known landmarks are temporary states of the update

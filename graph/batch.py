@@ -17,6 +17,7 @@ from graph.optimum import Smoothed, optimize
 from graph.pose_factors import PoseFactor, closure_factors, fix_factors
 from graph.problem import Problem
 from graph.systematic import Calibrated, refuse_pose_measurements
+from graph.uncertain_map import landmark_priors, refuse_uncertain
 from graph.walls import line_factors, refuse
 
 
@@ -24,7 +25,7 @@ class Start(NamedTuple):
     """Initial estimate."""
 
     pose: Array  # (N, 3)
-    landmark: Array  # (L, 2) points or walls, row = landmark number
+    landmark: Array  # (L, 2) points or walls, row = landmark number, or that of an uncertain map
     errors: Array | None = None  # (N, p) systematic errors by frame, where some are estimated; None: zero
 
 
@@ -49,7 +50,8 @@ def smooth(
 ) -> Smoothed:
     """Maximum a posteriori path (and map): a minimum reached from `start`.
 
-    Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`. Without: SLAM, decisions are landmark
+    Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`; landmarks of an uncertain map are
+    estimated. Without: SLAM, decisions are landmark
     numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of the landmark an observation initialized (-1: none).
     `loss`: gaussian, huber or cauchy, on measurements only; fixes and closures are such. Raises `UnderConstrained`
     (`NotConvergedError` if no minimum was reached), and DataError for a singular covariance.
@@ -60,13 +62,19 @@ def smooth(
     return optimize(problem, start_values(problem, start), loss=loss)
 
 
+def landmark_starts(known: LandmarkMap | None) -> Array:
+    """Start (L, 2) of the landmarks of an uncertain map, by row; none without one."""
+    return known.xy.copy() if known is not None and known.sigma is not None else np.zeros((0, 2))
+
+
 def start_values(problem: Problem, start: Start) -> gtsam.Values:
     """The initial estimate as gtsam values; raises ValueError if a variable has none, or none that is finite."""
-    missing = [n for n in problem.numbers if n >= len(start.landmark) or not np.isfinite(start.landmark[n]).all()]
+    at = dict(zip(problem.numbers.tolist(), problem.rows.tolist(), strict=True))
+    missing = [n for n, r in at.items() if r >= len(start.landmark) or not np.isfinite(start.landmark[r]).all()]
     if missing or start.pose.shape != (len(problem.motion) + 1, 3) or not np.isfinite(start.pose).all():
         what = f"no position for landmark {missing[0]}" if missing else "not a finite pose for every frame"
         raise ValueError(f"start: {what}")
-    return problem.values(start.pose, {int(n): start.landmark[n] for n in problem.numbers}, start.errors)
+    return problem.values(start.pose, {n: start.landmark[r] for n, r in at.items()}, start.errors)
 
 
 def build(
@@ -79,6 +87,8 @@ def build(
     """The factors of a log under given decisions."""
     calibrated, sensor = None, inputs.sensor
     refuse(inputs.systematic, sensor)
+    refuse_uncertain(inputs.map, inputs.systematic, sensor)
+    exact = inputs.map is not None and inputs.map.sigma is None
     of_poses = _of_poses(inputs, loss, rejected)
     if inputs.systematic is None:
         motion, _ = between_factors(1, inputs.increments.mean[1:], inputs.increments.covariance[1:])
@@ -91,17 +101,18 @@ def build(
     number = np.where(created >= 0, created, decisions)
     used = np.flatnonzero(number >= 0)
     o = inputs.observations
+    at = None if inputs.map is None else inputs.map.xy[_rows_of(inputs.map, number[used])]
+    priors = landmark_priors(inputs.map, np.unique(number[used]))
     if o.sensor is not None:
         several = _of_several(inputs, used, number, loss)
-        return Problem(inputs.prior, motion, several, inputs.map is not None, None, None, of_poses)
+        return Problem(inputs.prior, motion, several, exact, None, None, of_poses, priors)
     seen = (sensor, o.z[used], o.R[used], o.frame[used], number[used])
-    at = None if inputs.map is None else inputs.map.xy[_rows_of(inputs.map, number[used])]
     if not sensor.sees_points:
         about = inputs.prior.mean[:2]
         factors = line_factors(*seen, about, loss, at)
         return Problem(inputs.prior, motion, factors, at is not None, calibrated, about, of_poses)
-    factors = landmark_factors(*seen, loss) if at is None else known_landmark_factors(*seen, at, 0, loss)
-    return Problem(inputs.prior, motion, factors, at is not None, calibrated, None, of_poses)
+    factors = known_landmark_factors(*seen, at, 0, loss) if exact and at is not None else landmark_factors(*seen, loss)
+    return Problem(inputs.prior, motion, factors, exact, calibrated, None, of_poses, priors)
 
 
 def _of_poses(inputs: Inputs, loss: str, rejected: Rejected) -> list[PoseFactor]:
@@ -134,7 +145,7 @@ def _of_several(inputs: Inputs, used: IntArray, number: IntArray, loss: str) -> 
     for i, sensor in enumerate(inputs.sensors):
         rows = used[o.sensor[used] == i]
         seen = (sensor, o.z[rows], o.R[rows], o.frame[rows], number[rows])
-        if inputs.map is None:
+        if inputs.map is None or inputs.map.sigma is not None:
             found += landmark_factors(*seen, loss)
         else:
             at = inputs.map.xy[_rows_of(inputs.map, number[rows])]

@@ -103,6 +103,17 @@ class Engine:
             self._slot.update(zip(handles, found.getNewFactorsIndices(), strict=True))
         return handles
 
+    def replace(self, factors: Sequence[Factor], values: gtsam.Values, handles: Sequence[int]) -> list[int]:
+        """`add` and `drop` in one update, so that nothing is undetermined in between."""
+        new = [self._keep(f) for f in factors]
+        try:
+            found = self.isam.update(graph_of(factors), values, self._release(handles))
+        except RuntimeError as fault:
+            self._recover(fault)
+        else:
+            self._slot.update(zip(new, found.getNewFactorsIndices(), strict=True))
+        return new
+
     def _keep(self, factor: Factor) -> int:
         """A new handle on a factor; none is used again."""
         self._factors[self._next] = factor

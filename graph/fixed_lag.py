@@ -18,6 +18,7 @@ from graph.factors import Factor
 from graph.incremental import SKIP, THRESHOLD, Isam2Smoother
 from graph.optimum import in_world
 from graph.pose_factors import PoseFactor
+from graph.uncertain_map import is_uncertain
 
 SLACK = 0.1  # share of the lag by which the oldest pose may exceed it, before all older ones are marginalized together
 
@@ -169,7 +170,7 @@ class FixedLagSmoother(Isam2Smoother):
         kept = np.array(self._left).reshape(self.frame + 1, -1)
         self._oldest = self.frame + 1
         path, covariance = kept[:, :3].copy(), kept[:, 3:12].reshape(-1, 3, 3)
-        found = None if self.map is not None else self.landmarks()
+        found = self.landmarks() if self.map is None or is_uncertain(self.map) else None
         errors = self._end.history(kept[:, 12:].reshape(len(kept), 2, -1))
         return Finished(Trajectory(path, in_world(path, covariance)), found, systematic=errors)
 

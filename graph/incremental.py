@@ -13,12 +13,12 @@ import gtsam
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
-from association.candidates import in_view, view_radius
+from association.candidates import SIGMAS, in_view, view_radius
 from association.expectation import Expectation
-from data.blocks import block_diagonal
+from data.blocks import block_diagonal, coordinates
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior, Systematic
 from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
-from data.result import NEW, Finished, MapState, PoseEstimate, Updated
+from data.result import NEW, Finished, MapState, PoseEstimate, Updated, map_with
 from data.se2 import Array, BoolArray, world_from_body, worlds_from_bodies
 from data.sensors import Sensor
 from graph import expected
@@ -31,6 +31,7 @@ from graph.open_end import OpenEnd
 from graph.optimum import optimize
 from graph.pose_factors import PoseFactor, closure_factors, fix_factors
 from graph.systematic import errors_of, refuse_pose_measurements
+from graph.uncertain_map import is_uncertain, refuse_uncertain
 from graph.walls import refuse
 
 THRESHOLD = 0.05  # m, rad. Relinearize variables that moved further than this, ...
@@ -61,6 +62,7 @@ class Isam2Smoother:
     ) -> None:
         """Start at the prior; with a map localize in it, without do SLAM. `loss` as in `graph.batch.smooth`."""
         refuse(systematic, sensor)
+        refuse_uncertain(known, systematic, sensor)
         self.prior, self.sensor, self.map, self.loss = prior, sensor, known, loss
         self.threshold, self.skip = threshold, skip
         self.frame, self.created = 0, 0
@@ -71,6 +73,9 @@ class Isam2Smoother:
         self._of_poses, self._systematic = list[PoseFactor](), errors  # fixes and closures so far
         self._observed = Observed(self.sensor, known, loss, errors)
         self._candidates = expected.Candidates(self.sensor, known)
+        sigma = np.zeros((0, 2)) if known is None or known.sigma is None else known.sigma
+        self._margin = float(np.hypot(*sigma.T).max(initial=0.0))  # m, of the search for landmarks of an uncertain map
+        self._least = float(sigma.min(initial=np.inf)) ** 2  # m^2, least variance of its priors
         low = np.linalg.eigvalsh(prior.covariance)
         linear = None if errors is None else errors.sizes
         qr = bool(low[0] < DELICATE < low[-1])
@@ -118,8 +123,9 @@ class Isam2Smoother:
     def expect(self, observations: FrameObservations) -> Expectation:
         """Expectation of the landmarks in view: sensor range and angles, widened by 3 sigma and 5 degrees."""
         if self.map is not None:
-            number, xy = self._candidates.known(*self._end.reach(view_radius(self.sensor, self._end.P)))
-            xy, joint = self._end.known(xy)
+            radius = view_radius(self.sensor, self._end.P) + 2.0 * SIGMAS * self._margin
+            number, xy = self._candidates.known(*self._end.reach(radius))
+            xy, joint = self._of_map(number) if is_uncertain(self.map) else self._end.known(xy)
             candidates = number, xy
         else:
             look = self._engine.points
@@ -134,6 +140,22 @@ class Isam2Smoother:
             joint = joint[np.ix_(*[np.concatenate([np.ones(3, np.bool_), np.repeat(keep, 2)])] * 2)]
         number, xy = candidates[0][keep], candidates[1][keep]
         return expected.form(self.sensor, pose, joint, number, xy, observations, inside=self._end.inside)
+
+    def _of_map(self, number: IntArray) -> tuple[Array, Array]:
+        """Places (n, 2) of landmarks of an uncertain map, and joint covariance of the newest pose and them."""
+        assert self.map is not None
+        assert self.map.sigma is not None
+        rows = self.map.rows(number)
+        xy = self.map.xy[rows]
+        joint = np.diag(np.concatenate([np.zeros(3), self.map.sigma[rows].ravel() ** 2]))
+        joint[:3, :3] = self._end.P
+        inside = np.isin(number, self._observed.joined)
+        if inside.any():
+            there = number[inside].tolist()
+            xy[inside] = self._engine.points(there)
+            at = np.concatenate([np.arange(3), 3 + coordinates(np.flatnonzero(inside))])
+            joint[np.ix_(at, at)] = self._end.carried(self._engine.with_landmarks(self._end.keys, there))
+        return xy, joint
 
     def _joint(self, number: IntArray) -> Array:
         """World-frame covariance of the newest pose and landmarks of SLAM."""
@@ -187,7 +209,9 @@ class Isam2Smoother:
         """Remove pairings with d^2 not below the threshold from `used`; NIS, dof and log-likelihood of the others."""
         rows = np.flatnonzero(used)
         number, which = np.unique(decisions[rows], return_inverse=True)
-        if self.map is not None:
+        if is_uncertain(self.map):
+            xy, joint = self._of_map(number)
+        elif self.map is not None:
             xy, joint = self._end.known(self.map.positions(number))
         else:
             xy, joint = self._engine.points(number.tolist()), self._joint(number)
@@ -205,6 +229,7 @@ class Isam2Smoother:
         (motion, values), self._motion = self._flush(), None
         if again:
             values.insert(X(self.frame), pose2(self._end.mean))
+        motion += self._priors(number, values)
         seen = self._observed.factors_of(
             observations, np.full(len(number), self.frame), number, self._end, self._engine, values
         )
@@ -213,6 +238,13 @@ class Isam2Smoother:
             self._candidates.see(observations, number, self._end.P)
         self._add(motion, seen, values, again=again)
         self._read()
+
+    def _priors(self, number: IntArray, values: gtsam.Values) -> list[Factor]:
+        """See `Observed.join`; QR is used if a prior is delicate."""
+        found = self._observed.join(number, values)
+        if found and self._least < DELICATE:
+            self._engine.use_qr()
+        return [p.factor for p in found]
 
     def _add(
         self,
@@ -306,6 +338,7 @@ class Isam2Smoother:
         if former:
             self._engine.drop(former)
         motion, values = self._flush()
+        motion += self._priors(decisions[take], values)
         again_seen = FrameObservations(observations.z[take], observations.R[take])
         seen = self._observed.factors_of(again_seen, frames[take], decisions[take], self._end, self._engine, values)
         self._add(motion, seen, values, late=True)
@@ -398,13 +431,15 @@ class Isam2Smoother:
             self._read()
 
     def landmarks(self) -> MapState:
-        """The present map, in SLAM; `finish` gives the final one. A given map has no covariance."""
-        if self.map is not None:
-            return MapState(self.map.id, self.map.xy, np.zeros((len(self.map.id), 2, 2)))
-        number = self.numbers
-        if not len(number):
-            return MapState(number, np.empty((0, 2)), np.empty((0, 2, 2)))
-        return self._end.map_of(number, self._engine.points(number.tolist()), self._anchored(number))
+        """The present map, in SLAM; `finish` gives the final one. A given exact map has no covariance."""
+        number = self.numbers if self.map is None else self._observed.joined
+        found = MapState(number, np.empty((0, 2)), np.empty((0, 2, 2)))
+        if len(number):
+            J = self._engine.with_landmarks(self._end.keys, number.tolist())
+            if self.map is None:
+                self._candidates.know(number, J)
+            found = self._end.map_of(number, self._engine.points(number.tolist()), J)
+        return found if self.map is None else map_with(self.map, found)
 
     def positions(self, numbers: IntArray) -> Array:
         """Present positions (n, 2) of landmarks (n,) of SLAM."""
@@ -422,8 +457,10 @@ class Isam2Smoother:
         self._complete()
         values = self._engine.values()
         problem = replace(self._observed.problem(self._end, values), pose_factors=self._of_poses)
-        for n in [] if self.map is not None else np.setdiff1d(self.numbers, problem.numbers).tolist():
+        present = self.numbers if self.map is None else self._observed.joined
+        for n in np.setdiff1d(present, problem.numbers).tolist():
             values.erase(L(n))
         found = optimize(problem, self._end.start(values, problem), loss=self.loss)
         effort = found.iterations, found.last_step, found.systematic
-        return Finished(found.trajectory, found.map, found.total_nis, *effort, found.fixes, found.closures)
+        state = found.map if self.map is None or found.map is None else map_with(self.map, found.map)
+        return Finished(found.trajectory, state, found.total_nis, *effort, found.fixes, found.closures)

@@ -20,6 +20,7 @@ from graph.factors import Factor, ObservationFactors, known_landmark_factors, la
 from graph.open_end import OpenEnd
 from graph.problem import Problem
 from graph.systematic import Errors
+from graph.uncertain_map import LandmarkPrior, landmark_priors
 from graph.walls import WallObservation, as_vectors, known_wall_factors, line_factors, wall_factors
 
 
@@ -35,6 +36,7 @@ class Observed:
         self._errors = errors if depends else None
         self._plain: dict[int, ObservationFactors] = {}
         self._copies = 0
+        self._joined = set[int]()
         self._numbers: IntArray | None = None
 
     @property
@@ -67,7 +69,7 @@ class Observed:
         row, walls = self._copies, not self.sensor.sees_points
         self._copies += len(number)
         pose = np.array([engine.pose(X(k), joining) for k in frames.tolist() if walls]).reshape(-1, 3)
-        if self.map is None:
+        if self.map is None or self.map.sigma is not None:
             if not walls:
                 return landmark_factors(self.sensor, *seen, frames, number, self.loss)
             there = [n for n in dict.fromkeys(number.tolist()) if n in self._handles]
@@ -82,6 +84,22 @@ class Observed:
         self._plain.update(enumerate(plain, row))
         observed = seen, frames, number, at, row, self.loss
         return pinned_landmark_factors(self._errors, self.sensor, *observed, end.errors[0])
+
+    @property
+    def joined(self) -> IntArray:
+        """Landmarks of an uncertain map that are variables, by id, ascending."""
+        return np.array(sorted(self._joined), np.int64)
+
+    def join(self, number: IntArray, values: gtsam.Values) -> list[LandmarkPrior]:
+        """Priors of landmarks (m,) of an uncertain map that are no variables yet, which they are then; none without
+        one. Their start values are added to `values`.
+        """
+        new = np.array([n for n in dict.fromkeys(number.tolist()) if n not in self._joined], np.int64)
+        priors = landmark_priors(self.map, new)
+        self._joined.update(p.number for p in priors)
+        for p in priors:
+            values.insert(L(p.number), p.xy)
+        return priors
 
     def start(self, seen: FrameObservations, number: IntArray, pose: Array, values: gtsam.Values) -> None:
         """Add start values of new points, observed from a pose (3,); walls have their own."""
@@ -108,7 +126,9 @@ class Observed:
         """The whole run as a problem, with known landmarks at their positions; `values` are converted to it."""
         if self.sensor.sees_points:
             plain = [self._plain.get(symbolIndex(s.key), s) if s.key is not None else s for s in self.observations]
-            return end.problem(plain, self.map is not None)
+            known_map = self.map is not None and self.map.sigma is None
+            problem = end.problem(plain, known_map)
+            return problem if known_map else replace(problem, priors=landmark_priors(self.map, problem.numbers))
         about = end.prior.mean[:2]
         problem = replace(end.problem(self._lines(about), self.map is not None), about=about)
         as_vectors(values, problem.numbers, about)

@@ -14,6 +14,7 @@ from data.se2 import Array
 from graph.factors import Factor, ObservationFactors, graph_of, noise, pose2, prior_factor, root_information
 from graph.pose_factors import PoseFactor
 from graph.systematic import Calibrated
+from graph.uncertain_map import LandmarkPrior
 from graph.walls import about
 
 
@@ -24,15 +25,18 @@ class Problem:
     prior: Prior  # on the robot's pose of frame 0
     motion: Sequence[gtsam.BetweenFactorPose2]  # [k - 1] leads into frame k
     observations: Sequence[ObservationFactors]  # the observations in use, ascending by frame
-    known_map: bool  # the landmarks are known, so that none is estimated
+    known_map: bool  # the landmarks are known exactly, so that none is estimated
     calibrated: Calibrated | None = None  # systematic errors to estimate
     about: Array | None = None  # (2,) where the landmarks are walls: origin of their distances in the graph
     pose_factors: Sequence[PoseFactor] = ()  # fixes and closures; with systematic errors in the world
+    priors: Sequence[LandmarkPrior] = ()  # of an uncertain map, one for each of its landmarks in use, ascending
 
     def graph(self) -> gtsam.NonlinearFactorGraph:
         """The whole problem as a gtsam graph; systematic errors as zero."""
         seen = (f for s in self.observations for f in s.factors)
-        return graph_of([prior_factor(self.prior), *self.motion, *seen, *self.of_poses])
+        return graph_of(
+            [prior_factor(self.prior), *self.motion, *seen, *self.of_poses, *(p.factor for p in self.priors)]
+        )
 
     @property
     def of_poses(self) -> list[Factor]:
@@ -45,11 +49,16 @@ class Problem:
         return np.unique([s.number for s in self.observations if not self.known_map]).astype(np.int64)
 
     @property
+    def rows(self) -> IntArray:
+        """Rows (L,) of these landmarks in a start: their numbers, or rows of an uncertain map."""
+        return np.array([p.row for p in self.priors], np.int64) if self.priors else self.numbers
+
+    @property
     def dof(self) -> int:
-        """Degrees of freedom of the chi-square: what is measured, minus two for each landmark, and those of fixes and
-        closures. A systematic error does not count: it has a residual of its own, that of its prior.
+        """Degrees of freedom of the chi-square: what is measured, minus two for each landmark without a prior, and
+        those of fixes and closures. A systematic error does not count: it has a residual of its own, that of its prior.
         """
-        own = sum(s.dims for s in self.observations) - 2 * len(self.numbers)
+        own = sum(s.dims for s in self.observations) - 2 * len(self.numbers) + 2 * len(self.priors)
         return own + sum(f.dim() for f in self.of_poses)
 
     def values(self, pose: Array, landmark: dict[int, Array], errors: Array | None = None) -> gtsam.Values:

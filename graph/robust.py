@@ -14,7 +14,7 @@ import numpy as np
 
 from association.expectation import gate_threshold
 from association.truncated import truncated_square
-from data.inputs import FrameObservations, Inputs, IntArray, Prior
+from data.inputs import FrameObservations, Inputs, IntArray, LandmarkMap, Prior
 from data.result import DISCARD
 from data.se2 import Array, BoolArray
 from graph.batch import Rejected, Start, build, smooth, start_values
@@ -48,7 +48,7 @@ def gnc(
     used = np.flatnonzero(number >= 0)
     if problem.calibrated is not None:
         # with wrong errors, right pairings would be rejected
-        start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start)
+        start = _as_start(smooth(inputs, decisions, created, start, loss="huber"), start, inputs.map)
     if problem.pose_factors or any(s.dims != 2 for s in problem.observations):
         start, believed = _graduate_all(problem, start, threshold)
     else:
@@ -62,9 +62,9 @@ def gnc(
         accepted[used[believed[: len(used)]]] = True
         kept = np.where(accepted, decisions, DISCARD), np.where(accepted, created, -1)
         result = smooth(inputs, *kept, start, rejected=_rejected(problem, ~believed[len(used) :]))
-        start = _as_start(result, start)
+        start = _as_start(result, start, inputs.map)
         square = _squares(problem, start)
-        if result.map is not None:
+        if result.map is not None and not problem.priors:
             # a landmark without accepted observations has no position
             alone = ~np.isin([s.number for s in problem.observations], result.map.number)
             square[: len(used)][alone] = np.inf
@@ -113,8 +113,8 @@ def _graduate_all(problem: Problem, start: Start, threshold: Array) -> tuple[Sta
     values, believed = graduated(problem, values, threshold)
     found = _start_of(replace(problem, about=None), values, start)
     if problem.about is not None:
-        found.landmark[problem.numbers] = about(found.landmark[problem.numbers], -problem.about)
-    return found if calibrated is None else _of_robot(calibrated, errors, found, problem.numbers), believed
+        found.landmark[problem.rows] = about(found.landmark[problem.rows], -problem.about)
+    return found if calibrated is None else _of_robot(calibrated, errors, found, problem.rows), believed
 
 
 def is_delicate(inputs: Inputs) -> bool:
@@ -182,6 +182,7 @@ def _graduate(
         for s in problem.observations
         if s.key is not None and s.xy is not None
     ]
+    believed += [p.factor for p in problem.priors]
     steps = gtsam.LevenbergMarquardtParams()
     steps.setLinearSolverType("MULTIFRONTAL_QR" if qr else "MULTIFRONTAL_CHOLESKY")
     parameters = gtsam.GncLMParams(steps)
@@ -199,12 +200,12 @@ def _graduate(
     first = np.cumsum(count) - count
     smallest = np.minimum.reduceat(weight, first) if len(count) else weight
     found = _start_of(problem, values, start)
-    return found if calibrated is None else _of_robot(calibrated, errors, found, problem.numbers), smallest > 0.5
+    return found if calibrated is None else _of_robot(calibrated, errors, found, problem.rows), smallest > 0.5
 
 
-def _of_robot(calibrated: Calibrated, errors: Array, found: Start, numbers: IntArray) -> Start:
-    """A solution in the sensor's frame as the robot's in the world: its poses, landmarks `numbers`, and errors."""
-    found.landmark[numbers] = calibrated.frame.points_out(found.landmark[numbers], errors[-1])[0]
+def _of_robot(calibrated: Calibrated, errors: Array, found: Start, rows: IntArray) -> Start:
+    """A solution in the sensor's frame as the robot's in the world: its poses, landmarks of these rows, and errors."""
+    found.landmark[rows] = calibrated.frame.points_out(found.landmark[rows], errors[-1])[0]
     return Start(calibrated.frame.poses_out(found.pose, errors)[0], found.landmark, errors)
 
 
@@ -213,17 +214,18 @@ def _start_of(problem: Problem, values: gtsam.Values, start: Start) -> Start:
     landmark = start.landmark.copy()
     keys = [gtsam.symbol("l", n) for n in problem.numbers.tolist()]
     if problem.about is None:
-        landmark[problem.numbers] = np.array([values.atPoint2(key) for key in keys]).reshape(-1, 2)
+        landmark[problem.rows] = np.array([values.atPoint2(key) for key in keys]).reshape(-1, 2)
     else:
-        landmark[problem.numbers] = lines_of([values.atPose2(key) for key in keys])[0]
+        landmark[problem.rows] = lines_of([values.atPose2(key) for key in keys])[0]
     return Start(poses_of(values, len(problem.motion) + 1), landmark)
 
 
-def _as_start(result: Smoothed, start: Start) -> Start:
-    """A solution as a start; landmarks that are not in it are unchanged."""
+def _as_start(result: Smoothed, start: Start, known: LandmarkMap | None) -> Start:
+    """A solution as a start; landmarks that are not in it are unchanged, so that rejected observations may return."""
     landmark = start.landmark.copy()
     if result.map is not None:
-        landmark[result.map.number] = result.map.xy
+        number = result.map.number
+        landmark[number if known is None else known.rows(number)] = result.map.xy
     return Start(result.trajectory.pose, landmark, None if result.systematic is None else result.systematic.mean)
 
 

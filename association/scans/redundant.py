@@ -26,17 +26,35 @@ def redundant(ends: Sequence[Array], least: float) -> BoolArray:
     """Which of K key poses to remove, until each has a share of `least` in the information about the cells it observes.
     `ends`: end points (n, 2) of each key scan in the world [m]. The first and the last key pose are kept.
     """
-    cells = _cells(ends)
-    hits = np.bincount(np.concatenate([*cells, np.zeros(0, np.int64)]))
-    removed = np.zeros(len(ends), np.bool_)
+    keep = np.zeros(len(ends), np.bool_)
+    keep[:1] = keep[-1:] = True
+    return least_informative([cells_of(xy) for xy in ends], least, keep, in_a_row=MOST_IN_A_ROW)
+
+
+def least_informative(
+    cells: Sequence[IntArray],
+    least: float,
+    keep: BoolArray,
+    *,
+    in_a_row: int | None = None,
+    most: int | None = None,
+) -> BoolArray:
+    """Which of K key poses to remove, as of `redundant`, by the cells of each scan (`cells_of`).
+
+    Those to `keep` (K,) stay. `in_a_row`: consecutive key poses that may be removed; `most`: in all.
+    """
+    number = np.unique(np.concatenate([*cells, np.zeros(0, np.int64)]), return_inverse=True)[1].ravel()
+    cells = np.split(number, np.cumsum([len(a) for a in cells])[:-1])
+    hits = np.bincount(number)
+    removed = np.zeros(len(cells), np.bool_)
 
     def share(k: int) -> float:
         # rounded, so that the older of two equal key poses is removed whatever the order of a sum
         return round(float((1.0 / hits[cells[k]]).mean()), 12) if len(cells[k]) else 0.0
 
-    waiting = [(share(k), k) for k in range(1, len(ends) - 1)]
+    waiting = [(share(k), k) for k in np.flatnonzero(~keep).tolist()]
     heapq.heapify(waiting)
-    while waiting:
+    while waiting and (most is None or removed.sum() < most):
         information, k = heapq.heappop(waiting)
         if information >= least:
             break
@@ -45,7 +63,7 @@ def redundant(ends: Sequence[Array], least: float) -> BoolArray:
         if now > information:
             heapq.heappush(waiting, (now, k))
             continue
-        if _row(removed, k) < MOST_IN_A_ROW:
+        if in_a_row is None or _row(removed, k) < in_a_row:
             removed[k] = True
             hits[cells[k]] -= 1
     return removed
@@ -61,11 +79,10 @@ def _row(removed: BoolArray, k: int) -> int:
     return after - before
 
 
-def _cells(ends: Sequence[Array]) -> list[IntArray]:
-    """The cells, numbered from 0, of each scan's end points, each once."""
-    at = [np.unique(np.floor(xy / CELL).astype(np.int64), axis=0) for xy in ends]
-    _, number = np.unique(np.concatenate([*at, np.zeros((0, 2), np.int64)]), axis=0, return_inverse=True)
-    return np.split(number.ravel(), np.cumsum([len(a) for a in at])[:-1])
+def cells_of(xy: Array) -> IntArray:
+    """The cells, as numbers, that points (n, 2) [m] lie in, each once."""
+    at = np.floor(xy / CELL).astype(np.int64)
+    return np.unique((at[:, 0] << 32) + at[:, 1])
 
 
 Link = tuple[Array, Array]  # relative pose (3,) and its covariance (3, 3)

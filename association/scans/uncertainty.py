@@ -48,6 +48,16 @@ class PoseEdges:
         self._head[key1] = self._head[key2] = e
         self._count += 1
 
+    def __len__(self) -> int:
+        return self._count
+
+    def remove(self, key: int) -> None:
+        """Take away all edges of a key pose: no path leads over them, though they keep their place."""
+        e = int(self._head[key])
+        while e >= 0:
+            self._covariance[e] = np.inf
+            e = int(self._next[e, 0 if self._keys[e, 0] == key else 1])
+
     def project(self, root: int, wanted: IntArray) -> Array:
         """Covariances (W, 3, 3) of the poses of `wanted` keys (W,) in the frame of `root`, infinite where there is no
         path. It ends when these are known: what others cost is not paid.

@@ -117,6 +117,9 @@ def of_result(log: Log, folder: Path) -> Estimate:
         landmark = {int(i): xy for i, xy in zip(inputs.map.id, inputs.map.xy, strict=True)}
         of = decided.columns["final_decision"].astype(np.int64) if len(of) else of
     else:
+        if inputs.map is not None and inputs.map.sigma is not None and len(of) and not (online == -1).any():
+            what = "the run localized in an uncertain map, and no edge of g2o holds a landmark's place in it"
+            raise UsageError(f"{what}; name a run of SLAM, or remove sx and sy from landmarks.csv")
         places = read_table(folder / "landmarks.csv", ("landmark", "x", "y"))
         xy = places.stack(("x", "y"))
         landmark = {int(i): p for i, p in zip(places.columns["landmark"], xy, strict=True)}

@@ -252,8 +252,10 @@ def explained(inputs: Inputs) -> BoolArray:
         seen = inputs.frame_observations(k)
         if len(seen.z) == 0:
             continue
-        z_hat, Hx, _ = inputs.sensor.linearize(pose, inputs.map.xy)
+        z_hat, Hx, Hl = inputs.sensor.linearize(pose, inputs.map.xy)
         S = (Hx @ P @ Hx.transpose(0, 2, 1))[None] + seen.R[:, None]
+        if inputs.map.sigma is not None:
+            S = S + (Hl * inputs.map.sigma[:, None, :] ** 2) @ Hl.transpose(0, 2, 1)
         nu = inputs.sensor.residual(seen.z[:, None], z_hat[None])
         d2 = np.einsum("mli,mli->ml", nu, np.linalg.solve(S, nu[..., None])[..., 0])
         hits += (d2.min(axis=1) < GATE).tolist()

@@ -9,16 +9,17 @@ import contextlib
 import termios
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 from data.errors import UsageError
-from data.robot.packets import ANSWER_BYTES, ANSWER_TIMEOUT, BAUD, FRAME_BYTES, PERIOD, Command, encode_command, framed
+from data.robot.packets import ANSWER_TIMEOUT, BAUD, LIDAR_BAUD, PERIOD, Command, encode_command, framed
 from data.robot.traffic.motion import Packet
 from data.robot.traffic.recording import GONE, OPENED, RECEIVED, SENT, Record, Recording, to_microseconds
 from data.robot.traffic.stream import Exchange
 
 REST = 0.03
-"""s to wait for the rest of an answer after its first byte: 22 bytes take 0.023 s."""
+"""s to wait for the rest of a packet after its first byte: 22 bytes take 0.023 s, 152 of a scan 0.013 s."""
 BROKEN = (OSError, termios.error)
 """Errors of a device that disappeared; pyserial's own error is an OSError."""
 
@@ -59,11 +60,11 @@ class Port(Protocol):
         """Release the device."""
 
 
-def open_serial(device: str) -> Port:
-    """Open the device at 9600 8N1, exclusively, and discard pending input."""
+def open_serial(device: str, baud: int = BAUD) -> Port:
+    """Open the device at `baud` 8N1, exclusively, and discard pending input."""
     from serial import Serial
 
-    port = Serial(device, BAUD, timeout=ANSWER_TIMEOUT, write_timeout=PERIOD, exclusive=True)
+    port = Serial(device, baud, timeout=ANSWER_TIMEOUT, write_timeout=PERIOD, exclusive=True)
     port.reset_input_buffer()
     opened: Port = port
     return opened
@@ -79,18 +80,22 @@ class Link:
         recording: Recording | None = None,
         *,
         with_frames: bool = False,
-        open_port: Callable[[str], Port] = open_serial,
+        with_scans: bool = False,
+        open_port: Callable[[str], Port] | None = None,
     ) -> None:
-        """Open the device; UsageError where that fails. Later it may disappear and return."""
-        self.exchange = Exchange(framed=with_frames)
-        self._device, self._clock, self._recording, self._open_port = device, clock, recording, open_port
-        self._framed = with_frames
-        self._size = ANSWER_BYTES + FRAME_BYTES * with_frames
+        """Open the device; UsageError where that fails. Later it may disappear and return.
+
+        `with_scans`: of a lidar, in frames, on a faster line.
+        """
+        self.exchange = Exchange(framed=with_frames, scans=with_scans)
+        self._open_port = open_port or partial(open_serial, baud=LIDAR_BAUD if with_scans else BAUD)
+        self._device, self._clock, self._recording = device, clock, recording
+        self._framed = with_frames or with_scans
         self._stamp = 0.0
         self._next = clock.now()
         self._port: Port | None = None
         try:
-            self._port = open_port(device)
+            self._port = self._open_port(device)
         except BROKEN as error:
             reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
             raise UsageError(f"{device}: cannot be opened as a serial line: {reason}") from None
@@ -124,13 +129,13 @@ class Link:
         return packets
 
     def _read(self, port: Port, left: float) -> bytes:
-        """Bytes of one answer, as far as they arrive; none where nothing does or the device disappeared."""
+        """Bytes of one packet, as far as they arrive; none where nothing does or the device disappeared."""
         try:
             port.timeout = left / self._clock.speed
             data = port.read(1)
             if data:
                 port.timeout = REST / self._clock.speed
-                data += port.read(max(self._size - 1, port.in_waiting))
+                data += port.read(max(self.exchange.missing - 1, port.in_waiting))
         except BROKEN:
             self._gone()
             return b""

@@ -16,8 +16,10 @@ from typing import NamedTuple
 import numpy as np
 
 from data.errors import DataError
+from data.formats.open_log.reader import SCANS
+from data.formats.open_log.scans import scans_content
 from data.formats.open_log.writer import contents
-from data.inputs import Frame, FrameObservations, Increment, Increments, Inputs, LandmarkMap, Observations, Prior
+from data.inputs import Frame, FrameObservations, Increment, Increments, Inputs, LandmarkMap, Observations, Prior, Scans
 from data.log import Log
 from data.robot.observe import SLIP, WallObserver
 from data.robot.packets import FASTEST, FASTEST_TURN, LONGEST_RANGE, RADIUS, WATCHDOG, WHEEL_BASE
@@ -83,7 +85,9 @@ def prior() -> Prior:
     return Prior(np.zeros(3), np.zeros((3, 3)))
 
 
-def inputs_of(frames: Sequence[Frame], at_rest: int, known: LandmarkMap | None = None) -> Inputs:
+def inputs_of(
+    frames: Sequence[Frame], at_rest: int, known: LandmarkMap | None = None, scans: Scans | None = None
+) -> Inputs:
     """Frames (at least one) as the inputs of a log, bit for bit; `at_rest` as in `Framing`."""
     n = len(frames)
     mean, covariance = np.zeros((n, 3)), np.zeros((n, 3, 3))
@@ -98,7 +102,18 @@ def inputs_of(frames: Sequence[Frame], at_rest: int, known: LandmarkMap | None =
     )
     time = np.array([frame.time for frame in frames])
     motion = Increments(mean, covariance)
-    return Inputs(prior(), time, motion, observations, SENSOR, known, covariance_floor=FLOOR, floored=at_rest)
+    return Inputs(
+        prior(), time, motion, observations, SENSOR, known, covariance_floor=FLOOR, floored=at_rest, scans=scans
+    )
+
+
+def scans_of(packets: Sequence[Packet], sigma: float) -> Scans | None:
+    """The scans of packets, one frame each; None where there is none. `sigma` [m]: standard deviation of a range."""
+    found = [(k, packet.scan) for k, packet in enumerate(packets) if packet.scan is not None]
+    if not found:
+        return None
+    frame = np.array([k for k, _ in found], np.int64)
+    return Scans(found[0][1].beams.scanner(sigma), frame, np.array([scan.metres for _, scan in found]))
 
 
 def _increment(before: Packet, after: Packet, slip: float) -> Increment:
@@ -145,7 +160,8 @@ def load_recording(folder: Path) -> Log:
     Raises DataError if it is damaged or holds no packet.
     """
     recorded = read_recording(folder)
-    packets, faults = decoded(recorded.records, framed=recorded.framed)
+    lidar = recorded.lidar_sigma
+    packets, faults = decoded(recorded.records, framed=recorded.framed, scans=lidar is not None)
     if not packets:
         raise DataError.at(folder / PACKETS, f"{len(recorded.records)} records, none of them an answer of the robot")
     framing = Framing(Noise(*recorded.noise), recorded.fit)
@@ -157,9 +173,8 @@ def load_recording(folder: Path) -> Log:
         notes.append(f"The odometry restarted {again} times; the motion in between is unknown.")
     if recorded.cut:
         notes.append(f"The recording is truncated: it ends with {recorded.cut} bytes of an unfinished record.")
-    return Log(
-        folder.absolute().name, inputs_of(frames, framing.at_rest), Truth(), source=recorded.source, notes=tuple(notes)
-    )
+    inputs = inputs_of(frames, framing.at_rest, scans=None if lidar is None else scans_of(packets, lidar))
+    return Log(folder.absolute().name, inputs, Truth(), source=recorded.source, notes=tuple(notes))
 
 
 def complete(folder: Path) -> Log:
@@ -168,12 +183,14 @@ def complete(folder: Path) -> Log:
     Raises DataError as `load_recording`, or where a file cannot be written.
     """
     log = load_recording(folder)
-    files = contents(log, log.name)
+    files = {name: text.encode() for name, text in contents(log, log.name).items()}
+    if log.recorded.scans is not None:
+        files[SCANS] = scans_content(log.recorded.scans)
     header = "log.toml"
     try:
         for name in [*(n for n in files if n != header), header]:
             partial = folder / f".{name}.partial"
-            partial.write_text(files[name], encoding="utf-8", newline="")
+            partial.write_bytes(files[name])
             os.replace(partial, folder / name)
     except OSError as error:
         raise DataError.at(folder, f"cannot be written: {error.strerror}") from error

@@ -3,6 +3,8 @@
     command   4 bytes: int16 speed [mm/s], int16 turn rate [mrad/s]
     answer   22 bytes: eight int16 sonar distances [mm], int16 x, y [mm], int16 heading [mrad]
 
+Packets of a scan are in `data.robot.scan_packets`.
+
 Little-endian. x, y and heading overflow at 32.767 m and rad. A framed packet is `MARKER`, the same bytes, and their
 CRC-16 (0x1021, initial value 0xFFFF, not reflected: `binascii.crc_hqx`, CRC-16/IBM-3740), little-endian.
 
@@ -14,6 +16,7 @@ from __future__ import annotations
 import binascii
 import math
 import struct
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -75,7 +78,10 @@ WATCHDOG = 1.0
 """s without a command after which the robot stops itself."""
 BAUD = 9600
 """bit/s; a byte takes 10 bits (8N1)."""
-BYTE_TIME = 10.0 / BAUD
+LIDAR_BAUD = 115200
+"""bit/s of a line that carries scans."""
+BITS_PER_BYTE = 10.0
+BYTE_TIME = BITS_PER_BYTE / BAUD
 """s."""
 
 SONAR_COUNT = 8
@@ -141,26 +147,40 @@ def checksum(data: bytes) -> bytes:
     return struct.pack("<H", binascii.crc_hqx(data, 0xFFFF))
 
 
-def framed(data: bytes) -> bytes:
+def framed(data: bytes, marker: bytes = MARKER) -> bytes:
     """The bytes of a packet between marker and checksum."""
-    return MARKER + data + checksum(data)
+    return marker + data + checksum(data)
 
 
 def next_frame(pending: bytearray, size: int) -> tuple[int, bytes | None]:
-    """The first intact frame with `size` bytes of content.
+    """`next_of` where all frames have one marker and one size."""
+    used, _, content = next_of(pending, {MARKER: size})
+    return used, content
 
-    Returns how many pending bytes are consumed, and the content, or None. After a false marker one byte is consumed, so
-    an intact frame behind a damaged one is found.
+
+def next_of(pending: bytearray, sizes: Mapping[bytes, int]) -> tuple[int, bytes, bytes | None]:
+    """The first intact frame; `sizes`: bytes of content by marker, whose first bytes are equal.
+
+    Returns how many pending bytes are consumed, the marker, and the content, or None. After a false marker one byte is
+    consumed, so an intact frame behind a damaged one is found.
     """
+    first = next(iter(sizes))[:1]
     at = 0
     while True:
-        at = pending.find(MARKER, at)
+        at = pending.find(first, at)
         if at < 0:
-            return len(pending) - (pending[-1:] == MARKER[:1]), None
+            return len(pending), b"", None
+        if at + 1 == len(pending):
+            return at, b"", None
+        marker = bytes(pending[at : at + len(MARKER)])
+        size = sizes.get(marker)
+        if size is None:
+            at += 1
+            continue
         if len(pending) < at + size + FRAME_BYTES:
-            return at, None
+            return at, b"", None
         content = bytes(pending[at + len(MARKER) : at + len(MARKER) + size])
         end = at + len(MARKER) + size
         if pending[end : end + 2] == checksum(content):
-            return end + 2, content
+            return end + 2, marker, content
         at += 1

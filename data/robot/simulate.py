@@ -30,6 +30,7 @@ LONGEST_WAIT = 0.05
 EXAMPLE = """\
 example:
   python -m data.robot.simulate --world walls:0 --link /tmp/robot &
+  python -m data.robot.simulate --world walls:0 --link /tmp/robot --lidar &
   python -m data.robot.simulate --world walls:3 --link /tmp/robot --drop 0.01 --flip 0.001 --stall 5 --truth path.csv
 """
 
@@ -119,7 +120,9 @@ def parser() -> argparse.ArgumentParser:
     text = "robot seconds per second (default: 1)"
     top.add_argument("--speed", type=_number(0.01, 1000.0), default=1.0, metavar="X", help=text)
     top.add_argument("--framed", action="store_true", help="packets between a marker and a checksum, both ways")
-    text = "seed of slip, sonars and faults (default: 0)"
+    text = "with a lidar: 360 beams up to 8 m, sigma 0.01 m, 1 %% without a return; frames at 115200 baud"
+    top.add_argument("--lidar", action="store_true", help=text)
+    text = "seed of slip, sonars, lidar and faults (default: 0)"
     top.add_argument("--seed", type=seed, default=0, metavar="N", help=text)
     text = "CSV file for the true path: t,x,y,theta, 20 rows per second"
     top.add_argument("--truth", type=Path, metavar="FILE", help=text)
@@ -149,12 +152,15 @@ def _simulate(argv: Sequence[str] | None) -> None:
     import numpy as np
 
     from data.robot.link import Clock
+    from data.robot.simulated.lidar import Lidar
     from data.robot.simulated.physics import Robot
     from data.robot.simulated.room import room
     from data.robot.simulated.wire import Faults, Wire
 
     body, line = np.random.default_rng(args.seed).spawn(2)
-    robot = Robot(room(int(world[1])), body)
+    robot = Robot(room(int(world[1])), body, lidar=Lidar() if args.lidar else None)
+    if robot.lidar is not None:  # compiles, or loads, what measures ranges: the robot's clock has not begun
+        robot.lidar.scan(robot.room, robot.pose, 0.0, (0, 0, 0), np.random.default_rng(0))
     wire = Wire(robot, Faults(args.drop, args.flip, args.stall), line, with_frames=args.framed)
     for name in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(name, _terminated)

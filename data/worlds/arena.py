@@ -20,7 +20,7 @@ from data.sensors import RangeBearing, RelativePoint, Sensor
 from data.truth import Truth
 from data.worlds.erring import Erring, as_read, check_erring, reported
 from data.worlds.looking import Looking, check_looking, dressed
-from data.worlds.parameters import check_parameters, drawn_prior, driven, streams
+from data.worlds.parameters import check_parameters, drawn_prior, driven, streams, surveyed
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,7 @@ class Arena(Looking, Erring):
         prior_sigma: m, prior_sigma_heading: rad; the prior mean is drawn with them.
         detection: probability that a landmark in view is reported.
         clutter: mean number of false alarms per frame (Poisson), uniform over the field of view.
+        sigma_map: m, error of the map in x and y of each landmark, which the map states; 0: it is exact.
     """
 
     landmarks: int = 25
@@ -67,6 +68,7 @@ class Arena(Looking, Erring):
     prior_sigma_heading: float = 0.03
     detection: float = 1.0
     clutter: float = 0.0
+    sigma_map: float = 0.0
 
     def __post_init__(self) -> None:
         world = type(self).__name__.lower()
@@ -93,6 +95,7 @@ class Arena(Looking, Erring):
             "prior_sigma",
             "prior_sigma_heading",
             "clutter",
+            "sigma_map",
             "descriptor_sigma",
             "classes",
         )
@@ -125,7 +128,7 @@ def simulate(arena: Arena, seed: int, name: str | None = None) -> Log:
     inputs = Inputs(prior, frame_time, increments, Observations(frame, z, R), sensor, known, floored=floored)
     truth_side = Truth(truth, known, true_id, errors=errors)
     log = Log(name or f"arena:{seed}", inputs, truth_side, source={"kind": "arena", "seed": seed})
-    return dressed(arena, log, seed)
+    return surveyed(dressed(arena, log, seed), arena.sigma_map, seed)
 
 
 def _drive(arena: Arena, frame_time: Array, rng: np.random.Generator) -> tuple[Array, Increments, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping
-from dataclasses import field, fields
+from dataclasses import field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ import numpy as np
 from data import se2
 from data.errors import UsageError, unknown
 from data.inputs import Increments, Prior
+from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.se2 import Array
 
@@ -66,6 +67,21 @@ def in_degrees(value: float, **more: object) -> float:
 def streams(seed: int, count: int) -> list[np.random.Generator]:
     """Independent generators of a seed."""
     return [np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(count)]
+
+
+SURVEY = 0x50E7
+"""Separates the random stream of a map's errors from others of the same seed."""
+
+
+def surveyed(log: Log, sigma: float, seed: int) -> Log:
+    """The log with a map whose landmarks are off by `sigma` [m] in x and y, as it states; 0: unchanged."""
+    known = log.recorded.map
+    if known is None or sigma == 0.0:
+        return log
+    rng = np.random.default_rng(np.random.SeedSequence([seed, SURVEY]))
+    stated = np.full(known.xy.shape, sigma)
+    off = replace(known, xy=known.xy + stated * rng.standard_normal(stated.shape), sigma=stated)
+    return replace(log, recorded=replace(log.recorded, map=off))
 
 
 def driven(

@@ -21,10 +21,11 @@ PARTS = ("loops", "corners")
 TEXT = """\
 Key poses of a laser log as frames of a log without scans, which every estimator replays:
   motion        scan-match (default): scan matching from key pose to key pose, with the wheels as its prior
-                odometry: the wheels; each key pose's scan matched to those before is a closure, source scan-match
+                odometry: the wheels; each scan matched to those of key poses before is a closure, source scan-match
   closures.csv  loops that the front end believes, source loop
-  observations  corners of walls in the scans of key poses, without labels
-  relations.csv reference relations of the laser log, each end carried to its key pose
+  observations  corners of walls in the scans of key poses, labelled by the front end's final path
+  relations.csv reference relations of the laser log, whose frames are frames, too, with --motion odometry; else
+                each end is carried to its key pose by the front end's own match
 A pair of scans is never motion and closure at once, and wheels count once. Scans of neighbouring matches overlap, and
 corners come from scans that are matched as well: their errors are taken as independent.
 """
@@ -67,6 +68,8 @@ def convert(args: argparse.Namespace) -> Log:
 
     if not 0.0 < args.keyframe_distance < 1e3:
         raise UsageError(f"--keyframe-distance {args.keyframe_distance:g}: a number above 0 is needed")
+    if args.motion == MOTIONS[0] and set(args.leave_out) == set(PARTS):
+        raise UsageError(f"--leave-out {' --leave-out '.join(PARTS)}: nothing beside the motion is left")
     log = open_log(args.source, Reading(relations=args.relations, no_odometry=args.no_odometry))
     if log.recorded.scans is None:
         raise UsageError(f"{args.source}: no laser scans; a log with scans is needed")

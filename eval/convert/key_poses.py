@@ -14,7 +14,8 @@ from data.se2 import Array, compose, inverse
 from data.terminal import counted
 from data.truth import Relations, Truth
 from eval.referee.laser import right_relatives
-from eval.replay.laser.key_log import SCAN_MATCH, KeyLog
+from eval.replay.laser.front_end import is_unknown
+from eval.replay.laser.key_log import ODOMETRY, SCAN_MATCH, KeyLog
 
 
 def log_of_keys(name: str, log: Log, made: KeyLog, motion: str) -> Log:
@@ -26,21 +27,30 @@ def log_of_keys(name: str, log: Log, made: KeyLog, motion: str) -> Log:
     keys, of = counted(len(made.chain.frame), "key pose"), counted(len(log.recorded), "frame")
     more = len(made.frame) - len(made.chain.frame)
     beside = f", and {more} more that relations name" if more else ""
-    scale = f"{made.claimed:.3g} times what scan matching states"
-    if made.error is not None:
-        scale += f" (+- {made.error:.1g}, learned from all loops of the log)"
+    learned = made.error is not None
+    scale = f"{made.claimed:.3g} times what scan matching states, " + (
+        f"learned from the log's own loops (+- {made.error:.1g}): their NIS is no test of it"
+        if learned
+        else "as too few loops tell it"
+    )
+    prior = "by scans alone" if is_unknown(log.recorded.increments) else "with the wheels as its prior"
+    moved = f"scan matching, {prior}" if motion == SCAN_MATCH else "that of the wheels"
     notes = [
-        f"{keys} of {of}{beside}; the motion is "
-        + ("scan matching, with the wheels as its prior." if motion == SCAN_MATCH else "the wheels'."),
-        f"Variances of scan matches and loops are {scale}, so their NIS is near 1 by construction.",
+        f"{keys} of {of}{beside}; the motion is {moved}.",
+        f"Variances of scan matches and loops are {scale}.",
         "A closure is there at its later frame, some key poses before the front end believed it.",
     ]
+    if motion == ODOMETRY:
+        notes.append("Where wheels slip, filters' gate refuses right matches; --gate-poses none switches it off.")
+    label = made.label if len(made.label) else None
+    if label is not None:
+        notes.append("Labels of corners are by the front end's final path; --association jcbb decides without them.")
     if relations is not None and truth.relations is not None and len(relations) < len(truth.relations):
         notes.append(f"{len(relations)} of {len(truth.relations)} relations join two key poses, and are carried there.")
     source = {**log.source, "laser": log.name, "motion": motion, "variance_scale": made.claimed}
     return Log(
-        name, inputs, Truth(pose, relations=relations, closure_inlier=inlier),
-        source={**source, "laser_frames": made.frame.tolist()}, notes=(*log.notes, *notes),
+        name, inputs, Truth(pose, relations=relations, closure_inlier=inlier), label=label,
+        labels_are_sensed=label is not None, source=source, notes=(*log.notes, *notes),
     )  # fmt: skip
 
 

@@ -27,17 +27,36 @@ if TYPE_CHECKING:
 
 PROG = "python -m eval.live"
 TABLE = rows(Options)
-UNFIT = {"known": "walls have no labels", "scan": "sonars make no scans", "jcbb-hindsight": "needs point landmarks"}
+SCAN, SCAN_ESTIMATOR = "scan", "isam2"
+"""The association of scans, and the only estimator with it."""
+UNFIT = {"known": "walls have no labels", SCAN: "--lidar is needed", "jcbb-hindsight": "needs point landmarks"}
 FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
+USUAL_SIGMA = 0.01
+"""m, standard deviation of a lidar's range, as of the simulated one."""
 FITTED = ("weighted", "author")
 """Names of `data.robot.walls.FITS`."""
+SPARSER = (
+    "with a lidar: a key pose leaves the graph, while the robot drives, where its scan has less than this share in the "
+    "information on the places it sees, so that their number follows the area (default: none)"
+)
 SHARED = (
-    replace(TABLE["estimator"], help=f"of {', '.join(STEPPING)}, or your own (default: ekf-fej)"),
-    replace(TABLE["association"], metavar="NAME", help=f"of {', '.join(FIT)}, or your own (default: jcbb)"),
+    replace(
+        TABLE["estimator"],
+        help=f"of {', '.join(STEPPING)}, or your own (default: ekf-fej; with --lidar: ekf-fej,isam2)",
+    ),
+    replace(
+        TABLE["association"],
+        metavar="NAME",
+        help=f"of {', '.join(FIT)}, or your own (default: jcbb; with --lidar: jcbb,scan)",
+    ),
     *(TABLE[name] for name in ("gate", "new_gate", "in_view", "forget_after", "deactivate_after", "lag")),
+    replace(TABLE["keyframe_distance"], help="with a lidar: a key pose every M metres (default: 0.4)"),
+    replace(TABLE["least_information"], help=SPARSER),
 )
 """Flags as in `eval.run_all`, without `--maintain`: a wall is seen in one frame of five."""
 DEFAULTS = {"estimator": "ekf-fej", "association": "jcbb"}
+WITH_LIDAR = {"estimator": f"ekf-fej,{SCAN_ESTIMATOR}", "association": f"jcbb,{SCAN}"}
+OF_SCANS = ("keyframe_distance", "least_information")
 REPORT = "-report"
 EXAMPLES = """\
 examples:
@@ -48,6 +67,7 @@ examples:
   python -m eval.live --link /dev/ttyUSB0 --drive none --no-page --out drive3
   python -m eval.live --link /tmp/robot --estimator fixed-lag --lag 20 --out drive4 --seconds 300
   python -m eval.live --link /tmp/robot --deactivate-after 60 --out drive5 --estimates now.csv --port 8000
+  python -m eval.live --link /tmp/robot --lidar --least-information 0.1 --out drive6    a robot with a lidar
   python -m eval.run_all --log drive --task slam --association jcbb    the same estimates, and more estimators
 
 exit status: 0 fine, 2 wrong usage, no answer of the robot, or no report, 130 interrupted in the report (the log is
@@ -72,6 +92,17 @@ class Wish:
     port: int
     page: bool
     estimates: Path | None
+    lidar_sigma: float | None  # None: no lidar
+
+    @property
+    def by_walls(self) -> str | None:
+        """The association of walls; None: only scans are asked for."""
+        return next((name for name in self.options.selection.association if name != SCAN), None)
+
+    @property
+    def by_scans(self) -> bool:
+        """Whether scans are asked for."""
+        return SCAN in self.options.selection.association
 
 
 def parser(prog: str = PROG) -> Command:
@@ -85,6 +116,9 @@ def parser(prog: str = PROG) -> Command:
     add_flags(p, SHARED)
     add("--drive", choices=("walls", "none"), default="walls", help="follow the wall on the right (default), or rest")
     add("--framed", action="store_true", help="packets with marker and checksum, both ways")
+    text = f"the robot sends scans (framed, 115200 baud), which {SCAN_ESTIMATOR} matches, beside estimators by walls"
+    add("--lidar", action="store_true", help=text)
+    add("--lidar-sigma", metavar="M", help="standard deviation of its ranges, m (default: 0.01)")
     add("--slip", metavar="M", help="of a wheel, m per square root of the distance in m (default: 0.005)")
     add("--sonar-sigma", metavar="M", help="standard deviation of a distance, m (default: 0.005)")
     text = "of walls: with weights that find outliers (default), or the robot author's weights by range, in one pass"
@@ -100,16 +134,12 @@ def parser(prog: str = PROG) -> Command:
 def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     """Parse and check the flags. Raises UsageError."""
     given = vars(parser(prog).read(argv))
-    shared = DEFAULTS | {row.name: given[row.name] for row in SHARED if row.name in given}
+    lidar = bool(given["lidar"])
+    shared = (WITH_LIDAR if lidar else DEFAULTS) | {row.name: given[row.name] for row in SHARED if row.name in given}
+    if shared["association"] == SCAN and "estimator" not in given:
+        shared["estimator"] = SCAN_ESTIMATOR
     options = options_of(shared)
-    asked = options.selection
-    if len(asked.association) != 1:
-        raise UsageError(f"--association {','.join(asked.association)}: one name is needed")
-    if why := UNFIT.get(asked.association[0]):
-        raise UsageError(f"--association {asked.association[0]}: {why}; {', '.join(FIT)} do")
-    for name in asked.estimator:
-        if not steps(name):
-            raise UsageError(f"--estimator {name}: does not work step by step; {', '.join(STEPPING)} do")
+    _check(options, shared, lidar=lidar, sigma=given["lidar_sigma"])
 
     def number(name: str, least: float, most: float = math.inf) -> float | None:
         text = given[name]
@@ -135,8 +165,35 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
         speed=number("speed", 0.01, 1000.0) or 1.0,
         seconds=number("seconds", 0.0),
         port=int(port),
+        lidar_sigma=(number("lidar_sigma", 1e-6) or USUAL_SIGMA) if lidar else None,
         **plain,
     )
+
+
+def _check(options: Options, shared: dict[str, object], *, lidar: bool, sigma: object) -> None:
+    """Raise UsageError for an association or an estimator that does not fit a robot with or without a lidar."""
+    asked = options.selection
+    for name in asked.association:
+        if name in UNFIT and not (lidar and name == SCAN):
+            raise UsageError(f"--association {name}: {UNFIT[name]}; {', '.join(FIT)} do")
+    if len([name for name in asked.association if name != SCAN]) > 1:
+        more = f", and {SCAN}" if lidar else ""
+        raise UsageError(f"--association {','.join(asked.association)}: one name is needed{more}")
+    for name in asked.estimator:
+        if not steps(name):
+            raise UsageError(f"--estimator {name}: does not work step by step; {', '.join(STEPPING)} do")
+    if not lidar:
+        if sigma is not None:
+            raise UsageError(f"--lidar-sigma {sigma}: --lidar is needed")
+        for name in OF_SCANS:
+            if name in shared:
+                raise UsageError(f"--{name.replace('_', '-')} {shared[name]}: --lidar is needed")
+    if SCAN in asked.association:
+        other = [name for name in asked.estimator if name != SCAN_ESTIMATOR]
+        if SCAN_ESTIMATOR not in asked.estimator:
+            raise UsageError(f"--estimator {other[0]}: with --association {SCAN} {SCAN_ESTIMATOR} is needed")
+        if other and len(asked.association) == 1:
+            raise UsageError(f"--estimator {other[0]}: --association {SCAN} has {SCAN_ESTIMATOR} alone")
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -189,6 +246,8 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     from data.robot.traffic.recording import Recording
     from eval.live.drive import Looking, at_rest, drive
     from eval.live.feed import Feed
+    from eval.live.grid import GridPainter
+    from eval.live.scanning import ScanEstimating, rehearse_scans
     from eval.live.server import Server
     from eval.live.session import Estimates, Session, Taken, rehearse
     from eval.plan.foreign import load_all
@@ -196,18 +255,25 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
     from eval.player.document import live_document
 
     setup, name = wish.options.setup, wish.out.absolute().name
-    estimators, (association, *_) = wish.options.selection.estimator, wish.options.selection.association
+    association = wish.by_walls or DEFAULTS["association"]
+    estimators = wish.options.selection.estimator if wish.by_walls else ()
     load_all(estimators, [association])
     compile_if_needed()
-    rehearse(estimators, association, setup)
+    if estimators:
+        rehearse(estimators, association, setup)
+    scanning, painter = None, None
+    if wish.by_scans and wish.lidar_sigma is not None:
+        rehearse_scans(setup, wish.lidar_sigma)
+        scanning = ScanEstimating(setup, wish.lidar_sigma)
     if presses.count:
         raise KeyboardInterrupt
     noise = Noise(
         USUAL.slip if wish.slip is None else wish.slip,
         USUAL.sonar_sigma if wish.sonar_sigma is None else wish.sonar_sigma,
     )
-    feed = Feed(len(estimators)) if wish.page else None
+    feed = Feed(len(estimators) + (scanning is not None)) if wish.page else None
     if feed is not None:
+        painter = None if scanning is None else GridPainter(scanning.keys, feed.show)
         server = stack.enter_context(Server(wish.port, live_document(name).encode(), lambda: feed.published))
     receivers: list[Callable[[Taken], None]] = []
 
@@ -215,24 +281,31 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
         for receiver in receivers:
             receiver(taken)
 
-    session = Session(estimators, association, setup, noise, processed, wish.fit)
+    session = Session(estimators, association, setup, noise, processed, wish.fit, scanning)
     # objects made so far stay; collecting them again would delay frames
     gc.collect()
     gc.freeze()
     with ExitStack() as driving:
         driving.enter_context(threadpool_limits(1))  # as in a replay
-        recording = driving.enter_context(Recording(wish.out, framed=wish.framed, noise=tuple(noise), fit=wish.fit))
+        with_frames = wish.framed or wish.lidar_sigma is not None
+        recording = driving.enter_context(
+            Recording(wish.out, framed=with_frames, noise=tuple(noise), fit=wish.fit, lidar_sigma=wish.lidar_sigma)
+        )
         clock = Clock(wish.speed)
         try:
-            link = driving.enter_context(Link(str(wish.link), clock, recording, with_frames=wish.framed))
+            link = driving.enter_context(
+                Link(str(wish.link), clock, recording, with_frames=with_frames, with_scans=wish.lidar_sigma is not None)
+            )
             if wish.estimates is not None:
                 receivers.append(
-                    driving.enter_context(Estimates(wish.estimates, [each.name for each in session.estimating])).add
+                    driving.enter_context(Estimates(wish.estimates, [each.title for each in session.estimating])).add
                 )
         except UsageError:
             recording.discard()
             raise
-        display = Looking(name, session, lambda: link.exchange.faults, say, feed=feed, speed=wish.speed)
+        display = Looking(
+            name, session, lambda: link.exchange.faults, say, feed=feed, speed=wish.speed, painter=painter
+        )
         receivers.append(display.take)
         if feed is not None:
             say(f"page: {server.address}")
@@ -244,7 +317,7 @@ def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
             return presses.count > 0 or clock.now() >= end
 
         drive(link, clock, session, policy, over, display.look, display.latencies)
-        display.say(clock.now())
+        display.end(clock.now())
     if feed is not None:
         feed.end()
     say(f"{session.frames} frames, {session.observations} walls seen")

@@ -16,7 +16,8 @@ from data.robot.link import Clock
 from data.robot.packets import PERIOD, WATCHDOG, Command, command_of
 from data.robot.traffic.motion import Packet
 from eval.live.feed import MINUTE, Feed, header
-from eval.live.session import Latencies, Session, Step, Taken, estimator_words, status_line
+from eval.live.grid import GridPainter
+from eval.live.session import Latencies, Session, Step, Taken, estimator_words, latency_table, status_line
 
 REST = Command(0, 0)
 SECOND = 1.0  # s of real time between status lines
@@ -85,11 +86,12 @@ class Looking:
         *,
         feed: Feed | None = None,
         speed: float = 1.0,
+        painter: GridPainter | None = None,
     ) -> None:
-        """`say` gets the lines, `faults` counts those of the link; `speed` as of the clock."""
+        """`say` gets the lines, `faults` counts those of the link; `speed` is the clock's; `painter` draws the grid."""
         self.latencies = Latencies()  # of all estimates so far
         self._name, self._session, self._faults, self._say, self._feed = name, session, faults, say, feed
-        self._period = PERIOD / speed
+        self._period, self._painter = PERIOD / speed, painter
         self._newest: list[Step | None] = [None] * len(session.estimating)
         self._ended: set[int] = set()
         self._at = time.monotonic()
@@ -102,6 +104,8 @@ class Looking:
 
     def look(self, t: float) -> None:
         """Finish a period at robot time t [s]."""
+        if self._painter is not None:
+            self._painter.work(t)
         now = time.monotonic()
         if now - self._at >= SECOND:
             self._at += SECOND * int((now - self._at) / SECOND)
@@ -109,17 +113,26 @@ class Looking:
         elif self._feed is not None and self._feed.waiting >= MINUTE:
             self.say(t, aloud=False)
 
+    def end(self, t: float) -> None:
+        """Finish the drive: the last line and grid, and the table of latencies."""
+        if self._painter is not None:
+            self._painter.finish(t)
+        self.say(t)
+        titles = [each.title for each in self._session.estimating]
+        for line in latency_table(titles, self._session.spent, self._period):
+            self._say(line)
+
     def say(self, t: float, *, aloud: bool = True) -> None:
         """Print the line, and publish the page's next chunk."""
         s = self._session
         for number, each in enumerate(s.estimating):
             if each.failure and number not in self._ended:
                 self._ended.add(number)
-                self._say(f"{each.name} ended {each.failure}; the others and the recording go on")
+                self._say(f"{each.title} ended {each.failure}; the others and the recording go on")
         maps = [each.map() for each in s.estimating]
         words = [
-            estimator_words(each.name, step, None if m is None else len(m.number), each.failure)
-            for each, step, m in zip(s.estimating, self._newest, maps, strict=True)
+            estimator_words(each.title, step, each.counted(), each.failure)
+            for each, step in zip(s.estimating, self._newest, strict=True)
         ]
         line = status_line(t, words, self._faults(), self.latencies, self._period)
         if aloud:

@@ -14,11 +14,12 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from association.scans.constraints import SCAN
 from data.result import DISCARD, MapState
 from data.robot.log import SENSOR
 from data.se2 import Array
 from eval.figures.style import style_of
-from eval.live.session import Estimating, Taken
+from eval.live.session import Online, Taken
 from eval.player.pack import TIME, Pack, text_of
 from eval.player.scene import Head, RunHead, add_changes, add_path, add_points, dashes
 from eval.player.watch import MapChanges, spread
@@ -113,6 +114,8 @@ class Published:
     large: tuple[Chunk, ...] = ()  # in the order of time; a minute may be in both
     small: tuple[Chunk, ...] = ()
     ended: bool = False  # no more will come
+    grid: bytes | None = None  # the newest one, as of `eval.live.grid`
+    grids: int = 0  # how many there have been
 
     @property
     def begin(self) -> int:
@@ -159,6 +162,7 @@ class Feed:
         """Make a chunk of the waiting frames, if any; maps are those after the last frame."""
         if not self._waiting:
             return
+        header = {**header, "grids": self.published.grids}
         frame, whole = self._waiting[-1].frame.number, not self._parts
         changes = [
             np.empty((0, 8)) if state is None else known.since(frame, state, whole=whole)
@@ -179,6 +183,10 @@ class Feed:
             small = tuple(c for c in small if c.first >= begin)
         self.published = replace(p, large=large, small=small)
 
+    def show(self, grid: bytes) -> None:
+        """Publish a grid instead of the last one; the next chunk says so."""
+        self.published = replace(self.published, grid=grid, grids=self.published.grids + 1)
+
     def end(self) -> None:
         """No more frames will come."""
         self.published = replace(self.published, ended=True)
@@ -188,14 +196,14 @@ def _chunk(part: Part, header: Mapping[str, object]) -> Chunk:
     return Chunk(part.first, part.first + part.frames, chunk_of(part, header))
 
 
-def header(name: str, estimating: Sequence[Estimating], status: str) -> dict[str, object]:
+def header(name: str, estimating: Sequence[Online], status: str) -> dict[str, object]:
     """Header of a chunk: a log without truth or labels, walls as landmarks, and `now`, the status."""
     runs = [_run(number, each) for number, each in enumerate(estimating)]
     return {**asdict(Head(name, QUANTUM, runs, walls=True)), "now": status}
 
 
-def _run(number: int, each: Estimating) -> RunHead:
-    association, style = each.front.association, style_of(each.name)
+def _run(number: int, each: Online) -> RunHead:
+    association, style = each.association, style_of(each.name)
     return RunHead(
         key=key_of(number),
         name=f"{style.label} {association}",
@@ -205,5 +213,6 @@ def _run(number: int, each: Estimating) -> RunHead:
         dash=dashes(style.line),
         status="ended" if each.failure else "ok",
         why=each.failure,
-        covariances=not each.front.estimator.smooths,
+        covariances=not each.smooths,
+        decides=each.association != SCAN,
     )

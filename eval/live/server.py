@@ -59,7 +59,7 @@ class Server:
 
 
 def _handler(page: bytes, published: Callable[[], Published]) -> type[BaseHTTPRequestHandler]:
-    """Answers `/`, `/chunks` (all chunks) and `/chunks/FRAME` (from that frame on)."""
+    """Answers `/`, `/chunks` (all chunks), `/chunks/FRAME` (from that frame on) and `/grid` (the newest one)."""
 
     class Handler(BaseHTTPRequestHandler):
         timeout = PATIENCE
@@ -72,6 +72,8 @@ def _handler(page: bytes, published: Callable[[], Published]) -> type[BaseHTTPRe
                 self._reply(403, b"another host\n", "text/plain")
             elif self.path == "/":
                 self._reply(200, page, "text/html; charset=utf-8")
+            elif self.path == "/grid" and (grid := published().grid) is not None:
+                self._reply(200, grid, "application/json")
             else:
                 self._chunks()
 

@@ -8,11 +8,12 @@ the robot moves (compiling a kernel takes seconds, loading one 40 ms; a frame ha
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from data.result import DISCARD, MapState, Updated
 from data.robot.driving import WallFollower
 from data.robot.log import SENSOR, USUAL, Framing, Noise, prior
 from data.robot.packets import PERIOD
+from data.robot.scan_packets import Scan
 from data.robot.simulated.physics import drive
 from data.robot.simulated.room import room
 from data.robot.traffic.motion import Packet
@@ -59,12 +61,39 @@ class Taken(NamedTuple):
     steps: tuple[Step | None, ...]
 
 
+class Online(Protocol):
+    """An online estimator.
+
+    Attributes:
+        name, association: as in a replay.
+        title: both, where the association is not that of the others.
+        failure: why it ended; empty while it runs.
+        smooths: whether it is a smoother.
+    """
+
+    name: str
+    association: str
+    title: str
+    failure: str
+    smooths: bool
+
+    def take(self, frame: Frame, scan: Scan | None = None, /) -> Step | None:
+        """Process the next frame, and its scan; None if the estimator has ended, or has nothing yet."""
+
+    def map(self) -> MapState | None:
+        """Its current walls, without side effects; None if not available."""
+
+    def counted(self) -> str:
+        """How much it has mapped, in words; empty if not available."""
+
+
 class Estimating:
-    """One online estimator."""
+    """One online estimator by walls; see `Online`."""
 
     def __init__(self, name: str, association: str, setup: Setup) -> None:
         """Make it. Raises UsageError: a foreign estimator lacks something, or failed at once."""
-        self.name, self.failure = name_of(name), ""  # why it ended; empty while it runs
+        self.name = self.title = name_of(name)
+        self.failure = ""
         setup = setup.settled(sensed=False)
         try:
             if is_foreign(name):
@@ -74,8 +103,9 @@ class Estimating:
             raise UsageError(f"--estimator {self.name}: {stop}") from None
         if isinstance(self.front.estimator, FixedLagSmoother):
             self.front.estimator.keep_no_path()
+        self.association, self.smooths = self.front.association, self.front.estimator.smooths
 
-    def take(self, frame: Frame) -> Step | None:
+    def take(self, frame: Frame, scan: Scan | None = None) -> Step | None:
         """Process the next frame; None if the estimator has ended."""
         if self.failure:
             return None
@@ -102,6 +132,11 @@ class Estimating:
         estimator = self.front.estimator
         return map_now(estimator) if isinstance(estimator, EkfSlam | Isam2Smoother) and not self.failure else None
 
+    def counted(self) -> str:
+        """Its number of walls in words."""
+        state = self.map()
+        return "" if state is None else f"walls {len(state.number)}"
+
 
 class Session:
     """Frames of a drive."""
@@ -114,9 +149,14 @@ class Session:
         noise: Noise = USUAL,
         processed: Callable[[Taken], None] = lambda taken: None,
         fit: str = USUAL_FIT,
+        scanning: Online | None = None,
     ) -> None:
-        """Start; `processed` gets every processed frame, `fit` is of walls (`data.robot.walls.FITS`)."""
-        self.estimating = [Estimating(name, association, setup) for name in names]
+        """Start; `processed` gets every processed frame, `fit` is of walls (`data.robot.walls.FITS`), `scanning` is an
+        estimator of scans beside those by walls.
+        """
+        by_walls: list[Online] = [Estimating(name, association, setup) for name in names]
+        self.estimating = by_walls if scanning is None else [*by_walls, scanning]
+        self.spent = [Latencies() for _ in self.estimating]  # time of each estimator by frame
         self.frames = self.observations = 0
         self._framing, self._processed = Framing(noise, fit), processed
 
@@ -124,7 +164,12 @@ class Session:
         """Convert a packet to a frame, and pass it to every estimator."""
         frame = self._framing.frame(packet)
         self.frames, self.observations = frame.number + 1, frame.first + len(frame.observations.z)
-        taken = Taken(frame, tuple(each.take(frame) for each in self.estimating))
+        steps = []
+        for each, spent in zip(self.estimating, self.spent, strict=True):
+            began = time.perf_counter()
+            steps.append(each.take(frame, packet.scan))
+            spent.add(time.perf_counter() - began)
+        taken = Taken(frame, tuple(steps))
         self._processed(taken)
         return taken
 
@@ -238,13 +283,24 @@ def pose_words(mean: Array, covariance: Array) -> str:
     )
 
 
-def estimator_words(name: str, step: Step | None, walls: int | None, failure: str) -> str:
-    """An estimator with its newest pose and its number of walls, or its end."""
+def estimator_words(name: str, step: Step | None, counted: str, failure: str) -> str:
+    """An estimator with its newest pose and how much it has mapped, or its end."""
     if failure:
         return f"{name} ended"
     if step is None:
         return f"{name} waits"
-    return f"{name} {pose_words(step.mean, step.covariance)}" + ("" if walls is None else f", walls {walls}")
+    return f"{name} {pose_words(step.mean, step.covariance)}" + (f", {counted}" if counted else "")
+
+
+def latency_table(titles: Sequence[str], spent: Sequence[Latencies], period: float) -> list[str]:
+    """Lines of a table: time of each estimator by frame, and whether it stays below the `period` [s] of real time."""
+    width = max(map(len, ("estimator", *titles)))
+    lines = [f"{'estimator':{width}}  median    99 %  longest  [ms a frame; period {1e3 * period:g}]"]
+    for title, own in zip(titles, spent, strict=True):
+        cells = (own.within(0.5), own.within(0.99), own.longest)
+        if math.isfinite(cells[0]):
+            lines.append(f"{title:{width}}  {1e3 * cells[0]:6.1f}  {1e3 * cells[1]:6.1f}  {1e3 * cells[2]:7.1f}")
+    return lines
 
 
 def status_line(

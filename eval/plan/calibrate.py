@@ -100,16 +100,20 @@ def named(found: Sequence[Finding], *, wandering: bool, inputs: Inputs) -> tuple
     known = [next((n for n in (f.name, *f.other) if n in of), "") for f in found if f.kind == "systematic"]
     names = {of[f] for f in known if f} | ({"drift"} if wandering else set())
     names |= {"left", "right"} if names & {"left", "right"} else set()
-    if inputs.map is None and "range" in names:
-        names = names - {"range"} | {"scale"}
+    if "range" in names and (inputs.map is None or inputs.map_is_uncertain):
+        names = names - {"range"} | ({"scale"} if inputs.map is None else set())
     if not inputs.sensor.sees_points:
         names -= OF_SENSOR
     return tuple(name for name in ERRORS if name in names)
 
 
 def every(inputs: Inputs) -> tuple[str, ...]:
-    """All observable errors of a log: no range scale in SLAM, no sensor errors for walls, no turns that never occur."""
-    left_out = OF_SENSOR if not inputs.sensor.sees_points else {"range"} if inputs.map is None else set()
+    """All observable errors of a log: no sensor errors for walls, no turns that never occur.
+
+    A range scale only in an exact map; estimators do not estimate it beside landmarks.
+    """
+    free = inputs.map is None or inputs.map_is_uncertain
+    left_out = OF_SENSOR if not inputs.sensor.sees_points else {"range"} if free else set()
     return tuple(name for name in ERRORS if name not in left_out and turned(inputs, name))
 
 

@@ -199,10 +199,13 @@ def _work(log: Log, asked: Selection) -> tuple[Work, ...]:
         raise UsageError(f"--association {HINDSIGHT}: log {log.name!r} has walls; {NO_HINDSIGHT_OF_WALLS}")
     if HINDSIGHT in associations and several:
         raise UsageError(f"--association {HINDSIGHT}: log {log.name!r}: {NO_HINDSIGHT_OF_SEVERAL}")
+    scanned = tuple(e for e in asked.estimator if e in BACK_ENDS)
     other = [e for e in asked.estimator if e not in BACK_ENDS]
-    if SCAN in associations and other:
+    # those that cannot use scans may have the landmarks
+    if SCAN in associations and other and (len(associations) == 1 or not scanned):
         raise UsageError(f"--estimator {other[0]}: not for laser log {log.name!r}; name some of {', '.join(BACK_ENDS)}")
-    scanned = (*ALL, *ROBUST) if asked.estimator == ALL else asked.estimator
+    if asked.estimator == ALL:
+        scanned = (*ALL, *ROBUST)
     return tuple(Work(a, scanned if a == SCAN else asked.estimator) for a in associations)
 
 

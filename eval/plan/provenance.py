@@ -108,6 +108,7 @@ def input_digest(log: Log) -> str:
         if landmarks is not None:
             arrays += [landmarks.id, landmarks.xy]
             digest.update(repr(landmarks.kind).encode() if landmarks.kind is not None else b"")
+            arrays += [] if landmarks.sigma is None else [landmarks.sigma]
     for looks in (r.observations.appearance, *(m.appearance for m in (r.map, t.landmarks) if m is not None)):
         if looks is not None:
             arrays += looks.arrays()

@@ -102,6 +102,17 @@ def landmark_true_ids(created: IntArray, truth: Truth, numbers: IntArray) -> Int
     return ids[numbers]
 
 
+def true_ids_of(run: Run, log: Log) -> IntArray:
+    """True id (L,) of each landmark of a run's map; -2: unknown, also where the map itself stands for the truth."""
+    if run.map is None:
+        return np.empty(0, np.int64)
+    known, true = log.recorded.map, log.truth.landmarks
+    if run.task != "localization" or known is None:
+        return landmark_true_ids(named(run), log.truth, run.map.number)
+    same = true is None or np.array_equal(known.positions(true.id), true.xy)
+    return np.full(len(run.map), -2) if same else run.map.number
+
+
 def landmark_errors(xy: Array, true_id: IntArray, truth: Truth, sensor: Sensor) -> Array:
     """Position errors (L, 2) of mapped landmarks; NaN where the true position is unknown, and of walls."""
     if truth.landmarks is None or not sensor.sees_points:

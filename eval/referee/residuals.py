@@ -47,7 +47,7 @@ class Residuals:
 def used_by(run: Run, inputs: Inputs) -> Used:
     """The pairings of a run by its final decisions; `inputs` has the map in localization and none in SLAM."""
     number = observed(run)
-    if inputs.map is not None:
+    if inputs.map is not None and run.map is None:
         identity, xy = inputs.map.id, inputs.map.xy
     elif run.map is not None:
         identity, xy = run.map.number, run.map.xy

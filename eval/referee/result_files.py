@@ -145,7 +145,7 @@ FINAL = File(
 )
 LANDMARKS = File(
     f"{RUN_FOLDER}/landmarks.csv",
-    "The last map of SLAM. For walls x and y are rho [m] and alpha [rad].",
+    "The last map of SLAM, or an uncertain map as estimated. For walls x and y are rho [m] and alpha [rad].",
     (
         count("landmark", "landmark number, never reused"),
         Column("x", "position in the world frame", "m"),

@@ -226,11 +226,11 @@ def _map_columns(run: Run, phase: str, log: Log) -> dict[str, object]:
     """Errors of the last map's landmarks, with true ids by their first observation, and by majority."""
     if run.map is None or not len(run.map):
         return {}
-    off = _landmark_distance(run.map, errors.landmark_true_ids(errors.named(run), log.truth, run.map.number), log)
+    off = _landmark_distance(run.map, errors.true_ids_of(run, log), log)
     row: dict[str, object] = {"rmse_landmark_m": errors.rms(off), "rmse_landmark_majority_m": math.nan}
     if np.isfinite(off).any():
         row["sse_landmark_m2"] = float(np.nansum(off**2))
-    if log.truth.landmark_of is not None:
+    if log.truth.landmark_of is not None and run.task == "slam":
         decisions, created = decided(run, phase)
         named = majority(np.where(created >= 0, created, decisions), log.truth.landmark_of, created >= 0)
         padded = np.full(max(len(named), int(run.map.number.max()) + 1), CLUTTER, np.int64)

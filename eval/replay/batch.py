@@ -11,9 +11,9 @@ import numpy as np
 from association.expectation import gate_threshold
 from data.inputs import Inputs, IntArray
 from data.notice import Code, Severity, notice, stopped
-from data.result import DISCARD, Failure, Run, Trajectory, map_estimate
+from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, map_with
 from data.se2 import Array, BoolArray
-from graph.batch import Rejected, Start, smooth
+from graph.batch import Rejected, Start, landmark_starts, smooth
 from graph.chordal import chordal_path
 from graph.factors import UnderConstrained
 from graph.optimum import NotConvergedError, Smoothed
@@ -73,7 +73,8 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
         gated = min(result.gated, gated or front.gated)
     state = None
     if result.map is not None:
-        state = map_estimate(result.map, inputs.observations.frame, final, initialized)
+        found = result.map if inputs.map is None else map_with(inputs.map, result.map)
+        state = map_estimate(found, inputs.observations.frame, final, initialized, known=inputs.map is not None)
     return Run(
         name, front.association, front.task, None, result.trajectory, state, front.decisions, final,
         front.created, None, result.total_nis, None, seconds, None, tuple(notes), front.removed, gated=front.gated,
@@ -174,7 +175,9 @@ def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
     """
     assert front.online is not None
     places = _places(inputs, front.online.pose, initialized)
-    if front.map is not None:
+    if front.map is not None and inputs.map is not None:
+        places[inputs.map.rows(front.map.number)] = front.map.xy
+    elif front.map is not None:
         held = front.map.number < len(places)
         places[front.map.number[held]] = front.map.xy[held]
     # the front end's last errors; knots of the drift that it has forgotten are the last one's
@@ -184,7 +187,9 @@ def start_at(inputs: Inputs, front: Run, initialized: IntArray) -> Start:
 
 
 def _places(inputs: Inputs, pose: Array, initialized: IntArray) -> Array:
-    """Landmarks (L, 2) where they were initialized, seen from poses (N, 3)."""
+    """Landmarks (L, 2) where they were initialized, seen from poses (N, 3), or in an uncertain map."""
+    if inputs.map is not None:
+        return landmark_starts(inputs.map)
     places, o = np.full((int(initialized.max(initial=-1)) + 1, 2), np.nan), inputs.observations
     for i in np.flatnonzero(initialized >= 0):
         sensor = inputs.sensor_at(int(i))

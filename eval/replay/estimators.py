@@ -306,10 +306,16 @@ NO_NEW_LANDMARKS = (
 )
 
 
+NO_RANGE_ERROR = (
+    "a range error and the landmarks of an uncertain map are not estimated together: leave range out of --calibrate, "
+    "or the sigmas out of the map"
+)
+
+
 def lack_with_sensor(
     name: str, task: str, association: str, given: Given, options: FilterOptions | None = None
 ) -> str | None:
-    """Why an estimator with an association method cannot use these sensors; None if it can.
+    """Why an estimator with an association method cannot use these sensors, or their map; None if it can.
 
     `options` replace those of a filter's name.
     """
@@ -318,6 +324,9 @@ def lack_with_sensor(
         return NO_HINDSIGHT_OF_SEVERAL
     if task == "slam" and association != "known" and not all(s.locates for s in sensors):
         return NO_NEW_LANDMARKS
+    uncertain = task == "localization" and given.map is not None and given.map.sigma is not None
+    if uncertain and given.systematic is not None and "range" in given.systematic.names:
+        return NO_RANGE_ERROR
     if given.sensor.sees_points:
         return None
     if association == HINDSIGHT:

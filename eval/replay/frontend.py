@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.appearance import Looks
+from association.appearance import Evidence, Looks, evidence
 from association.candidates import in_view
 from association.decide import Decided, decide, horizon, pair_by_label
 from association.expectation import Expectation, gate_threshold
@@ -139,7 +139,7 @@ class FrontEnd:
         gated = self.known is not None and (setup.gate_smoothers or not self.estimator.smooths)
         self._label_gate = setup.label_gate if gated else None
         self._threshold = gate_threshold(self._label_gate, len(self.sensor.measures))
-        self.looks = Looks.of_map(given.map)
+        self.looks, self._right = Looks.of_map(given.map), Evidence()  # of landmarks; of a frame's right pairings
         self._kind: dict[int, str] = {}  # of landmarks that are not for every sensor, by number
         if given.map is not None and given.map.kind is not None:
             self._kind = dict(zip(given.map.id.tolist(), given.map.kind, strict=True))
@@ -196,7 +196,7 @@ class FrontEnd:
         """The gates that a used pairing has passed."""
         if self.known is not None:
             return Acceptance(self._threshold)
-        return acceptance(self.association, self.setup.gate, len(self.sensor.measures))
+        return acceptance(self.association, self.setup.gate, len(self.sensor.measures), self._right)
 
     def expect(self, observations: FrameObservations, appearance: Appearance | None = None) -> Expectation:
         """The estimator's expectation of its candidates, compared with the observations' appearance; parked landmarks
@@ -204,6 +204,7 @@ class FrontEnd:
         """
         if self.parking is not None:
             self.parking.offer(observations)
+        self._right = evidence(appearance)
         e = self.estimator.expect(observations)
         if not self.sensor.sees_points:
             e = aligned_with_observations(e, self.sensor)

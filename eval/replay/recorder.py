@@ -119,7 +119,7 @@ class Recorder:
         state = None
         if finished.map is not None:
             first = surviving(final, self.created) if begun is None else begun
-            state = map_estimate(finished.map, self._frame, final, first)
+            state = map_estimate(finished.map, self._frame, final, first, known=task == "localization")
         fixes, closures = self.poses.innovations()
         innovations = None
         if np.isfinite(self._nis).any():

@@ -19,7 +19,7 @@ from association.scans.constraints import SCAN
 from association.truncated import truncated_square
 from data.errors import SlamrefError, UsageError, unknown
 from data.inputs import Frame, Inputs, IntArray, LabelledObservations
-from data.notice import stopped
+from data.notice import Code, Notice, Severity, notice, stopped
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, Updated, map_estimate
 from data.se2 import Array
 from ekf.epochs import run_in_epochs, worthwhile
@@ -113,7 +113,7 @@ def filter_known(
     if result.map is not None:
         kept = created.copy()
         kept[created >= len(result.map.number)] = -1  # not reached before a failure
-        state = map_estimate(result.map, inputs.observations.frame, decided, kept)
+        state = map_estimate(result.map, inputs.observations.frame, decided, kept, known=inputs.map is not None)
     total = (float(np.nansum(result.nis)), int(result.dof.sum())) if failure is None else None
     mean, variance = truncated_square(threshold)
     return Run(
@@ -285,8 +285,14 @@ def _compare(
         inputs = inputs.without_labels()
     if set(estimators) - {"dead-reckoning"}:
         _check_granted(inputs, association)
+    notes = list[Notice]()
+    if inputs.map is not None and inputs.map.sigma is not None and not inputs.map_is_uncertain:
+        sigma, effect = float(inputs.map.sigma.max()), inputs.map_effect
+        notes = [notice(Code.MAP_AS_EXACT, Severity.INFO, sigma=sigma, effect=effect)]
+        inputs = replace(inputs, map=inputs.map.exact)
     each = _Comparison(inputs, task, estimators, association, setup.settled(inputs.labels_are_sensed), watch)
     runs = [each.run(name) for name in estimators]
+    runs[0] = replace(runs[0], notes=(*runs[0].notes, *notes))
     return runs if inputs.sensor.sees_points else [replace(run, walls=True) for run in runs]
 
 

@@ -210,7 +210,8 @@ def _write_map(place: Path, trial: Trial, run: Run) -> None:
         if run.task != "slam" or bare or run.failure is not None:
             return
         raise AssertionError(f"{run.estimator} did SLAM but returned no map")
-    ids = landmark_true_ids(named(run), trial.log.truth, m.number)
+    known = run.task == "localization"
+    ids = m.number if known else landmark_true_ids(named(run), trial.log.truth, m.number)
     near, until = ambiguous(run, trial.log.recorded), _until(run, trial.log.recorded.observations.frame)
     table = pd.DataFrame({
         "landmark": m.number, "x": m.xy[:, 0], "y": m.xy[:, 1], "c_xx": m.covariance[:, 0, 0],

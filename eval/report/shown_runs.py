@@ -150,7 +150,7 @@ def for_loop_states(trial: Trial) -> list[Run]:
 
 def for_growth(trial: Trial) -> list[Run]:
     """A filter and an incremental smoother under one association, known if there is one: how uncertainty grew."""
-    estimates = [r for r in plausible(trial) if r.online is not None and r.map is not None]
+    estimates = [r for r in plausible(trial) if r.task == "slam" and r.online is not None and r.map is not None]
     order = associations(estimates)
     alike = [r for r in estimates if r.association == order[0]] if order else []
     found = [next((r for r in alike if r.estimator == name), None) for name in ("ekf", "isam2")]

@@ -120,7 +120,7 @@ def plane_of(m: Matching) -> Plane:
     xy, P = m.sensor.body_points(e.z, e.R)
     landmarks, Pl = m.sensor.body_points(e.z_hat, e.HPHt)
     d2 = e.individual_distances()
-    compatible: BoolArray = d2 < gate_threshold(m.gate)
+    compatible: BoolArray = d2 < e.threshold(m.gate)
     near: BoolArray = d2 < gate_threshold(SHOWN_WITHOUT_GATE if m.gate is None else m.gate)
     involved = near.any(axis=0) if m.right is None else near.any(axis=0) | np.isin(e.number, m.right)
     # far landmarks would make everything else small

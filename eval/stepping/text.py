@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from association.expectation import Expectation, gate_threshold
+from association.expectation import Expectation
 from data.inputs import IntArray
 from data.log import Log
 from data.result import DISCARD, NEW, PoseEstimate, Run
@@ -171,7 +171,7 @@ def _sigmas(pose: PoseEstimate) -> list[float]:
 
 def compatibility_text(e: Expectation, gate: float | None) -> str:
     """Number of individually compatible pairs, and of ambiguous observations."""
-    each = (e.individual_distances() < gate_threshold(gate)).sum(axis=1)
+    each = (e.individual_distances() < e.threshold(gate)).sum(axis=1)
     none, one, several = (int(mask.sum()) for mask in (each == 0, each == 1, each > 1))
     pairs, landmarks = int(each.sum()), len(e.number)
     return _say("compatible", pairs=pairs, landmarks=landmarks, without=none, one=one, several=several)

@@ -125,8 +125,7 @@ def sample(run: Run, phase: str, log: Log, scenario: Scenario) -> Sample:
     first = scenario.from_frame
     means = {q: consistency.mean_or_nan(v[first:]) for q, v in each.items()}
     if run.map is not None and len(run.map):
-        ids = errors.landmark_true_ids(errors.named(run), truth, run.map.number)
-        off = errors.landmark_errors(run.map.xy, ids, truth, log.recorded.sensor)
+        off = errors.landmark_errors(run.map.xy, errors.true_ids_of(run, log), truth, log.recorded.sensor)
         means["landmarks"] = consistency.mean_or_nan(consistency.squared_distance(off, run.map.covariance))
     if phase == "online" and run.innovations is not None:
         i = run.innovations

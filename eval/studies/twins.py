@@ -1,9 +1,9 @@
 """Twins of a log: parametric bootstrap replicates, drawn from its own noise model.
 
 Path and map of the batch smoother are the truth. Prior, increments and observations are drawn with the stated
-covariances, at the same frames, of the same landmarks; unused observations that fit none are copied. All fixes and
-closures are drawn, so no twin has outliers among them. So every statistic of the log has a reference distribution that
-includes linearization, geometry and gates.
+covariances, at the same frames, of the same landmarks; unused observations that fit none are copied. The places in an
+uncertain map are drawn with its sigmas. All fixes and closures are drawn, so no twin has outliers among them. So every
+statistic of the log has a reference distribution that includes linearization, geometry and gates.
 
 Twins do not show an error that the smoother absorbed into this truth, such as a scale common to distances and
 observations.
@@ -125,8 +125,9 @@ def _gated(inputs: Inputs, path: Array, used: residuals.Used) -> IntArray:
 def twin(source: Source, seed: int) -> Log:
     """A twin: same frames, same landmarks seen, everything else drawn. Same seed, same bytes."""
     r = source.log.recorded
-    streams = np.random.SeedSequence([seed, STREAM]).spawn(5)
-    prior_rng, odometry_rng, sensor_rng, pose_rng, looks_rng = (np.random.default_rng(s) for s in streams)
+    streams = np.random.SeedSequence([seed, STREAM]).spawn(6)
+    rngs = (np.random.default_rng(s) for s in streams)
+    prior_rng, odometry_rng, sensor_rng, pose_rng, looks_rng, map_rng = rngs
     path = source.path
     mean = path[0] + _root(r.prior.covariance[None])[0] @ prior_rng.standard_normal(3)
     mean[2] = se2.wrap_angle(mean[2])
@@ -147,8 +148,13 @@ def twin(source: Source, seed: int) -> Log:
             z[seen, 1] = se2.wrap_angle(z[seen, 1])
         alone = r.sensor.bearings_alone(o.z, o.R)
         z[alone, 0] = o.z[alone, 0]  # not measured, so not drawn: a place to linearize at
+    known = r.map if source.task == "localization" else None
+    if known is not None and known.sigma is not None:
+        drawn = source.landmarks.positions(known.id) + known.sigma * map_rng.standard_normal(known.xy.shape)
+        known = replace(known, xy=drawn)
     recorded = replace(
-        r if source.task == "localization" else r.without_map(),
+        r,
+        map=known,
         prior=Prior(mean, r.prior.covariance),
         increments=Increments(motion, r.increments.covariance),
         observations=Observations(o.frame, z, o.R, appearance=_drawn_looks(source, looks_rng)),
@@ -213,6 +219,8 @@ def digest_of(source: Source) -> str:
     digest.update(repr(digests((*source.estimators, source.association))).encode())
     o, places = r.observations, source.landmarks
     stated = r.prior.covariance, r.time, r.increments.covariance, o.frame, o.z, o.R
+    if r.map is not None and r.map.sigma is not None:
+        digest.update(r.map.sigma.tobytes())
     for array in (*stated, source.path, places.id, places.xy, source.landmark_of):
         digest.update(np.ascontiguousarray(array).tobytes())
     arrays: list[Array | IntArray] = []

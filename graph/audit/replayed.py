@@ -17,9 +17,10 @@ from graph.poses.batch import PoseProblem
 from graph.qr.elimination import Rows
 from graph.qr.rows import Linearizer
 
-OBSERVATIONS, FIXES, DRIFT, ERRORS, SCANS = (
+OBSERVATIONS, FIXES, MAP, DRIFT, ERRORS, SCANS = (
     "observations",
     "fixes",
+    "landmarks of the map",
     "drift",
     "systematic errors",
     "scan matching",
@@ -61,10 +62,11 @@ def of_landmarks(
     observation[n : n + m] = used
     for row, p in enumerate(problem.pose_factors, n + m):
         frame[row], observation[row] = max(p.frames), p.row
-    names = [PRIOR, ODOMETRY, OBSERVATIONS, FIXES, LOOP, DRIFT, ERRORS]
-    drifts = blocks - n - m - fixes - loops
-    of = np.repeat(np.arange(7), [1, n - 1, m, fixes, loops, drifts, int(len(errors) > 0)])
-    axes = [(), _axes_of_odometry(inputs), _axes_of_observations(inputs, used), (), (), (), ()]
+    names = [PRIOR, ODOMETRY, OBSERVATIONS, FIXES, LOOP, MAP, DRIFT, ERRORS]
+    places = len(problem.priors)
+    drifts = blocks - n - m - fixes - loops - places
+    of = np.repeat(np.arange(8), [1, n - 1, m, fixes, loops, places, drifts, int(len(errors) > 0)])
+    axes = [(), _axes_of_odometry(inputs), _axes_of_observations(inputs, used), (), (), (), (), ()]
     return _replayed(rows, errors, of, names, axes, frame, observation)
 
 

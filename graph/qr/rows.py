@@ -36,7 +36,8 @@ class Linearizer:
     """Linearizes a problem repeatedly; parts independent of the estimate are computed once.
 
     Variables: poses 0 ... N - 1, then the landmarks to be estimated. Blocks: the prior, the increments, the
-    observations, fixes and closures (`of_poses`; those not in use have no rows). The prior is taken exactly, even if
+    observations, fixes and closures (`of_poses`; those not in use have no rows), the priors of landmarks. The prior of
+    the pose is taken exactly, even if
     singular: variable 0 represents the motion of the first pose, see `first`. Systematic errors: their drifts are
     variables behind the landmarks, with blocks behind all others; each constant one has a right-hand side, the effect
     of a unit of it on the residuals.
@@ -46,9 +47,10 @@ class Linearizer:
         self.prior = problem.prior
         self.frames, self.numbers = len(problem.motion) + 1, problem.numbers  # N, landmarks to be estimated
         self.calibrated = None if problem.calibrated is None else CalibratedRows(problem)
-        n, m, of_poses = self.frames, len(problem.observations), problem.pose_factors
+        n, m, of_poses, priors = self.frames, len(problem.observations), problem.pose_factors, problem.priors
+        q = n + m + len(of_poses)
         frame = np.array([s.frame for s in problem.observations], np.int64)
-        variable = np.full((n + m + len(of_poses), 2), -1)
+        variable = np.full((q + len(priors), 2), -1)
         variable[:n, 0] = np.arange(n)
         variable[1:n, 1] = np.arange(n - 1)
         variable[n : n + m, 0] = frame
@@ -58,12 +60,15 @@ class Linearizer:
         for row, p in enumerate(of_poses, n + m):
             variable[row, : len(p.frames)] = p.frames
         self._variable = variable
-        height = [len(p.entries) if p.used else 0 for p in of_poses]
+        variable[q:, 0] = n + np.searchsorted(self.numbers, np.array([p.number for p in priors], np.int64))
+        height = [len(p.entries) if p.used else 0 for p in of_poses] + [2] * len(priors)
         self._height = np.concatenate([np.repeat(np.array([3, 2], np.int64), [n, m]), np.array(height, np.int64)])
         self.of_poses = n + m + np.arange(len(of_poses))
         # whether steps are extrapolated, for large residuals and weights that vanish
         self.extrapolates = len(of_poses) > 0 and problem.calibrated is None
-        self._pose_chunks, self._pose_factors = self._whole(of_poses, n + m), problem.of_poses
+        of_map = [p.factor for p in priors]
+        self._further = [*self._whole(of_poses, n + m), *self._chunked(of_map, q, 2)]
+        self._further_factors = [*problem.of_poses, *of_map]
         self._dim = np.repeat(np.array([3, 2], np.int64), [n, len(self.numbers)])
         if problem.calibrated is not None and self.calibrated is not None:
             drifts = problem.calibrated.of, problem.calibrated.knots
@@ -86,7 +91,7 @@ class Linearizer:
             part = [f for factors in measured[first : first + step] for f in factors]
             chunks += self._chunked(part, self.frames + first, 2)
         every = [f for factors in measured for f in factors]
-        return chunks + self._pose_chunks, graph_of([*every, *self._pose_factors])
+        return chunks + self._further, graph_of([*every, *self._further_factors])
 
     def _chunked(self, factors: Sequence[gtsam.NonlinearFactor], block: int, height: int) -> list[_Chunk]:
         """Factors whose residuals fill blocks of `height` rows, from `block` on."""

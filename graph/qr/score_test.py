@@ -19,7 +19,7 @@ from data.motion.systematic import BEARING, RANGE, all_errors, corrected_inputs,
 from data.result import Systematics
 from data.se2 import Array, between, compose, pose_error, worlds_from_bodies
 from data.sensors import RANGE_BEARING
-from graph.factors import UnderConstrained, root_information
+from graph.factors import EXACT, UnderConstrained, root_information
 from graph.qr.calibrated import drift_rows, first_frames, with_drift
 from graph.qr.elimination import NO_DRIFT, Rows, Triangle, eliminate, ordering, structure
 from graph.qr.of_poses import OfPoses, blocks_of_poses
@@ -146,7 +146,7 @@ def systematic(
     measurement + observed[i] phi + noise, the first pose according to the prior. `motion` (N, 3, p) and `observed` (M,
     2, p) are derivatives by a unit of each error. Those by distances, turns or ranges must come from the smoothed
     solution: measured values share the residuals' noise, which biases a scale (in the arena by 7 sigma). `number` (M,)
-    is the row of `landmarks` of each observation, -1: not used; inputs with a map have exact landmarks.
+    is the row of `landmarks` of each observation, -1: not used; of inputs with a map it is the row there.
 
     `of_poses`: fixes and closures that the solution stands on as well, and what the errors do to them.
 
@@ -228,7 +228,9 @@ def _linearized(
     frame, row = inputs.observations.frame[used], number[used]
     m = len(used)
     seen, slot = np.unique(row, return_inverse=True)
-    size = n if inputs.map is not None else n + len(seen)
+    known = inputs.map
+    free = known is None or known.sigma is not None  # landmarks are variables, in an uncertain map with priors
+    size = n + len(seen) if free else n
     sensor = inputs.sensor_of(used)
     z_hat, Hx, Hl = sensor.linearize(path[frame], landmarks[row])
     along = None if found is None else estimated_errors(stated, found, path, frame, z_hat)
@@ -250,10 +252,17 @@ def _linearized(
     A[n:, :2, :3] = white @ Hx
     b[n:, :2, 0] = np.einsum("mij,mj->mi", white, sensor.residual(inputs.observations.z[used], z_hat))
     b[n:, :2, 1:] = -white @ observed
-    if inputs.map is None:
+    if free:
         variable[n:, 1] = n + slot
         A[n:, :2, 3:5] = white @ Hl
     height = np.repeat(np.array([3, 2]), [n, m])
+    if known is not None and known.sigma is not None:
+        root = 1.0 / np.maximum(known.sigma[seen], EXACT)
+        own, right = np.zeros((len(seen), 3, 6)), np.zeros((len(seen), *b.shape[1:]))
+        own[:, :2, :2] = root[:, :, None] * np.eye(2)
+        right[:, :2, 0] = root * (known.xy[seen] - landmarks[seen])
+        variable = np.concatenate([variable, np.stack([n + np.arange(len(seen)), np.full(len(seen), -1)], 1)])
+        A, b, height = np.concatenate([A, own]), np.concatenate([b, right]), np.append(height, [2] * len(seen))
     chain = n
     if of_poses is not None:
         more = blocks_of_poses(inputs, path, of_poses)

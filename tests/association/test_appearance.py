@@ -12,11 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2, multivariate_normal
 
-from association.appearance import Looks
+from association.appearance import Evidence, Looks
 from association.conditional import prune
 from association.decide import PLAIN, decide, horizon
-from association.expectation import gate_threshold
+from association.expectation import gate_threshold, threshold_with
 from association.jcbb import search
+from association.truncated import of_places, truncated_square
 from data.appearance import UNREAD, Appearance
 from tests.association.problems import exhaustive, problem
 from tests.quick import examples
@@ -108,7 +109,7 @@ def test_jcbb_is_as_good_as_an_exhaustive_search_of_dense_three_number_problems(
 def test_appearance_that_tells_nothing_changes_no_decision(seed, m, n):
     e = problem(seed, m, n)
     nothing = Looks().unlike(e.number, classes([UNREAD] * m))
-    assert nothing.dims == 0
+    assert nothing.right.dims == 0
     for method in ("nn", "ml", "gnn", "singles", "jcbb"):
         same = decide(method, e.with_appearance(nothing), GATE, 0.99999).decisions
         assert same.tolist() == decide(method, e, GATE, 0.99999).decisions.tolist()
@@ -162,7 +163,7 @@ def test_the_term_of_a_class_is_bayes_rule():
     assert unlike.distance[:3, 0] == pytest.approx([-2.0 * math.log(p / max(read)) for p in read])
     assert not unlike.distance[:, 1].any()  # a landmark without a reading
     assert not unlike.distance[3].any()
-    assert unlike.dims == 0
+    assert unlike.right.dims == 0
 
 
 def test_a_missing_descriptor_counts_as_its_mean():
@@ -170,7 +171,7 @@ def test_a_missing_descriptor_counts_as_its_mean():
     looks.see(np.array([0]), descriptors([0.5]))
     unlike = looks.unlike(np.array([0, 1]), descriptors([0.5, np.nan]))
     assert unlike.distance.tolist() == [[0.0, 1.0], [1.0, 1.0]]
-    assert unlike.dims == 1
+    assert unlike.right.dims == 1
 
 
 def test_a_known_appearance_stays_as_it_is():
@@ -266,6 +267,21 @@ def test_the_log_ratio_is_that_of_both_likelihoods(seed, classed):
         for c in range(3):
             p = sum(w * (0.8 if k == c else 0.1) for k, w in zip((1, 0, 2), likely, strict=True))
             assert looks.log_ratio(np.array([0]), classes([c], 0.2))[0, 0] == pytest.approx(math.log(3 * p))
+
+
+@pytest.mark.parametrize("right", [Evidence(1), Evidence(0, 0.05, 8.0), Evidence(1, 0.1, 5.0)])
+@pytest.mark.parametrize("pairs", [1, 6])
+def test_the_place_of_right_pairings_has_the_mean_that_the_gate_with_appearance_leaves(right, pairs):
+    rng, n, gate = np.random.default_rng(1), 400_000, 0.99
+    place = rng.chisquare(2 * pairs, n)
+    more = right.cost * rng.binomial(pairs, right.error, n)
+    if right.dims:
+        more = more + rng.chisquare(pairs, n)
+    left = place[place + more < threshold_with(gate, 2, pairs, right)]
+    mean, variance = truncated_square(of_places(gate, 2, pairs, right), 2 * pairs)
+    assert mean == pytest.approx(left.mean(), abs=4.0 * left.std() / math.sqrt(len(left)))
+    assert variance == pytest.approx(left.var(), rel=0.05)
+    assert of_places(gate, 2, pairs) == gate_threshold(gate, 2 * pairs)
 
 
 def test_without_descriptors_the_search_is_the_exhaustive_one():

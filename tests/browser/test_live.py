@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from data.robot.driving import WallFollower
+from data.robot.simulated.lidar import Lidar
 from data.robot.simulated.physics import drive
 from data.robot.simulated.room import room
 from eval.live.feed import Feed, header
+from eval.live.grid import GridPainter
+from eval.live.scanning import ScanEstimating
 from eval.live.server import Server
 from eval.live.session import Session
 from eval.player.document import live_document
@@ -46,6 +49,29 @@ def driving(chromium):
         page.close()
     assert complaints == []
     assert all(url.startswith(server.address) for url in asked)
+
+
+def test_the_grid_of_scans_is_drawn_under_the_paths(chromium):
+    scanning = ScanEstimating(Setup(), 0.01)
+    session, feed = Session((), "jcbb", Setup(), scanning=scanning), Feed(1)
+    painter = GridPainter(scanning.keys, feed.show)
+    for packet in drive(room(0), WallFollower(), 10.0, np.random.default_rng(0), lidar=Lidar()).packets:
+        feed.add(session.take(packet))
+    painter.finish(10.0)
+    feed.publish([None], header("drive", session.estimating, "with a lidar"))
+    with Server(0, live_document("drive").encode(), lambda: feed.published) as server:
+        page = chromium.new_page(viewport={"width": 1400, "height": 900})
+        page.goto(server.address)
+        until(page, 40)
+        for _ in range(100):
+            if page.evaluate("ground !== null"):
+                break
+            page.wait_for_timeout(50)
+        place = page.evaluate("[ground.west, ground.south, ground.wide, ground.high, ground.image.width]")
+        page.close()
+    assert place[2] == pytest.approx(0.05 * place[4])
+    assert place[0] < -1.0 < place[0] + place[2]
+    assert place[1] < -1.0 < place[1] + place[3]
 
 
 def until(page, frames):

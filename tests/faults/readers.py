@@ -22,6 +22,7 @@ from data.formats.results.reading import read_path
 from data.formats.results.tables import companions
 from data.logs import open_log
 from data.robot.packets import command_of
+from data.robot.simulated.lidar import Lidar
 from data.robot.traffic.recording import Recording
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import CONFIGS
@@ -174,13 +175,15 @@ def scenarios() -> list[Files]:
 
 
 def recordings() -> list[Files]:
-    def drive(path: Path, framed: bool) -> None:
-        with Recording(path / "log", framed=framed) as recording:
-            link, _, clock = linked(framed=framed, recording=recording)
+    def drive(path: Path, framed: bool, lidar: Lidar | None) -> None:
+        sigma = None if lidar is None else lidar.sigma
+        with Recording(path / "log", framed=framed, lidar_sigma=sigma) as recording:
+            link, _, clock = linked(framed=framed, recording=recording, lidar=lidar)
             while clock.now() < 4.0:
                 link.step(command_of(0.2, 0.3))
 
-    return [made(lambda path, framed=framed: drive(path, framed)) for framed in (False, True)]
+    kinds = ((False, None), (True, None), (True, Lidar(beams=90)))
+    return [made(lambda path, kind=kind: drive(path, *kind)) for kind in kinds]
 
 
 G2O = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.1\nVERTEX_XY 2 2 1\nEDGE_SE2 0 1 1 0 0.1 10 0 0 10 0 90\n" + (

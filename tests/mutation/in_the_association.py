@@ -96,7 +96,7 @@ def gate_at(dof_for):
 
         return gate_threshold
 
-    return replaced("association.jcbb.gate_threshold", make)
+    return replaced("association.expectation.gate_threshold", make)
 
 
 def ties_cut(monkeypatch):

@@ -206,7 +206,8 @@ def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap
     for column in ("x std-dev", "y std-dev"):
         table.require(table.columns[column] >= 0.0, column, "{} is a negative standard deviation")
     order = np.argsort(subject)
-    return LandmarkMap(subject[order], table.stack(("x", "y"))[order])
+    sigma = table.stack(("x std-dev", "y std-dev"))[order]
+    return LandmarkMap(subject[order], table.stack(("x", "y"))[order], sigma=sigma if sigma.any() else None)
 
 
 def _require_distinct(table: Table, column: str, values: IntArray) -> None:

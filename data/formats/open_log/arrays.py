@@ -17,17 +17,16 @@ from data.formats.open_log import fixes as fixes_file
 from data.formats.open_log.closures import closures_of
 from data.formats.open_log.fixes import POSE, fixes_of
 from data.formats.open_log.header import FORMAT, LATEST, header_of
+from data.formats.open_log.landmarks import KIND, SIGMAS, landmarks_of, usable_sigmas
 from data.formats.open_log.named import COVARIANCE, INLIER, SOURCE
 from data.formats.open_log.reader import (
     IDS,
-    KIND,
     MEAN,
     Measured,
     frames_in,
     frames_of,
     inputs_of,
     instants,
-    landmarks_of,
     observations_of,
     odometry_of,
     stamped_truth,
@@ -153,9 +152,10 @@ def log_of_arrays(
         true = table("truth", truth, ("t", *POSE) if by_stamp else POSE)
         true.require_finite(POSE, blank=True)
         pose = stamped_truth(true, moved.time) if by_stamp else truth_per_frame(true, len(moved.time))
-    known = None
+    known, notes = None, list[str]()
     if landmarks is not None:
-        places = table("landmarks", landmarks, ("id", "x", "y"))
+        wide = np.ndim(landmarks) == 2 and np.shape(landmarks)[1] == 3 + len(SIGMAS)
+        places = table("landmarks", landmarks, ("id", "x", "y", *(SIGMAS if wide else ())))
         if landmark_descriptor is not None:
             given = _numbers(f"{name}: landmark_descriptor", landmark_descriptor, len(places))
             places = _joined(places, {looks.DESCRIPTOR: given})
@@ -167,6 +167,7 @@ def log_of_arrays(
                 there = _words(f"{name}: {called}", words, len(places))
                 places = replace(places, texts={**places.texts, column: there})
         known = landmarks_of(places)[0]
+        known, notes = usable_sigmas(known, header)
     recorded, inliers = with_measured(inputs_of(header, moved, frame, found, known), measured, key)
     return Log(
         name=name,
@@ -174,6 +175,7 @@ def log_of_arrays(
         truth=Truth(pose, recorded.map, found.true_id, fix_inlier=inliers[0], closure_inlier=inliers[1]),
         label=found.label,
         labels_are_sensed=labels_are_sensed,
+        notes=tuple(notes),
     )
 
 

@@ -7,7 +7,7 @@
                         in format 2 also sensor, and blank fields (see `sensors`), and descriptor, class (see
                         `appearance`)
     truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
-    landmarks.csv       id,x,y[,sx,sy]      optional; in format 2 also kind, descriptor, class
+    landmarks.csv       the map (see `landmarks`)                           optional
     scans.npz           range scans (see `scans`); then observations.csv and [sensor] may be missing
     relations.csv       row1,row2,x,y,theta[,exact][,stamp1,stamp2][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt]         optional
     fixes.csv           absolute measurements of the pose (see `fixes`)     format 2; then observations.csv and
@@ -38,10 +38,12 @@ from data.formats.csv_table import FIRST_ROW, Table, read_table
 from data.formats.open_log import appearance as looks
 from data.formats.open_log import closures as closures_file
 from data.formats.open_log import fixes as fixes_file
+from data.formats.open_log import landmarks as landmarks_file
 from data.formats.open_log.closures import ClosureTable, read_closures
 from data.formats.open_log.fixes import POSE, FixTable, read_fixes
 from data.formats.open_log.header import FORMAT, LATEST, Header, read_header
-from data.formats.open_log.named import COVARIANCE, is_name
+from data.formats.open_log.landmarks import read_landmarks, usable_sigmas
+from data.formats.open_log.named import COVARIANCE
 from data.formats.open_log.scans import read_scans
 from data.formats.open_log.sensors import NOISE, may_be_blank, observed
 from data.formats.open_log.sensors import TABLE as SENSOR
@@ -54,46 +56,6 @@ from data.sensors import RangeBearing
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
 from data.truth import CLUTTER, UNKNOWN_ID, Relations, Truth
-
-KIND = "kind"
-
-
-def read_landmarks(path: Path, *, latest: bool = False) -> tuple[LandmarkMap | None, bool]:
-    """landmarks.csv, ascending by id (None without the file), and whether a survey's sigmas were ignored.
-
-    `latest`: with its columns kind, descriptor and class (format 2).
-    """
-    if not path.exists():
-        return None, False
-    more = (KIND, looks.DESCRIPTOR, looks.CLASS) if latest else ()
-    words = (KIND, looks.CLASS)
-    found = read_table(path, ("id", "x", "y"), ("sx", "sy", *more), may_be_blank=(looks.DESCRIPTOR,), words=words)
-    return landmarks_of(found)
-
-
-def landmarks_of(table: Table) -> tuple[LandmarkMap, bool]:
-    """The map of a table with its columns, and whether a survey's sigmas were ignored."""
-    sigmas = [n for n in ("sx", "sy") if n in table]
-    table.require_finite(("x", "y", *sigmas))
-    for name in sigmas:
-        table.require(table.columns[name] >= 0.0, name, "{} is a negative standard deviation")
-    number = table.integers("id", 0)
-    order = np.argsort(number, kind="stable")
-    repeated = np.zeros(len(number), bool)
-    repeated[order[1:]] = number[order[1:]] == number[order[:-1]]
-    table.require(~repeated, "id", "{} is the id of two landmarks")
-    surveyed = any((table.columns[n] > 0.0).any() for n in sigmas)
-    given = table.texts.get(KIND)
-    for row, word in enumerate(given or ()):
-        if word and not is_name(word):
-            raise table.error(row, KIND, f"{word!r} holds a quote; a plain name is needed")
-    kind = None if given is None else tuple(given[k] for k in order.tolist())
-    seen = looks.of_landmarks(table)
-    known = LandmarkMap(
-        number[order], table.stack(("x", "y"))[order], kind, None if seen is None else seen.only(order)
-    )  # fmt: skip
-    return known, surveyed
-
 
 RELATIVE = ("x", "y", "theta")
 STAMPS = ("stamp1", "stamp2")
@@ -150,7 +112,7 @@ def relations_columns(relations: Relations) -> tuple[list[str], list[list[object
 
 HEADER = "log.toml"
 FRAMES, ODOMETRY, OBSERVATIONS = "frames.csv", "odometry.csv", "observations.csv"
-TRUTH, LANDMARKS = "truth.csv", "landmarks.csv"
+TRUTH, LANDMARKS = "truth.csv", landmarks_file.FILE
 SCANS, RELATIONS = "scans.npz", "relations.csv"
 FIXES, CLOSURES = fixes_file.FILE, closures_file.FILE
 FILES = (HEADER, FRAMES, ODOMETRY, OBSERVATIONS, TRUTH, LANDMARKS, SCANS, RELATIONS, FIXES, CLOSURES)
@@ -166,8 +128,7 @@ LONGEST = 1e6
 def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log:
     """Read an open log folder; `relations`: a file instead of its relations.csv.
 
-    Observations outside the sensor's stated field of view are kept. The covariance floor is applied here. A survey's
-    sigmas (sx, sy in landmarks.csv) are checked but not used, since estimators take the map as exact; a note says so.
+    Observations outside the sensor's stated field of view are kept. The covariance floor is applied here.
 
     Raises DataError with file, line, column and value.
     """
@@ -197,7 +158,8 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
         motion, gaps = _frames(folder / FRAMES, header.motion_prior), 0
         pose = truth_per_frame(_truth_table(folder / TRUTH, POSE), len(motion.time))
     frame = frames_in(observations.table, key, motion.time)
-    known, survey = read_landmarks(folder / LANDMARKS, latest=header.format == LATEST)
+    stated, true_landmarks = read_landmarks(folder / LANDMARKS, latest=header.format == LATEST)
+    known, unusable = usable_sigmas(stated, header)
     scans = _scans(folder, header, len(motion.time), by_stamp=by_stamp)
     reference = folder / RELATIONS if relations is None else relations
     related = None
@@ -212,13 +174,17 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     if gaps:
         many = counted(gaps, "gap")
         notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
-    if survey:
-        notes.append(f"{LANDMARKS}: the survey's sigmas are ignored; estimators take the map as exact")
+    notes += unusable
     return Log(
         name=header.name,
         recorded=replace(recorded, scans=scans),
         truth=Truth(
-            pose, recorded.map, observations.true_id, related, fix_inlier=inliers[0], closure_inlier=inliers[1]
+            pose,
+            recorded.map if true_landmarks is stated else true_landmarks,
+            observations.true_id,
+            related,
+            fix_inlier=inliers[0],
+            closure_inlier=inliers[1],
         ),
         label=observations.label,
         labels_are_sensed=header.labels_are_sensed,

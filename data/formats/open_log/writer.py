@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -12,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomli_w
 
-from data.appearance import Appearance
 from data.errors import DataError
 from data.formats.open_log import appearance as looks
 from data.formats.open_log import closures as closures_file
@@ -20,6 +20,7 @@ from data.formats.open_log import fixes as fixes_file
 from data.formats.open_log import sensors as sensors_file
 from data.formats.open_log.fixes import POSE
 from data.formats.open_log.header import FORMAT, LATEST
+from data.formats.open_log.landmarks import SIGMAS, TRUE_PLACE
 from data.formats.open_log.named import COVARIANCE
 from data.formats.open_log.reader import (
     CLOSURES,
@@ -77,8 +78,7 @@ def write_folder(log: Log, path: str | PathLike[str], samples: Samples | None = 
 
     Increments are written (frames.csv), with calibration, preintegration and covariance floor applied; with `samples`,
     these (odometry.csv). The folder is written beside its final name, read back as a check, and moved into place;
-    returned is what was read. landmarks.csv is map and truth in one, so a log with true landmarks but without a map
-    gets them as its map.
+    returned is what was read. A log with true landmarks but without a map gets them as its map.
 
     Raises DataError if `path` holds something else, cannot be written, or the format cannot hold the log.
     """
@@ -151,6 +151,11 @@ def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, s
     if landmarks is not None:
         x, y = landmarks.xy.reshape(-1, 2).T.tolist()
         places: dict[str, Sequence[object]] = {"id": landmarks.id.tolist(), "x": x, "y": y}
+        if landmarks.sigma is not None:
+            places |= dict(zip(SIGMAS, landmarks.sigma.T.tolist(), strict=True))
+        if (true := truth.landmarks) is not None and not _same(landmarks, true):
+            at = true.positions(landmarks.id).T.tolist()
+            places |= {n: ["" if math.isnan(v) else v for v in c] for n, c in zip(TRUE_PLACE, at, strict=True)}
         if landmarks.kind is not None:
             places["kind"] = landmarks.kind
         if landmarks.appearance is not None:
@@ -172,21 +177,18 @@ def _frames(log: Log) -> str:
 
 
 def _landmarks(log: Log) -> LandmarkMap | None:
-    """The only map that the format can hold."""
+    """The map as the format can hold it: with the true landmarks beside those of the map."""
     known, true = log.recorded.map, log.truth.landmarks
     if known is None or true is None:
         return known if known is not None else true
-    same = np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy) and known.kind == true.kind
-    if not (same and _alike(known.appearance, true.appearance)):
-        what = f"log {log.name!r}: its map differs from its true landmarks"
-        raise DataError(f"{what}; {LANDMARKS} can hold only one of them")
+    if not _same(known, true) and (known.rows(true.id) < 0).any():
+        what = f"log {log.name!r}: its map lacks some of its true landmarks"
+        raise DataError(f"{what}; {LANDMARKS} can hold only landmarks of the map")
     return known
 
 
-def _alike(one: Appearance | None, other: Appearance | None) -> bool:
-    if one is None or other is None:
-        return one is other
-    return looks.columns_of(one, known=True) == looks.columns_of(other, known=True)
+def _same(known: LandmarkMap, true: LandmarkMap) -> bool:
+    return np.array_equal(known.id, true.id) and np.array_equal(known.xy, true.xy)
 
 
 def _is_latest(log: Log) -> bool:

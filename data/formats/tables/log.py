@@ -11,6 +11,7 @@ import numpy as np
 from data import se2
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
+from data.formats.csv_table import Table
 from data.formats.open_log.appearance import of_landmarks, together
 from data.formats.open_log.named import is_name
 from data.formats.open_log.writer import Recording, Samples
@@ -214,12 +215,17 @@ def _span(time: Array) -> str:
 
 
 def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
-    """Landmarks in the world frame; without ids they are numbered from 0 in the order of the file."""
+    """Landmarks in the world frame; without ids they are numbered from 0 in the order of the file. Blank sigmas are 0.
+
+    DataError for sigmas that the map's rotation would correlate.
+    """
     columns = wanted.columns
     # a column of that name is something else where no sensor sees a kind
     kind = (KIND,) * (any(sensor.sees for sensor in wanted.sensors) or columns.stated("map", (KIND,)))
     looked = dict.fromkeys(q for sensor in wanted.sensors for q in sensor.looked)
-    table, texts, _ = columns.table(file, "map", ("x", "y"), texts=("id", *kind, *looked))
+    stated = [q for q in ("sx", "sy") if columns.find(file, "map", q) is not None]
+    words = ("id", *kind, *looked)
+    table, texts, _ = columns.table(file, "map", ("x", "y"), optional=stated, texts=words, may_be_blank=stated)
     table = with_looks(file, table, texts)
     for row, word in enumerate(texts.get(KIND, ())):
         if word and not is_name(word):
@@ -233,8 +239,28 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     if len(ids) and ids.min() < 0:
         raise table.error(int(np.argmin(ids)), "id", f"{ids.min()} is negative; ids are whole numbers from 0 up")
     kinds = None if KIND not in texts else tuple(texts[KIND][row] for row in order.tolist())
+    sigma = _map_sigmas(table, stated, float(wanted.map_pose[2]))
     xy, looks = se2.transform_points(wanted.map_pose, table.stack(("x", "y"))), of_landmarks(table)
-    return LandmarkMap(ids[order], xy[order], kinds, appearance=None if looks is None else looks.only(order))
+    return LandmarkMap(
+        ids[order], xy[order], kinds, appearance=None if looks is None else looks.only(order),
+        sigma=None if sigma is None else sigma[order],
+    )  # fmt: skip
+
+
+def _map_sigmas(table: Table, stated: Sequence[str], turn: float) -> Array | None:
+    """Standard deviations (L, 2) of the turned map, or None where there are none."""
+    if not stated:
+        return None
+    if len(stated) == 1:
+        raise table.error(-1, stated[0], "sx and sy come together")
+    sigma = np.nan_to_num(table.stack(stated))
+    for k, q in enumerate(stated):
+        table.require(sigma[:, k] >= 0.0, q, "{} is a negative standard deviation; 0 or blank is an exact landmark")
+    quarters = turn / (0.5 * np.pi)
+    if abs(quarters - round(quarters)) > 1e-9:
+        different = "{} differs from sy; a map turned by --map-transform needs both equal"
+        table.require(sigma[:, 0] == sigma[:, 1], stated[0], different)
+    return (sigma[:, ::-1] if round(quarters) % 2 else sigma) if sigma.any() else None
 
 
 def _check_kinds(sensors: Sequence[TableSensor], known: LandmarkMap | None) -> None:

@@ -34,6 +34,8 @@ from data.robot.packets import (
     overflowed,
     wheel_speeds,
 )
+from data.robot.scan_packets import Scan
+from data.robot.simulated.lidar import Lidar
 from data.robot.simulated.room import Room, cast, clearance
 from data.robot.traffic.motion import Heard, Packet, Unwrapper
 from data.se2 import Array, compose, wrap_angle
@@ -127,10 +129,14 @@ class Robot:
         wheels: speeds [m/s] of the left and the right wheel.
     """
 
-    def __init__(self, room: Room, rng: np.random.Generator, physics: Physics | None = None) -> None:
-        """Motion and sonars draw from separate generators, so the number of answers does not change the path."""
-        self.room, self.physics = room, physics or Physics()
-        self._ground, self._sound = rng.spawn(2)
+    def __init__(
+        self, room: Room, rng: np.random.Generator, physics: Physics | None = None, lidar: Lidar | None = None
+    ) -> None:
+        """Motion, sonars and lidar draw from separate generators: the number of answers does not change the path, nor
+        does a lidar change what the sonars hear.
+        """
+        self.room, self.physics, self.lidar = room, physics or Physics(), lidar
+        self._ground, self._sound, self._light = rng.spawn(3)
         self.pose = np.array(room.start, float)
         self.wheels = (0.0, 0.0)
         self._loops = (SpeedLoop(), SpeedLoop())
@@ -208,6 +214,13 @@ class Robot:
         x, y, heading = (overflowed(round(1000.0 * value)) for value in self._odometry)
         return Answer(tuple(self._distances()), x, y, heading)
 
+    def scan(self, answer: Answer) -> Scan | None:
+        """The lidar's scan at the time of an answer that was just given; None without a lidar."""
+        if self.lidar is None:
+            return None
+        odometry = (answer.x, answer.y, answer.heading)
+        return self.lidar.scan(self.room, self.pose, self.time, odometry, self._light)
+
     def _distances(self) -> list[int]:
         p = self.physics
         echo = cast(self.room, compose(self.pose, SONARS), CONE_HALF_ANGLE)
@@ -237,16 +250,18 @@ def drive(
     seconds: float,
     rng: np.random.Generator,
     physics: Physics | None = None,
+    lidar: Lidar | None = None,
 ) -> Drive:
     """Drive through a room without waiting, as over a perfect line, for seconds / PERIOD packets.
 
     `policy` returns the speed [m/s] and turn rate [rad/s] to command after a packet; `rng` draws slip and sonars.
     """
-    robot, unwrapper = Robot(room, rng, physics), Unwrapper()
+    robot, unwrapper = Robot(room, rng, physics, lidar), Unwrapper()
     packets, commands, poses = [], [], []
     for k in range(round(seconds / PERIOD)):
         t = k * PERIOD
-        packets.append(unwrapper.packet(Heard(t, robot.answer(t), 1.0), joined=True))
+        answer = robot.answer(t)
+        packets.append(unwrapper.packet(Heard(t, answer, 1.0, robot.scan(answer)), joined=True))
         poses.append(robot.pose)
         command = command_of(*policy(packets[-1]))
         commands.append(command)

@@ -11,7 +11,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.robot.packets import BYTE_TIME, COMMAND_BYTES, decode_command, encode_answer, framed, next_frame
+from data.robot.packets import (
+    BITS_PER_BYTE,
+    BYTE_TIME,
+    COMMAND_BYTES,
+    LIDAR_BAUD,
+    decode_command,
+    encode_answer,
+    framed,
+    next_frame,
+)
+from data.robot.scan_packets import encode_scan
 from data.robot.simulated.physics import Robot
 
 COMMAND_PAUSE = 0.05
@@ -37,11 +47,11 @@ class Faults:
 
 
 class Firmware:
-    """The robot's side of the line: bytes in, answers out."""
+    """The robot's side of the line: bytes in, answers out, each after its scan."""
 
     def __init__(self, robot: Robot, *, with_frames: bool) -> None:
         self.robot = robot
-        self._framed = with_frames
+        self._framed = with_frames or robot.lidar is not None
         self._pending = bytearray()
         self._came = -math.inf
 
@@ -61,14 +71,16 @@ class Firmware:
         if content is None:
             return b""
         self.robot.command(t, decode_command(content))
-        answer = encode_answer(self.robot.answer(t))
-        return framed(answer) if self._framed else answer
+        answer = self.robot.answer(t)
+        scan, data = self.robot.scan(answer), encode_answer(answer)
+        return (b"" if scan is None else encode_scan(scan)) + (framed(data) if self._framed else data)
 
 
 class Wire:
     """Robot, firmware and both directions of the line.
 
-    With `keep`, `sent` holds every answer and whether its bytes went onto the line unharmed.
+    A robot with a lidar has a faster line with frames. With `keep`, `sent` holds every answer (with its scan) and
+    whether its bytes went onto the line unharmed.
     """
 
     def __init__(
@@ -77,6 +89,7 @@ class Wire:
         self.robot = robot
         self.sent: list[tuple[bytes, bool]] = []
         self._keep = keep
+        self._byte_time = BYTE_TIME if robot.lidar is None else BITS_PER_BYTE / LIDAR_BAUD
         self._firmware = Firmware(robot, with_frames=with_frames)
         self._faults = faults
         self._rng = {"to": rng.spawn(1)[0], "from": rng.spawn(1)[0]}
@@ -119,7 +132,7 @@ class Wire:
             chance = rng.random(3)
             if faults.stall and chance[0] * BETWEEN_STALLS < 1.0:
                 self._still_until[way] = at + faults.stall
-            at += BYTE_TIME
+            at += self._byte_time
             if chance[1] < faults.drop or (way == "to" and at < self._still_until[way]):
                 unharmed = False
                 continue

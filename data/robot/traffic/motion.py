@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data.robot.packets import FASTEST, FASTEST_TURN, PERIOD, TIMEOUT_MM, WATCHDOG, Answer, overflowed
+from data.robot.scan_packets import Scan
 from data.se2 import Array, between, compose
 
 SLACK = 0.1
@@ -23,11 +24,14 @@ ROUNDING = 2
 
 
 class Heard(NamedTuple):
-    """An answer, the time t [s] of its last byte, and the probability that its bytes are those of one answer."""
+    """An answer, the time t [s] of its last byte, the probability that its bytes are those of one answer, and the scan
+    that came with it.
+    """
 
     t: float
     answer: Answer
     sure: float
+    scan: Scan | None = None
 
 
 @dataclass(frozen=True)
@@ -41,6 +45,7 @@ class Packet:
         joined: False where the motion since the last packet is unknown: the first packet, or restarted odometry.
         sure: probability that the bytes are those of one answer.
         answer: the transmitted numbers.
+        scan: the lidar's, taken where the odometry is that of the answer; None: no lidar, or the scan was lost.
     """
 
     t: float
@@ -49,6 +54,7 @@ class Packet:
     joined: bool
     sure: float
     answer: Answer
+    scan: Scan | None = None
 
 
 def possible(answer: Answer) -> bool:
@@ -104,7 +110,7 @@ class Unwrapper:
         self._before = answer
         mm = np.array(answer.distances, float)
         ranges = np.where(mm < TIMEOUT_MM, mm / 1000.0, np.inf)
-        return Packet(heard.t, ranges, self._pose(), joined, heard.sure, answer)
+        return Packet(heard.t, ranges, self._pose(), joined, heard.sure, answer, heard.scan)
 
     def _pose(self) -> Array:
         counted = self._counted / 1000.0

@@ -32,7 +32,7 @@ HEADER, PACKETS = "log.toml", "packets.bin"
 MAGIC = b"robot 1\n"
 SENT, RECEIVED, OPENED, GONE = b"S", b"R", b"O", b"G"
 SOURCE = "robot link"
-NOISE = ("slip", "sonar_sigma")
+NOISE, LIDAR = ("slip", "sonar_sigma"), "lidar_sigma"
 _HEAD = struct.Struct("<cHq")
 _CHECK = struct.Struct("<I")
 
@@ -55,6 +55,7 @@ class Recorded(NamedTuple):
         noise: stated slip [m per sqrt(m)] and sonar sigma [m]; empty if not stated.
         source: `[source]` of the header.
         fit: of walls, see `data.robot.walls.FITS`.
+        lidar_sigma: m, standard deviation of a lidar's range; None: no lidar.
     """
 
     records: list[Record]
@@ -63,6 +64,7 @@ class Recorded(NamedTuple):
     noise: tuple[float, ...]
     source: Mapping[str, object]
     fit: str
+    lidar_sigma: float | None = None
 
 
 def to_microseconds(t: float) -> float:
@@ -74,9 +76,15 @@ class Recording:
     """A recording being written; `with` closes it."""
 
     def __init__(
-        self, folder: Path, *, framed: bool = False, noise: tuple[float, ...] = (), fit: str = USUAL_FIT
+        self,
+        folder: Path,
+        *,
+        framed: bool = False,
+        noise: tuple[float, ...] = (),
+        fit: str = USUAL_FIT,
+        lidar_sigma: float | None = None,
     ) -> None:
-        """Create both files; `noise` and `fit` as of `Recorded`.
+        """Create both files; `noise`, `fit` and `lidar_sigma` as of `Recorded`.
 
         UsageError if the folder holds a log: nothing is overwritten.
         """
@@ -91,6 +99,8 @@ class Recording:
             source = {"kind": SOURCE, "framed": framed, **dict(zip(NOISE, noise, strict=False))}
             if fit != USUAL_FIT:
                 source["fit"] = fit
+            if lidar_sigma is not None:
+                source[LIDAR] = lidar_sigma
             tomli_w.dump({"format": FORMAT, "name": folder.absolute().name, "source": source}, file)
 
     def append(self, record: Record) -> None:
@@ -130,12 +140,15 @@ def read_recording(folder: Path) -> Recorded:
     fit = source.get("fit", USUAL_FIT)
     if fit not in FITS:
         raise DataError.at(header, f"[source] fit {fit!r}: {' or '.join(FITS)} is needed")
+    lidar = source.get(LIDAR)
+    if lidar is not None and not (isinstance(lidar, float | int) and 0.0 < lidar < math.inf):
+        raise DataError.at(header, f"[source] {LIDAR} {lidar!r}: a number above 0 is needed")
     path = folder / PACKETS
     data = bytes_of(path)
     if not data.startswith(MAGIC) and not MAGIC.startswith(data):
         raise DataError.at(path, f"begins with {data[: len(MAGIC)]!r}; {MAGIC!r} is needed")
     records, end = _records(path, data)
-    return Recorded(records, source["framed"], len(data) - end, noise, source, fit)
+    return Recorded(records, source["framed"], len(data) - end, noise, source, fit, lidar)
 
 
 def _records(path: Path, data: bytes) -> tuple[list[Record], int]:

@@ -23,7 +23,17 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
-from data.robot.packets import ANSWER_BYTES, ANSWER_TIMEOUT, FRAME_BYTES, PERIOD, Answer, decode_answer, next_frame
+from data.robot.packets import (
+    ANSWER_BYTES,
+    ANSWER_TIMEOUT,
+    FRAME_BYTES,
+    MARKER,
+    PERIOD,
+    Answer,
+    decode_answer,
+    next_of,
+)
+from data.robot.scan_packets import SCAN_BYTES, SCAN_MARKER, Beams, Scan, ScanParts
 from data.robot.traffic.motion import Heard, Packet, Unwrapper, came_from, possible, reachable
 from data.robot.traffic.recording import GONE, RECEIVED, SENT, Record
 
@@ -35,7 +45,7 @@ CHAIN = 3
 """Consistent answers that show that the odometry restarted."""
 KEPT = 4 * ANSWER_BYTES
 """Bytes searched for an answer; older ones are dropped."""
-SHORT, SHIFTED, GARBAGE = "short", "shifted", "garbage"
+SHORT, SHIFTED, GARBAGE, TORN = "short", "shifted", "garbage", "torn"
 SURE = {2: 0.999, 3: 0.9999}
 """Probability of a true answer by points, as measured in tests/data/robot/test_stream.py."""
 
@@ -57,6 +67,10 @@ class Stream(ABC):
         self._last: tuple[float, Answer] | None = None
         self._clock = 0.0
         self._unwrapper = Unwrapper()
+
+    def missing(self) -> int:
+        """Bytes to read after which something may be complete."""
+        return ANSWER_BYTES
 
     @abstractmethod
     def feed(self, t: float | None, data: bytes) -> list[Packet]:
@@ -188,31 +202,63 @@ class Unframed(Stream):
 
 
 class Framed(Stream):
-    """Packets of a stream of frames, checked by checksum and by the robot's motion.
+    """Packets of a stream of frames, checked by checksum and by the robot's motion; with scans of a lidar, or without.
 
-    Faults: `short`, less than a frame; `garbage`, other bytes or an impossible answer.
+    Faults: `short`, less than a frame; `garbage`, other bytes or an impossible answer; `torn`, a scan of which a packet
+    is missing or damaged, with other beams than the first scan, or without the answer of the same odometry.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, *, scans: bool = False) -> None:
         super().__init__()
+        self._sizes = {MARKER: ANSWER_BYTES, **({SCAN_MARKER: SCAN_BYTES} if scans else {})}
         self._refused: list[tuple[float, Answer]] = []
+        self._parts, self._torn = ScanParts(), 0
+        self._scan: Scan | None = None  # the newest one, whose answer has not come yet
+        self._beams: Beams | None = None
+
+    def missing(self) -> int:
+        """Bytes that complete the frame that has begun, or the shortest one."""
+        whole = self._sizes.get(bytes(self._bytes[: len(MARKER)]), ANSWER_BYTES) + FRAME_BYTES
+        return max(whole - len(self._bytes), 1)
 
     def feed(self, t: float | None, data: bytes) -> list[Packet]:
         """See `Stream.feed`."""
         self._bytes += data
         found: list[Packet] = []
         while True:
-            used, content = next_frame(self._bytes, ANSWER_BYTES)
-            if junk := used - FRAME_SIZE * (content is not None):
+            used, marker, content = next_of(self._bytes, self._sizes)
+            if junk := used - (0 if content is None else len(content) + FRAME_BYTES):
                 self.faults[SHORT if junk < FRAME_SIZE else GARBAGE] += 1
             del self._bytes[:used]
             if content is None:
                 return found
+            if marker == SCAN_MARKER:
+                self._scanned(self._parts.add(content))
+                continue
             self._clock = self._clock + PERIOD if t is None else t
             found += self._judged(self._clock, decode_answer(content))
 
+    def _scanned(self, scan: Scan | None) -> None:
+        """Keep a whole scan for its answer."""
+        if scan is not None:
+            self._torn += self._scan is not None
+            self._beams = self._beams or scan.beams
+            self._scan = scan if scan.beams == self._beams else None
+            self._torn += self._scan is None
+        self.faults[TORN] = self._torn + self._parts.torn
+
+    def _scan_of(self, answer: Answer) -> Scan | None:
+        """The scan that belongs to an answer; one is kept for one answer only."""
+        self._parts.give_up()
+        scan, self._scan = self._scan, None
+        fits = scan is not None and scan.odometry == answer[1:]
+        self._torn += scan is not None and not fits
+        self.faults[TORN] = self._torn + self._parts.torn
+        return scan if fits else None
+
     def _judged(self, t: float, answer: Answer) -> list[Packet]:
         """The packet, if it is possible; three in a row that are reachable only from each other are used together."""
+        scan = self._scan_of(answer)
         if not possible(answer):
             self.faults[GARBAGE] += 1
             return []
@@ -231,13 +277,17 @@ class Framed(Stream):
         self.faults[GARBAGE] += len(self._refused) + 1 - len(row)
         self._refused, self._last = [], row[-1]
         sure = 1.0 - 2.0**-16
-        return [self._unwrapper.packet(Heard(*each, sure), joined or i > 0) for i, each in enumerate(row)]
+        scans = [*(None for _ in row[1:]), scan]
+        return [
+            self._unwrapper.packet(Heard(*each, sure, with_it), joined or i > 0)
+            for i, (each, with_it) in enumerate(zip(row, scans, strict=True))
+        ]
 
 
 LOST, LATE, DEVICE_GONE = "lost", "late", "device gone"
-FAULTS = (LOST, LATE, SHORT, SHIFTED, GARBAGE, DEVICE_GONE)
+FAULTS = (LOST, LATE, SHORT, SHIFTED, GARBAGE, TORN, DEVICE_GONE)
 """lost: no answer to a command. late: an answer after its time; it is used, unless a newer one came with it. short,
-shifted, garbage: see `Unframed`. device gone: the device disappeared."""
+shifted, garbage: see `Unframed`. torn: see `Framed`. device gone: the device disappeared."""
 
 
 class Exchange:
@@ -246,8 +296,9 @@ class Exchange:
     A packet's time is that of its last bytes; of several received at once only the newest is used, so times increase.
     """
 
-    def __init__(self, *, framed: bool) -> None:
-        self._stream: Stream = Framed() if framed else Unframed()
+    def __init__(self, *, framed: bool, scans: bool = False) -> None:
+        """`scans`: those of a lidar come in frames, too."""
+        self._stream: Stream = Framed(scans=scans) if framed or scans else Unframed()
         self._counted: Counter[str] = Counter()
         self._asked: float | None = None  # time of the unanswered command
         self._silent = True  # no byte since then
@@ -258,6 +309,11 @@ class Exchange:
         """Counts of each of `FAULTS` so far."""
         both = self._counted + self._stream.faults
         return {name: both[name] for name in FAULTS}
+
+    @property
+    def missing(self) -> int:
+        """Bytes to read after which something may be complete."""
+        return self._stream.missing()
 
     def consume(self, record: Record) -> list[Packet]:
         """The packets that can be used now, oldest first, times increasing."""
@@ -295,8 +351,8 @@ class Exchange:
             self._counted[LOST] -= 1
 
 
-def decoded(records: Iterable[Record], *, framed: bool) -> tuple[list[Packet], dict[str, int]]:
+def decoded(records: Iterable[Record], *, framed: bool, scans: bool = False) -> tuple[list[Packet], dict[str, int]]:
     """All packets of records, and the counts of each of `FAULTS`; as the live link had them."""
-    exchange = Exchange(framed=framed)
+    exchange = Exchange(framed=framed, scans=scans)
     packets = [packet for record in records for packet in exchange.consume(record)]
     return packets, exchange.faults

@@ -153,6 +153,7 @@ examples:
   {PROG} my_log --gate-poses none           use every fix and every closure
   {PROG} corridor:0 --association jcbb --gate 0.95 --new-gate 0.999
   {PROG} my_log --association nn --in-view  the EKF offers only landmarks in range and view
+  {PROG} my_log --no-appearance              ignore descriptors and classes of landmarks
   {PROG} corridor:0:people --association jcbb --maintain    remove landmarks observed only once
   {PROG} victoria-park --estimator ekf --forget-after 60
   {PROG} victoria-park --estimator ekf --deactivate-after 60

@@ -1,5 +1,6 @@
 // The recording grows while the robot drives: new chunks are fetched each second, and the newest frame is shown.
 const EVERY = 1000, LATER = 3000;  // ms from answer to request; without an answer
+let grids = 0;  // number of the grid on the page
 let following = true, shown = 0, plotted = 0, plotting = 0, connected = true;
 
 /** Follow the newest frame, or stay at the present one. */
@@ -23,7 +24,18 @@ async function fetched() {
   if (chunks.length) recording.head.runs.forEach((run, i) => Object.assign(run, { status: chunks.at(-1).runs[i].status, why: chunks.at(-1).runs[i].why }));
   if (!begun) { opened(); prepare(); }
   if (chunks.length) grown(chunks.at(-1));
+  if (chunks.length && chunks.at(-1).grids > grids) await fetchGround(chunks.at(-1).grids);
   return ended;
+}
+
+/** The newest occupancy grid. */
+async function fetchGround(number) {
+  const answer = await fetch("grid", { cache: "no-store" });
+  if (!answer.ok) return;
+  const { png, ...place } = await answer.json();
+  const bytes = Uint8Array.from(atob(png), (c) => c.charCodeAt(0));
+  ground = { ...place, image: await createImageBitmap(new Blob([bytes], { type: "image/png" })) };
+  grids = number; changed();
 }
 
 function prepare() {

@@ -1,6 +1,7 @@
 // The map at the present frame.
 const KNOWN = 1e-8;  // m; a smaller sigma is unknown or zero
 let mapView = null, marks = [];
+let ground = null;  // an occupancy grid: image, west, south, wide, high [m]
 
 function worldBox() {
   const box = { x0: Infinity, y0: Infinity, x1: -Infinity, y1: -Infinity };
@@ -26,6 +27,7 @@ function drawMap() {
   c.setTransform(view.ratio, 0, 0, view.ratio, 0, 0);
   c.fillStyle = paper(); c.fillRect(0, 0, view.width, view.height);
   c.font = "11px system-ui, sans-serif"; c.lineJoin = "round";
+  drawGround(c, view);
   drawTruth(c, view);
   drawSources(c, view, path(run).xy);
   for (const r of runs()) if (S.shown.has(r.key) && r !== run) drawRunPath(c, view, r, 1.2);
@@ -36,6 +38,13 @@ function drawMap() {
   for (const r of runs()) if (S.shown.has(r.key) && r !== run) drawRobot(c, view, r, 7);
   drawRobot(c, view, run, 10);
   scaleBar(c, view);
+}
+
+function drawGround(c, view) {
+  if (!ground) return;
+  c.imageSmoothingEnabled = false;
+  const { image, west, south, wide, high } = ground;
+  c.drawImage(image, view.px(west), view.py(south + high), wide * view.scale, high * view.scale);
 }
 
 function drawTruth(c, view) {

@@ -18,11 +18,12 @@ from association.appearance import Looks
 from association.expectation import gate_threshold
 from data import se2
 from data.appearance import Appearance
+from data.blocks import coordinates_from
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior
 from data.motion.systematic import sensor_frame
 from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated, not_used
 from data.result import DISCARD, PoseEstimate
-from data.se2 import Array
+from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING, Sensor
 from ekf import kernels, updates
 from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
@@ -53,7 +54,8 @@ class Choice(NamedTuple):
 
 @dataclass
 class Hypothesis:
-    """A pose, kept poses of earlier frames behind it (3 + 3c,), their covariance, logarithm of its weight, its past.
+    """A pose, behind it landmarks of an uncertain map and kept poses of earlier frames (3 + 2l + 3c,), their
+    covariance, logarithm of its weight, its past.
 
     taken, squares: landmarks paired in the newest frame, and squared innovations of these pairings.
     """
@@ -87,7 +89,7 @@ class Hypotheses:
     """A bank of localizers that begins with one and branches at every ambiguous observation."""
 
     def __init__(self, prior: Prior, sensor: Sensor, known: LandmarkMap, options: FilterOptions = DEFAULT) -> None:
-        """Start at the prior with an exact map; `options` of the updates."""
+        """Start at the prior; `options` of the updates."""
         self.sensor, self.map, self._looks = sensor, known, Looks.of_map(known)
         self._how, self._extrinsic = (
             updates.UpdateRule(math.inf, *options.rule(), False, kernels.NEWEST),
@@ -98,7 +100,8 @@ class Hypotheses:
         self._reach = min(sensor.max_range, max(float(np.hypot(*np.ptp(known.xy, axis=0))), 1.0))
         self._stray = math.log(STRAY / _view_area(sensor, self._reach))
         self._seen, self._expected = np.full(BINS, FIRST[0]), np.full(BINS, FIRST[1])
-        self._at = np.full(len(self._xy), -1, np.int64)
+        self._at = np.full(len(self._xy), -1, np.int64)  # offset of each landmark in all states; -1: it is no state
+        self._size = 3  # of pose and landmarks
         self._frame, self._clones = sensor_frame(None, sensor, prior), Clones()
         self._gate = gate_threshold(GATE)
         self.noise = stated()
@@ -110,8 +113,8 @@ class Hypotheses:
         over = clones.over()
         kept = [i for i, frame in enumerate(clones.frames) if frame not in over]
         if len(kept) < len(clones.frames) or clones.wanted:
-            poses = [0, *(1 + i for i in kept), *([0] if clones.wanted else [])]
-            states = (3 * np.array(poses)[:, None] + np.arange(3)).ravel()
+            poses = np.array([*(self._size + 3 * i for i in kept), *([0] if clones.wanted else [])], np.int64)
+            states = np.concatenate([np.arange(self._size), (poses[:, None] + np.arange(3)).ravel()])
             for h in self.members:
                 h.mean, h.P = h.mean[states], h.P[np.ix_(states, states)]
             clones.frames[:] = [*(clones.frames[i] for i in kept), *([clones.now] if clones.wanted else [])]
@@ -135,7 +138,7 @@ class Hypotheses:
         """One after another; one outside a hypothesis's gate is as likely there as at the gate."""
         done = not_used([len(m.rows) for m in measured])
         for i, m in enumerate(measured):
-            at = self._clones.at(m, 3, 3)
+            at = self._clones.at(m, 3, self._size)
             if at is None:
                 continue
             rule = PoseRule(gate_threshold(gate, len(m.rows)), updates.ADDITIVE, self._how.iterations, 0, 0)
@@ -158,6 +161,8 @@ class Hypotheses:
         m = len(observations.z)
         for i in range(m):
             children: list[Hypothesis] = []
+            if self.map.sigma is not None:
+                self._join(observations.z[i : i + 1], observations.R[i : i + 1])
             for h in self.members:
                 z, R = observations.z[i : i + 1], observations.R[i : i + 1]
                 children += self._branches(h, z, R, first_row + i, None if alike is None else alike[i])
@@ -215,7 +220,47 @@ class Hypotheses:
         kernels.expect(
             self.sensor.kind, self._extrinsic, h.mean, h.P, self._at, self._xy, z_hat, HPHt, kernels.NEWEST
         )  # fmt: skip
+        if self.map.sigma is not None:
+            absent = np.flatnonzero(self._at < 0)
+            H = self.sensor.jacobians(h.mean[:3], self._xy[absent])[1]
+            HPHt[absent] += (H * self.map.sigma[absent, None, :] ** 2) @ H.transpose(0, 2, 1)
         return z_hat, HPHt
+
+    def _join(self, z: Array, R: Array) -> None:
+        """Make uncertain landmarks that an observation may be paired with states of all hypotheses (`ekf.localizer`).
+
+        Others leave, and begin again with their places in the map: those twice as far away as can be seen.
+        """
+        assert self.map.sigma is not None
+        wanted = np.zeros(len(self._at), np.bool_)
+        for h in self.members:
+            z_hat, HPHt = self._expect(h)
+            wanted |= self._inside(z, z_hat, HPHt + R[0])
+        away = np.hypot(*(self._xy - self.members[0].mean[:2]).T) > 2.0 * self._reach
+        stay = np.flatnonzero((self._at >= 0) & (wanted | ~away))
+        new = np.flatnonzero((self._at < 0) & wanted & self.map.sigma.any(axis=1))
+        if len(new) or len(stay) < (self._at >= 0).sum():
+            kept, size = coordinates_from(self._at[stay]), self._size
+            added = np.diag(self.map.sigma[new].ravel() ** 2)
+            for h in self.members:
+                first, last = np.concatenate([np.arange(3), kept]), np.arange(size, len(h.mean))
+                states, a, d = np.concatenate([first, last]), len(first), len(first) + len(added)
+                mean, P = np.empty(len(states) + len(added)), np.zeros((len(states) + len(added),) * 2)
+                old = np.concatenate([np.arange(a), np.arange(d, len(mean))])
+                mean[old], P[np.ix_(old, old)] = h.mean[states], h.P[np.ix_(states, states)]
+                mean[a:d], P[a:d, a:d] = self._xy[new].ravel(), added
+                h.mean, h.P = mean, P
+            self._at[:] = -1
+            rows = np.concatenate([stay, new])
+            self._at[rows] = 3 + 2 * np.arange(len(rows))
+            self._size = 3 + 2 * len(rows)
+
+    def _inside(self, z: Array, z_hat: Array, S: Array) -> BoolArray:
+        """Which expected measurements (n, 2) of covariances (n, 2, 2) are in the gate about z (1, 2)."""
+        nu = self.sensor.residual(z, z_hat)
+        det = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
+        d2 = (S[:, 1, 1] * nu[:, 0] ** 2 - 2 * S[:, 0, 1] * nu[:, 0] * nu[:, 1] + S[:, 0, 0] * nu[:, 1] ** 2) / det
+        return np.asarray(d2 < self._gate)
 
     def _branches(self, h: Hypothesis, z: Array, R: Array, row: int, alike: Array | None) -> list[Hypothesis]:
         """The hypothesis with its observation unpaired, and paired with each free landmark in the gate.
@@ -224,18 +269,15 @@ class Hypotheses:
         """
         z_hat, S = self._expect(h)
         S += R[0]
-        nu = self.sensor.residual(z, z_hat)
-        det = S[:, 0, 0] * S[:, 1, 1] - S[:, 0, 1] * S[:, 1, 0]
-        d2 = (S[:, 1, 1] * nu[:, 0] ** 2 - 2 * S[:, 0, 1] * nu[:, 0] * nu[:, 1] + S[:, 0, 0] * nu[:, 1] ** 2) / det
         found = [
             Hypothesis(h.mean, h.P, h.weight + self._stray, Choice(row, DISCARD, h.past), h.taken, h.squares)
         ]  # fmt: skip
-        for j in np.flatnonzero(d2 < self._gate).tolist():
+        for j in np.flatnonzero(self._inside(z, z_hat, S)).tolist():
             number = int(self.map.id[j])
             if number in h.taken:
                 continue
             mean, P, stats = h.mean.copy(), h.P.copy(), np.zeros(3)
-            seen = kernels.Pairings(self._at[:1], self._xy[j : j + 1], z, R)
+            seen = kernels.Pairings(self._at[j : j + 1], self._xy[j : j + 1], z, R)
             done = updates.Outcome(np.ones(1, np.bool_), stats, np.empty((1, 2)))
             state = mean, mean, P, len(mean)
             status = updates.update(self.sensor.kind, self._extrinsic, *state, seen, 0, 1, self._how, done)
@@ -285,6 +327,7 @@ class Hypotheses:
     def restart(self, mean: Array, covariance: Array) -> None:
         """One hypothesis at another pose, with the leader's past; earlier poses are no longer known."""
         self._clones.frames.clear()
+        self._at[:], self._size = -1, 3
         self.members = [Hypothesis(mean.copy(), covariance.copy(), 0.0, self.members[0].past)]
 
     def decisions(self, rows: int) -> IntArray:

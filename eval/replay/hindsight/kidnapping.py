@@ -69,7 +69,9 @@ class Kidnapping:
         found = self._search(frame, LandmarkMap(known.number[held], known.xy[held]))
         if found is not None:
             return Relocated(*found, kidnapped)
-        e = slam.expect(frame.observations)
+        e, seen = slam.expect(frame.observations), frame.appearance
+        if seen is not None:
+            e = e.with_appearance(ledger.looks.unlike(e.number, seen))
         few = e.only(clear(e, dense(e, slam, ledger, self.setup), ledger))
         return Relocated(jcbb_conditional(few, self.setup.gate, self.setup.new_gate)[0], None, kidnapped)
 

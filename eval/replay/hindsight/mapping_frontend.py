@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from association.expectation import gate_threshold
-from association.truncated import Acceptance, truncated_square
+from association.appearance import evidence
+from association.truncated import Acceptance, of_places, truncated_square
 from data.errors import UsageError
 from data.inputs import Frame, IntArray
 from data.notice import Notice
@@ -44,7 +44,7 @@ class MappingFrontEnd(FrontEnd):
     @property
     def passed(self) -> Acceptance:
         """Each pairing is tested given the others; the outer gate rejects next to nothing."""
-        return Acceptance(conditional=gate_threshold(self.setup.gate))
+        return Acceptance(conditional=of_places(self.setup.gate, 2, right=self._right))
 
     def move(self, frame: Frame) -> None:
         """Take the next frame."""
@@ -59,6 +59,7 @@ class MappingFrontEnd(FrontEnd):
     def associate(self, frame: Frame) -> Pairing:
         """Decide about this frame's observations; the mapper has its own expectation."""
         decisions, complete, at, kidnapped, S = self.mapper.decide(frame)
+        self._right = evidence(frame.appearance)
         self.incomplete += not complete
         if kidnapped is not None and self.can.inflatable is not None:
             self.can.inflatable.inflate(kidnapped)

@@ -96,9 +96,7 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray, spans: Int
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
     To drop a landmark unpairs all its observations; to keep a transient one keeps as many wrong pairings. So the
-    expected cost is least where landmarks stay that are real with a probability above one half. A landmark observed
-    twice among often observed ones is a person who came by at the end: fewer than `CONFIRMED` observations are not
-    enough where all such landmarks together have a small share of the observations.
+    expected cost is least where landmarks stay that are real with a probability above one half.
 
     A world where landmarks leave has few that appear, where there was nothing before. If more appeared after the median
     landmark left than left, the map is folded: these were initialized again elsewhere, and are dropped.
@@ -108,10 +106,6 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray, spans: Int
     p = persistence(opportunities)
     found = kinds(opportunities, p)
     keep: BoolArray = (found.transient < 0.5) & (observations >= constants.CONFIRMED_AT_LEAST)
-    if keep.any():
-        times = np.sort(observations[keep])
-        fewer = np.cumsum(times) > constants.PERSISTENT_FEWEST * times.sum()
-        keep &= observations >= min(constants.CONFIRMED, int(times[fewer.argmax()]))
     left = keep & (found.left > found.persistent)
     if not left.any():
         return Kept(keep, left, folded=False)

@@ -133,7 +133,7 @@ class _Fit(NamedTuple):
 
 
 def relocalize(scan: Scan, known: LandmarkMap) -> Place | None:
-    """The place in a known, exact map at which the scan was taken; None if there is none, or more than one.
+    """The place in a known map at which the scan was taken; None if there is none, or more than one.
 
     None also if the search was not completed. In an unmapped place, few points may fit elsewhere.
     """
@@ -143,6 +143,8 @@ def relocalize(scan: Scan, known: LandmarkMap) -> Place | None:
         return None
     xy = np.ascontiguousarray(scan.xy[used])
     P = of_points(scan.covariance, used)
+    if known.sigma is not None:  # each point is of one landmark, whose error is as large as usual in this map
+        add_to_diagonal(P, np.tile(np.mean(known.sigma**2) * np.eye(2), (m, 1, 1)))
     choices, complete = _search(
         xy, constants.DISTANCE_SIGMAS * distance_sigmas(xy, P), np.array(known.xy), fewest,
         constants.SEARCH_SLACK, constants.SEARCH_KEPT, constants.SEARCH_BUDGET,

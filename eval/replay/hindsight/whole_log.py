@@ -9,9 +9,10 @@ import math
 
 import numpy as np
 
-from association.appearance import Looks
+from association.appearance import Looks, evidence
 from association.candidates import narrower
 from association.expectation import SingularInnovationError, gate_threshold
+from association.truncated import of_places
 from data.appearance import joined
 from data.errors import DataError
 from data.inputs import Frame, FrameObservations, Increments, Inputs, IntArray, LandmarkMap, Observations, Systematic
@@ -125,7 +126,7 @@ class WholeLog:
         return self.smoothed
 
     def _settled_gate(self, s: Smoothed) -> Reassociation:
-        self.gate = s.share * gate_threshold(constants.REASSOCIATION_GATE)
+        self.gate = s.share * of_places(constants.REASSOCIATION_GATE, 2, right=evidence(s.seen.appearance))
         return s.found
 
     def _smooth(

@@ -11,14 +11,11 @@ import numpy as np
 
 from association.scans.consistency import Consistency, consistency
 from association.scans.constraints import Chain, Loops
-from association.scans.points import beams_of, scan_points
 from data.formats.recordings.laser import time_steps
 from data.inputs import Increments, Inputs
-from data.se2 import Array, between, compose, wrap_angle
-from eval.replay.laser.closures import Closure, LoopCloser
+from data.se2 import Array
+from eval.replay.laser.incremental import ScanSlam
 from eval.replay.laser.parameters import LaserParameters
-from eval.replay.laser.tracker import Tracker
-from graph.poses.online import PoseGraph
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,84 +38,34 @@ def run_front_end(inputs: Inputs, parameters: LaserParameters) -> FrontEndResult
     if scans is None:
         raise ValueError("a laser front end needs scans")
     p, count = parameters, len(inputs)
-    beams = beams_of(scans.scanner, scans.ranges.shape[1])
     unknown = count > 1 and is_unknown(inputs.increments)
-    tracker = Tracker(p, scans.scanner.sigma, steady=unknown)
-    closer = LoopCloser(p, scans.scanner)
-    graph = PoseGraph(inputs.prior)
+    slam = ScanSlam(inputs.prior, scans.scanner, scans.ranges.shape[1], p, steady=unknown)
     row = np.full(count, -1)
     row[scans.frame] = np.arange(len(scans.frame))
-    nothing = np.zeros(scans.ranges.shape[1])
     step = np.zeros(count) if inputs.time_is_index else np.diff(inputs.time, prepend=inputs.time[0])
     step = time_steps(inputs.time) if unknown else step
 
-    frames: list[int] = []
-    motions: list[Array] = []
-    covariances: list[Array] = []
     key = np.zeros(count, np.int64)
     since, since_covariance = np.zeros((count, 3)), np.zeros((count, 3, 3))
     online, seconds = np.zeros((count, 3)), np.zeros(count)
-    poses, waiting, far, updated = np.zeros((0, 3)), False, False, 0
     for frame in range(count):
         began = time.perf_counter()
-        if frame:
-            tracker.predict(*inputs.increment(frame), float(step[frame]))
-        scanned = row[frame] >= 0
-        ranges = scans.ranges[row[frame]] if scanned else nothing
-        seen = scan_points(ranges, beams, p.max_range)
-        if scanned:
-            tracker.correct(seen)
-        if frame == 0 or (scanned and tracker.is_due):
-            motion, covariance = tracker.pose, p.chain_factor * tracker.covariance
-            frames.append(frame)
-            motions.append(motion)
-            covariances.append(covariance)
-            if frame:
-                graph.add_key(motion, covariance)
-                poses = np.concatenate([poses, compose(poses[-1], motion)[None]])
-            else:
-                poses = inputs.prior.mean[None].copy()
-            closer.add_key(ranges, seen, motion, covariance)
-            tracker.make_key(seen)
-            believed = closer.find(poses)
-            if believed:
-                graph.add_loops(
-                    np.array([c.key1 for c in believed]), np.array([c.key2 for c in believed]),
-                    np.array([c.relative for c in believed]), np.array([c.covariance for c in believed]),
-                )  # fmt: skip
-                waiting, far = True, far or any(is_far(c, poses) for c in believed)
-            # an update costs time with the size of the graph: in large ones key poses have one in common
-            due = len(frames) - updated > (len(frames) - LARGE) // AMORTIZED
-            if waiting and (far or due):
-                graph.update()
-                poses, waiting, far, updated = graph.poses(), False, False, len(frames)
-                closer.moved(poses)
-        key[frame] = len(frames) - 1
-        since[frame], since_covariance[frame] = tracker.pose, tracker.covariance
-        online[frame] = compose(poses[-1], tracker.pose)
+        increment = inputs.increment(frame) if frame else None
+        ranges = scans.ranges[row[frame]] if row[frame] >= 0 else None
+        online[frame] = slam.step(increment, ranges, float(step[frame]))
+        key[frame] = len(slam.frames) - 1
+        since[frame], since_covariance[frame] = slam.tracker.pose, slam.tracker.covariance
         seconds[frame] = time.perf_counter() - began
-    if waiting:
-        graph.update()
-        poses = graph.poses()
-    chain = Chain(np.array(frames), np.array(motions), np.array(covariances), key, since, since_covariance)
-    return FrontEndResult(chain, closer.loops(), online, seconds, poses)
+    if slam.waits:
+        slam.update()
+    motions, covariances = np.array(slam.motions), np.array(slam.covariances)
+    chain = Chain(np.array(slam.frames), motions, covariances, key, since, since_covariance)
+    return FrontEndResult(chain, slam.closer.loops(), online, seconds, slam.poses)
 
 
 def is_unknown(increments: Increments) -> bool:
     """Whether the odometry says nothing: no motion, with a standard deviation of centimetres and more."""
     return not increments.mean.any() and bool(np.median(increments.covariance[1:, 0, 0]) > UNKNOWN**2)
-
-
-LARGE, AMORTIZED = 1500, 300
-"""Key poses from which on loop closures wait for others, and how many more make them wait for one more key pose."""
-FAR = np.array([0.1, 0.1, 0.03])  # m, m, rad: loop closures that disagree so much with the estimate do not wait
-
-
-def is_far(closure: Closure, poses: Array) -> bool:
-    """Whether a loop closure disagrees with the estimate of the key poses (K, 3)."""
-    error = between(poses[closure.key1], poses[closure.key2]) - closure.relative
-    error[2] = wrap_angle(float(error[2]))
-    return bool((np.abs(error) > FAR).any())
 
 
 UNKNOWN = 0.01  # m, above the error of a step of any odometry that is at rest

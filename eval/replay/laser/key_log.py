@@ -6,6 +6,9 @@ weak prior: wheels enter there and nowhere else, and the closures are the loops 
 prior, is a closure with the key pose before; other frames than key poses can be asked for. In neither is one pair of
 scans both motion and closure.
 
+Corners are labelled by the front end's final path, in which loops are closed. That uses the whole log; it tells the two
+sides of a wall apart, 12 cm from each other, which no association can while the path is uncertain.
+
 What remains dependent: a scan is in the reference of the next `LaserParameters.window` matches and of the loops around,
 and corners come from scans that are matched, too. Their errors are taken as independent here, as in all back ends.
 """
@@ -25,8 +28,9 @@ from data.inputs import Increments, Inputs, IntArray, Observations
 from data.motion.velocity import floor_covariances
 from data.pose_measurements import Closures
 from data.se2 import Array, between, compose, transform_points
+from data.sensors import RelativePoint
 from eval.replay.laser.closures import NO_PRIOR
-from eval.replay.laser.landmarks import corner_sensor, corners_at
+from eval.replay.laser.landmarks import corner_labels, corners_at
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.scale import scaled_front_end
 from eval.replay.laser.tracker import REACH, rotated
@@ -46,6 +50,7 @@ class KeyLog(NamedTuple):
     Attributes:
         inputs: key poses, and other frames that were asked for, as frames; without scans.
         frame: (F,) the frame of the laser log of each.
+        label: (M,) of the corners, by the front end's final path.
         chain: of the front end.
         loops: of the front end, all that were tested.
         claimed: scale on the variances that scan matching states; error: its standard error, None: not learned.
@@ -53,6 +58,7 @@ class KeyLog(NamedTuple):
 
     inputs: Inputs
     frame: IntArray
+    label: IntArray
     chain: Chain
     loops: Loops
     claimed: float
@@ -93,13 +99,20 @@ def key_log(
     seen = corners_at(scans, chain.frame) if corners else NO_CORNERS
     given = replace(
         inputs, time=inputs.time[frame], increments=replace(steps, covariance=covariance),
-        observations=replace(seen, frame=at[seen.frame]), sensor=corner_sensor(scans), floored=floored, scans=None,
+        observations=replace(seen, frame=at[seen.frame]), sensor=_as_observed(seen), floored=floored, scans=None,
         closures=closures if len(closures) else None,
     )  # fmt: skip
-    return KeyLog(given, frame, chain, tested, found.claimed, found.error)
+    label = corner_labels(seen, found.front.keys)
+    return KeyLog(given, frame, label, chain, tested, found.claimed, found.error)
 
 
 NO_CORNERS = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
+
+
+def _as_observed(seen: Observations) -> RelativePoint:
+    """The sensor of corners, which are recognized far nearer than a scanner reaches: up to the farthest."""
+    farthest = float(np.hypot(*seen.z.T).max(initial=0.0))
+    return RelativePoint(max_range=1.001 * farthest if farthest > 0.0 else np.inf)
 
 
 class _Edges(NamedTuple):

@@ -9,10 +9,11 @@ import numpy as np
 
 from association.scans.constraints import Chain, LaserRun
 from association.scans.corners import corners
-from data.inputs import Increments, Inputs, IntArray, Observations, Scans
+from data.inputs import UNLABELLED, Increments, Inputs, IntArray, Observations, Scans
 from data.motion.velocity import floor_covariances
 from data.notice import Code, Severity, notice
 from data.result import Failure, Innovations, Run
+from data.se2 import Array, transform_points
 from data.sensors import RelativePoint
 from eval.replay.laser.backends import over_frames
 from eval.replay.laser.front_end import run_front_end
@@ -38,10 +39,11 @@ def corner_log(inputs: Inputs, setup: Setup) -> CornerLog:
     front = run_front_end(inputs, LaserParameters(keyframe_distance=setup.keyframe_distance))
     chain = front.chain
     covariance, floored = floor_covariances(chain.covariance, inputs.covariance_floor)
+    lever = float(np.hypot(*scans.scanner.translation))
     given = Inputs(
         inputs.prior, inputs.time[chain.frame], Increments(chain.motion, covariance), corners_at(scans, chain.frame),
-        corner_sensor(scans), time_is_index=inputs.time_is_index, covariance_floor=inputs.covariance_floor,
-        floored=floored,
+        RelativePoint(max_range=scans.scanner.max_range + lever), time_is_index=inputs.time_is_index,
+        covariance_floor=inputs.covariance_floor, floored=floored,
     )  # fmt: skip
     return CornerLog(given, chain, float(front.seconds.sum()))
 
@@ -55,10 +57,40 @@ def corners_at(scans: Scans, frames: IntArray) -> Observations:
     return Observations(frame, z, R)
 
 
-def corner_sensor(scans: Scans) -> RelativePoint:
-    """The sensor of corners: points in the body frame."""
-    lever = float(np.hypot(*scans.scanner.translation))
-    return RelativePoint(max_range=scans.scanner.max_range + lever)
+SAME = 0.05
+"""m between corners of two scans that are one corner: three times their spread, half a wall's thickness. Up to twice as
+far apart it is unclear."""
+
+
+def corner_labels(seen: Observations, pose: Array) -> IntArray:
+    """Which corners (M,) are the same by the poses (K, 3) of their frames: numbers from 0, `UNLABELLED` where unclear.
+
+    In the order of the frames each takes the nearest corner so far within `SAME`, the nearest first, where no other of
+    its scan has taken it.
+    """
+    place, count = np.empty((0, 2)), np.empty(0)
+    label = np.full(len(seen.frame), UNLABELLED, np.int64)
+    for frame in np.unique(seen.frame).tolist():
+        rows = np.flatnonzero(seen.frame == frame)
+        world = transform_points(pose[frame], seen.z[rows])
+        apart = (
+            np.hypot(*(world[:, None] - place[None]).transpose(2, 0, 1))
+            if len(place)
+            else np.full((len(rows), 1), np.inf)
+        )
+        nearest, least = apart.argmin(axis=1), apart.min(axis=1)
+        taken: set[int] = set()
+        for i in np.argsort(least, kind="stable").tolist():
+            k = int(nearest[i])
+            if least[i] <= SAME and k not in taken:
+                taken.add(k)
+                label[rows[i]] = k
+                count[k] += 1.0
+                place[k] += (world[i] - place[k]) / count[k]
+            elif least[i] > 2.0 * SAME:
+                label[rows[i]] = len(place)
+                place, count = np.concatenate([place, world[i : i + 1]]), np.append(count, 1.0)
+    return label
 
 
 def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -54,16 +54,21 @@ class GraphFacts:
 def end_of(run: Run) -> Start:
     """The estimate that a batch smoother ends with."""
     assert run.final is not None
+    errors = None if run.errors_final is None else run.errors_final.mean
+    if run.task == "localization" and run.map is not None:
+        return Start(run.final.pose, run.map.xy, errors)
     places = np.full((int(run.initialized.max(initial=-1)) + 1, 2), np.nan)
     if run.map is not None:
         held = run.map.number < len(places)
         places[run.map.number[held]] = run.map.xy[held]
-    return Start(run.final.pose, places, None if run.errors_final is None else run.errors_final.mean)
+    return Start(run.final.pose, places, errors)
 
 
 def graph_at_end(trial: Trial, run: Run) -> Replayed:
     """The graph that a batch smoother ends with."""
     inputs = trial.log.recorded if run.task == "localization" else trial.log.recorded.without_map()
+    if inputs.map is not None and run.map is None:  # taken as exact
+        inputs = replace(inputs, map=inputs.map.exact)
     with threadpool_limits(1):
         if not isinstance(run, LaserRun):
             out = (None if of is None else ~of.used for of in (run.fixes_final, run.closures_final))

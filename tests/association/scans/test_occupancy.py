@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from association.scans.occupancy import HIT, LEAST, MISS, MOST, occupancy_grid
+from association.scans.occupancy import HIT, LEAST, MISS, MOST, GridInParts, occupancy_grid
 from data.inputs import Scanner
 from data.se2 import compose, inverse
 
@@ -105,3 +105,23 @@ def test_poses_that_run_away_are_refused_and_missing_ones_left_out():
         occupancy_grid(np.array([[0.0, 0, 0], [1e6, 1e6, 0]]), scan, AHEAD)
     lost = occupancy_grid(np.array([[0.0, 0, 0], [math.nan, 0, 0]]), scan, AHEAD)
     np.testing.assert_array_equal(lost.log_odds, occupancy_grid(np.zeros((1, 3)), scan[:1], AHEAD).log_odds)
+
+
+def test_in_parts_it_is_the_same_grid_and_coarser_where_it_would_be_too_large():
+    rng = np.random.default_rng(5)
+    poses, ranges = rng.normal(0.0, 2.0, (9, 3)), rng.uniform(0.5, 6.0, (9, 40))
+    scanner = Scanner(-1.0, 0.05, 5.5, 0.01)
+    whole = occupancy_grid(poses, ranges, scanner)
+    parts = GridInParts(poses, scanner, 0.05, 10**6)
+    for some in np.array_split(np.arange(9), 4):
+        parts.add(poses[some], ranges[some])
+    found = parts.grid()
+    column, row = np.round((whole.origin - found.origin) / 0.05).astype(int)
+    both = np.zeros((2, 600, 600))
+    both[0, 200 + row : 200 + row + whole.log_odds.shape[0], 200 + column : 200 + column + whole.log_odds.shape[1]] = (
+        whole.log_odds
+    )
+    both[1, 200 : 200 + found.log_odds.shape[0], 200 : 200 + found.log_odds.shape[1]] = found.log_odds
+    assert both[0].tobytes() == both[1].tobytes()
+    assert GridInParts(poses, scanner, 0.05, 10**4).resolution in (0.2, 0.4)
+    assert GridInParts(poses, scanner, 0.05, 10**6).grid().log_odds.shape == (1, 1)

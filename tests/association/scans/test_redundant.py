@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from association.scans.constraints import Chain, Loops
-from association.scans.redundant import CELL, MOST_IN_A_ROW, redundant, without
+from association.scans.redundant import CELL, MOST_IN_A_ROW, cells_of, least_informative, redundant, without
 from data.inputs import Prior
 from data.se2 import between, compose, dead_reckoned, inverse, pose_error
 from graph.poses.batch import pose_problem, smooth_poses
@@ -52,6 +52,20 @@ def searched(ends, least):
 def test_the_same_key_poses_go_as_in_a_plain_search(seed, keys, least):
     ends = scans(seed, keys)
     assert redundant(ends, least).tolist() == searched(ends, least)
+
+
+def test_those_to_keep_stay_and_no_more_go_than_may():
+    cells = [cells_of(np.array([[0.05, 0.05], [0.15, 0.05]]))] * 8
+    keep = np.arange(8) < 2
+    every = least_informative(cells, 0.4, keep)
+    assert every.tolist() == [False, False, *[True] * 6]
+    assert least_informative(cells, 0.4, keep, most=2).tolist() == [False, False, True, True, *[False] * 4]
+    assert not least_informative(cells, 0.4, np.ones(8, bool)).any()
+
+
+def test_cells_on_either_side_of_an_axis_differ():
+    xy = np.array([[0.05, 0.05], [-0.05, 0.05], [0.05, -0.05], [-0.05, -0.05], [-0.01, -0.01], [1e4, -1e4]])
+    assert len(cells_of(xy)) == 5
 
 
 def test_a_place_that_was_seen_often_keeps_a_key_pose_now_and_then_and_a_new_place_every_one():

@@ -61,12 +61,14 @@ class WirePort:
         self.gone = True
 
 
-def linked(faults=CALM, seed=0, *, framed=False, recording=None, world=0):
+def linked(faults=CALM, seed=0, *, framed=False, recording=None, world=0, lidar=None):
     """A link, its wire (which keeps what the robot sent) and its clock."""
     body, line = np.random.default_rng(seed).spawn(2)
-    wire = Wire(Robot(room(world), body), faults, line, with_frames=framed, keep=True)
-    clock = StandingClock()
-    link = Link("robot", clock, recording, with_frames=framed, open_port=lambda _: WirePort(wire, clock))
+    wire = Wire(Robot(room(world), body, lidar=lidar), faults, line, with_frames=framed, keep=True)
+    clock, scans = StandingClock(), lidar is not None
+    link = Link(
+        "robot", clock, recording, with_frames=framed, with_scans=scans, open_port=lambda _: WirePort(wire, clock)
+    )
     return link, wire, clock
 
 

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from data.formats.open_log.reader import load_folder
-from data.inputs import LabelledObservations
-from data.se2 import between, compose, dead_reckoned, pose_error
+from data.inputs import LabelledObservations, Observations
+from data.se2 import between, compose, dead_reckoned, pose_error, transform_points
 from data.truth import Relations
 from data.worlds.registry import named_log
 from eval.convert.__main__ import main
 from eval.convert.key_poses import log_of_keys, relations_at_keys, true_inliers
 from eval.referee.laser import errors
 from eval.replay.laser.key_log import ODOMETRY, SCAN_MATCH, key_log, wheels_between
+from eval.replay.laser.landmarks import corner_labels
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 
@@ -115,6 +116,25 @@ def test_relations_between_frames_of_the_log_stay_as_they_are(log, driven):
     np.testing.assert_array_equal(made.truth.pose, log.truth.pose[driven.frame])
 
 
+def test_corners_with_a_label_are_one_corner_and_those_of_a_scan_are_several(log, matched):
+    o, label = matched.inputs.observations, matched.label
+    truth = log.truth.pose[matched.frame]
+    place = np.array([transform_points(truth[k], z[None])[0] for k, z in zip(o.frame, o.z, strict=True)])
+    seen = [place[label == k] for k in range(label.max() + 1)]
+    assert max(np.ptp(p, axis=0).max() for p in seen) < 0.15
+    assert np.mean([len(p) for p in seen]) > 3
+    pairs = np.column_stack([o.frame, label])[label >= 0]
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    assert (label < 0).mean() < 0.1
+
+
+def test_a_corner_between_two_is_neither():
+    poses, frame = np.zeros((4, 3)), np.array([0, 0, 1, 2, 3])
+    z = np.array([[1.0, 0.0], [1.12, 0.0], [1.03, 0.0], [1.06, 0.03], [2.0, 0.0]])
+    R = np.tile(np.eye(2), (5, 1, 1))
+    assert corner_labels(Observations(frame, z, R), poses).tolist() == [0, 1, 0, -2, 2]
+
+
 def test_a_closure_that_is_metres_off_is_no_inlier(log, matched):
     closures, truth = matched.inputs.closures, log.truth.pose[matched.frame].copy()
     assert (true_inliers(closures, truth) == 1).all()
@@ -141,6 +161,7 @@ def test_the_command_writes_a_log_that_reads_back(tmp_path: Path, capsys: pytest
     (["floorplan:0:frames=50", "--keyframe-distance", "0"], "--keyframe-distance 0"),
     (["floorplan:0:frames=50", "--motion", "odometry", "--no-odometry"], "--motion odometry: "),
     (["floorplan:0:frames=50", "--leave-out", "scans"], "scans: unknown"),
+    (["floorplan:0:frames=50", "--leave-out", "loops", "--leave-out", "corners"], "nothing beside the motion is left"),
     (["nowhere.log"], "nowhere.log: no such log"),
 ])  # fmt: skip
 def test_what_cannot_be_is_refused_in_a_line(words, fault, tmp_path, capsys):

@@ -150,6 +150,32 @@ def test_told_to_rest_it_rests_and_ends_by_itself(tmp_path):
     assert "page" not in process.said
 
 
+@pytest.mark.slow
+def test_with_a_lidar_it_matches_scans_shows_a_grid_and_reports_both(tmp_path):
+    words = [
+        *FAST[:1],
+        "2",
+        "--lidar",
+        "--least-information",
+        "0.1",
+        "--seconds",
+        12,
+        "--estimates",
+        tmp_path / "now.csv",
+    ]
+    with simulator(tmp_path, *FAST[:1], "2", "--lidar") as (link, truth), started(tmp_path, link, *words) as process:
+        assert process.status(180.0) == 0, process.said
+        path = true_path(truth)
+    assert "isam2 scan x " in process.said
+    assert "ms a frame; period 125" in process.said
+    log = open_log(str(tmp_path / "log")).inputs()
+    assert len(log.scans.frame) > 0.9 * len(log)
+    assert len(written_bits(tmp_path / "now.csv", "isam2 scan")) > 0.9 * len(log)
+    assert np.ptp(path[:, 1]) > 0.5
+    report = (tmp_path / "log-report" / "report.md").read_text()
+    assert "--association jcbb,scan" in report
+
+
 def test_a_device_that_is_not_there_leaves_nothing(tmp_path, capsys):
     assert __main__.main(["--link", str(tmp_path / "robot"), "--out", str(tmp_path / "log"), "--no-page"]) == 2
     said = capsys.readouterr()
@@ -221,6 +247,25 @@ def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, c
     assert taken == offered
 
 
+@pytest.mark.parametrize(("more", "estimators", "associations", "by_walls"), [
+    ([], ("ekf-fej", "isam2"), ("jcbb", "scan"), "jcbb"),
+    (["--association", "scan"], ("isam2",), ("scan",), None),
+    (["--association", "nn"], ("ekf-fej", "isam2"), ("nn",), "nn"),
+    (["--estimator", "isam2", "--association", "scan,ml"], ("isam2",), ("scan", "ml"), "ml"),
+])  # fmt: skip
+def test_with_a_lidar_scans_are_matched_beside_walls_unless_one_is_asked_for(
+    tmp_path, more, estimators, associations, by_walls
+):
+    wish = __main__.read(["--link", "robot", "--out", str(tmp_path / "log"), "--lidar", *more])
+    asked = wish.options.selection
+    assert (asked.estimator, asked.association, wish.by_walls) == (estimators, associations, by_walls)
+    assert wish.by_scans == ("scan" in associations)
+    assert wish.lidar_sigma == 0.01
+    words = __main__.report_words(wish)
+    assert words[words.index("--association") + 1] == ",".join(associations)
+    assert words[words.index("--estimator") + 1] == ",".join(estimators)
+
+
 @pytest.mark.parametrize(("words", "why"), [
     (["--association", "known"], "--association known: walls have no labels"),
     (["--association", "jcbb-hindsight"], "--association jcbb-hindsight: needs point landmarks"),
@@ -231,6 +276,14 @@ def test_the_ways_of_association_that_are_offered_are_those_it_takes(tmp_path, c
     (["--port", "1.5"], "--port 1.5: a whole number from 0 to 65535 is needed"),
     (["--seconds", "nan"], "--seconds nan: a number from 0 up is needed"),
     (["--gate", "2"], "--gate 2: a probability"),
+    (["--association", "jcbb,scan"], "--association scan: --lidar is needed"),
+    (["--lidar-sigma", "0.02"], "--lidar-sigma 0.02: --lidar is needed"),
+    (["--least-information", "0.1"], "--least-information 0.1: --lidar is needed"),
+    (["--lidar", "--lidar-sigma", "0"], "--lidar-sigma 0: a number from 1e-06 up is needed"),
+    (["--lidar", "--association", "nn,jcbb,scan"], "--association nn,jcbb,scan: one name is needed, and scan"),
+    (["--lidar", "--estimator", "ekf"], "--estimator ekf: with --association scan isam2 is needed"),
+    (["--lidar", "--association", "scan", "--estimator", "ekf,isam2"],
+     "--estimator ekf: --association scan has isam2 alone"),
 ])  # fmt: skip
 def test_what_makes_no_sense_is_one_line(tmp_path, capsys, words, why):
     assert __main__.main(["--link", "robot", "--out", str(tmp_path / "log"), *words]) == 2

@@ -43,6 +43,14 @@ def test_the_page_and_its_chunks_answer(server):
     assert (answer.status, answer.headers["Content-Length"], text) == (200, "6", b"")
 
 
+def test_the_newest_grid_answers_where_there_is_one(server):
+    assert ask(server, "/grid")[0].status == 404
+    with Server(0, b"", lambda: Published(grid=b"{}", grids=1)) as drawn:
+        answer, text = ask(drawn, "/grid")
+        assert (answer.status, text, answer.headers.get_content_type()) == (200, b"{}", "application/json")
+        assert ask(drawn, "/grid/1")[0].status == 404
+
+
 @pytest.mark.parametrize("path", [
     "/chunks/", "/chunks/-1", "/chunks/x", "/chunks/1/2", "/../etc/passwd", "/chunk", "/log.toml", f"/chunks/{9**999}",
 ])  # fmt: skip

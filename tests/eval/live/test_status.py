@@ -15,10 +15,10 @@ STEP = Step(np.array([1.0, -2.0, 7.0]), np.diag([0.01, 0.04, math.radians(1.0)])
 
 def test_a_pose_stands_with_its_three_sigma_and_a_wrapped_heading():
     pose = "x 1.000 ± 0.030, y -2.000 ± 0.120 m, heading 41.1 ± 3.0°"
-    assert estimator_words("ekf", STEP, 9, "") == f"ekf {pose}, walls 9"
-    assert estimator_words("ekf", STEP, None, "").endswith("°")
-    assert estimator_words("ekf", None, 0, "") == "ekf waits"
-    assert estimator_words("ekf", STEP, 9, "astray") == "ekf ended"
+    assert estimator_words("ekf", STEP, "walls 9", "") == f"ekf {pose}, walls 9"
+    assert estimator_words("ekf", STEP, "", "").endswith("°")
+    assert estimator_words("ekf", None, "walls 0", "") == "ekf waits"
+    assert estimator_words("ekf", STEP, "walls 9", "astray") == "ekf ended"
 
 
 def test_faults_latency_and_being_late_are_said():

@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from association.appearance import Looks
+from data.appearance import UNREAD, Appearance
+from data.inputs import FrameObservations, LandmarkMap, Observations, Prior
+from data.sensors import RelativePoint
 from data.worlds.registry import named_log
+from eval.replay.hindsight.final_association import reassociate
+from eval.replay.hindsight.hypotheses import Hypotheses
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.twins import source_of, twin
@@ -66,3 +74,36 @@ def test_twins_draw_readings_about_the_mean_of_each_landmark():
     assert np.std(off) == pytest.approx(0.2, rel=0.2)
     assert np.mean(drawn.category == true.category[rows]) == pytest.approx(0.95, abs=0.04)
     assert twin(source, 0).recorded.observations.appearance.descriptor.tobytes() == drawn.descriptor.tobytes()
+
+
+NEAR = np.array([[2.0, 0.0], [2.0, 0.1]])
+LOOKS = Appearance(np.array([0.0, 1.0]), np.zeros(2), np.full(2, UNREAD), np.zeros(2))
+SENSOR = RelativePoint(max_range=5.0)
+
+
+def reading(*descriptor):
+    n = len(descriptor)
+    return Appearance(np.array(descriptor), np.full(n, 0.1), np.full(n, UNREAD), np.full(n, 0.5))
+
+
+@pytest.mark.parametrize(("descriptor", "expected"), [(0.0, 0), (1.0, 1)])
+def test_the_final_re_association_takes_the_landmark_that_looks_alike(descriptor, expected):
+    known = LandmarkMap(np.arange(2), NEAR, appearance=LOOKS)
+    seen = Observations(np.zeros(1, np.int64), np.array([[2.0, 0.05]]), 0.1 * np.eye(2)[None])
+    seen = replace(seen, appearance=reading(descriptor))
+    found = reassociate(SENSOR, np.zeros((1, 3)), known, seen, Looks.of_map(known))
+    assert found.number.tolist() == [expected]
+    assert found.alone.tolist() == [True]
+
+
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize(("descriptor", "expected"), [(0.0, 0), (1.0, 1)])
+def test_hypotheses_take_the_landmark_that_looks_alike(descriptor, expected, stated):
+    known = LandmarkMap(np.arange(2), NEAR, appearance=LOOKS if stated else None)
+    bank = Hypotheses(Prior(np.zeros(3), 0.01 * np.eye(3)), SENSOR, known)
+    R = np.tile(1e-3 * np.eye(2), (2, 1, 1))
+    if not stated:  # learned from a frame that is clear
+        bank.observe(FrameObservations(NEAR.copy(), R), 0, reading(0.0, 1.0))
+    standing = bank.observe(FrameObservations(np.array([[2.0, 0.05]]), R[:1]), 2, reading(descriptor))
+    assert standing.decisions.tolist() == [expected]
+    assert standing.sure[0] > 0.99

@@ -9,6 +9,7 @@ from data.convert.__main__ import main
 from data.formats.open_log.reader import load_folder
 from data.se2 import between, compose, interpolate
 from tests.data.formats.bags.made import Full
+from tests.quick import slow
 
 TIMES = np.arange(0.0, 4.01, 0.5)
 CAMERA = np.column_stack([0.4 * TIMES, 0.01 * TIMES**2, 0.05 * TIMES])
@@ -95,13 +96,13 @@ def test_the_list_says_what_it_becomes(maker, convert, words, becomes):
 @pytest.mark.parametrize(("words", "said"), [
     (("--second-odom", "/vo"), "/vo: messages whose twist has no positive definite covariance of vx, vy and the turn"),
     (("--second-odom", "/odom"), "--second-odom /odom: --odom is the same topic"),
-    (("--second-odom", "/vo", "--truth", "/vo"), "--second-odom /vo: --truth is the same topic"),
-    (("--second-odom", "/cones"), "--second-odom /cones: its messages are geometry_msgs/msg/PoseArray"),
-    (("--second-odom", "/nowhere"), "--second-odom /nowhere: no such topic"),
-    (("--second-odom", "/vo", "--second-odom-sigma", "1"), "--second-odom-sigma 1: 4 numbers are needed"),
-    (("--second-odom-sigma", "1,1,1,1"), "--second-odom-sigma 1,1,1,1: there is none; --second-odom TOPIC names it"),
+    slow(("--second-odom", "/vo", "--truth", "/vo"), "--second-odom /vo: --truth is the same topic"),
+    slow(("--second-odom", "/cones"), "--second-odom /cones: its messages are geometry_msgs/msg/PoseArray"),
+    slow(("--second-odom", "/nowhere"), "--second-odom /nowhere: no such topic"),
+    slow(("--second-odom", "/vo", "--second-odom-sigma", "1"), "--second-odom-sigma 1: 4 numbers are needed"),
+    slow(("--second-odom-sigma", "1,1,1,1"), "--second-odom-sigma 1,1,1,1: there is none; --second-odom"),
     (("--second-odom", "/far", "--second-odom-sigma", "1,1,1,1"), "/far: its messages at 1700000090.000 to"),
-    (("--second-odom", "/arm", "--second-odom-sigma", "1,1,1,1"), "/arm: poses of 'arm', which tf does not mount on"),
+    slow(("--second-odom", "/arm", "--second-odom-sigma", "1,1,1,1"), "/arm: poses of 'arm', which tf does not"),
 ])  # fmt: skip
 def test_one_line_says_what_is_wrong(maker, convert, words, said):
     for t in (90.0, 91.0):

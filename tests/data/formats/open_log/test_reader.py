@@ -43,7 +43,22 @@ def test_landmarks_are_the_map_and_the_truth_ascending_by_id(small_log_files, sa
     for landmarks in (log.recorded.map, log.truth.landmarks):
         assert landmarks.id.tolist() == [3, 7]
         assert landmarks.xy.tolist() == [[-2.5, 3.0], [4.5, 1.25]]
-    assert any("survey's sigmas" in note for note in log.notes)
+        assert landmarks.sigma.tolist() == [[0.0, 0.0], [0.01, 0.01]]
+
+
+def test_a_map_of_exact_landmarks_has_no_sigmas(small_log_files, save, tmp_path):
+    files = small_log_files("frames", "range_bearing")
+    files["landmarks.csv"] = "id,x,y,sx,sy\n7,4.5,1.25,,\n3,-2.5,3,0,0\n"
+    assert load(save(tmp_path, files)).recorded.map.sigma is None
+
+
+def test_a_simulated_map_may_state_where_its_landmarks_truly_are(small_log_files, save, tmp_path):
+    files = small_log_files("frames", "range_bearing")
+    files["landmarks.csv"] = "id,x,y,sx,sy,true_x,true_y\n7,4.5,1.25,0.1,0.2,4.4,1.5\n3,-2.5,3,0,,,\n"
+    log = load(save(tmp_path, files))
+    assert log.recorded.map.sigma.tolist() == [[0.0, 0.0], [0.1, 0.2]]
+    assert log.recorded.map.xy.tolist() == [[-2.5, 3.0], [4.5, 1.25]]
+    assert (log.truth.landmarks.id.tolist(), log.truth.landmarks.xy.tolist()) == ([7], [[4.4, 1.5]])
 
 
 def test_prior_sigma_and_field_of_view_are_short_for_covariance_and_angles(small_log_files, save, tmp_path):

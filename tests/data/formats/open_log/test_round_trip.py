@@ -98,7 +98,9 @@ def logs(draw) -> Log:
         (draw(numbers), draw(numbers)),
     )
     ids = np.array(sorted(draw(st.sets(st.integers(0, 2**40), min_size=k, max_size=k))), np.int64)
-    landmarks = LandmarkMap(ids, array((k, 2))) if draw(st.booleans()) else None
+    sigma = np.abs(array((k, 2))) if draw(st.booleans()) else np.zeros((k, 2))
+    landmarks = LandmarkMap(ids, array((k, 2)), sigma=sigma if sigma.any() else None) if draw(st.booleans()) else None
+    true = LandmarkMap(ids, array((k, 2))) if landmarks is not None and draw(st.booleans()) else landmarks
     claimed = hnp.arrays(np.int64, m, elements=st.integers(-2, 2**40))
     recorded = Inputs(
         prior=Prior(array(3), draw(matrices(1, 3, definite=False))[0]),
@@ -128,7 +130,7 @@ def logs(draw) -> Log:
         recorded,
         Truth(
             pose,
-            landmarks,
+            true,
             draw(claimed) if draw(st.booleans()) else None,
             fix_inlier=fix_inlier,
             closure_inlier=closure_inlier,

@@ -101,11 +101,15 @@ def test_wheel_ticks_make_the_circle_that_they_roll(convert, tmp_path):
 
 def test_the_map_is_turned_first_and_then_shifted(convert, tmp_path):
     odometry = table(tmp_path / "o.csv", "t,v,omega,range,bearing", [[0, 1, 0, 2, 0], [1, 1, 0, 1, 0]], ",")
-    survey = table(tmp_path / "m.csv", "x,y", [[1, 0], [0, 2]], ",")
-    back = convert(
-        odometry, "--map", survey, "--map-transform", "10,20,90deg", "--prior", "0,0,0", "--prior-sigma", "0,0,0",
-        "--odometry-sigma", "0.1,0.1", "--observation-sigma", "0.1,0.1",
+    survey = table(tmp_path / "m.csv", "x,y,sx,sy", [[1, 0, 5, 20], [0, 2, "", 0]], ",")
+    flags = (
+        "--prior", "0,0,0", "--prior-sigma", "0,0,0", "--odometry-sigma", "0.1,0.1", "--observation-sigma", "0.1,0.1",
+        "--unit", "sx=cm,sy=cm",
     )  # fmt: skip
+    back = convert(odometry, "--map", survey, "--map-transform", "10,20,90deg", *flags)
+    assert back.recorded.map.sigma == pytest.approx(np.array([[0.2, 0.05], [0.0, 0.0]]))
+    with pytest.raises(AssertionError, match=r"m.csv:2: column sx: .* needs both equal"):
+        convert(odometry, "--map", survey, "--map-transform", "10,20,80deg", *flags)
     assert back.recorded.map.xy == pytest.approx(np.array([[10.0, 21.0], [8.0, 20.0]]))
     assert back.recorded.map.id.tolist() == [0, 1]
 

@@ -32,8 +32,8 @@ def test_people_are_retracted_and_points_are_kept(people, runs, name):
         online, final = confusion_of(run, log, "online"), confusion_of(run, log, "final")
         known = int((log.truth.landmark_of >= 0).sum()) - 88  # the first observation of each point initializes it
         assert online.fp > final.fp
-        assert final.fp <= 7
-        assert final.tp >= 0.96 * known
+        assert final.fp <= 4
+        assert final.tp >= 0.95 * known  # a landmark begins with an observation near it
         assert 86 <= len(run.map) <= 90
 
 
@@ -108,9 +108,9 @@ def test_a_batch_smoother_gets_the_decisions_as_revised(people):
 )
 def test_hindsight_goes_with_the_other_ways_out_of_the_map(people, setup):
     log = people[0]
-    run = compare(log.inputs(), "slam", ["ekf"], METHOD, setup)[0]
+    plain, run = (compare(log.inputs(), "slam", ["ekf"], method, setup)[0] for method in ("jcbb", METHOD))
     assert run.failure is None
-    assert confusion_of(run, log, "final").fp <= 12
+    assert confusion_of(run, log, "final").fp < 0.8 * confusion_of(plain, log, "final").fp
 
 
 def test_localization_in_a_known_map_has_nothing_to_retract(people):

@@ -11,7 +11,8 @@ from data.inputs import LandmarkMap, Observations
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.same_place import log_odds, same_landmarks
-from tests.research.variety.measure import measure, world_of
+from tests.research.variety.hiding import world_of
+from tests.research.variety.measure import measure
 
 SENSOR = RelativePoint(max_range=10.0, min_angle=-math.pi, max_angle=math.pi)
 SIGMA = 0.1
@@ -66,10 +67,10 @@ def test_the_odds_are_those_of_frames_at_different_places():
 
 @pytest.mark.slow
 def test_landmarks_that_were_initialized_twice_are_one_in_the_end(monkeypatch):
-    """World 6 of the variety."""
-    log, kind = world_of(6)
-    merged = measure(log, 6, kind, "jcbb-hindsight")
+    """World 28 of those where landmarks hide."""
+    log, kind = world_of(28)
+    merged = measure(log, 28, kind, "jcbb-hindsight")
     monkeypatch.setattr(constants, "SAME_ROUNDS", 0)
-    apart = measure(log, 6, kind, "jcbb-hindsight")
+    apart = measure(log, 28, kind, "jcbb-hindsight")
     assert apart.landmarks > merged.landmarks
     assert apart.fp > merged.fp + 5
