@@ -78,8 +78,7 @@ PERSISTENCE_LEAVING = 0.001  # probability that a real landmark leaves before an
 PERSISTENCE_LATER_LEAST = 0.35  # smallest probability that a transient landmark vanishes before an opportunity
 PERSISTENCE_ROUNDS = 20  # rounds of expectation maximization
 REASSOCIATION_GATE = 0.999  # gate of the final re-association
-REASSOCIATION_QUANTILE = 0.9  # quantile of squared distances that gives the variance scale: a median ignores tails; a
-# landmark begins with an observation inside it
+REASSOCIATION_QUANTILE = 0.9  # quantile of squared distances that gives the variance scale: a median ignores tails
 REASSOCIATION_OBSERVATIONS = 4  # observations of a landmark that counts for this scale
 
 # --- Two landmarks of the smoothed map that are one (same_place.py) --------------------------------------------------

@@ -21,7 +21,7 @@ from eval.replay.hindsight import constants
 
 
 class Reassociation(NamedTuple):
-    """Landmark (m,) of every observation, -1 for none; alone (m,): near it, and inside no other landmark's gate."""
+    """Landmark (m,) of every observation, -1 for none; alone (m,): inside no other landmark's gate."""
 
     number: IntArray
     alone: BoolArray
@@ -69,15 +69,14 @@ def reassociate(
         e = _expected(sensor, pose[k], known, seen.z[rows], seen.R[rows])
         if looks is not None and seen.appearance is not None:
             e = e.with_appearance(looks.unlike(e.number, seen.appearance.only(rows)))
-        threshold, near = (e.threshold(p) for p in (constants.REASSOCIATION_GATE, constants.REASSOCIATION_QUANTILE))
+        threshold = e.threshold(constants.REASSOCIATION_GATE)
         number[rows] = gnn(e, constants.REASSOCIATION_GATE)
-        d2 = e.individual_distances()
-        alone[rows] = ((d2 < threshold).sum(axis=1) == 1) & (d2 < near).any(axis=1)
+        alone[rows] = (e.individual_distances() < threshold).sum(axis=1) == 1
     return Reassociation(number, alone & (number >= 0))
 
 
 def beginnings(found: Reassociation) -> dict[int, int]:
-    """The observation that each landmark begins with: the first that is near it and unambiguous, or else the first.
+    """The observation that each landmark begins with: the first unambiguous one, or else the first.
 
     It names the landmark, so an error there would make all right decisions after it wrong.
     """

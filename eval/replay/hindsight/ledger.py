@@ -7,7 +7,6 @@ by the landmarks in view. Only the ledger initializes, merges and drops landmark
 from __future__ import annotations
 
 import math
-from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
 
@@ -62,7 +61,6 @@ class Ledger:
         self.merged: list[tuple[int, int, int]] = []  # (frame, away, kept) of every merged landmark
         self._read = replace(sensor, max_range=0.0, min_angle=0.0, max_angle=0.0)  # the view that held observations
         self._touched: set[int] = set()
-        self._paired = Counter[int]()  # observations of each landmark after the last re-association
         nothing = np.empty(0, np.int64)
         none = ConditionalInnovations(np.empty((0, 2)), np.empty((0, 2, 2)))
         self._judged = Judged(nothing, nothing, none, [], [])
@@ -185,7 +183,6 @@ class Ledger:
         former = {row: (n, decision) for n, r in self.records.items() for row, decision in r.observations}
         for record in self.records.values():
             record.observations.clear()
-        self._paired = Counter(found.number.tolist())
         for row, n in enumerate(found.number.tolist()):
             before, new = former.get(row, (-1, DISCARD)), DISCARD
             if n >= 0 and row >= first[n]:
@@ -200,7 +197,7 @@ class Ledger:
     def transient(self, recounted: dict[int, bytes]) -> IntArray:
         """Retract landmarks (r,) that are transient, at the end of a run, by what is `recounted` or recorded."""
         every = list(self.records.items())
-        observations = np.array([self._paired.get(n, len(r.observations)) for n, r in every], np.int64)
+        observations = np.array([len(r.observations) for _, r in every], np.int64)
         rows = [[row for row, _ in r.observations] for _, r in every]
         spans = np.array([[min(of), max(of)] for of in rows], np.int64).reshape(-1, 2)
         found = kept_at_end([recounted.get(n, r.opportunities) for n, r in every], observations, spans)
