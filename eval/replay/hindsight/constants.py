@@ -77,6 +77,7 @@ PERSISTENCE_CHANCE = 0.01  # detection probability of a landmark that has vanish
 PERSISTENCE_LEAVING = 0.001  # probability that a real landmark leaves before an opportunity
 PERSISTENCE_LATER_LEAST = 0.35  # smallest probability that a transient landmark vanishes before an opportunity
 PERSISTENCE_ROUNDS = 20  # rounds of expectation maximization
+PERSISTENT_FEWEST = 0.05  # share of the observations, of landmarks with the fewest, ignored in the required number
 REASSOCIATION_GATE = 0.999  # gate of the final re-association
 REASSOCIATION_QUANTILE = 0.9  # quantile of squared distances that gives the variance scale: a median ignores tails
 REASSOCIATION_OBSERVATIONS = 4  # observations of a landmark that counts for this scale

@@ -207,7 +207,7 @@ class Ledger:
             self.folded = {n: self.records[n].observations[-1][0] for n in left}
         else:
             self.left = np.array(left, np.int64)
-        return self._retract(dict.fromkeys(numbers[~found.stays].tolist(), "uncertain"))
+        return self._retract(dict.fromkeys(numbers[~(found.stays | found.few)].tolist(), "uncertain"))
 
     def _retract(self, leaving: dict[int, str]) -> IntArray:
         for n, why in leaving.items():

@@ -84,39 +84,47 @@ def evidence(opportunities: Opportunities) -> Array:
 class Kept(NamedTuple):
     """Landmarks (n,) of a map that stay in it at the end of a log.
 
-    left: those that left the world before; folded: they were initialized again elsewhere, so none of these stays.
+    left: those that left the world before; folded: they were initialized again elsewhere, so none of these stays;
+    few: real ones that were observed too few times to tell how the map is; they stay, too, unless it is folded.
     """
 
     stays: BoolArray
     left: BoolArray
     folded: bool
+    few: BoolArray
 
 
 def kept_at_end(opportunities: Opportunities, observations: IntArray, spans: IntArray) -> Kept:
     """Which landmarks (n,) of a map stay in it at the end of a log.
 
     To drop a landmark unpairs all its observations; to keep a transient one keeps as many wrong pairings. So the
-    expected cost is least where landmarks stay that are real with a probability above one half.
+    expected cost is least where landmarks stay that are real with a probability above one half. Whether the map is
+    folded, and how likely it is, they tell with `CONFIRMED` observations, or with fewer where most have fewer.
 
     A world where landmarks leave has few that appear, where there was nothing before. If more appeared after the median
-    landmark left than left, the map is folded: these were initialized again elsewhere, and are dropped.
+    landmark left than left, or if most left, the map is folded: these were initialized again elsewhere, and are dropped.
 
     observations (n,): number of each landmark; spans (n, 2): its first and its last observation.
     """
     p = persistence(opportunities)
     found = kinds(opportunities, p)
-    keep: BoolArray = (found.transient < 0.5) & (observations >= constants.CONFIRMED_AT_LEAST)
+    real: BoolArray = (found.transient < 0.5) & (observations >= constants.CONFIRMED_AT_LEAST)
+    keep = real.copy()
+    if keep.any():
+        times = np.sort(observations[keep])
+        fewer = np.cumsum(times) > constants.PERSISTENT_FEWEST * times.sum()
+        keep &= observations >= min(constants.CONFIRMED, int(times[fewer.argmax()]))
     left = keep & (found.left > found.persistent)
     if not left.any():
-        return Kept(keep, left, folded=False)
+        return Kept(keep, left, False, real & ~keep)
     missed = np.array([len(s) - len(s.lstrip(bytes([BEFORE]))) for s in opportunities])  # before the first detection
     appeared = keep & ~left & (missed >= constants.CONFIRMED) & (spans[:, 0] > np.median(spans[left, 1]))
-    if appeared.sum() <= left.sum():
-        return Kept(keep, left, folded=False)
+    if appeared.sum() <= left.sum() <= 0.5 * keep.sum():
+        return Kept(keep, left, False, real & ~keep)
     often = float(left.sum()) / sum(len(s) for s in opportunities)  # leaving is not rare here
     found = kinds(opportunities, p, often)
     left = keep & (found.left > found.persistent)
-    return Kept(keep & ~left, left, folded=True)
+    return Kept(keep & ~left, left, True, np.zeros_like(keep))
 
 
 def _fixed() -> Array:

@@ -196,6 +196,34 @@ def test_what_was_read_once_does_not_stay():
     assert not kept_at_end(opportunities, np.array([2] * 10 + [1])).stays[-1]
 
 
+@pytest.mark.parametrize(("others", "needed"), [(2, 2), (3, 3), (4, 4), (30, 4)])
+def test_where_most_are_read_often_two_sightings_are_too_few(others, needed):
+    opportunities = [SEEN * 10] * 40 + [SEEN]
+    keep = [kept_at_end(opportunities, np.array([others] * 40 + [n])).stays[-1] for n in (1, 2, 3, 4)]
+    assert keep == [n >= needed for n in (1, 2, 3, 4)]
+
+
+def test_the_fewest_of_those_that_stay_do_not_tell_how_many_sightings_are_needed():
+    opportunities = [SEEN * 10] * 40
+    assert kept_at_end(opportunities, np.array([2] + [9] * 39)).stays.tolist() == [False] + [True] * 39
+    assert kept_at_end(opportunities, np.array([2] * 9 + [9] * 31)).stays.all()
+
+
+def test_people_who_came_by_at_the_end_do_not_vouch_for_each_other():
+    """Every tenth landmark, but one observation in fifty."""
+    keep = kept_at_end([SEEN * 10] * 36 + [SEEN] * 4, np.array([11] * 36 + [2] * 4))
+    assert keep.stays.tolist() == [True] * 36 + [False] * 4
+    assert keep.few.tolist() == [False] * 36 + [True] * 4  # but they are probably real
+
+
+def test_a_map_that_most_landmarks_left_is_folded():
+    def folded(gone):
+        looks = [SEEN * 20 + MISSED * 20] * gone + [SEEN * 20] * (20 - gone)
+        return kept_at_end(looks, np.full(20, 20), [(0, 400)] * 20).folded
+
+    assert [folded(gone) for gone in (0, 5, 10, 11, 15)] == [False, False, False, True, True]
+
+
 def test_in_a_folded_map_leaving_is_no_longer_rare():
     """A miss at the end tells nothing where landmarks stay, and much where most leave."""
     short = SEEN * 6 + MISSED
