@@ -102,7 +102,8 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray, spans: Int
     folded, and how likely it is, they tell with `CONFIRMED` observations, or with fewer where most have fewer.
 
     A world where landmarks leave has few that appear, where there was nothing before. If more appeared after the median
-    landmark left than left, or if most left, the map is folded: these were initialized again elsewhere, and are dropped.
+    landmark left than left, or if most left, the map is folded: these were initialized again elsewhere, and are
+    dropped.
 
     observations (n,): number of each landmark; spans (n, 2): its first and its last observation.
     """
