@@ -49,7 +49,8 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
     plain = {name.lower().replace("_", "-"): name for name in known}
     asked = word.strip().lower().replace("_", "-")
-    near = [asked] if asked in plain else get_close_matches(asked, plain, 1)
+    near = [asked] if asked in plain else get_close_matches(asked, plain)
+    near.sort(key=lambda name: not asked.startswith(name))  # a letter too many, rather than another one
     within = [name for name in plain if len(asked) >= SHORTEST and asked in name]
     return next((plain[name] for name in [*near, *within]), "")
 

@@ -64,6 +64,7 @@ def test_the_larger_the_share_the_fewer_stay():
     assert found(0.1)[1][-1] > found(0.3)[1][-1] > LaserParameters().wait
 
 
+@pytest.mark.slow
 def test_the_cost_is_millimetres():
     all_of_them, few = off(None), off(0.1)
     assert np.sqrt((all_of_them**2).mean()) < 0.01
