@@ -45,12 +45,13 @@ class UsageError(SlamrefError):
 
 def nearest(word: str, known: Iterable[str]) -> str:
     """The known name that an unknown word probably means, whatever its case and dashes; empty if none is near."""
-    from difflib import get_close_matches
+    from difflib import SequenceMatcher, get_close_matches
 
     plain = {name.lower().replace("_", "-"): name for name in known}
     asked = word.strip().lower().replace("_", "-")
     near = [asked] if asked in plain else get_close_matches(asked, plain)
-    near.sort(key=lambda name: not asked.startswith(name))  # a letter too many, rather than another one
+    # of names as near: a letter too many, rather than another one
+    near.sort(key=lambda name: (-SequenceMatcher(None, name, asked).ratio(), not asked.startswith(name)))
     within = [name for name in plain if len(asked) >= SHORTEST and asked in name]
     return next((plain[name] for name in [*near, *within]), "")
 
