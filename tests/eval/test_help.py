@@ -28,7 +28,6 @@ COMMANDS = {
 HELP = """
 import sys
 from {module} import main
-from tests.quick import slow
 try:
     main({arguments!r})
 except SystemExit as end:
