@@ -45,7 +45,7 @@ def _inspect(log: str, plot: Path | None) -> None:
     from data.formats.recognize import door
     from data.logs import open_log
     from data.questions.asked import ask
-    from data.summary import summarize
+    from data.questions.summary import summarize
     from data.words import sentence, title
 
     answer = door(log)

@@ -1,1 +1,1 @@
-"""Questions about a log: what looks otherwise than it is stated, and the flag that mends it."""
+"""What a log holds, and questions about it: what looks otherwise than it is stated, and the flag that mends it."""

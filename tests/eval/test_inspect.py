@@ -12,8 +12,8 @@ import pytest
 from data.formats.open_log.writer import write_folder
 from data.inputs import CLUTTER, UNLABELLED, Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
+from data.questions.summary import longest_run, repeated_in_frame, summarize
 from data.sensors import RangeBearing
-from data.summary import longest_run, repeated_in_frame, summarize
 from data.truth import UNKNOWN_ID, Truth
 from eval.figures.figure_style import FigureStyle, figure_style
 from eval.figures.log import log_figure

@@ -17,7 +17,7 @@ from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.inputs import LandmarkMap
 from data.log import Log, shortened
-from data.summary import summarize
+from data.questions.summary import summarize
 from data.worlds.registry import named_log
 from eval.plan.provenance import input_digest
 from tests.data.formats.open_log.same_log import assert_same_log

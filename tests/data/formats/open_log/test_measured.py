@@ -13,7 +13,7 @@ from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import contents, write_folder
 from data.log import Log, shortened
 from data.pose_measurements import FixKind
-from data.summary import summarize
+from data.questions.summary import summarize
 from eval.plan.provenance import input_digest
 from tests.data.formats.open_log.measured import CLOSURE, FIX, measured_files
 from tests.data.formats.open_log.same_log import assert_same_log, load

@@ -12,8 +12,8 @@ from data.errors import DataError
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import contents, write_folder
 from data.log import Log, shortened
+from data.questions.summary import summarize
 from data.sensors import Bearing, Range, RangeBearing
-from data.summary import summarize
 from eval.plan.provenance import input_digest
 from tests.data.formats.open_log.same_log import assert_same_log, load
 from tests.data.formats.open_log.test_faults import edit

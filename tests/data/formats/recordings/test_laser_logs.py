@@ -14,7 +14,7 @@ from data.errors import UsageError
 from data.formats.open_log.reader import load_folder
 from data.formats.recordings.carmen import load_carmen
 from data.logs import find_logs, open_log
-from data.summary import summarize
+from data.questions.summary import summarize
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.plan.provenance import input_digest
