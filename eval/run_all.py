@@ -160,6 +160,7 @@ def staged(out: Path) -> Iterator[Path]:
 def _run(options: Options, console: Console, folder: Path, command: Sequence[str], check: Callable[[], None]) -> int:
     from data.questions.asked import ask
     from eval.figures.figure_style import figure_style
+    from eval.judgement.judgement import Verdict, judge_trial
     from eval.plan.appearance import figure_style_of, require_latex
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan
@@ -167,15 +168,12 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     from eval.plan.provenance import words_of
     from eval.plan.warming import compile_if_needed
     from eval.referee.diagnostics import disputed, questions_of_run
-    from eval.referee.headline import Verdict
     from eval.referee.score import score
     from eval.referee.sources.scored import source_notices
     from eval.report.contents import write_results
-    from eval.report.headline import headlines, lines, trust_line
-    from eval.report.overview import trust_mark
-    from eval.report.overview_facts import facts_of
     from eval.report.page.latex import check_columns
     from eval.report.sources import together_by_source
+    from eval.report.terminal import groups_of, lines, trust_line
     from eval.report.words import asked, described, together
     from eval.studies import reproduced, store
     from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
@@ -230,17 +228,15 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     for text in [*reproduced.lines(outcome.published), *outcome.skipped]:
         console.say(text)
     scores = score(outcome.trials)
-    for text in [] if in_lab else lines(headlines(scores, outcome.trials, outcome.studies, judged, outcome.trust)):
+    judgements = [(t, judge_trial(t, scores, outcome.trust)) for t in outcome.trials]
+    for text in [] if in_lab else lines(groups_of(judgements, scores, outcome.studies, judged)):
         console.say(text)
-    for trial in outcome.trials:
-        if trial.variant_of is None and not in_lab:
-            facts = facts_of(trial, scores, outcome.trust)
-            if facts.verdict is Verdict.NOTHING:  # results of other programs alone
-                continue
-            mark = trust_mark(facts)
-            console.say(trust_line(facts, mark), COLOURS.get(mark.tone, ""))
+    for trial, judgement in judgements:
+        # none of variants, nor where there are results of other programs alone
+        if trial.variant_of is None and not in_lab and judgement.verdict is not Verdict.NOTHING:
+            console.say(trust_line(judgement), COLOURS.get(judgement.tone.value, ""))
     with progress("writing", console.quiet, check, "part") as update, figure_style(style):
-        missing, answers = write_results(folder, options, outcome, scores, judged, command, update)
+        missing, answers = write_results(folder, options, outcome, scores, judged, judgements, command, update)
     failed = failed_declarations(judged)
     for j in failed:
         task, estimator, _, phase = j.key

@@ -76,6 +76,13 @@ THIN = 100.0
 """Eigenvalue below which a pose covariance is nearly singular, in floors of the increments' covariance. After an exact
 prior this lasts a frame or two."""
 
+NEES_LIMIT = 9.0
+"""Mean pose NEES (expected 3) of one run that is overconfident, however its frames are correlated: a chi-square
+variable of 3 degrees of freedom exceeds it in 3 % of logs."""
+NEES_EXPECTED = 3.0
+ASTRAY_NEES = 300.0
+"""Mean pose NEES of a path that is not where it claims to be: 10 sigma in each of three coordinates."""
+
 CONSISTENT, OVERCONFIDENT, CONSERVATIVE, TOO_FEW = "consistent", "overconfident", "conservative", "not enough runs"
 FIT, LARGE, SMALL = "innovations fit", "NIS too large", "NIS too small"
 WHITE, CORRELATED, ANTICORRELATED = "white", "correlated", "anticorrelated"

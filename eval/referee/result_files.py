@@ -18,6 +18,28 @@ import pandas as pd
 from data.inputs import ERRORS
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, Metric
 
+Row = dict[str, object]
+"""A row of a result table by its columns."""
+
+
+def is_blank(value: object) -> bool:
+    """Whether a cell holds nothing: None, NaN, infinite, or an empty text."""
+    if value is None or value is pd.NA or value == "":
+        return True
+    return isinstance(value, float) and not math.isfinite(value)
+
+
+def rows_of(frame: pd.DataFrame) -> list[Row]:
+    """The rows of a table."""
+    return [{str(k): v for k, v in r.items()} for r in frame.to_dict("records")]
+
+
+def value_of(row: Row, column: str) -> float:
+    """A number of a row, NaN where it is blank."""
+    value = row.get(column)
+    return math.nan if is_blank(value) else float(value)  # type: ignore[arg-type]
+
+
 Kind = Literal["text", "count", "number"]
 BLANKS = {"text": "str", "count": "Int64", "number": "float64"}
 """Type of a column in a table: unknown is NaN, of a count (an integer column of pandas) `pd.NA`."""

@@ -20,11 +20,10 @@ from data.se2 import Array
 from data.words import sentence
 from eval.referee import consistency, errors, result_files
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
-from eval.referee.consistency import gated, nis_bounds
+from eval.referee.consistency import NEES_LIMIT, gated, nis_bounds
 from eval.referee.errors import Along, along, rpe_columns
 from eval.referee.given.in_space import plane_rmse
 from eval.referee.given.runs import GivenRun, Match, log_of, match
-from eval.referee.headline import NEES_LIMIT
 from eval.referee.intervals import SEED, difference_rows, run_intervals
 from eval.referee.laser import closure_counts, kept, relation_rows
 from eval.referee.lost import lost

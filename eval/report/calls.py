@@ -14,6 +14,7 @@ import pandas as pd
 from data.errors import UsageError
 from data.log import Log
 from eval.compare import compare
+from eval.judgement.causes import Terms, terms_of
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.table import TWINS, Execution, Options, Output, Reading
 from eval.plan.flags.table import Study as Simulated
@@ -26,7 +27,7 @@ from eval.replay.external.spec import introduce, is_foreign, name_of
 from eval.replay.flag import read_values, rows
 from eval.replay.settings import Setup
 from eval.report.results import scored, scores
-from eval.report.trust import Terms, first_words, terms_of
+from eval.report.trust import first_words
 from eval.studies import montecarlo
 from eval.studies.montecarlo import DOF, Result, consistency_table, judge, one_run, study_of
 from eval.studies.scenario import OWN, Member, Scenario

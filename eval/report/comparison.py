@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import pandas as pd
 
 from eval.referee.consistency import ERRORS as OF_ERRORS
 from eval.referee.consistency import INNOVATIONS, WHITENESS
 from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
+from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.report.page.blocks import Table
-from eval.report.page.tables import drop_blank_columns, interval, is_blank, number
-from eval.report.rows import Row, Scored, rows_of, value_of
+from eval.report.page.tables import drop_blank_columns, interval, number
 from eval.report.words import paragraph
 
 NAMES = (*RUN, "status")
@@ -252,10 +252,6 @@ def outliers_table(outliers: pd.DataFrame) -> pd.DataFrame:
     return selected(made, OUTLIERS)
 
 
-CHANCE = 0.05
-"""A larger p is called chance, and so is a difference whose interval holds zero: near the edge the two may differ."""
-
-
 def differences_table(rows: pd.DataFrame) -> pd.DataFrame:
     """Rows of `Scores.differences` for one log and task as a table to read; association only where several are."""
     made = []
@@ -290,35 +286,6 @@ def missing_intervals(rows: pd.DataFrame) -> list[tuple[str, list[str], str]]:
             if not is_blank(row[f"{name}_why"]):
                 whys.setdefault((what, str(row[f"{name}_why"])), []).append(pair)
     return [(what, pairs, why) for (what, why), pairs in whys.items()]
-
-
-@dataclass(frozen=True)
-class Difference:
-    """RMSE of a filter minus that of a smoother on the same frames [m], with 95 % interval and p of no difference."""
-
-    metres: float
-    lower: float
-    upper: float
-    p: float
-    block_frames: float  # over so many frames errors are correlated
-    own_map: bool  # both have errors of a map that they made themselves
-    why: str  # there is no interval (p is NaN then)
-
-    @property
-    def chance(self) -> bool:
-        """Whether it may be."""
-        return self.p > CHANCE or self.lower <= 0.0 <= self.upper
-
-
-def difference_of(differences: Sequence[Row], filtered: Scored, smoothed: Scored) -> Difference | None:
-    """The difference between two runs; None if it was not taken."""
-    pair = (filtered.estimator, smoothed.estimator, filtered.association)
-    row = next((r for r in differences if (r["a"], r["b"], r["association"]) == pair), None)
-    if row is None:
-        return None
-    size, lower, upper, p = (value_of(row, f"rmse_position_{c}") for c in ("m", "lower", "upper", "p"))
-    why = "" if is_blank(row["rmse_position_why"]) else str(row["rmse_position_why"])
-    return Difference(size, lower, upper, p, value_of(row, "block_frames"), row["task"] == "slam", why)
 
 
 def _row_interval(row: Row, name: str) -> str | None:

@@ -10,6 +10,7 @@ import pandas as pd
 
 from data.notice import Notice
 from data.words import sentence, title
+from eval.judgement.judgement import Judgement, conclusion
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.lab_settings import settings_by_log
@@ -23,18 +24,17 @@ from eval.referee.given.runs import GivenRun
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import Setup
 from eval.report.answer import gate_sentence
-from eval.report.deciding import revision_section
 from eval.report.facts import write_facts
 from eval.report.labs.sections import hand_in, lab_sections
 from eval.report.labs.write_up import write_up
 from eval.report.laser import laser_sections
 from eval.report.log_sections import association_sections, trial_sections
 from eval.report.overview import attribution_sections, introduction, overview
-from eval.report.overview_facts import LogFacts, conclusion, facts_of
 from eval.report.page.blocks import READING, Block, Folded, Report, Section, Table
 from eval.report.publish import publish, write_truths
 from eval.report.render import write_report
 from eval.report.results import space_rows
+from eval.report.revisions import revision_section
 from eval.report.studies import study_sections
 from eval.report.tutorials import tutorial_sections
 from eval.report.visual import visual_sections
@@ -60,6 +60,7 @@ def write_results(
     outcome: Outcome,
     scores: Scores,
     judged: Sequence[Judged],
+    judgements: Sequence[tuple[Trial, Judgement]],
     command: Sequence[str],
     progress: Callable[[int, int], None],
 ) -> Written:
@@ -84,8 +85,8 @@ def write_results(
     (folder / "runs").mkdir()
     write_truths(folder, trials)
     published = publish(folder, output, options.setup, trials, lost, options.execution, progress)
-    main = [(t, facts_of(t, scores, outcome.trust)) for t in trials if t.variant_of is None]
-    facts = [f for _, f in main]
+    main = [(t, j) for t, j in judgements if t.variant_of is None]
+    facts = [j for _, j in main]
     answers = hand_in(folder, options, trials, scores, lost)
     first = [*answers, *attribution_sections(main, outcome.trust)]
     sections = warnings_section(found)
@@ -99,7 +100,7 @@ def write_results(
         sections += association_sections(folder, output, trials, scores)
         sections += revision_section(folder, output, trials)
         sections += lab_sections(trials, scores, answered_above=bool(answers))
-    sections += _failure_section(trials, [f for _, f in main], lost.messages)
+    sections += _failure_section(trials, facts, lost.messages)
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
     declared = _declared(judged)
     blocks: list[Block] = [introduction(facts)]
@@ -136,7 +137,7 @@ def warnings_section(found: Sequence[Notice]) -> list[Section]:
     return [Section("Warnings", (say("questions#about"), shown, *folded))]
 
 
-def _failure_section(trials: Sequence[Trial], facts: Sequence[LogFacts], missing: Sequence[Notice]) -> list[Section]:
+def _failure_section(trials: Sequence[Trial], facts: Sequence[Judgement], missing: Sequence[Notice]) -> list[Section]:
     """The runs that stopped early or are implausible, and what is missing; nothing where there are none."""
     failed = [
         {"log": t.log.name, "task": t.task, "estimator": r.estimator, "association": r.association, "status": r.status}
@@ -145,7 +146,7 @@ def _failure_section(trials: Sequence[Trial], facts: Sequence[LogFacts], missing
         for r in t.runs
         if r.flaw is not None
     ]
-    lost = sum(len(f.failed) for f in facts) - sum(
+    lost = sum(len(j.unusable) for j in facts) - sum(
         r.flaw is not None for t in trials if t.variant_of is None for r in t.runs
     )
     if not (failed or lost or missing):

@@ -5,17 +5,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 
 from data.words import sentence
+from eval.judgement.judgement import Judgement
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee.diagnostics import ambiguity_of, disputed, minima, naming, unused
 from eval.referee.given.runs import is_truth_alone
 from eval.referee.metrics import heads
+from eval.referee.result_files import rows_of
 from eval.referee.score import Scores, Trial
-from eval.report.answer import AnswerFacts, answer, answer_facts
+from eval.report.answer import answer
 from eval.report.audit.worst_factors import worst_factors_section
 from eval.report.comparison import (
     association_table,
@@ -27,13 +28,12 @@ from eval.report.comparison import (
 )
 from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, against_relations
 from eval.report.overview import gauge_statement, in_short
-from eval.report.overview_facts import LogFacts
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.publish import films_of
 from eval.report.results import aligned_statement, results_statement, space_tables
-from eval.report.rows import SYSTEMATIC, rows_of, stem, variants
+from eval.report.rows import SYSTEMATIC, stem, variants
 from eval.report.sources import source_section
 from eval.report.systematic import systematic_section
 from eval.report.trust import first_page_words, trust_section
@@ -66,28 +66,28 @@ def trial_sections(
     folder: Path,
     output: Output,
     trials: Sequence[Trial],
-    facts: Sequence[LogFacts],
+    judgements: Sequence[Judgement],
     scores: Scores,
     published: Sequence[Sequence[Picture]],
     trust: Sequence[Trust] = (),
     calibrations: Sequence[Calibration] = (),
 ) -> list[Section]:
-    """Of each log and task a section of the report and one of details; `facts` are of trials that are no variants."""
-    sections, own = [], iter(facts)
+    """Of each log and task a section of the report and one of details; `judgements`: of those that are no variants."""
+    sections, own = [], iter(judgements)
     for trial, pictures in zip(trials, published, strict=True):
         if trial.variant_of is not None:
             continue
         group = (trial, *variants(trial, trials))
-        made = _answer_facts(trial, scores, trust)
+        j = next(own)
         kinds = {p: p.stem.removeprefix(f"{stem(trial)}-") for p in pictures}
         wide = _comparison(folder, output, trial, group, scores)
-        blocks = _front(trial, next(own), made, scores, first_page_words(trial, trust))
+        blocks = _front(trial, j, scores, first_page_words(trial, trust))
         blocks.append(_summary(trial, group, scores, wide))
         blocks += space_tables(folder, output, trial)
         blocks += [p for p, kind in kinds.items() if kind in IN_FRONT]
         blocks += [film for t in group for film in films_of(folder, t)] if output.animate else []
         blocks.append(paragraph("comparison#details", page=stem(trial)))
-        sections.append(Section(_where(trial), tuple(blocks), facts=made))
+        sections.append(Section(_where(trial), tuple(blocks), facts=j))
         sections += source_section(folder, output, trial, scores)
         sections += systematic_section(folder, output, trial, pictures, calibrations)
         details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
@@ -126,21 +126,13 @@ def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) 
     return Table(frame, caption + aligned_statement(trial), fine=wide.fine, apart=wide.apart)
 
 
-def _answer_facts(trial: Trial, scores: Scores, trust: Sequence[Trust]) -> AnswerFacts:
-    true_id = trial.log.truth.landmark_of
-    labelled = None if true_id is None else len(np.unique(true_id[true_id >= 0]))
-    tables = (of_trial(t, trial) for t in (scores.metrics, scores.association, scores.differences))
-    metrics, decided, differences = tables
-    return answer_facts(metrics, decided, labelled, differences, trust)
-
-
-def _front(trial: Trial, f: LogFacts, made: AnswerFacts, scores: Scores, trust: str) -> list[Block]:
+def _front(trial: Trial, j: Judgement, scores: Scores, trust: str) -> list[Block]:
     """Filter and smoother on one log and task: at most three lines in front, the rest folded."""
     theirs = results_statement(trial, rows_of(of_trial(scores.metrics, trial)))
-    whole = "" if theirs and is_truth_alone(trial.log) else answer(made, trust if f.measured else "")
+    whole = "" if theirs and is_truth_alone(trial.log) else answer(j, trust if j.measured else "")
     text = "\n\n".join(s for s in (against_relations(trial), whole, theirs) if s)
     nothing = " ".join(of_runs(unused(r, trial.log.recorded) for r in trial.runs))
-    front = " ".join(s for s in (in_short(f), nothing or gauge_statement(f)) if s)
+    front = " ".join(s for s in (in_short(j), nothing or gauge_statement(j)) if s)
     return [front, Folded(IN_FULL, (text,))] if text else [front]
 
 

@@ -11,15 +11,15 @@ import numpy as np
 from data.log import folder_name
 from data.result import Run
 from data.se2 import Array
-from eval.referee.attribution import NOTHING, UNTELLABLE
+from eval.judgement.causes import of_trial, terms_of
+from eval.judgement.judgement import Comparison, Judgement, conclusion
+from eval.judgement.runs import Objection, RunJudgement
 from eval.referee.consistency import FIT, LARGE, OVERCONFIDENT
-from eval.referee.headline import Objection, Verdict
 from eval.referee.score import Trial
-from eval.report.overview_facts import LogFacts, conclusion
 from eval.report.page.blocks import Block, Cell, Mark, Overview, OverviewRow, Section, Sketch, Value, anchor, folded
 from eval.report.page.tables import number
-from eval.report.rows import Scored, stem
-from eval.report.trust import HEADING, first_words, of_trial, terms_of
+from eval.report.rows import stem
+from eval.report.trust import HEADING, first_words
 from eval.report.words import paragraph
 from eval.studies.trusted import Trust
 
@@ -34,38 +34,29 @@ NOTHING_KNOWN = "–"
 NAMED = 2  # failed runs that are named
 
 
-def introduction(facts: Sequence[LogFacts]) -> str:
+def introduction(found: Sequence[Judgement]) -> str:
     """What was compared, and what to conclude."""
-    return paragraph("overview#introduction", found=conclusion(facts)) if facts else paragraph("overview#nothing")
+    return paragraph("overview#introduction", found=conclusion(found)) if found else paragraph("overview#nothing")
 
 
-def in_short(f: LogFacts) -> str:
+def in_short(j: Judgement) -> str:
     """Whom to trust on one log and task, in a few words."""
-    return paragraph("overview#in_short", f=f, mark=trust_mark(f))
+    return paragraph("overview#in_short", j=j, mark=trust_mark(j))
 
 
-def gauge_statement(f: LogFacts) -> str:
+def gauge_statement(j: Judgement) -> str:
     """What of a SLAM error is the frame's; empty where nothing is known of that."""
-    return paragraph("overview#gauge", f=f, gauge=f.gauge) if f.gauge is not None else ""
+    return paragraph("overview#gauge", c=j.compared) if j.compared.gauge is not None else ""
 
 
-def trust_mark(f: LogFacts) -> Mark:
+def trust_mark(j: Judgement) -> Mark:
     """The estimator to trust for the path; of a log without truth what is to blame."""
-    rejected = next((r for r in (f.filtered, f.smoothed) if r and r.nis_verdict not in ("", FIT)), None)
-    if f.sound or (f.verdict == Verdict.CAUSE and f.cause == NOTHING and rejected is None and not f.objections):
-        tone = "good"
-    elif f.verdict == Verdict.CAUSE and f.cause == UNTELLABLE:
-        tone = "bad"
-    elif f.verdict in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER, Verdict.CAUSE):
-        tone = "fair"
-    else:
-        tone = "bad" if f.verdict == Verdict.NEITHER else "none"
-    return Mark(paragraph("overview#trust", f=f), tone, paragraph("overview#trust_note", f=f, rejected=rejected))
+    return Mark(paragraph("overview#trust", j=j), j.tone.value, paragraph("overview#trust_note", j=j))
 
 
-def claims(f: LogFacts) -> Mark | None:
+def claims(j: Judgement) -> Mark | None:
     """What NEES, else the innovations say of the filter's covariances; None where nothing is known."""
-    row = f.filtered or f.smoothed
+    row = j.compared.filtered or j.compared.smoothed
     if row is None or row.status not in ("ok", "implausible") or not row.nis_verdict:
         return None
     word = row.verdict if row.verdict == OVERCONFIDENT else row.nis_verdict
@@ -73,88 +64,92 @@ def claims(f: LogFacts) -> Mark | None:
     return Mark(word, tone, f"NEES {number(row.nees)}" if word == OVERCONFIDENT else f"NIS {number(row.nis)}")
 
 
-def attribution_sections(trials: Sequence[tuple[Trial, LogFacts]], diagnoses: Sequence[Trust]) -> list[Section]:
+def attribution_sections(trials: Sequence[tuple[Trial, Judgement]], diagnoses: Sequence[Trust]) -> list[Section]:
     """The diagnosis of each log without truth, one paragraph each; none where all have one."""
     blocks: list[Block] = []
-    for trial, f in trials:
-        for trust in of_trial(trial, diagnoses)[: not f.measured]:
+    for trial, j in trials:
+        for trust in of_trial(trial, diagnoses)[: not j.measured]:
             words = first_words(trust, terms=terms_of(trial.log.recorded), measured=False)
-            text = paragraph("overview#attribution", f=f, mark=trust_mark(f), words=words)
-            blocks += folded(text, f"More under “{HEADING}: {f.name}”", 900)
+            text = paragraph("overview#attribution", j=j, mark=trust_mark(j), words=words)
+            blocks += folded(text, f"More under “{HEADING}: {j.name}”", 900)
     return [Section(ATTRIBUTION, tuple(blocks))] if blocks else []
 
 
 def overview(
-    trials: Sequence[tuple[Trial, LogFacts]], folder: Path, *, drawn: bool = True, whole: bool = False
+    trials: Sequence[tuple[Trial, Judgement]], folder: Path, *, drawn: bool = True, whole: bool = False
 ) -> Overview:
     """The table, of the `whole` with every column; `drawn`: small pictures are also written into `figures/`."""
-    left_out: tuple[int, ...] = () if any(f.given for _, f in trials) else (GIVEN,)
+    left_out: tuple[int, ...] = () if any(j.given for _, j in trials) else (GIVEN,)
     left_out += () if whole else IN_DETAIL
     rows = []
-    for trial, f in trials:
-        errors = (_error(f, f.filtered, f.errors[0]), _error(f, f.smoothed, f.errors[1]))
-        cells: list[Cell] = [trust_mark(f), _sketch(trial, f, folder, drawn), *errors, _given(f), _ratio(f), claims(f)]
-        cells += [*associations(f), _failed(f)]
+    for trial, j in trials:
+        c = j.compared
+        errors = (_error(c, c.filtered, c.errors[0]), _error(c, c.smoothed, c.errors[1]))
+        cells: list[Cell] = [trust_mark(j), _sketch(trial, j, folder, drawn), *errors, _given(j), _ratio(j), claims(j)]
+        cells += [*associations(j), _failed(j)]
         kept = tuple(c for head, c in enumerate(cells, start=1) if head not in left_out)
-        player = f"players/{folder_name(f.log)}.html"
+        player = f"players/{folder_name(j.log)}.html"
         links: tuple[tuple[str, str], ...] = (("play", player),) if (folder / player).exists() else ()
-        links += tuple(("evidence", place) for place in _evidence(trial, f))
-        rows.append(OverviewRow(f.name, f.name, kept, links))
+        links += tuple(("evidence", place) for place in _evidence(trial, j))
+        rows.append(OverviewRow(j.name, j.name, kept, links))
     heads = tuple(h for i, h in enumerate(HEADS) if i not in left_out)
     return Overview(heads, tuple(rows), paragraph("overview#caption"))
 
 
-def _evidence(trial: Trial, f: LogFacts) -> list[str]:
+def _evidence(trial: Trial, j: Judgement) -> list[str]:
     """Where the strongest objection is shown, if not in the log's own section."""
-    headings = {Objection.ASSOCIATION: f"Decisions: {f.name}", Objection.CAUSE: f"{HEADING}: {f.name}"}
-    found = [headings[o.objection] for o in f.objections[:1] if o.objection in headings]
+    headings = {Objection.ASSOCIATION: f"Decisions: {j.name}", Objection.CAUSE: f"{HEADING}: {j.name}"}
+    found = [headings[o.objection] for o in j.objections[:1] if o.objection in headings]
     return [f"details/{stem(trial)}.html#{anchor(heading)}" for heading in found]
 
 
-def _error(f: LogFacts, row: Scored | None, error: float) -> Value | None:
+def _error(c: Comparison, row: RunJudgement | None, error: float) -> Value | None:
     """The error of filter or smoother, or what stands in for it."""
     if row is None:
         return None
     if math.isfinite(error):
-        related, flag = " (relations)" if f.related else "", "" if row.status == "ok" else f", {row.status}"
+        related, flag = " (relations)" if c.related else "", "" if row.status == "ok" else f", {row.status}"
         return Value(f"{number(error)} m", f"{row.estimator}{related}{flag}")
     if row.status not in ("ok", "implausible"):
         return Value(row.status, row.estimator)
     return Value(f"NIS {number(row.nis)}" if math.isfinite(row.nis) else NOTHING_KNOWN, row.estimator)
 
 
-def _given(f: LogFacts) -> Value | None:
+def _given(j: Judgement) -> Value | None:
     """The best of the results that were handed in."""
-    if f.given_best is not None:
-        return Value(f"{number(f.given_best.rmse)} m", f.given_best.estimator)
-    return Value(NOTHING_KNOWN, ", ".join(f.given)) if f.given else None
+    if j.given_best is not None:
+        return Value(f"{number(j.given_best.rmse)} m", j.given_best.estimator)
+    return Value(NOTHING_KNOWN, ", ".join(j.given)) if j.given else None
 
 
-def _ratio(f: LogFacts) -> Value | None:
+def _ratio(j: Judgement) -> Value | None:
     """The filter's error over the smoother's; without truth how far they are apart."""
-    if all(map(math.isfinite, f.errors)):
-        return Value(number(f.ratio) if math.isfinite(f.ratio) else NOTHING_KNOWN)
-    if f.filtered is None or f.smoothed is None or not math.isfinite(f.apart):
+    c = j.compared
+    if all(map(math.isfinite, c.errors)):
+        return Value(number(j.ratio) if math.isfinite(j.ratio) else NOTHING_KNOWN)
+    if len(c.pair) < 2 or not math.isfinite(c.apart):
         return None
-    return Value(f"{number(f.apart)} m", "apart")
+    return Value(f"{number(c.apart)} m", "apart")
 
 
-def associations(f: LogFacts) -> tuple[Value | None, Value | None]:
+def associations(j: Judgement) -> tuple[Value | None, Value | None]:
     """The association methods without labels by decisions and path, and the worst by its decisions."""
-    if f.best is None or f.worst is None:
+    m = j.methods
+    if m is None:
         return None, None
-    best, worst = (Value(w.association, paragraph("overview#association", w=w)) for w in (f.best, f.worst))
-    if f.nearest is not None or not f.decides:
-        best = Value(*(paragraph(f"overview#{part}", f=f) for part in ("disputed", "disputes")))
-    return best, None if f.best == f.worst else worst
+    best, worst = (Value(w.run.association, paragraph("overview#association", w=w)) for w in (m.best, m.worst))
+    if m.nearest is not None or not m.decides:
+        best = Value(*(paragraph(f"overview#{part}", m=m) for part in ("disputed", "disputes")))
+    return best, None if m.best == m.worst else worst
 
 
-def _failed(f: LogFacts) -> Value:
-    if not f.failed:
+def _failed(j: Judgement) -> Value:
+    failed = j.unusable
+    if not failed:
         return Value("0")
-    named = ", ".join(" ".join(names) for names in f.failed[:NAMED])
-    more = f" and {len(f.failed) - NAMED} more" if len(f.failed) > NAMED else ""
-    return Value(f"{len(f.failed)} of {f.runs}", f"{named}{more}")
+    named = ", ".join(f"{r.estimator} {r.association}" for r in failed[:NAMED])
+    more = f" and {len(failed) - NAMED} more" if len(failed) > NAMED else ""
+    return Value(f"{len(failed)} of {len(j.last)}", f"{named}{more}")
 
 
 WIDTH, HEIGHT, EDGE = 96.0, 60.0, 3.0  # px of the page
@@ -163,8 +158,8 @@ TRUTH, ONLINE, SMOOTHED = ("#b8b8b8", 3.0), ("#d55e00", 1.1), ("#0064a8", 1.1)
 """Colour and width of truth, filter and smoother: filters are warm, smoothers cool, as in all figures."""
 
 
-def _sketch(trial: Trial, f: LogFacts, folder: Path, drawn: bool) -> Sketch | None:
-    small = sketch(trial, f, stem(trial, "small") if drawn else None)
+def _sketch(trial: Trial, j: Judgement, folder: Path, drawn: bool) -> Sketch | None:
+    small = sketch(trial, j, stem(trial, "small") if drawn else None)
     if small is not None and small.stem is not None:
         (folder / "figures").mkdir(exist_ok=True)
         # a file of its own needs the name of its language
@@ -173,7 +168,7 @@ def _sketch(trial: Trial, f: LogFacts, folder: Path, drawn: bool) -> Sketch | No
     return small
 
 
-def sketch(trial: Trial, f: LogFacts, stem: str | None = None) -> Sketch | None:
+def sketch(trial: Trial, j: Judgement, stem: str | None = None) -> Sketch | None:
     """The picture; None where nothing is known of any path."""
     lines: list[tuple[Array, tuple[str, float]]] = []
     names = []
@@ -181,15 +176,15 @@ def sketch(trial: Trial, f: LogFacts, stem: str | None = None) -> Sketch | None:
     if truth is not None and trial.log.truth.known_poses:
         lines.append((truth[:, :2], TRUTH))
         names.append("the true path")
-    for row, phase, look in ((f.filtered, "online", ONLINE), (f.smoothed, "final", SMOOTHED)):
+    for row, phase, look in ((j.compared.filtered, "online", ONLINE), (j.compared.smoothed, "final", SMOOTHED)):
         path = _path(trial, row, phase)
         if row is not None and path is not None:
             lines.append((path, look))
             names.append(row.estimator)
-    return Sketch(drawn(lines), paragraph("overview#sketch", log=f.log, names=names), stem) if names else None
+    return Sketch(drawn(lines), paragraph("overview#sketch", log=j.log, names=names), stem) if names else None
 
 
-def _path(trial: Trial, row: Scored | None, phase: str) -> Array | None:
+def _path(trial: Trial, row: RunJudgement | None, phase: str) -> Array | None:
     run: Run | None = None if row is None else trial.find(row.estimator, row.association)
     if run is None or run.failure is not None:
         return None

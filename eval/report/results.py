@@ -27,13 +27,14 @@ from eval.referee.consistency import QUANTITIES
 from eval.referee.given.in_space import NONE
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
+from eval.referee.result_files import Row, is_blank, value_of
 from eval.referee.score import Trial, metrics_row
 from eval.referee.space_scores import CONVENTIONS, columns_in_space
 from eval.referee.space_scores import ERRORS as NAMED
 from eval.report.page.blocks import Table
 from eval.report.page.files import written_table
-from eval.report.page.tables import drop_blank_columns, is_blank
-from eval.report.rows import Row, stem, value_of
+from eval.report.page.tables import drop_blank_columns
+from eval.report.rows import stem
 from eval.report.words import one_line, paragraph, say
 from eval.studies.montecarlo import Sample, verdicts
 

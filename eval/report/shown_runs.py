@@ -9,13 +9,13 @@ import numpy as np
 
 from data.result import Run
 from eval.figures.error import MOST_PANELS
+from eval.judgement.runs import associations
 from eval.referee.errors import position_distance, rms
 from eval.referee.given.runs import log_of
 from eval.referee.score import Trial
-from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, FILTERS, HINDSIGHT
+from eval.replay.settings import ESTIMATORS, FILTERS, HINDSIGHT
 from eval.report.words import paragraph
 
-FIRST = ("known", "jcbb", "jcbb-first")  # association methods that are shown before all others
 MOST_PATHS = 6  # paths in one map, the dead-reckoned one included
 
 
@@ -27,14 +27,6 @@ def finished(trial: Trial) -> list[Run]:
 def plausible(trial: Trial) -> list[Run]:
     """The estimates that reached the end and can be believed."""
     return [r for r in finished(trial) if r.flaw is None]
-
-
-def associations(runs: Sequence[Run]) -> list[str]:
-    """The association methods of some runs, those to be shown first in front: `known`, and those that are not ours."""
-    given = list(dict.fromkeys(r.association for r in runs if r.association != "none"))
-    theirs = tuple(a for a in given if a not in ASSOCIATIONS)
-    first = (FIRST[0], *theirs, *FIRST[1:])
-    return sorted(given, key=lambda a: first.index(a) if a in first else len(first))
 
 
 def has_covariance(run: Run) -> bool:

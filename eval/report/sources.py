@@ -11,13 +11,14 @@ import pandas as pd
 
 from data.notice import Notice
 from eval.plan.flags.table import Output
+from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.referee.score import Scores, Trial
 from eval.referee.sources.scored import source_notices
 from eval.replay.settings import FILTERS
 from eval.report.page.blocks import Section
 from eval.report.page.files import written_table
-from eval.report.page.tables import drop_blank_columns, interval, is_blank
-from eval.report.rows import Row, rows_of, stem, value_of
+from eval.report.page.tables import drop_blank_columns, interval
+from eval.report.rows import stem
 from eval.report.words import of_runs, paragraph, say
 
 HEADS = {

@@ -12,6 +12,7 @@ import pandas as pd
 from data.inputs import ERRORS, Systematic
 from data.result import Run, Systematics
 from data.truth import Truth
+from eval.judgement.causes import terms_of
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
@@ -21,7 +22,7 @@ from eval.report.page.blocks import Block, FinePrint, Picture, Section
 from eval.report.page.files import written_table
 from eval.report.page.tables import number
 from eval.report.rows import SYSTEMATIC, stem
-from eval.report.trust import TrustFacts, facts_of, terms_of
+from eval.report.trust import TrustFacts, facts_of
 from eval.report.words import plus_minus, say
 
 UNTOLD = 0.9

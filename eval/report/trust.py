@@ -11,22 +11,32 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from data.inputs import Inputs
-from data.notice import Code, Notice
+from data.notice import Notice
 from data.se2 import Array
-from data.sensors import RangeBearing
+from eval.judgement.causes import (
+    LATE,
+    STANDS_OUT,
+    Explanation,
+    Terms,
+    explanations,
+    main_findings,
+    of_trial,
+    online,
+    systematic,
+    terms_of,
+)
+from eval.judgement.runs import associations
 from eval.plan.flags.table import Output
 from eval.referee import battery
-from eval.referee.attribution import NOTHING, UNLISTED, UNTELLABLE, Finding
+from eval.referee.attribution import Finding
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
-from eval.replay.settings import ESTIMATORS, FILTERS, HINDSIGHT
+from eval.replay.settings import FILTERS, HINDSIGHT
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
 from eval.report.page.files import written_table
 from eval.report.page.tables import drop_blank_columns, number
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.rows import stem
-from eval.report.shown_runs import associations
 from eval.report.words import plus_minus, say
 from eval.studies.trusted import Blame, Row, Trust
 
@@ -129,15 +139,6 @@ def _text(value: float, digits: int = 3) -> str | None:
     return number(value, digits).replace("-", "−") if math.isfinite(value) else None
 
 
-def of_trial(trial: Trial, diagnoses: Sequence[Trust]) -> list[Trust]:
-    """The diagnoses of a log and task: all association methods with replicates, else the first one."""
-    own = [t for t in diagnoses if (t.log, t.task) == (trial.log.name, trial.task) and trial.variant_of is None]
-    order = associations(trial.runs)
-    own.sort(key=lambda t: order.index(t.association) if t.association in order else len(order))
-    asked = [t for t in own if t.twins or any(n.code == Code.NO_TWINS for n in t.notices)]
-    return asked or [t for t in own if online(t)][:1]
-
-
 def first_page_words(trial: Trial, diagnoses: Sequence[Trust]) -> str:
     """For the first page: the first association method; with truth only what replicates show."""
     for trust in of_trial(trial, diagnoses)[:1]:
@@ -170,34 +171,7 @@ def trust_section(
 
 
 ITERATED = "ekf-iterated"
-STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
-SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
-RATE = ("ms/s", 1000.0)
-METRES, SECONDS, DRIFT = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0)
-UNITS = {
-    "odometry_x_distance": SHARE,
-    "odometry_x_turn": METRES,
-    "odometry_y_distance": ANGLE,
-    "odometry_y_turn": METRES,
-    "odometry_theta_distance": CURVATURE,
-    "odometry_theta_turn": SHARE,
-    "odometry_theta_time": DRIFT,
-    "z1_constant": METRES,
-    "z1_range": SHARE,
-    "z2_constant": ANGLE,
-    "z2_range": CURVATURE,
-    "odometry_integration": SHARE,
-    "mount_x": METRES,
-    "mount_y": METRES,
-    "map_scale": SHARE,
-    "latency_growth": RATE,
-}  # a person's unit of each systematic error and its factor from SI; those not named here are times
-OF_SOURCES = {"theta": ANGLE, "scale": SHARE, "latency": SECONDS}  # of fixes and closures, by error; else METRES
-OF_POINTS = {"z2_constant": METRES, "z2_range": ANGLE}
-OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
-"""Units of a log without stamps, whose time is the number of the frame."""
 SIGMA = "sigma_"  # prefix of a factor of a stated sigma among what a calibration did
-LATE = ("latency", "latency_growth", "odometry_latency")  # errors of time stamps
 FITTED = {
     "odometry_x_distance": "odometry",
     "odometry_theta_turn": "odometry",
@@ -207,43 +181,6 @@ FITTED = {
 MOUNTED = ("mount_x", "mount_y", "z1_constant", "z2_constant", "z2_range", "odometry_x_turn", "odometry_y_turn")
 """Systematic errors that a sensor mounted elsewhere than stated leaves."""
 GROUPS = ("motion", "sensor", "bias", "odometry")
-
-
-@dataclass(frozen=True)
-class Terms:
-    """Names of a log's quantities: ranges and bearings, else points; time in seconds, else frames."""
-
-    polar: bool = True
-    stamped: bool = True
-
-    def unit(self, name: str) -> tuple[str, float]:
-        """The unit of a systematic error for a person, and its factor from SI."""
-        if ":" in name:
-            unit = OF_SOURCES.get(name.rpartition("/")[2], METRES)
-        else:
-            unit = UNITS.get(name, SECONDS) if self.polar else OF_POINTS.get(name, UNITS.get(name, SECONDS))
-        return unit if self.stamped else OF_FRAMES.get(unit, unit)
-
-
-def terms_of(inputs: Inputs) -> Terms:
-    """The terms of a log."""
-    return Terms(isinstance(inputs.sensor, RangeBearing), not inputs.time_is_index)
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """A finding in a person's unit: kind, name and others as of a `Finding`."""
-
-    kind: str
-    name: str
-    size: float
-    error: float = math.nan
-    unit: str = ""
-    other: tuple[str, ...] = ()
-    sigmas: float = math.nan  # its size in standard errors, where it was found without replicates
-    gain: float = math.nan  # of log-likelihood
-    frames: tuple[tuple[int, int], ...] = ()  # first and last one of each jump, burst or change
-    outliers: int = 0
 
 
 @dataclass(frozen=True)
@@ -324,7 +261,7 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
         tuple(_apart(trust, name) for name in online(trust)),
         _asked(trust, terms),
         explanations(found, terms),
-        main_findings(trust, terms),
+        explanations(main_findings(trust), terms),
         _nees(trust),
         _deciding(trust),
         advice(
@@ -337,13 +274,6 @@ def facts_of(trust: Trust, terms: Terms, *, labels: bool = True) -> TrustFacts:
         None if trust.after is None else facts_of(trust.after, terms, labels=labels),
         trust.notices,
     )
-
-
-def online(trust: Trust) -> list[str]:
-    """Estimators that have a distance from the smoothed path, filters first."""
-    names = (*ESTIMATORS, *(name for name in trust.real.apart if name not in ESTIMATORS))
-    found = [name for name in names if math.isfinite(trust.real.apart.get(name, math.nan))]
-    return sorted(found, key=lambda name: name not in FILTERS)
 
 
 def _apart(trust: Trust, name: str) -> dict[str, object]:
@@ -372,47 +302,14 @@ def _verdict(blame: Blame) -> dict[str, object]:
     return {"cause": blame.cause, "p": blame.p if math.isfinite(blame.p) else None, **counts}
 
 
-def _systematic(name: str, size: float, error: float, terms: Terms, **more: float | tuple[str, ...]) -> Explanation:
-    unit, factor = terms.unit(name)
-    return Explanation("systematic", name, factor * size, factor * error, unit, **more)  # type: ignore[arg-type]
-
-
 def _asked(trust: Trust, terms: Terms) -> tuple[Explanation, ...]:
     """Slopes of the residuals that stand out."""
     found = []
     for (_, name), m in trust.real.measured.items():
         if name.startswith("slope_") and math.isfinite(m.value) and m.se > 0.0 and abs(m.value) / m.se > STANDS_OUT:
             what = name.removeprefix("slope_")
-            found.append(_systematic(what, m.value, m.se, terms, sigmas=abs(m.value) / m.se))
+            found.append(systematic(what, m.value, m.se, terms, sigmas=abs(m.value) / m.se))
     return tuple(sorted(found, key=lambda t: -t.sigmas))
-
-
-def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Explanation, ...]:
-    """Findings whose size is known, in their order; an estimator's phases share the one that is furthest off."""
-    shown: dict[tuple[str, str], Finding] = {}
-    for f in (f for f in findings if math.isfinite(f.size)):
-        same = shown.get((f.kind, f.name))
-        if same is None or abs(math.log(abs(f.size))) > abs(math.log(abs(same.size))):
-            shown[f.kind, f.name] = f
-    return tuple(
-        _systematic(f.name, f.size, f.error, terms, other=f.other)
-        if f.kind == "systematic"
-        else Explanation(f.kind, f.name, f.size, f.error, gain=f.gain, frames=f.frames, outliers=f.outliers)
-        for f in shown.values()
-    )
-
-
-def _main(findings: Sequence[Finding]) -> list[Finding]:
-    """The weightiest finding, and the weightiest systematic error if that is another one."""
-    first = list(findings[:1])
-    return first + [f for f in findings[1:] if f.kind == "systematic" and first[0].kind != "systematic"][:1]
-
-
-def main_findings(trust: Trust, terms: Terms) -> tuple[Explanation, ...]:
-    """What the first page names; none without replicates, and where the cause cannot be determined."""
-    if trust.blame is None or trust.blame.cause in (NOTHING, UNLISTED, UNTELLABLE):
-        return ()
-    return explanations(_main(trust.blame.findings), terms)
 
 
 def _nees(trust: Trust) -> tuple[tuple[str, str, float], ...]:
@@ -441,7 +338,7 @@ def _deciding(trust: Trust) -> tuple[Decided, ...]:
 def _done(done: Mapping[str, float], terms: Terms) -> tuple[Explanation, ...]:
     """Systematic errors taken out, then factors of stated sigmas; sizes that are unknown or nothing are left out."""
     sizes = {name: size for name, size in done.items() if math.isfinite(size) and size != 0.0}
-    taken = [_systematic(name, size, math.nan, terms) for name, size in sizes.items() if not name.startswith(SIGMA)]
+    taken = [systematic(name, size, math.nan, terms) for name, size in sizes.items() if not name.startswith(SIGMA)]
     noises = [
         Explanation("sigma", n.removeprefix(SIGMA), s) for n, s in sizes.items() if n.startswith(SIGMA) and s > 0.0
     ]

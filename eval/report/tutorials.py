@@ -15,10 +15,11 @@ from eval.plan.flags.table import Output
 from eval.plan.tutorials import is_tutorial, original_of
 from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import heads
+from eval.referee.result_files import is_blank
 from eval.referee.score import Scores, Trial
 from eval.report.page.blocks import Block, Picture, Section
 from eval.report.page.files import written_table
-from eval.report.page.tables import drop_blank_columns, is_blank
+from eval.report.page.tables import drop_blank_columns
 from eval.report.words import say
 
 SQUARES = "Σ e² [m²]"

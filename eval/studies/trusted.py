@@ -20,8 +20,8 @@ from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
 from eval.referee import attribution, battery, effects, residuals, trust
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNLISTED, UNTELLABLE, Finding
+from eval.referee.consistency import NEES_LIMIT
 from eval.referee.explanations import CORRELATION, MODELLED, UNINFORMATIVE, Evidence, corrected, explanations, mirrored
-from eval.referee.headline import NEES_LIMIT
 from eval.referee.plausibility import with_plausibility
 from eval.referee.residuals import Used
 from eval.referee.result_files import TRUST

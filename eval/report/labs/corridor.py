@@ -18,8 +18,8 @@ from data.se2 import Array, between, compose, wrap_angle
 from eval.plan.lab import switched_on
 from eval.referee.confusion import OUTCOMES
 from eval.referee.errors import landmark_true_ids, position_distance, rms
+from eval.referee.result_files import Row, rows_of, value_of
 from eval.referee.score import Scores, Trial, confusion_of
-from eval.report.rows import Row, rows_of, value_of
 
 ODOMETRY, PEOPLE, BLIND, BLIND_PEOPLE = (False, True), (True, True), (False, False), (True, False)
 """(people, odometry) of the lab's logs."""

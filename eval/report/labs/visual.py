@@ -23,10 +23,10 @@ from eval.figures.style import save, series
 from eval.figures.visual import contact_sheet, draw_pictures, plan_figure
 from eval.plan.flags.table import Output
 from eval.referee.errors import position_distance, rms
+from eval.referee.result_files import value_of
 from eval.referee.score import Trial, metrics_row
 from eval.report.page.blocks import Block, Picture, Section
 from eval.report.page.files import written_table
-from eval.report.rows import value_of
 from eval.report.visual import MOTION, OBSERVATION, UPDATE, constants, statistics_of, summary, tiles_of, write_models
 from eval.report.words import paragraph
 

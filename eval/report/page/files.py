@@ -9,10 +9,11 @@ from typing import NamedTuple
 import pandas as pd
 
 from eval.plan.flags.table import Output
+from eval.referee.result_files import is_blank
 from eval.report.page import latex
 from eval.report.page.blocks import FinePrint, Table
 from eval.report.page.latex import add_note, sheet
-from eval.report.page.tables import is_blank, markdown
+from eval.report.page.tables import markdown
 
 FORMATS = ("csv", "md", "tex")
 TITLES = {

@@ -20,7 +20,8 @@ from data.errors import UsageError
 from eval.figures.paper import tex_escape
 from eval.figures.style import style_of
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES
-from eval.report.page.tables import column_text, is_blank, is_numeric
+from eval.referee.result_files import is_blank
+from eval.report.page.tables import column_text, is_numeric
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from typing import Any
 import pandas as pd
 
 from data.words import number as number
+from eval.referee.result_files import is_blank
 
 
 def interval(lower: float, upper: float) -> str:
@@ -20,13 +21,6 @@ def interval(lower: float, upper: float) -> str:
 
 
 DIGITS = 3  # significant digits of a column's middle value
-
-
-def is_blank(value: object) -> bool:
-    """Whether a cell holds nothing: None, NaN, infinite, or an empty text."""
-    if value is None or value is pd.NA or value == "":
-        return True
-    return isinstance(value, float) and not math.isfinite(value)
 
 
 def is_numeric(column: Sequence[Any]) -> bool:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from eval.referee.result_files import rows_of
 from eval.referee.score import Trial, score
 from eval.report.answer import answer_facts
-from eval.report.rows import filters_in, rows_of, scored, smoothers_in
+from eval.report.rows import filters_in, scored, smoothers_in
 from eval.report.shown_runs import associations, for_growth, for_map, for_panels
 from tests.eval.handmade import circle_log, run_with_error
 

@@ -1,4 +1,4 @@
-"""The main numbers on the terminal: a table for each log and task that fits 80 columns, and whom to trust."""
+"""The terminal: a table of the main numbers for each log and study that fits 80 columns, and whom to trust."""
 
 from __future__ import annotations
 
@@ -7,21 +7,18 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from eval.judgement.judgement import Judgement
+from eval.judgement.runs import RunJudgement
 from eval.referee.score import Scores, Trial
-from eval.report.overview_facts import LogFacts
-from eval.report.page.blocks import Mark
-from eval.report.page.tables import is_blank
-from eval.report.rows import Row, scored_rows, value_of
-from eval.report.rows import rows_of as records
+from eval.report.overview import trust_mark
 from eval.report.sources import source_facts, source_lines
 from eval.report.words import paragraph, say
 from eval.studies.montecarlo import Judged, Study
-from eval.studies.trusted import Trust
 
 ROWS = 10  # rows of a log that is alone; of several logs the best and the worst row of each are shown
 WIDTH = 80  # characters of a line
 HEADS = ("estimator", "association", "RMSE [m]", "NEES", "NIS", "verdict", "wrong")
-LEFT = ("estimator", "association", "verdict")
+LEFT = (*HEADS[:2], "verdict")
 DISPENSABLE = ("NIS", "NEES")  # columns that are left out where a line would not fit, in this order
 GATED = 0.005  # difference of expected NIS from which each row has its own
 TASKS = {"slam": "SLAM", "localization": "localization"}
@@ -33,14 +30,13 @@ class MainNumbers:
     """A run, or an estimator of a study; NaN, blank and None: not known."""
 
     rank: int  # how soon it is wanted (0: first)
-    log: str
-    task: str
     estimator: str
+    phase: str
     association: str
     rmse: float  # of the position [m]
     nees: float  # nees, nis: means; of the pose, and per degree of freedom
     nis: float
-    verdict: str  # on NIS, over the runs of a study on NEES; or the status of a run that is not `ok`
+    verdict: str
     wrong: tuple[int, int] | None = None  # wrong pairings, and all
     by_relations: bool = False  # mean error of the translation against reference relations
     expected: float = 1.0  # NIS per degree of freedom of right noise, below 1 behind a gate; NaN: unknown
@@ -56,18 +52,17 @@ class Group(NamedTuple):
     sources: tuple[str, ...] = ()  # a line for each source of fixes or closures
 
 
-def headlines(
-    scores: Scores,
-    trials: Sequence[Trial],
-    studies: Sequence[Study],
-    judged: Sequence[Judged],
-    diagnoses: Sequence[Trust] = (),
+def groups_of(
+    judgements: Sequence[tuple[Trial, Judgement]], scores: Scores, studies: Sequence[Study], judged: Sequence[Judged]
 ) -> list[Group]:
     """The rows of every log and study; none where nothing was estimated."""
-    groups: dict[tuple[str, str], list[MainNumbers]] = {}
-    for row in [*_of_logs(scores, trials, diagnoses), *_of_studies(studies, judged)]:
-        groups.setdefault((row.log, row.task), []).append(row)
-    shown = [_shown(log, task, rows, alone=len(groups) == 1) for (log, task), rows in groups.items()]
+    found: dict[tuple[str, str], list[MainNumbers]] = {}
+    for trial, j in judgements:
+        found.setdefault((trial.variant_of or j.log, j.task), []).extend(_of_log(j, trial.variant_of is not None))
+    for name, task, row in _of_studies(studies, judged):
+        found.setdefault((name, task), []).append(row)
+    found = {key: rows for key, rows in found.items() if rows}
+    shown = [_shown(log, task, rows, alone=len(found) == 1) for (log, task), rows in found.items()]
     return [g._replace(sources=tuple(source_lines(source_facts(scores, g.log, g.task)))) for g in shown]
 
 
@@ -82,54 +77,37 @@ def _shown(log: str, task: str, rows: list[MainNumbers], alone: bool) -> Group:
     return Group(log, task, tuple(rows[i] for i in (sorted(order) if alone else order)), len(rows) - len(order))
 
 
-def _of_logs(scores: Scores, trials: Sequence[Trial], diagnoses: Sequence[Trust]) -> Iterable[MainNumbers]:
-    """A row for each run, with what is known in the end; filter and last smoother of each log are wanted first."""
-    variants = {t.log.name for t in trials if t.variant_of is not None}
-    decided = {_key(r): r for r in records(scores.association)}
-    errors = {
-        (r["log"], r["estimator"], r["association"], r["phase"]): value_of(r, "trans_mean_m")
-        for r in records(scores.relations)
-        if (r["tie"], r["subset"]) == ("row", "all")
-    }
-    rows = records(scores.metrics)
-    typed = {_key(r): s for r, s in zip(rows, scored_rows(rows, diagnoses), strict=True)}
-    last = {_key(r)[:4]: r for r in rows}  # the final phase, where there is one, comes last
-    counted_so_far: dict[object, int] = {}
-    for key, r in last.items():
-        place = counted_so_far.get(key[:2], 0)
-        counted_so_far[key[:2]] = place + (r["estimator"] != "dead-reckoning")
-        rank = 3 if r["estimator"] == "dead-reckoning" else 2 if key[0] in variants else min(place, 1)
-        if rank == 1 and r["estimator"] == "batch":
-            rank = 0
-        rmse = value_of(r, "rmse_position_m")
-        related = errors.get((r["log"], r["estimator"], r["association"], r["phase"]), math.nan)
-        by_relations = not math.isfinite(rmse) and math.isfinite(related)
-        log, task, estimator, association = (str(r[c]) for c in ("log", "task", "estimator", "association"))
-        numbers = (related if by_relations else rmse, value_of(r, "nees_pose"), value_of(r, "nis"))
-        wrong = _wrong(decided.get(_key(r)))
-        s = typed[_key(r)]
-        yield MainNumbers(
-            rank, log, task, estimator, association, *numbers, s.verdict, wrong, by_relations, s.nis_expected
-        )
+def _of_log(j: Judgement, variant: bool) -> Iterable[MainNumbers]:
+    """A row for each run in its last phase; filter and smoother of the comparison are wanted first."""
+    pair = {(r.estimator, r.association) for r in j.compared.pair}
+    for r in j.last:
+        rank = 2 if variant else 0 if (r.estimator, r.association) in pair else 1
+        yield numbers_of(r, 3 if r.estimator == "dead-reckoning" else rank)
 
 
-def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[MainNumbers]:
+def numbers_of(r: RunJudgement, rank: int) -> MainNumbers:
+    """The numbers of a run."""
+    by_relations = not math.isfinite(r.rmse) and math.isfinite(r.related)
+    rmse = r.related if by_relations else r.rmse
+    wrong = None if r.counts is None else (r.counts.fp, r.counts.pairings)
+    row = (rank, r.estimator, r.phase, r.association, rmse, r.nees, r.nis, r.verdict)
+    return MainNumbers(*row, wrong, by_relations, r.nis_expected)
+
+
+def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[tuple[str, str, MainNumbers]]:
     for study in studies:
         phases = {key[:3]: key for key in study.samples}
         for key in phases.values():
             squares = [s.squares["position"] for s in study.good(key)]
             words = {j.quantity: j.verdict for j in judged if j.scenario == study.scenario.name and j.key == key}
             nees, nis = words.get("pose"), words.get("nis")
-            task, estimator, association, _ = key
+            task, estimator, association, phase = key
             rmse = math.sqrt(sum(squares) / len(squares)) if squares else math.nan
             mean = {name: math.nan if v is None else v.mean for name, v in (("nees", nees), ("nis", nis))}
             rank, name = 3 if estimator == "dead-reckoning" else 0, f"{study.scenario.name} x{len(study.seeds)}"
             verdict = "" if nees is None else nees.word
-            yield MainNumbers(rank, name, task, estimator, association, rmse, mean["nees"], mean["nis"], verdict)
-
-
-def _key(row: Row) -> tuple[object, ...]:
-    return tuple(row[c] for c in ("log", "task", "estimator", "association", "phase"))
+            numbers = (rmse, mean["nees"], mean["nis"], verdict)
+            yield name, task, MainNumbers(rank, estimator, phase, association, *numbers)
 
 
 def _number(value: float) -> str:
@@ -140,12 +118,6 @@ def _number(value: float) -> str:
         return f"{value:.1e}"
     places = 2 - math.floor(math.log10(abs(value))) if value else 2
     return f"{value:.{min(max(places, 0), 4)}f}"
-
-
-def _wrong(row: Row | None) -> tuple[int, int] | None:
-    if row is None or is_blank(row["fp"]):
-        return None
-    return int(value_of(row, "fp")), int(value_of(row, "tp") + value_of(row, "fp"))
 
 
 def lines(groups: Sequence[Group]) -> list[str]:
@@ -161,24 +133,25 @@ def lines(groups: Sequence[Group]) -> list[str]:
     nis = ("differ" if differ else f"{of_nis[0]:.3g}") if of_nis and "NIS" in named else ""
     text, place = list[str](), 1
     for g in groups:
-        more = f" ({say('headline#more', rows=g.more)})" if g.more else ""
+        more = f" ({say('terminal#more', rows=g.more)})" if g.more else ""
         text += ["", f"{g.log}, {TASKS[g.task]}{more}", table[0], *table[place : place + len(g.rows)]]
         text += [f"  {line}" for line in g.sources]
         place += len(g.rows)
-    notes = [say("headline#numbers", nees="NEES" in named, nis=nis, wrong="wrong" in named)]
-    notes += [say("headline#verdict")] if "verdict" in named else []
-    notes += [say("headline#related")] if any(row.by_relations for g in groups for row in g.rows) else []
-    return [*text[1:], *(f"({note})" for note in notes if note)]
+    rows = [r for g in groups for r in g.rows]
+    about = {"nees": "NEES" in named, "nis": nis, "wrong": "wrong" in named, "verdict": "verdict" in named}
+    phases = any(r.phase == "final" for g in groups for r in g.rows)
+    related = any(r.by_relations for r in rows)
+    return [*text[1:], *say("terminal#notes", **about, related=related, phases=phases).splitlines()]
 
 
-def trust_line(facts: LogFacts, mark: Mark) -> str:
+def trust_line(j: Judgement) -> str:
     """Whom to trust on a log and task, in a sentence."""
-    return paragraph("headline#trust", f=facts, mark=mark)
+    return paragraph("terminal#trust", j=j, mark=trust_mark(j))
 
 
 def _cells(row: MainNumbers, expected: bool) -> Line:
     return (
-        row.estimator,
+        row.estimator if row.estimator == "dead-reckoning" or not row.phase else f"{row.estimator}, {row.phase}",
         row.association,
         _number(row.rmse) + (" rel" if row.by_relations else ""),
         _number(row.nees),

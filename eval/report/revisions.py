@@ -1,11 +1,9 @@
-"""How the association methods without labels did, and which decisions were revised: how many, why, and one example."""
+"""Which decisions were revised: how many, why, and one example."""
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,109 +15,10 @@ from eval.figures.style import save
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.replay.hindsight.ledger import MERGED, REASSOCIATED, UNREAD
-from eval.replay.settings import steps
 from eval.report.page.blocks import Picture, Section
 from eval.report.page.files import written_table
-from eval.report.rows import Row, Scored, filters_in, stem, value_of
+from eval.report.rows import stem
 from eval.report.words import paragraph
-
-SAME = 0.02  # relative difference of two RMSE values below which they are called equal
-USABLE = 0.9  # a association method is usable whose path has less than this share of dead reckoning's error
-
-
-@dataclass(frozen=True)
-class MethodOutcome:
-    """How a run decided without labels: outcomes in its last phase, position RMSE [m] and size of its map (or NaN)."""
-
-    association: str
-    estimator: str
-    tp: int
-    tn: int
-    fp: int
-    fn: int
-    rmse: float = math.nan
-    landmarks: float = math.nan
-    lost: bool = False
-
-    @property
-    def decisions(self) -> int:
-        """All of them."""
-        return self.tp + self.tn + self.fp + self.fn
-
-    @property
-    def f1(self) -> float:
-        """Harmonic mean of precision and recall, 2 TP / (2 TP + FP + FN); NaN: nothing was or should be paired."""
-        wrong = self.fp + self.fn
-        return 2.0 * self.tp / (2.0 * self.tp + wrong) if self.tp + wrong > 0 else math.nan
-
-    @property
-    def mostly_wrong(self) -> bool:
-        """Whether more decisions about pairings are wrong than right."""
-        return self.f1 < 0.5
-
-    @property
-    def quality(self) -> tuple[float, int]:
-        """By which association methods are ordered."""
-        return self.f1, -self.fp - self.fn
-
-
-@dataclass(frozen=True)
-class Deciding:
-    """How the association methods without labels did on one log and task."""
-
-    first: MethodOutcome  # first, worst: by their decisions alone, the same if there is one
-    worst: MethodOutcome
-    best: MethodOutcome  # by its decisions, of those with a usable path (of all, where none has one)
-    usable: bool  # whether one has: not lost, and nearer to the truth than dead reckoning
-    nearest: MethodOutcome | None  # whose path is clearly nearer to the truth than that of the best, if one is
-    measured: bool  # whether errors of paths are known
-    dead_reckoning: float  # its RMSE [m], or NaN
-    labelled: int | None = None  # landmarks that the log's ids tell apart
-
-
-def deciding(rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[Row]) -> list[MethodOutcome]:
-    """The plausible runs that decided without labels, in their last phase; `rows` are those of `metrics`, typed."""
-    ended = {(r.estimator, r.association) for r in rows if r.status == "ok"}
-    filters = filters_in(rows)
-    by_phase = {(r.estimator, r.association, r.phase): r for r in reversed(rows)}
-    sizes = {(str(r["estimator"]), str(r["association"])): value_of(r, "landmarks") for r in metrics}
-    own = []
-    for r in outcomes:
-        estimator, association, phase = (str(r[c]) for c in ("estimator", "association", "phase"))
-        last = "online" if estimator in filters else "final"
-        if association in ("known", "none") or (estimator, association) not in ended or phase != last:
-            continue
-        tp, tn, fp, fn = (int(value_of(r, c)) for c in ("tp", "tn", "fp", "fn"))
-        row, size = by_phase.get((estimator, association, phase)), sizes.get((estimator, association), math.nan)
-        rmse, lost = (math.nan, False) if row is None else (row.rmse, bool(row.lost_why))
-        own.append(MethodOutcome(association, estimator, tp, tn, fp, fn, rmse, size, lost))
-    # batch smoothers take the decisions of another run, which speaks for itself where it is there
-    own = [w for w in own if steps(w.estimator)] or own
-    return [w for w in own if math.isfinite(w.f1)]
-
-
-def deciding_facts(
-    rows: Sequence[Scored], metrics: Sequence[Row], outcomes: Sequence[Row], labelled: int | None = None
-) -> Deciding | None:
-    """The best and the worst association method; None where nobody decided. Arguments as of `deciding`."""
-    own = deciding(rows, metrics, outcomes)
-    if not own:
-        return None
-    reckoned = next((r.rmse for r in rows if r.estimator == "dead-reckoning"), math.nan)
-    usable = [w for w in own if not w.lost and not w.rmse >= USABLE * reckoned]
-    best = max(usable or own, key=lambda w: w.quality)
-    nearest = min(usable, key=lambda w: w.rmse, default=best)
-    return Deciding(
-        first=max(own, key=lambda w: w.quality),
-        worst=min(own, key=lambda w: w.quality),
-        best=best,
-        usable=bool(usable),
-        nearest=nearest if nearest.rmse < (1.0 - SAME) * best.rmse else None,
-        measured=any(math.isfinite(r.rmse) for r in rows),
-        dead_reckoning=reckoned,
-        labelled=labelled,
-    )
-
 
 LATE = ("uncertain", "put off until the end", REASSOCIATED, UNREAD)  # reasons that only say that the log was over
 COLUMNS = (

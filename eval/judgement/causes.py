@@ -1,0 +1,192 @@
+"""The violated assumption that a diagnosis names, in a word, and its evidence in a person's units."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from data.inputs import Inputs
+from data.notice import Code
+from data.sensors import RangeBearing
+from eval.judgement.runs import associations
+from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNLISTED, UNTELLABLE, Finding
+from eval.referee.score import Trial
+from eval.referee.sources.residuals import source_in
+from eval.replay.settings import ESTIMATORS, FILTERS
+from eval.studies.trusted import Trust
+
+STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
+SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)
+RATE = ("ms/s", 1000.0)
+METRES, SECONDS, DRIFT = ("m", 1.0), ("s", 1.0), ("rad/s", 1.0)
+UNITS = {
+    "odometry_x_distance": SHARE,
+    "odometry_x_turn": METRES,
+    "odometry_y_distance": ANGLE,
+    "odometry_y_turn": METRES,
+    "odometry_theta_distance": CURVATURE,
+    "odometry_theta_turn": SHARE,
+    "odometry_theta_time": DRIFT,
+    "z1_constant": METRES,
+    "z1_range": SHARE,
+    "z2_constant": ANGLE,
+    "z2_range": CURVATURE,
+    "odometry_integration": SHARE,
+    "mount_x": METRES,
+    "mount_y": METRES,
+    "map_scale": SHARE,
+    "latency_growth": RATE,
+}  # a person's unit of each systematic error and its factor from SI; those not named here are times
+OF_SOURCES = {"theta": ANGLE, "scale": SHARE, "latency": SECONDS}  # of fixes and closures, by error; else METRES
+OF_POINTS = {"z2_constant": METRES, "z2_range": ANGLE}
+OF_FRAMES = {SECONDS: ("frames", 1.0), DRIFT: ("rad/frame", 1.0)}
+"""Units of a log without stamps, whose time is the number of the frame."""
+LATE = ("latency", "latency_growth", "odometry_latency")  # errors of time stamps
+
+
+@dataclass(frozen=True)
+class Terms:
+    """Names of a log's quantities: ranges and bearings, else points; time in seconds, else frames."""
+
+    polar: bool = True
+    stamped: bool = True
+
+    def unit(self, name: str) -> tuple[str, float]:
+        """The unit of a systematic error for a person, and its factor from SI."""
+        if ":" in name:
+            unit = OF_SOURCES.get(name.rpartition("/")[2], METRES)
+        else:
+            unit = UNITS.get(name, SECONDS) if self.polar else OF_POINTS.get(name, UNITS.get(name, SECONDS))
+        return unit if self.stamped else OF_FRAMES.get(unit, unit)
+
+
+def terms_of(inputs: Inputs) -> Terms:
+    """The terms of a log."""
+    return Terms(isinstance(inputs.sensor, RangeBearing), not inputs.time_is_index)
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """A finding in a person's unit: kind, name and others as of a `Finding`."""
+
+    kind: str
+    name: str
+    size: float
+    error: float = math.nan
+    unit: str = ""
+    other: tuple[str, ...] = ()
+    sigmas: float = math.nan  # its size in standard errors, where it was found without replicates
+    gain: float = math.nan  # of log-likelihood
+    frames: tuple[tuple[int, int], ...] = ()  # first and last one of each jump, burst or change
+    outliers: int = 0
+
+
+def explanations(findings: Sequence[Finding], terms: Terms) -> tuple[Explanation, ...]:
+    """Findings whose size is known, in their order; an estimator's phases share the one that is furthest off."""
+    shown: dict[tuple[str, str], Finding] = {}
+    for f in (f for f in findings if math.isfinite(f.size)):
+        same = shown.get((f.kind, f.name))
+        if same is None or abs(math.log(abs(f.size))) > abs(math.log(abs(same.size))):
+            shown[f.kind, f.name] = f
+    return tuple(
+        systematic(f.name, f.size, f.error, terms, other=f.other)
+        if f.kind == "systematic"
+        else Explanation(f.kind, f.name, f.size, f.error, gain=f.gain, frames=f.frames, outliers=f.outliers)
+        for f in shown.values()
+    )
+
+
+def _main(findings: Sequence[Finding]) -> list[Finding]:
+    """The weightiest finding, and the weightiest systematic error if that is another one."""
+    first = list(findings[:1])
+    return first + [f for f in findings[1:] if f.kind == "systematic" and first[0].kind != "systematic"][:1]
+
+
+def main_findings(trust: Trust) -> list[Finding]:
+    """What the first page names; none without replicates, and where the cause cannot be determined."""
+    if trust.blame is None or trust.blame.cause in (NOTHING, UNLISTED, UNTELLABLE):
+        return []
+    return _main(trust.blame.findings)
+
+
+def systematic(name: str, size: float, error: float, terms: Terms, **more: float | tuple[str, ...]) -> Explanation:
+    """A systematic error from SI units."""
+    unit, factor = terms.unit(name)
+    return Explanation("systematic", name, factor * size, factor * error, unit, **more)  # type: ignore[arg-type]
+
+
+def of_trial(trial: Trial, diagnoses: Sequence[Trust]) -> list[Trust]:
+    """The diagnoses of a log and task: all association methods with replicates, else the first one."""
+    own = [t for t in diagnoses if (t.log, t.task) == (trial.log.name, trial.task) and trial.variant_of is None]
+    order = associations(trial.runs)
+    own.sort(key=lambda t: order.index(t.association) if t.association in order else len(order))
+    asked = [t for t in own if t.twins or any(n.code == Code.NO_TWINS for n in t.notices)]
+    return asked or [t for t in own if online(t)][:1]
+
+
+def online(trust: Trust) -> list[str]:
+    """Estimators that have a distance from the smoothed path, filters first."""
+    names = (*ESTIMATORS, *(name for name in trust.real.apart if name not in ESTIMATORS))
+    found = [name for name in names if math.isfinite(trust.real.apart.get(name, math.nan))]
+    return sorted(found, key=lambda name: name not in FILTERS)
+
+
+ODOMETRY, SENSOR = "odometry", "sensor"
+
+
+def cause_word(trust: Trust) -> str:
+    """The violated assumption, of a noise the side whose component it is of; without replicates a hint."""
+    blame = trust.blame
+    if blame is None:
+        return _hinted(trust)
+    if blame.cause in (NOTHING, ASSOCIATIONS, ESTIMATOR, UNLISTED, UNTELLABLE):
+        return blame.cause
+    found = next((f for f in blame.findings if f.cause == blame.cause), None)
+    if found is not None:
+        return side_of(found)
+    # no finding has a name: the side of the residuals furthest outside the range of the replicates
+    sides = [side(name.split("_", 1)[1]) for _, name in blame.objected if name.startswith(("slope_", "residual_"))]
+    return max(dict.fromkeys(sides), key=sides.count) if sides else _largest(_spreads(trust)) or SENSOR
+
+
+def side_of(found: Finding) -> str:
+    """What a finding is a fault of: odometry, sensor, map, time stamps, or a source of fixes or closures."""
+    if found.name in LATE:
+        return "time stamps"
+    if found.kind in ("displaced", "landmark") or found.name == "map_scale":
+        return "map"
+    return side(found.name)
+
+
+def side(component: str) -> str:
+    """Whether a component belongs to odometry, to the sensor, or to a source of fixes or closures (its name)."""
+    if (source := source_in(component)) is not None:
+        return source
+    return ODOMETRY if component.startswith("odometry") else SENSOR
+
+
+def _hinted(trust: Trust) -> str:
+    """Without replicates: the systematic error beyond `STANDS_OUT` standard errors, else a noise larger than stated."""
+    slopes = {
+        name.removeprefix("slope_"): abs(m.value) / m.se
+        for (_, name), m in trust.real.measured.items()
+        if name.startswith("slope_") and math.isfinite(m.value) and math.isfinite(m.se) and m.se > 0.0
+    }
+    if max(slopes.values(), default=0.0) > STANDS_OUT:
+        return _largest(slopes)
+    larger = {name: value for name, value in _spreads(trust).items() if value > LEAST_FACTOR}
+    return _largest(larger) or NOTHING
+
+
+def _spreads(trust: Trust) -> dict[str, float]:
+    """Spread of the smoother's residuals in stated sigmas, by component."""
+    return {
+        name.removeprefix("residual_").removesuffix("_spread"): m.value
+        for (_, name), m in trust.real.measured.items()
+        if name.startswith("residual_") and name.endswith("_spread") and math.isfinite(m.value)
+    }
+
+
+def _largest(sizes: Mapping[str, float]) -> str:
+    return side(max(sizes, key=lambda name: sizes[name])) if sizes else ""

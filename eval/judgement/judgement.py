@@ -1,0 +1,541 @@
+"""`judge_trial`: filter against smoother on one log and task, whom to trust, and what speaks against it.
+
+No tick stands where a number of the same result objects: NEES, NIS, wrong pairings, a lost or implausible estimate.
+Ground truth speaks before anything that is inferred without it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+
+from data.notice import Notice
+from data.questions import asked
+from eval.judgement.causes import Explanation, Terms, cause_word, explanations, main_findings, of_trial, terms_of
+from eval.judgement.methods import Methods, methods_of
+from eval.judgement.runs import (
+    Objected,
+    Objection,
+    RunJudgement,
+    chosen_association,
+    filters_in,
+    judged_runs,
+    last_phases,
+    pick,
+    smoothers_in,
+)
+from eval.referee import laser_faults
+from eval.referee.attribution import NOTHING, UNTELLABLE, Finding
+from eval.referee.consistency import FIT, NEES_LIMIT
+from eval.referee.diagnostics import unused
+from eval.referee.errors import position_distance, rms
+from eval.referee.result_files import Row, is_blank, rows_of, value_of
+from eval.referee.score import Scores, Trial, score
+from eval.referee.sources.scored import has_sources
+from eval.replay.settings import INCREMENTAL
+from eval.studies.trusted import Trust
+
+CHANCE = 0.05
+"""A larger p is called chance, and so is a difference whose interval holds zero: near the edge the two may differ."""
+CLEAR = 1.1
+"""Ratio of two RMSEs that is a difference where no interval can be formed."""
+FAR_NIS = 2.0
+"""NIS of a smoother over its expectation, beside a lost filter: its pairings are those of the filter."""
+SAME = 0.02  # relative difference of an online smoother's RMSE and a filter's below which they are called equal
+LINEARIZATION = 2.0
+"""So many times the RMSE of a smoother with the same data at the same instants: linearization, not luck."""
+FAR = 20.0
+"""A filter's NIS so many times the smoother's is linearization: a wrong map or prior, or a jump, gives up to 10."""
+MOSTLY = 1.5  # so many times the aligned RMSE, the plain one is half due to the frame in variance (1.5 squared is 2.25)
+DIFFERENT = 0.1  # relative change of the ratio of filter and smoother that is worth a word
+
+
+class Verdict(StrEnum):
+    """The estimator whose path to use, or why none is named."""
+
+    SMOOTHER = "smoother"
+    EITHER = "either"
+    FILTER = "filter"
+    NEITHER = "neither"
+    ONLY = "only one ran"
+    NOTHING = "nothing ran"
+    CAUSE = "cause"
+    UNKNOWN = "unknown"
+
+
+class Tone(StrEnum):
+    """How far a verdict may be relied on, as the colour of its mark."""
+
+    GOOD = "good"
+    FAIR = "fair"
+    BAD = "bad"
+    NONE = "none"
+
+
+class Online(StrEnum):
+    """What a smoother that steps has at the same instants as the filter, with the same data."""
+
+    UNKNOWN = "unknown"
+    EQUAL = "equal"
+    FAR_BETTER = "far better"
+    OTHER = "other"
+
+
+@dataclass(frozen=True)
+class Gauge:
+    """What of a SLAM error is the frame's: RMSE [m] of filter and smoother as they are and after alignment."""
+
+    plain: tuple[float, float]
+    aligned: tuple[float, float]
+    mostly: bool  # the frame makes at least one of them what it is
+    ratio_differs: bool  # of filter and smoother, once aligned
+
+
+@dataclass(frozen=True)
+class Difference:
+    """RMSE of a filter minus that of a smoother on the same frames [m], with 95 % interval and p of no difference."""
+
+    metres: float
+    lower: float
+    upper: float
+    p: float
+    block_frames: float  # over so many frames errors are correlated
+    own_map: bool  # both have errors of a map that they made themselves
+    why: str  # there is no interval (p is NaN then)
+
+    @property
+    def chance(self) -> bool:
+        """Whether it may be."""
+        return self.p > CHANCE or self.lower <= 0.0 <= self.upper
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Filter and smoother under one association method."""
+
+    association: str | None  # None: nothing decides
+    several: bool  # whether other methods were run
+    filtered: RunJudgement | None  # filtered, smoothed: of the online and the final phase; None: none ran
+    smoothed: RunJudgement | None
+    newest: RunJudgement | None  # the online phase of a smoother that steps, if it is plausible and not lost
+    online: Online  # what that says
+    # errors: position error [m] of both: RMSE, or with reference relations alone (`related`) the mean of theirs
+    errors: tuple[float, float]
+    related: bool
+    apart: float  # RMS distance [m] of the filter from the smoother
+    difference: Difference | None  # of their errors, with what chance makes of it
+    nearer: Verdict  # SMOOTHER, EITHER, FILTER or UNKNOWN: to the truth
+    gauge: Gauge | None = None  # in SLAM
+
+    @property
+    def pair(self) -> tuple[RunJudgement, ...]:
+        """Those of the two that ran."""
+        return tuple(r for r in (self.filtered, self.smoothed) if r is not None)
+
+    @property
+    def lost_to_linearization(self) -> bool:
+        """Whether the filter alone is lost, with observations that fit the smoother far better."""
+        a, b = self.filtered, self.smoothed
+        if a is None or b is None or not a.lost_why or b.lost_why:
+            return False
+        return b.nis <= b.nis_upper or FAR * b.nis < a.nis
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What a diagnosis without ground truth found; p: the least family-wise one where it rejects, else NaN."""
+
+    word: str  # the violated assumption
+    findings: tuple[Finding, ...]  # the weightiest, for a first page
+    terms: Terms
+    twins: int | None  # number of replicates; None: no diagnosis by them
+    p: float = math.nan
+
+    @property
+    def finding(self) -> Explanation | None:
+        """The weightiest finding whose size is known, in a person's unit."""
+        return next(iter(explanations(self.findings, self.terms)), None)
+
+
+@dataclass(frozen=True)
+class Doubts:
+    """What objects to a log: its map, its conventions, its contents."""
+
+    map_rows: Notice | None = None  # rows of the map that look swapped or shifted
+    # conventions: that the log follows otherwise than stated, or walls and wheels that forbid trust; use neither
+    conventions: tuple[Notice, ...] = ()
+    empty: bool = False  # neither observations nor scans
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """Of one log and task, from all its runs.
+
+    Attributes:
+        runs: every run in every phase, in the order of metrics.csv; `last`: in its last phase.
+        measured: whether errors are known at all.
+        given: names of results that were handed in.
+        methods: how the association methods without labels did; None: no scored ones.
+        cause: None without a diagnosis.
+        verdict, covariances: whose path to use, and whether its covariances may be used, too.
+        objections: to the verdict, the strongest first.
+    """
+
+    log: str
+    task: str
+    measured: bool
+    runs: tuple[RunJudgement, ...]
+    compared: Comparison
+    verdict: Verdict
+    covariances: bool
+    objections: tuple[Objected, ...] = ()
+    methods: Methods | None = None
+    cause: Cause | None = None
+    doubts: Doubts = field(default_factory=Doubts)
+    given: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """As headings have it."""
+        return f"{self.log}, {self.task}"
+
+    @property
+    def last(self) -> tuple[RunJudgement, ...]:
+        """Each run with what is known in the end."""
+        return last_phases(self.runs)
+
+    @property
+    def unusable(self) -> tuple[RunJudgement, ...]:
+        """Runs that did not get to the end, are implausible, lost, astray, or dead reckoning."""
+        return tuple(r for r in self.last if not r.usable)
+
+    @property
+    def others(self) -> tuple[RunJudgement, ...]:
+        """Estimators of somebody else that something objects to, beside the two compared."""
+        return tuple(r for r in self.last if r.named and r.objections and r not in self.compared.pair)
+
+    @property
+    def usable(self) -> tuple[bool, bool]:
+        """Whether filter and smoother are."""
+        a, b = self.compared.filtered, self.compared.smoothed
+        return a is not None and a.usable, b is not None and b.usable
+
+    @property
+    def ratio(self) -> float:
+        """The filter's error over the smoother's, where both are usable."""
+        a, b = self.compared.errors
+        return a / b if all(self.usable) and b > 0.0 else math.nan
+
+    @property
+    def misfit(self) -> RunJudgement | None:
+        """The filter, else the smoother, whose innovations do not fit."""
+        return next((r for r in self.compared.pair if r.nis_verdict not in ("", FIT)), None)
+
+    @property
+    def tone(self) -> Tone:
+        """Good: nothing objects; fair: a path may be used; bad: none may."""
+        if self.verdict in (Verdict.SMOOTHER, Verdict.EITHER) and not self.objections and all(self.usable):
+            return Tone.GOOD
+        if self.verdict is Verdict.CAUSE and self.cause is not None:
+            if self.cause.word == NOTHING and self.misfit is None and not self.objections:
+                return Tone.GOOD
+            return Tone.BAD if self.cause.word == UNTELLABLE else Tone.FAIR
+        if self.verdict in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER):
+            return Tone.FAIR
+        return Tone.BAD if self.verdict is Verdict.NEITHER else Tone.NONE
+
+    @property
+    def given_best(self) -> RunJudgement | None:
+        """The result that was handed in with the least RMSE."""
+        handed = [r for r in self.runs if r.estimator in self.given and math.isfinite(r.rmse)]
+        return min(handed, key=lambda r: r.rmse, default=None)
+
+
+def judge_trial(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust] = ()) -> Judgement:
+    """The judgement of a trial.
+
+    Args:
+        trial: the runs, with the truth.
+        scores: of these trials, if they are known already.
+        diagnoses: without ground truth, of any logs.
+    """
+    scores = score([trial]) if scores is None else scores
+    metrics, outcomes, differences = (
+        [r for r in rows_of(table) if (r["log"], r["task"]) == (trial.log.name, trial.task)]
+        for table in (scores.metrics, scores.association, scores.differences)
+    )
+    own = [t for t in diagnoses if (t.log, t.task) == (trial.log.name, trial.task)]
+    related = _relations(scores, trial.log.name) if trial.log.truth.relations is not None else {}
+    truth = trial.log.truth
+    runs = judged_runs(
+        metrics,
+        outcomes,
+        measured=truth.known_poses > 0 or truth.relations is not None,
+        related=related,
+        idle=frozenset((r.estimator, r.association) for r in trial.runs if unused(r, trial.log.recorded)),
+        diagnoses=own,
+    )
+    return judgement_of(trial, runs, differences, next(iter(of_trial(trial, own)), None))
+
+
+def judgement_of(
+    trial: Trial, runs: tuple[RunJudgement, ...], differences: Sequence[Row] = (), trust: Trust | None = None
+) -> Judgement:
+    """The judgement of a trial whose runs are judged one by one; differences: rows of `Scores.differences`."""
+    log, slam = trial.log, trial.task == "slam"
+    measured = log.truth.known_poses > 0 or log.truth.relations is not None
+    compared = compared_of(trial, runs, differences, trust)
+    terms, blame = terms_of(log.recorded), None if trust is None else trust.blame
+    cause = None
+    if trust is not None:
+        p = blame.p if blame is not None and blame.objected else math.nan
+        twins = None if blame is None else len(trust.twins)
+        cause = Cause(cause_word(trust), tuple(main_findings(trust)), terms, twins, p)
+    doubts = Doubts(
+        None if slam else next(iter(asked.map_rows(log)), None),
+        (*asked.conventions(log), *laser_faults.serious(trial)),
+        not len(log.recorded.observations.frame) and log.recorded.scans is None and not has_sources(log.recorded),
+    )
+    verdict, objections = decided(compared, cause, doubts, measured=measured)
+    true_id = log.truth.landmark_of
+    labelled = None if true_id is None else len(np.unique(true_id[true_id >= 0]))
+    return Judgement(
+        log.name,
+        trial.task,
+        measured,
+        runs,
+        compared,
+        verdict,
+        _covariances(verdict, objections, compared, cause, measured=measured),
+        objections,
+        methods_of(runs, labelled),
+        cause,
+        doubts,
+        tuple(sorted({r.estimator for r in trial.runs if r.handed_in})),
+    )
+
+
+def compared_of(
+    trial: Trial, runs: Sequence[RunJudgement], differences: Sequence[Row] = (), trust: Trust | None = None
+) -> Comparison:
+    """Filter and smoother under the association method that is chosen for comparison."""
+    chosen = chosen_association(runs)
+    own = [r for r in runs if r.association == chosen]
+    filtered, smoothed = pick(own, filters_in(own), "online"), pick(own, smoothers_in(own), "final")
+    newest = pick([r for r in own if r.ok], INCREMENTAL, "online")
+    errors = [math.nan if r is None else r.rmse for r in (filtered, smoothed)]
+    related = not any(map(math.isfinite, errors)) and trial.log.truth.relations is not None
+    if related:
+        errors = [math.nan if r is None else r.related for r in (filtered, smoothed)]
+    both = None if filtered is None or smoothed is None else (filtered, smoothed)
+    apart = math.nan if trust is None or filtered is None else trust.real.apart.get(filtered.estimator, math.nan)
+    if filtered is not None and not math.isfinite(apart):
+        apart = filtered.from_batch
+    if not math.isfinite(apart) and both is not None:
+        apart = _apart(trial, *both)
+    fair = errors
+    if trial.task == "slam" and not related and both is not None:
+        aligned = [r.aligned for r in both]
+        fair = aligned if all(map(math.isfinite, aligned)) else errors
+    difference = None if both is None else difference_of(differences, *both)
+    return Comparison(
+        chosen,
+        len({r.association for r in runs if r.association != "none"}) > 1,
+        filtered,
+        smoothed,
+        newest,
+        Online.UNKNOWN if related or newest is None else _online(errors[0], newest.rmse),
+        (errors[0], errors[1]),
+        related,
+        apart,
+        difference,
+        nearer(fair[0], fair[1], difference),
+        _gauge(*both) if both is not None and trial.task == "slam" else None,
+    )
+
+
+def nearer(filtered: float, smoothed: float, difference: Difference | None = None) -> Verdict:
+    """The estimator whose path is nearer to the truth by its error [m]; either where the difference may be chance."""
+    if not (math.isfinite(filtered) and math.isfinite(smoothed)):
+        return Verdict.UNKNOWN
+    if difference is not None and math.isfinite(difference.p):
+        apart = not difference.chance
+    else:
+        apart = max(filtered, smoothed) > CLEAR * min(filtered, smoothed)
+    if not apart or filtered == smoothed:
+        return Verdict.EITHER
+    return Verdict.SMOOTHER if smoothed < filtered else Verdict.FILTER
+
+
+def decided(
+    compared: Comparison, cause: Cause | None = None, doubts: Doubts = Doubts(), *, measured: bool
+) -> tuple[Verdict, tuple[Objected, ...]]:
+    """Whose path to use, and what speaks against it, the strongest first."""
+    filtered, smoothed = compared.filtered, compared.smoothed
+    good = filtered is not None and filtered.usable, smoothed is not None and smoothed.usable
+    if not compared.pair:
+        return Verdict.NOTHING, ()
+    if filtered is not None and smoothed is not None and good == (False, True) and _follows(smoothed, measured):
+        good = (False, False)
+    if good == (False, True):
+        verdict = Verdict.SMOOTHER
+    elif good == (True, False):
+        verdict = Verdict.ONLY if smoothed is None else Verdict.FILTER
+    elif good == (False, False):
+        verdict = Verdict.NEITHER
+    elif not measured:
+        verdict = Verdict.CAUSE if cause is not None else Verdict.UNKNOWN
+    else:
+        verdict = compared.nearer
+    found = [o for r in _named(verdict, compared) for o in r.objections]
+    if any(o.forbids for o in found):
+        verdict = Verdict.NEITHER
+    if verdict is Verdict.SMOOTHER and filtered is not None:  # a tick would stand for it, too
+        found += [o for o in filtered.objections if o.objection is Objection.NEES]
+    if measured and verdict in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER):
+        found += [Objected(Objection.CAUSE, "", cause.p)] if cause is not None and math.isfinite(cause.p) else []
+    if doubts.conventions:
+        verdict = Verdict.NEITHER
+        found.append(Objected(Objection.CONVENTION, ""))
+    if doubts.map_rows is not None:
+        found.append(Objected(Objection.MAP, ""))
+    order = list(Objection)
+    return verdict, tuple(sorted(found, key=lambda o: order.index(o.objection)))
+
+
+def _named(verdict: Verdict, compared: Comparison) -> tuple[RunJudgement, ...]:
+    """The estimators that a verdict is about."""
+    alone = {Verdict.SMOOTHER: compared.smoothed, Verdict.FILTER: compared.filtered, Verdict.ONLY: compared.filtered}
+    one = alone.get(verdict)
+    return compared.pair if one is None else (one,)
+
+
+def _covariances(
+    verdict: Verdict,
+    objections: Sequence[Objected],
+    compared: Comparison,
+    cause: Cause | None,
+    *,
+    measured: bool,
+) -> bool:
+    """Whether nothing objects to the model, or to the estimator that is named; the other one is spared."""
+    if verdict is Verdict.NEITHER or (verdict is Verdict.CAUSE and cause is not None and cause.word != NOTHING):
+        return False
+    if not measured and any(r.nis_verdict not in ("", FIT) for r in compared.pair):
+        return False
+    named = {"", *(r.estimator for r in _named(verdict, compared))}
+    return not any(o.estimator in named for o in objections)
+
+
+def _follows(smoothed: RunJudgement, measured: bool) -> bool:
+    """Whether a smoother stands on the pairings of a lost filter: its own numbers are far out."""
+    if measured and math.isfinite(smoothed.nees):
+        return smoothed.nees > NEES_LIMIT
+    return smoothed.nis_ratio > FAR_NIS
+
+
+def difference_of(rows: Sequence[Row], filtered: RunJudgement, smoothed: RunJudgement) -> Difference | None:
+    """The difference between two runs; None if it was not taken."""
+    pair = (filtered.estimator, smoothed.estimator, filtered.association)
+    row = next((r for r in rows if (r["a"], r["b"], r["association"]) == pair), None)
+    if row is None:
+        return None
+    size, lower, upper, p = (value_of(row, f"rmse_position_{c}") for c in ("m", "lower", "upper", "p"))
+    why = "" if is_blank(row["rmse_position_why"]) else str(row["rmse_position_why"])
+    return Difference(size, lower, upper, p, value_of(row, "block_frames"), row["task"] == "slam", why)
+
+
+def _apart(trial: Trial, *pair: RunJudgement) -> float:
+    """RMS distance [m] of the filter's path from the smoother's; NaN where a run has none."""
+    runs = {(r.estimator, r.association): r for r in trial.runs}
+    found = [(runs.get((r.estimator, r.association)), r.phase) for r in pair]
+    paths = [run.trajectory(phase).pose for run, phase in found if run is not None and run.failure is None]
+    return rms(position_distance(paths[0], paths[1])) if len(paths) == 2 else math.nan
+
+
+def _online(filtered: float, online: float) -> Online:
+    if not math.isfinite(online):
+        return Online.UNKNOWN
+    if abs(online - filtered) <= SAME * filtered:
+        return Online.EQUAL
+    return Online.FAR_BETTER if filtered > LINEARIZATION * online else Online.OTHER
+
+
+def _relations(scores: Scores, log: str) -> dict[tuple[str, str, str], float]:
+    """Mean errors [m] against all reference relations of a log, tied by row, by estimator, association and phase."""
+    rows = [r for r in rows_of(scores.relations) if (r["log"], r["tie"], r["subset"]) == (log, "row", "all")]
+    return {
+        (str(r["estimator"]), str(r["association"]), str(r["phase"])): value_of(r, "trans_mean_m")
+        for r in reversed(rows)
+    }
+
+
+def _gauge(filtered: RunJudgement, smoothed: RunJudgement) -> Gauge | None:
+    """None where no error is known; in localization the map fixes the frame."""
+    (a, a_fit), (b, b_fit) = ((r.rmse, r.aligned) for r in (filtered, smoothed))
+    if not all(math.isfinite(v) and v > 0.0 for v in (a, a_fit, b, b_fit)):
+        return None
+    mostly = a > MOSTLY * a_fit or b > MOSTLY * b_fit
+    return Gauge((a, b), (a_fit, b_fit), mostly, abs(a_fit / b_fit / (a / b) - 1.0) > DIFFERENT)
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """All logs and tasks together; logs are named with their task where several rows are on them."""
+
+    logs: int
+    filters: tuple[str, ...]  # filters, smoothers: names of those compared, three at most
+    smoothers: tuple[str, ...]
+    given: int  # results handed in
+    smoother: tuple[str, ...]  # smoother to neither: logs with truth with this verdict
+    either: tuple[str, ...]
+    filter: tuple[str, ...]
+    neither: tuple[str, ...]
+    paths: tuple[str, ...]  # of the first three those whose covariances are not to be used
+    everywhere: bool  # the first is all there are
+    ratios: tuple[float, float] | None  # least and largest error of the filter over the smoother's, None: no pair
+    filter_fails: int  # so many rows
+    # blind: of the logs without truth those with one word, by the judgement of the first of them
+    blind: tuple[tuple[Judgement, tuple[str, ...]], ...]
+
+
+def conclusion(found: Sequence[Judgement]) -> Conclusion:
+    """What was compared, and what follows."""
+    tasks = Counter(j.log for j in found)
+
+    def named(some: Sequence[Judgement]) -> tuple[str, ...]:
+        return tuple(f"{j.log} ({j.task})" if tasks[j.log] > 1 else j.log for j in some)
+
+    by_verdict = {v: [j for j in found if j.measured and j.verdict == v] for v in Verdict}
+    smoother = by_verdict[Verdict.SMOOTHER]
+    both = [j for j in smoother if all(j.usable)]
+    ratios = [j.ratio for j in both if math.isfinite(j.ratio)]
+    blind: dict[tuple[object, ...], list[Judgement]] = {}
+    for j in found:
+        if not j.measured:
+            only = j.compared.filtered if j.verdict == Verdict.ONLY else None
+            cause = j.cause.word if j.cause is not None and j.verdict == Verdict.CAUSE else None
+            blind.setdefault((j.verdict, j.covariances, cause, only and only.estimator), []).append(j)
+    sides = ([j.compared.filtered for j in found], [j.compared.smoothed for j in found])
+    filters, smoothers = (tuple(dict.fromkeys(r.estimator for r in runs if r is not None))[:3] for runs in sides)
+    preferred = [j for v in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER) for j in by_verdict[v]]
+    return Conclusion(
+        logs=len(tasks),
+        filters=filters,
+        smoothers=smoothers,
+        given=len({name for j in found for name in j.given}),
+        smoother=named(smoother),
+        either=named(by_verdict[Verdict.EITHER]),
+        filter=named(by_verdict[Verdict.FILTER]),
+        neither=named(by_verdict[Verdict.NEITHER]),
+        paths=named([j for j in preferred if not j.covariances]),
+        everywhere=len(smoother) == len(found),
+        ratios=(min(ratios), max(ratios)) if ratios else None,
+        filter_fails=len(smoother) - len(both),
+        blind=tuple((some[0], named(some)) for some in blind.values()),
+    )
