@@ -41,9 +41,13 @@ def contradictions(folder: Path) -> Iterator[str]:
 
 
 def _number_of(metrics: pd.DataFrame, log: dict, side: str) -> dict | None:
-    if log[side] is None:
+    if log["compared"][side] is None:
         return None
-    keys = {"log": log["log"], "task": log["task"], **{k: log[side][k] for k in ("estimator", "association", "phase")}}
+    keys = {
+        "log": log["log"],
+        "task": log["task"],
+        **{k: log["compared"][side][k] for k in ("estimator", "association", "phase")},
+    }
     rows = metrics
     for column, value in keys.items():
         rows = rows[rows[column].fillna("none") == (value or "none")]

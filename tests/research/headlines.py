@@ -13,11 +13,9 @@ from dataclasses import replace
 
 from data.log import Log
 from eval.compare import compare
-from eval.referee.headline import Verdict
-from eval.referee.score import Trial, score
-from eval.report.overview import trust_mark
-from eval.report.overview_facts import LogFacts, facts_of
-from eval.report.rows import Scored
+from eval.judgement.judgement import Judgement, Verdict, judge_trial
+from eval.judgement.runs import RunJudgement
+from eval.referee.score import Trial
 from tests.research.variety.worlds import LATER, draw, indices, log_of
 
 MOST = 4000
@@ -32,14 +30,9 @@ def trial_of(log: Log, task: str, association: str) -> Trial:
     return Trial(log, task, tuple(compare(inputs, task, ("ekf", "batch"), association)))
 
 
-def facts_of_trial(trial: Trial) -> LogFacts:
-    """What the first screen knows of them."""
-    return facts_of(trial, score([trial]), ())
-
-
-def facts(log: Log, task: str, association: str) -> LogFacts:
+def facts(log: Log, task: str, association: str) -> Judgement:
     """What the first screen knows of filter and smoother on a log."""
-    return facts_of_trial(trial_of(log, task, association))
+    return judge_trial(trial_of(log, task, association))
 
 
 def understated(log: Log) -> Log:
@@ -48,7 +41,7 @@ def understated(log: Log) -> Log:
     return replace(log, recorded=replace(log.recorded, observations=replace(o, R=o.R / 16.0)))
 
 
-def has_strong_fault(*rows: Scored | None) -> bool:
+def has_strong_fault(*rows: RunJudgement | None) -> bool:
     """Whether a row of filter or smoother has a strong fault, whatever the headline says."""
     return any(r is not None and (r.nees > 9.0 or r.rmse > 1.0) for r in rows)
 
@@ -76,11 +69,11 @@ def main(argv: list[str]) -> int:
             if case[0] == "localization" and log.recorded.map is None:
                 continue
             f = facts(bad, *case)
-            if has_strong_fault(f.filtered, f.smoothed):
-                tick = trust_mark(f).tone == "good"
+            if has_strong_fault(*f.compared.pair):
+                tick = f.tone == "good"
                 strong["n"] += 1
                 strong["tick"] += tick
-                strong["tick, and the smoother has the fault"] += tick and has_strong_fault(f.smoothed)
+                strong["tick, and the smoother has the fault"] += tick and has_strong_fault(f.compared.smoothed)
     for (task, association), c in counts.items():
         print(task, association, dict(c), flush=True)
     print("strong faults", dict(strong))

@@ -15,8 +15,8 @@ import numpy as np
 from data.command import Parser
 from data.log import Log
 from data.logs import open_log
+from eval.judgement.causes import cause_word
 from eval.report.calls import twins
-from eval.report.overview_facts import cause_word
 
 
 def biased(log: Log) -> Log:

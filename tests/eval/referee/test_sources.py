@@ -12,14 +12,14 @@ from data.logs import open_log
 from data.notice import Code
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource, PoseInnovations
 from data.words import sentence
+from eval.judgement.judgement import Verdict, judge_trial
+from eval.judgement.runs import Objection
 from eval.referee import consistency
 from eval.referee.diagnostics import notices, unused
-from eval.referee.headline import Objection, Verdict
 from eval.referee.score import Trial, score
 from eval.referee.sources.scored import outcomes_of, score_source, scores_of, source_notices, sources_of
 from eval.referee.trust import of_online
 from eval.replay.run import compare
-from eval.report.overview_facts import facts_of
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 DOF = {FixKind.POSITION: 2, FixKind.HEADING: 1, FixKind.POSE: 3}
@@ -215,12 +215,12 @@ def test_copies_of_dead_reckoning_beside_closures_are_not_trusted():
     log, run = nothing_seen(of_closures=closures())
     log = replace(log, truth=replace(log.truth, pose=None))
     smoother = replace(run, estimator="batch", online=None, final=run.online)
-    bare = facts_of(Trial(log, "slam", (run, smoother)), score([Trial(log, "slam", (run, smoother))]), ())
-    assert (bare.verdict, bare.empty) == (Verdict.NEITHER, False)
+    bare = judge_trial(Trial(log, "slam", (run, smoother)), score([Trial(log, "slam", (run, smoother))]), ())
+    assert (bare.verdict, bare.doubts.empty) == (Verdict.NEITHER, False)
     assert [o.objection for o in bare.objections] == [Objection.IDLE, Objection.IDLE]
     found = drawn(np.random.default_rng(0), 20, 3)
     used = replace(run, closures=found), replace(smoother, closures_final=found)
-    trusted = facts_of(Trial(log, "slam", used), score([Trial(log, "slam", used)]), ())
+    trusted = judge_trial(Trial(log, "slam", used), score([Trial(log, "slam", used)]), ())
     assert not trusted.objections
 
 

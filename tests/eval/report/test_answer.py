@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import pandas as pd
+from dataclasses import replace
+
 import pytest
 
-from eval.referee.score import ASSOCIATION, METRICS, frame_of
-from eval.report.answer import answer, answer_facts
+from eval.report.answer import answer
+from tests.eval.judged import judgement
 
 FILTER = {
     "log": "arena", "task": "slam", "estimator": "ekf", "association": "known", "phase": "online", "status": "ok",
@@ -16,12 +17,8 @@ FILTER = {
 SMOOTHER = FILTER | {"estimator": "batch", "phase": "final", "rmse_position_m": 0.1, "nees_pose": 2.9, "nis": None}
 
 
-def facts_of(*rows):
-    return answer_facts(frame_of(rows, METRICS))
-
-
 def answered(*rows, trust="") -> str:
-    return answer(facts_of(*rows), trust)
+    return answer(judgement(*rows), trust)
 
 
 def test_the_answer_compares_filter_and_smoother_in_at_most_five_sentences():
@@ -83,7 +80,7 @@ def test_a_failure_is_named_instead_of_compared():
 def test_one_kind_of_estimator_alone_is_said_to_be_alone():
     assert answered(FILTER) == "Only ekf ran; a comparison needs a smoother as well."
     assert "comparison needs a filter" in answered(SMOOTHER)
-    assert "Neither" in answer(answer_facts(pd.DataFrame(columns=METRICS)))
+    assert "Neither" in answered()
 
 
 def test_known_association_is_compared_first_and_wrong_pairings_of_other_methods_are_said_not_to_show():
@@ -96,7 +93,8 @@ OUTCOMES = {"log": "arena", "task": "slam", "estimator": "ekf", "association": "
 
 
 def decided(metrics, outcomes, labelled=None) -> str:
-    return answer(answer_facts(frame_of(metrics, METRICS), frame_of(outcomes, ASSOCIATION), labelled))
+    j = judgement(*metrics, outcomes=outcomes)
+    return answer(replace(j, methods=j.methods and replace(j.methods, labelled=labelled)))
 
 
 def counted(association, tp, tn, fp, fn, estimator="ekf", phase="online"):
@@ -154,7 +152,7 @@ def test_the_best_by_its_decisions_is_no_good_with_a_path_worse_than_dead_reckon
 
 def test_a_way_of_deciding_that_is_lost_is_not_the_best():
     rows = [FILTER | {"association": a} for a in ("nn", "jcbb")]
-    rows[1] |= {"lost_frame": 7, "lost_why": "3 of 30 observations were used"}
+    rows[1] |= {"lost_frame": 7, "lost_why": "3 of 30 observations were used", "nees_pose": 40.0}
     text = decided(rows, [counted("jcbb", 88, 10, 0, 2), counted("nn", 60, 10, 20, 10)])
     assert "nn (ekf: 20 FP and 10 FN in 100 decisions, F1 0.80) has the highest F1 of those with a usable" in text
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from eval.judgement.judgement import difference_of
 from eval.referee import result_files
-from eval.referee.score import METRICS, frame_of
-from eval.report.answer import answer, answer_facts
-from eval.report.comparison import difference_of, differences_table, missing_intervals
-from eval.report.rows import scored
+from eval.referee.score import frame_of
+from eval.report.answer import answer
+from eval.report.comparison import differences_table, missing_intervals
 from eval.report.words import paragraph, say
+from tests.eval.judged import judgement, run_of
 from tests.eval.report.test_answer import FILTER, SMOOTHER
 
 DIFFERENCES = result_files.DIFFERENCES.names
@@ -24,7 +25,7 @@ SILENT = dict.fromkeys(c for c in ROW if c.endswith(("_lower", "_upper", "_p")))
 
 
 def difference(**changed):
-    return difference_of([ROW | changed], scored(FILTER), scored(SMOOTHER))
+    return difference_of([ROW | changed], run_of(FILTER), run_of(SMOOTHER))
 
 
 def sentence(**changed) -> str:
@@ -55,14 +56,13 @@ def test_without_an_interval_it_says_why_and_no_number():
 
 def test_only_the_pair_that_is_compared_is_spoken_of():
     assert difference(b="isam2") is difference(association="jcbb") is None
-    assert difference_of([], scored(FILTER), scored(SMOOTHER)) is None
+    assert difference_of([], run_of(FILTER), run_of(SMOOTHER)) is None
 
 
 def test_the_answer_has_the_sentence_beside_the_errors():
-    metrics, apart = frame_of([FILTER, SMOOTHER], METRICS), frame_of([ROW], DIFFERENCES)
-    text = answer(answer_facts(metrics, differences=apart))
+    text = answer(judgement(FILTER, SMOOTHER, differences=[ROW]))
     assert f"* **Significance.** {sentence()}\n* **NEES.** The filter's" in text
-    assert answer(answer_facts(metrics)) == text.replace(f"* **Significance.** {sentence()}\n", "")
+    assert answer(judgement(FILTER, SMOOTHER)) == text.replace(f"* **Significance.** {sentence()}\n", "")
 
 
 def test_the_table_has_a_row_for_each_pair_and_names_the_association_only_where_there_are_several():

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from eval.judgement.judgement import judge_trial
+from eval.judgement.runs import associations, filters_in, judged_runs, smoothers_in
 from eval.referee.result_files import rows_of
 from eval.referee.score import Trial, score
-from eval.report.answer import answer_facts
-from eval.report.rows import filters_in, scored, smoothers_in
-from eval.report.shown_runs import associations, for_growth, for_map, for_panels
+from eval.report.shown_runs import for_growth, for_map, for_panels
 from tests.eval.handmade import circle_log, run_with_error
 
 LOG = circle_log()
@@ -18,15 +18,14 @@ def made(*runs):
 
 def test_who_has_a_final_row_is_a_smoother_and_who_has_none_a_filter():
     trial = made({"estimator": "mine"}, {"estimator": "theirs", "phases": ("online", "final")}, {"estimator": "ekf"})
-    rows = [scored(r) for r in rows_of(score([trial]).metrics)]
+    rows = judged_runs(rows_of(score([trial]).metrics))
     assert [n for n in filters_in(rows) if n in ("mine", "theirs", "ekf")] == ["ekf", "mine"]
     assert [n for n in smoothers_in(rows) if n in ("mine", "theirs", "ekf")] == ["theirs"]
 
 
 def test_the_answer_compares_a_foreign_filter_with_a_foreign_smoother():
     trial = made({"estimator": "mine"}, {"estimator": "theirs", "phases": ("online", "final")})
-    facts = answer_facts(score([trial]).metrics)
-    assert [r.estimator for r in (facts.filtered, facts.smoothed) if r is not None] == ["mine", "theirs"]
+    assert [r.estimator for r in judge_trial(trial).compared.pair] == ["mine", "theirs"]
 
 
 def test_who_brought_an_estimator_sees_it_in_the_figures():

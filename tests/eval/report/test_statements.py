@@ -8,19 +8,19 @@ import pytest
 
 from data.words import number
 from eval.referee.consistency import innovations_word
-from eval.report.rows import scored
 from eval.report.words import environment, one_line
+from tests.eval.judged import run_of
 from tests.eval.report.test_answer import FILTER
 
 
 def innovations(**changed) -> str:
-    row = scored(FILTER | {"nis_lower": 0.97, "nis_upper": 1.03} | changed)
+    row = run_of(FILTER | {"nis_lower": 0.97, "nis_upper": 1.03} | changed)
     return one_line(environment().get_template("answer.md.j2").make_module(EMPTY).innovations(row))
 
 
 EMPTY = {
     "association": "known", "several": False, "outcome": "none ran", "filtered": None, "smoothed": None,
-    "trust": "", "deciding": None,
+    "trust": "", "methods": None, "linearized": False,
 }  # fmt: skip
 
 
@@ -43,7 +43,7 @@ def test_numbers_have_three_significant_digits(value, text):
 @pytest.mark.parametrize(("nis", "word"), [(1.9, "NIS too large"), (0.1, "NIS too small"), (1.0, "innovations fit")])
 def test_nis_is_judged_by_its_bounds(nis, word):
     assert innovations_word(nis, 0.97, 1.03) == word
-    assert scored(FILTER | {"nis": nis}).nis_verdict == word
+    assert run_of(FILTER | {"nis": nis}).nis_verdict == word
     assert f"bounds 0.97–1.03): {word}. The bounds assume independent" in innovations(nis=nis)
 
 

@@ -9,12 +9,12 @@ from data.logs import open_log
 from data.pose_measurements import expected_closure, expected_fix
 from data.se2 import wrap_angle
 from eval.compare import compare
+from eval.judgement.causes import side_of
 from eval.referee import residuals
 from eval.referee.explanations import Evidence
 from eval.referee.sources import residuals as source_residuals
 from eval.referee.sources.residuals import source_in
 from eval.replay.settings import Setup
-from eval.report.overview_facts import side_of
 from eval.studies.trusted import _best, with_all_sources
 from eval.studies.twins import digest_of, inputs_of, smoothed_twin, source_of, twin
 

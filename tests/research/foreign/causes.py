@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from data.truth import Truth
+from eval.judgement.judgement import judge_trial
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.table import Execution, Options, Output, Study
 from eval.plan.trust import trusted
@@ -22,7 +23,6 @@ from eval.plan.unfinished import Unfinished
 from eval.referee.attribution import Finding
 from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
-from eval.report.overview_facts import facts_of
 from tests.research.foreign.faults import FAULTS
 from tests.research.foreign.study import Case, counted, done_all, share, table
 from tests.research.foreign.world import make
@@ -110,7 +110,7 @@ def one(case: Case, twins: int) -> Row:
         p=blame.p,
         objected=bool(blame.objected),
         cause=blame.cause,
-        word=facts_of(blind, score([blind]), judged).cause or "",
+        word=judge_trial(blind, score([blind]), judged).cause.word,
         named=AND.join(name_of(f) for f in blame.findings),
         statistics=AND.join(" ".join(key) for key in blame.objected),
     )

@@ -17,14 +17,14 @@ import numpy as np
 from data import se2
 from data.log import Log
 from data.result import Run
-from eval.referee.headline import Verdict
+from eval.judgement.judgement import Verdict, judge_trial
 from eval.referee.score import confusion_of
 from eval.report.overview import trust_mark
 from tests.research.foreign.faults import FAULTS
 from tests.research.foreign.shapes import SHAPES
 from tests.research.foreign.study import Case, counted, done_all, share, table
 from tests.research.foreign.world import make
-from tests.research.headlines import facts_of_trial, trial_of
+from tests.research.headlines import trial_of
 
 NEES, WRONG, LOST = 9.0, 0.1, 0.1
 """A fault is strong beyond this mean NEES, from this share of wrong pairings, or beyond this share of the path's
@@ -100,7 +100,7 @@ def one(case: Case) -> Row:
     begin = time.perf_counter()
     log = make(case.shape, case.seed, case.fault or None)
     trial = trial_of(log, case.task, case.association)
-    f = facts_of_trial(trial)
+    f = judge_trial(trial)
     found = [measured(log, next((r for r in trial.runs if r.estimator == name), None)) for name in ("ekf", "batch")]
     strong = [each[3] for each in found]
     about = {Verdict.SMOOTHER: strong[1:], Verdict.FILTER: strong[:1]}.get(f.verdict, strong)

@@ -12,12 +12,12 @@ from data.result import Trajectory
 from data.se2 import between
 from data.truth import Relations
 from data.worlds.registry import named_log
+from eval.judgement.judgement import Verdict, judge_trial
+from eval.judgement.runs import Objection
 from eval.referee import laser_faults
-from eval.referee.headline import Objection, Verdict
 from eval.referee.score import Trial, score
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.settings import Setup
-from eval.report.overview_facts import facts_of
 
 
 @pytest.fixture(scope="module")
@@ -59,10 +59,10 @@ def test_half_a_turn_that_no_wheel_reported_is_named_with_its_frame(trial):
 def test_the_headline_names_no_path_where_walls_are_doubled(trial):
     drift = np.linspace(0.0, 1.0, len(trial.runs[0].key_pose))[:, None] * np.array([1.5, 1.0, 0.0])
     wrong = changed(trial, key_pose=trial.runs[0].key_pose + drift)
-    facts = facts_of(wrong, score([wrong]), [])
+    facts = judge_trial(wrong, score([wrong]), [])
     assert facts.verdict is Verdict.NEITHER
     assert facts.objections[0].objection is Objection.CONVENTION
-    assert facts.conventions[0].code is Code.DOUBLED_WALLS
+    assert facts.doubts.conventions[0].code is Code.DOUBLED_WALLS
 
 
 def test_what_most_loop_closures_are_refused_of_is_named(trial):

@@ -14,9 +14,9 @@ from data.logs import open_log
 from data.sensors import RangeBearing
 from data.truth import Truth
 from eval.compare import compare
+from eval.judgement.judgement import judge_trial
 from eval.referee.score import Trial, score
 from eval.report.overview import trust_mark
-from eval.report.overview_facts import facts_of
 from tests.quick import slow
 
 
@@ -25,7 +25,7 @@ def first_screen(log: Log, task: str, association: str):
     inputs = log.inputs(labels=association == "known")
     inputs = inputs.without_map() if task == "slam" else inputs
     trial = Trial(log, task, tuple(compare(inputs, task, ("ekf", "batch"), association)))
-    facts = facts_of(trial, score([trial]), ())
+    facts = judge_trial(trial, score([trial]), ())
     return facts, trust_mark(facts)
 
 
@@ -56,16 +56,16 @@ def turn_first(frames: int = 300) -> Log:
 
 def test_pairings_of_the_nearest_neighbour_that_ruin_nees_take_the_tick():
     facts, mark = first_screen(open_log("corridor:3"), "localization", "nn")
-    assert facts.smoothed.nees > 100
+    assert facts.compared.smoothed.nees > 100
     assert mark.tone != "good"
     assert "NEES 136" in mark.note
 
 
 def test_a_motion_model_that_integrates_otherwise_takes_the_tick():
     facts, mark = first_screen(turn_first(), "localization", "known")
-    assert facts.filtered.nees > 9
+    assert facts.compared.filtered.nees > 9
     assert mark.tone != "good"
-    assert f"NEES {facts.smoothed.nees:.3g}" in mark.note
+    assert f"NEES {facts.compared.smoothed.nees:.3g}" in mark.note
 
 
 def test_a_smoother_other_than_batch_is_compared_and_not_denied():
@@ -76,20 +76,20 @@ def test_a_smoother_other_than_batch_is_compared_and_not_denied():
 
     def judged(*runs):
         trial = Trial(blind, "slam", runs)
-        facts = facts_of(trial, score([trial]), ())
+        facts = judge_trial(trial, score([trial]), ())
         return facts, trust_mark(facts)
 
     facts, mark = judged(ekf, isam2)
     assert mark.note == "no ground truth, and only batch gives the tests that need none"
     off = ekf.online.pose[:, :2] - isam2.final.pose[:, :2]
-    assert facts.apart == pytest.approx(np.sqrt(np.mean(np.sum(off**2, axis=1))), rel=1e-12)
+    assert facts.compared.apart == pytest.approx(np.sqrt(np.mean(np.sum(off**2, axis=1))), rel=1e-12)
     assert judged(ekf)[1].note == "no smoother ran"
 
 
 @pytest.mark.slow  # renders a recording
 def test_slam_prefers_no_filter_whose_path_is_no_better_after_alignment():
     facts, mark = first_screen(open_log("visual:0"), "slam", "known")
-    assert facts.smoothed.aligned <= 1.1 * facts.filtered.aligned
+    assert facts.compared.smoothed.aligned <= 1.1 * facts.compared.filtered.aligned
     assert mark.word != "filter"
 
 
@@ -100,7 +100,7 @@ def test_a_kidnapped_filter_takes_the_smoother_of_its_pairings_with_it():
     mean[: len(mean) // 2] = increments.mean[len(mean) // 2 :][: len(mean) // 2]  # odometry of elsewhere
     moved = replace(log, recorded=replace(log.recorded, increments=replace(increments, mean=mean)))
     facts, mark = first_screen(moved, "localization", "jcbb")
-    assert facts.smoothed.nees > 9
+    assert facts.compared.smoothed.nees > 9
     assert mark.word == "neither"
 
 

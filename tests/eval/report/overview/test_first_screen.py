@@ -55,7 +55,7 @@ def test_every_log_has_a_row_that_points_to_its_section(blind):
 def test_a_row_tells_whom_to_trust_and_how_decisions_went(blind):
     row = next(line for line in blind[1].splitlines() if line.startswith("| [corridor:0:people, slam]"))
     assert "✓ **smoother**" in row
-    assert re.search(r"\| nn \d+ FP / \d+ FN, [0-9.]+ m \(ekf\) \|", row)
+    assert re.search(r"\| none; by decisions nn \d+ FP / \d+ FN, [0-9.]+ m \(ekf\) \| 2 of 4 ekf nn, batch nn", row)
 
 
 def test_prose_is_folded_and_at_most_three_lines_stand_in_front(blind):

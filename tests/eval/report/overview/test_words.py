@@ -9,30 +9,25 @@ import numpy as np
 import pytest
 
 from data.inputs import Observations
-from data.log import Log
-from data.truth import Truth
+from eval.judgement.causes import cause_word
+from eval.judgement.judgement import Gauge, Online, Verdict, conclusion
+from eval.judgement.methods import MethodOutcome, Methods
+from eval.judgement.runs import Counts, RunJudgement
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
-from eval.referee.score import Trial
 from eval.referee.trust import Measured
-from eval.report.deciding import MethodOutcome
 from eval.report.overview import associations, claims, drawn, gauge_statement, introduction, trust_mark
-from eval.report.overview_facts import Gauge, Online, Verdict, cause_word, conclusion, log_facts
 from eval.report.page.blocks import Value
-from eval.report.rows import scored
 from eval.studies.sampled import Sample
 from eval.studies.trusted import Blame, Trust
-from tests.eval.handmade import circle_log
+from tests.eval.judged import BLIND, LOG, judgement
 
 EKF = {"estimator": "ekf", "association": "known", "phase": "online", "status": "ok", "nis": 1.0, "nis_lower": 0.9,
        "nis_upper": 1.1, "rmse_position_m": 0.404, "rmse_aligned_m": 0.112}  # fmt: skip
 BATCH = EKF | {"estimator": "batch", "phase": "final", "rmse_position_m": 0.048, "rmse_aligned_m": 0.044}
-LOG = circle_log(name="home")
-BLIND = Log("blind", LOG.recorded, Truth())
 
 
 def facts(filtered=EKF, smoothed=BATCH, log=LOG, trust=None, newest=None, unused=frozenset(), task="slam"):
-    rows = [scored(r) for r in (filtered, newest, smoothed) if r is not None]
-    return log_facts(Trial(log, task, ()), rows, trust=trust, idle=unused)
+    return judgement(filtered, newest, smoothed, log=log, task=task, trust=trust, idle=unused)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +36,9 @@ def facts(filtered=EKF, smoothed=BATCH, log=LOG, trust=None, newest=None, unused
         (EKF, BATCH, "smoother", "good"),
         (EKF, BATCH | {"rmse_aligned_m": 0.111}, "either", "good"),
         (EKF | {"rmse_aligned_m": 0.01}, BATCH, "filter", "fair"),
-        (EKF, BATCH | {"nees_pose": 9.5}, "smoother", "fair"),
+        (EKF, BATCH | {"nees_pose": 9.5}, "path: smoother", "fair"),
+        (EKF, BATCH | {"nees_pose": 400.0}, "filter", "fair"),
+        (EKF | {"nees_pose": 400.0}, BATCH | {"nees_pose": 400.0}, "neither", "bad"),
         (EKF | {"lost_why": "0 used", "lost_frame": 7, "nees_pose": 1.1}, BATCH, "smoother", "good"),
         (EKF | {"status": "implausible"}, BATCH, "smoother", "fair"),
         (EKF, BATCH | {"status": "diverged"}, "filter", "fair"),
@@ -59,7 +56,7 @@ def test_a_violated_assumption_takes_the_tick_and_names_its_size():
     turned = Finding(NOISE, "systematic", "z2_constant", 0.0332, 0.002, gain=100.0)
     found = Trust("home", "slam", "known", Sample({}), (), (), Blame(NOISE, (turned,), (("batch", "s"),), 40, 0.01))
     mark = trust_mark(facts(trust=found))
-    assert (mark.word, mark.tone) == ("smoother", "fair")
+    assert (mark.word, mark.tone) == ("path: smoother", "fair")
     assert "1.90° ± 0.11° too far to the left" in mark.note
     sound = replace(found, blame=Blame(NOTHING, (), (), 40, 0.4))
     assert trust_mark(facts(trust=sound)).tone == "good"
@@ -154,13 +151,11 @@ def trust(cause=None, *findings, measured=None, objected=()):
 def test_the_cause_is_one_word_also_without_twins(said, word):
     assert cause_word(said) == word
     f = facts(EKF | {"rmse_position_m": math.nan}, BATCH | {"rmse_position_m": math.nan}, BLIND, said)
-    assert (f.verdict, f.cause) == (Verdict.CAUSE, word)
+    assert (f.verdict, f.cause.word) == (Verdict.CAUSE, word)
     said = "path: smoother" if word == "nothing" else f"cause: {word}"
     assert trust_mark(f).word == said
-    told = f"No ground truth on blind, {said}"
-    if word == "nothing":
-        told = "Without ground truth, use the smoother's path on blind"
-    assert introduction([f]).endswith(f"one referee. {told}.")
+    told = "use the smoother" if word == "nothing" else "use the path of the smoother, but do not trust covariances"
+    assert introduction([f]).endswith(f"one referee. Without ground truth on blind: {told}.")
 
 
 @pytest.mark.parametrize(
@@ -211,7 +206,7 @@ def test_rows_of_one_log_are_told_apart_by_their_task():
 )
 def test_an_online_smoother_tells_later_data_from_the_kind_of_estimator(rmse, online, note):
     f = facts(newest=EKF | {"estimator": "isam2", "rmse_position_m": rmse})
-    assert f.online == online
+    assert f.compared.online == online
     assert trust_mark(f).note == note
 
 
@@ -219,11 +214,11 @@ def test_the_error_of_the_frame_is_told_from_that_of_the_path():
     text = gauge_statement(facts())
     assert "`ekf` 0.112 m instead of 0.404 m, `batch` 0.0440 m instead of 0.0480 m" in text
     assert "(ratio 2.55 instead of 8.42)" in text
-    assert facts().gauge == Gauge((0.404, 0.048), (0.112, 0.044), mostly=True, ratio_differs=True)
+    assert facts().compared.gauge == Gauge((0.404, 0.048), (0.112, 0.044), mostly=True, ratio_differs=True)
     same = facts(EKF | {"rmse_aligned_m": 0.4})
-    assert not same.gauge.mostly
+    assert not same.compared.gauge.mostly
     assert "After alignment, almost the same: `ekf`" in gauge_statement(same)
-    assert facts(task="localization").gauge is None
+    assert facts(task="localization").compared.gauge is None
 
 
 def test_a_small_map_shows_every_path_inside_its_frame_and_is_the_same_each_time():
@@ -241,28 +236,37 @@ def test_a_small_map_shows_every_path_inside_its_frame_and_is_the_same_each_time
 
 def test_no_association_method_is_called_the_best_where_path_and_decisions_disagree():
     """Seen: the one with the fewest wrong decisions called the best, though its path was the worst."""
-    hindsight = MethodOutcome("jcbb-hindsight", "ekf", 205, 125, 200, 71, 17.1)
-    first = MethodOutcome("jcbb-first", "ekf", 0, 194, 356, 51, 9.22)
-    agreed = replace(facts(), best=hindsight, worst=first, decides=True)
-    assert associations(agreed)[0] == Value("jcbb-hindsight", "200 FP / 71 FN, 17.1 m (ekf)")
+    hindsight, first, jcbb = (
+        MethodOutcome(RunJudgement("ekf", name, "online", rmse=rmse), Counts(*counts))
+        for name, rmse, counts in (
+            ("jcbb-hindsight", 17.1, (205, 125, 200, 71)),
+            ("jcbb-first", 9.22, (0, 194, 356, 51)),
+            ("jcbb", 9.0, (147, 80, 250, 71)),
+        )
+    )
+    agreed = Methods(hindsight, first, hindsight, usable=True, nearest=None, measured=True, dead_reckoning=20.0)
+
+    def shown(methods):
+        return associations(replace(facts(), methods=methods))[0]
+
+    assert shown(agreed) == Value("jcbb-hindsight", "200 FP / 71 FN, 17.1 m (ekf)")
     disputed = replace(agreed, nearest=first)
     both = "200 FP / 71 FN, 17.1 m (ekf); by path jcbb-first 356 FP / 51 FN, 9.22 m (ekf)"
-    assert associations(disputed)[0] == Value("by decisions jcbb-hindsight", both)
-    assert associations(replace(disputed, decides=False))[0] == Value("none; by decisions jcbb-hindsight", both)
-    assert MethodOutcome("jcbb", "ekf", 147, 80, 250, 71).mostly_wrong
-    assert not hindsight.mostly_wrong
+    assert shown(disputed) == Value("by decisions jcbb-hindsight", both)
+    assert shown(replace(disputed, usable=False)) == Value("none; by decisions jcbb-hindsight", both)
+    assert jcbb.counts.mostly_wrong
+    assert not hindsight.counts.mostly_wrong
 
 
 def test_an_overconfident_filter_beside_a_sound_smoother_takes_the_tick_and_the_smoother_is_still_used():
     f = facts(EKF | {"nees_pose": 13.4})
     mark = trust_mark(f)
-    assert (mark.word, mark.tone, f.unreliable) == ("smoother", "fair", False)
+    assert (mark.word, mark.tone, f.covariances) == ("smoother", "fair", True)
     assert "ekf is overconfident: pose NEES 13.4" in mark.note
-    assert facts(EKF, BATCH | {"nees_pose": 13.4}).unreliable
+    assert not facts(EKF, BATCH | {"nees_pose": 13.4}).covariances
 
 
-def test_the_introduction_recommends_nothing_that_something_objects_to():
+def test_the_introduction_warns_of_covariances_that_something_objects_to():
     assert "use the smoother" in introduction([facts()])
     text = introduction([facts(EKF, BATCH | {"nees_pose": 13.4})])
-    assert "use the smoother" not in text
-    assert "something objects to the estimates on home" in text.lower()
+    assert text.endswith("; do not trust the covariances on home.")

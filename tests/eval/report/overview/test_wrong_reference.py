@@ -14,22 +14,22 @@ from data.log import Log
 from data.logs import open_log
 from data.truth_windows import without_bad_truth
 from eval.compare import compare
+from eval.judgement.judgement import Judgement, Verdict, judge_trial
+from eval.judgement.runs import Objection
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
-from eval.referee.headline import Objection, Verdict
 from eval.referee.lost import lost
-from eval.referee.score import Trial, lost_of, score
+from eval.referee.score import Trial, lost_of
 from eval.replay.settings import Setup
-from eval.report.headline import trust_line
 from eval.report.overview import trust_mark
-from eval.report.overview_facts import LogFacts, facts_of
+from eval.report.terminal import trust_line
 
 
-def judged(log: Log) -> tuple[LogFacts, Trial]:
+def judged(log: Log) -> tuple[Judgement, Trial]:
     """Localization with sensed labels, which are gated."""
     runs = compare(log.inputs(labels=True), "localization", ("ekf", "batch"), "known", Setup().settled(sensed=True))
     trial = Trial(log, "localization", tuple(runs))
-    return facts_of(trial, score([trial]), ()), trial
+    return judge_trial(trial), trial
 
 
 def swapped(log: Log) -> Log:
@@ -43,16 +43,16 @@ def swapped(log: Log) -> Log:
 def test_swapped_map_rows_are_the_first_objection_and_no_tick_stands_there():
     facts, _ = judged(swapped(open_log("arena:3")))
     assert facts.objections[0].objection is Objection.MAP
-    assert not facts.sound
+    assert facts.tone != "good"
     mark = trust_mark(facts)
     assert mark.note.startswith("map rows ")
-    assert "look swapped" in trust_line(facts, mark)
+    assert "look swapped" in trust_line(facts)
 
 
 def test_right_maps_have_no_such_objection():
     facts, _ = judged(open_log("arena:3"))
-    assert facts.map_rows is None
-    assert facts.sound
+    assert facts.doubts.map_rows is None
+    assert facts.tone == "good"
 
 
 def bad(log: Log) -> Log:
@@ -65,8 +65,8 @@ def test_a_bad_window_is_no_error_of_an_estimator():
     log = bad(open_log("arena:3"))
     kept, _ = judged(log)
     left_out, _ = judged(without_bad_truth(log))
-    assert kept.smoothed.nees > 100.0 > 9.0 > left_out.smoothed.nees
-    assert (kept.sound, left_out.sound) == (False, True)
+    assert kept.compared.smoothed.nees > 100.0 > 9.0 > left_out.compared.smoothed.nees
+    assert [j.tone == "good" for j in (kept, left_out)] == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -91,9 +91,9 @@ def test_utias_dataset_1_as_published_is_not_lost_but_has_swapped_rows(mrclam):
     for run in trial.runs:  # without the truth it looks lost
         assert lost(run, trial.log.recorded, trial.log.granted) is not None
         assert lost_of(run, trial.log) is None
-    assert (facts.verdict, facts.failed) == (Verdict.SMOOTHER, ())
+    assert (facts.verdict, facts.unusable) == (Verdict.SMOOTHER, ())
     assert [o.objection for o in facts.objections] == [Objection.MAP]
-    assert facts.map_rows.named["swapped"] == (11, 17)
+    assert facts.doubts.map_rows.named["swapped"] == (11, 17)
     assert trust_mark(facts).note.startswith("map rows 11 and 17 look swapped")
 
 
@@ -101,6 +101,6 @@ def test_utias_dataset_1_as_published_is_not_lost_but_has_swapped_rows(mrclam):
 def test_utias_dataset_9_is_scored_without_its_bad_truth(mrclam):
     log = load_mrclam(mrclam / "MRCLAM_Dataset9.zip", 3)
     facts, _ = judged(without_bad_truth(log))
-    assert facts.errors == pytest.approx((0.0362, 0.0300), abs=5e-4)
-    assert 2.0 < facts.filtered.nees < 4.0
-    assert 2.0 < facts.smoothed.nees < 4.0
+    assert facts.compared.errors == pytest.approx((0.0362, 0.0300), abs=5e-4)
+    assert 2.0 < facts.compared.filtered.nees < 4.0
+    assert 2.0 < facts.compared.smoothed.nees < 4.0

@@ -8,7 +8,8 @@ import pytest
 
 import slamref
 from eval import run_all
-from eval.report.headline import ROWS, WIDTH, headlines, lines
+from eval.judgement.judgement import judge_trial
+from eval.report.terminal import ROWS, WIDTH, groups_of, lines
 
 
 def trials(*names: str, task: str = "slam", estimators=("dead-reckoning", "ekf", "isam2", "batch")):
@@ -20,18 +21,25 @@ def trials(*names: str, task: str = "slam", estimators=("dead-reckoning", "ekf",
     return made
 
 
-def lines_of(*names: str) -> list[str]:
+def groups(*names: str):
     made = trials(*names)
-    return lines(headlines(slamref.score(made), made, (), ()))
+    scores = slamref.score(made)
+    return groups_of([(t, judge_trial(t, scores)) for t in made], scores, (), ())
+
+
+def lines_of(*names: str) -> list[str]:
+    return lines(groups(*names))
 
 
 def test_one_log_is_named_once_and_every_run_has_its_numbers():
-    title, head, *rows, means, verdict = lines_of("arena:0:frames=30")
+    title, head, *rows, means, verdict, phases = lines_of("arena:0:frames=30")
     assert title == "arena:0:frames=30, SLAM"
     assert head.split() == ["estimator", "association", "RMSE", "[m]", "NEES", "NIS", "verdict", "wrong"]
-    assert [row.split()[0] for row in rows] == ["dead-reckoning", "ekf", "isam2", "batch"]
+    assert [row.split(",")[0].split()[0] for row in rows] == ["dead-reckoning", "ekf", "isam2", "batch"]
+    assert "batch, final " in rows[3]
+    assert phases.startswith("(online: ")
     scores = slamref.score(trials("arena:0:frames=30")).metrics.set_index(["estimator", "phase"])
-    shown = rows[1].split()
+    shown = rows[1].replace("ekf, online", "ekf").split()
     assert float(shown[2]) == pytest.approx(scores["rmse_position_m"]["ekf", "online"], rel=0.01)
     assert shown[5:7] == ["innovations", "fit"]
     assert rows[1].endswith(f"0 of {scores['accepted']['ekf', 'online']}")
@@ -41,32 +49,30 @@ def test_one_log_is_named_once_and_every_run_has_its_numbers():
 
 def test_of_several_logs_each_has_its_full_name_and_its_best_and_worst_row():
     names = [f"arena:{seed}:frames=12+landmarks=12" for seed in range(4)]
-    made = trials(*names)
-    groups = headlines(slamref.score(made), made, (), ())
-    assert [g.log for g in groups] == names
-    for g in groups:
+    found = groups(*names)
+    assert [g.log for g in found] == names
+    for g in found:
         best, worst = g.rows
         assert best.rmse <= worst.rmse
         assert "dead-reckoning" not in (best.estimator, worst.estimator)
         assert len(g.rows) + g.more == 4
-    said = lines(groups)
+    said = lines(found)
     assert max(map(len, said)) <= WIDTH
     assert all(any(line.startswith(f"{name}, SLAM") for line in said) for name in names)
 
 
 def test_rows_that_do_not_fit_lose_columns_not_names():
-    made = trials("arena:0:frames=30")
-    (group,) = headlines(slamref.score(made), made, (), ())
-    long = group._replace(rows=tuple(replace(r, estimator="x" * 24) for r in group.rows))
+    (group,) = groups("arena:0:frames=30")
+    long = group._replace(rows=tuple(replace(r, estimator="x" * 18) for r in group.rows))
     said = lines([long])
     assert max(map(len, said)) <= WIDTH
     assert "NIS " not in said[1]
-    assert "x" * 24 in said[2]
+    assert "x" * 18 in said[2]
     assert len(group.rows) <= ROWS
 
 
 def test_nothing_estimated_is_no_table():
-    assert lines(headlines(slamref.score([]), [], (), ())) == []
+    assert lines(groups()) == []
 
 
 def test_the_command_prints_it_and_quiet_does_not(tmp_path, capsys):

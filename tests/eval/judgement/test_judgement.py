@@ -1,0 +1,246 @@
+"""The judgement never contradicts a number under it, nor one surface another: properties, and cases that users met."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from data.words import number
+from eval.judgement.judgement import Difference, Judgement, Tone, Verdict, conclusion, nearer
+from eval.judgement.runs import WRONG_LIMIT, Objected, Objection
+from eval.referee.consistency import NEES_LIMIT
+from eval.referee.score import Trial, score
+from eval.report.answer import answer
+from eval.report.facts import as_json
+from eval.report.overview import in_short, introduction, overview, trust_mark
+from eval.report.terminal import groups_of, lines, trust_line
+from tests.eval.judged import BLIND, LOG, judgement
+from tests.quick import examples
+
+FINE = {"association": "jcbb", "status": "ok", "rmse_position_m": 0.1, "rmse_aligned_m": 0.1, "nees_pose": 3.0,
+        "nis": 1.0, "nis_lower": 0.9, "nis_upper": 1.1, "nis_expected": 1.0}  # fmt: skip
+EKF, BATCH = FINE | {"estimator": "ekf", "phase": "online"}, FINE | {"estimator": "batch", "phase": "final"}
+OWN = FINE | {"estimator": "MySlam", "phase": "online"}
+
+UNKNOWN = st.none()
+CHANGES = st.fixed_dictionaries({
+    "status": st.sampled_from(["ok", "ok", "ok", "diverged", "incomplete", "implausible"]),
+    "lost_frame": UNKNOWN | st.integers(0, 500),
+    "rmse_position_m": st.floats(0.001, 50.0),
+    "nees_pose": UNKNOWN | st.floats(0.01, 1000.0),
+    "nees_pose_lower": UNKNOWN | st.floats(0.01, 10.0),
+    "nis": UNKNOWN | st.floats(0.01, 100.0),
+})  # fmt: skip
+
+
+@st.composite
+def judgements(draw) -> Judgement:
+    """Filter, smoother and an estimator of somebody else, each perhaps missing, with and without truth."""
+    rows, outcomes = [], []
+    for base in (EKF, BATCH, OWN):
+        if not draw(st.integers(0, 4)):
+            continue
+        row = base | draw(CHANGES)
+        if row["lost_frame"] is not None:
+            row["lost_why"] = "3 of 30 observations were used"
+        row["rmse_aligned_m"] = row["rmse_position_m"]
+        rows.append(row)
+        tp, fp = draw(st.integers(0, 100)), draw(st.integers(0, 30))
+        outcomes.append(base | {"tp": tp, "tn": 5, "fp": fp, "fn": 2})
+    measured = draw(st.booleans())
+    if not measured:
+        rows = [r | dict.fromkeys(("rmse_position_m", "rmse_aligned_m", "nees_pose")) for r in rows]
+    idle = frozenset((r["estimator"], "jcbb") for r in rows if not draw(st.integers(0, 6)))
+    return judgement(*rows, log=LOG if measured else BLIND, outcomes=outcomes, idle=idle)
+
+
+@settings(max_examples=examples(600), deadline=None)
+@given(judgements())
+def test_a_tick_stands_where_no_number_objects(j):
+    if j.tone is not Tone.GOOD:
+        return
+    trusted = [j.compared.smoothed] if j.verdict is Verdict.SMOOTHER else j.compared.pair
+    assert j.covariances
+    for run in trusted:
+        assert run.status == "ok"
+        assert not run.idle
+        assert not (run.counts is not None and run.counts.wrong > WRONG_LIMIT)
+        if j.measured and math.isfinite(run.nees):
+            assert run.nees <= NEES_LIMIT
+        else:
+            assert not run.lost_why
+            assert not run.nis > run.nis_upper
+
+
+@settings(max_examples=examples(300), deadline=None)
+@given(judgements())
+def test_an_estimate_that_is_of_no_use_is_never_the_one_to_use(j):
+    filtered, smoothed = j.usable
+    if j.verdict in (Verdict.SMOOTHER, Verdict.EITHER):
+        assert smoothed
+    if j.verdict in (Verdict.FILTER, Verdict.EITHER, Verdict.ONLY):
+        assert filtered
+    if j.verdict is Verdict.NEITHER:
+        assert j.objections
+        assert not j.covariances
+
+
+SAYS = {
+    Verdict.SMOOTHER: r"use the (path of the )?smoother",
+    Verdict.FILTER: r"use the (path of the )?filter",
+    Verdict.EITHER: r"use either( path)?",
+    Verdict.NEITHER: r"use neither",
+    Verdict.ONLY: r"only \w+",
+    Verdict.UNKNOWN: r"unknown",
+    Verdict.NOTHING: r"nothing ran",
+}
+
+
+@settings(max_examples=examples(300), deadline=None)
+@given(judgements())
+def test_every_surface_says_the_same(j):
+    mark, line, short = trust_mark(j), trust_line(j), in_short(j)
+    said = SAYS[j.verdict]
+    assert re.match(f"{re.escape(j.name)}: {said}", line)
+    assert re.search(rf"\*\*{said}", short, re.IGNORECASE)
+    doubted = "do not trust covariances"
+    preferred = j.verdict in (Verdict.SMOOTHER, Verdict.FILTER, Verdict.EITHER)
+    for text in (line, short):
+        assert (doubted in text) == (preferred and not j.covariances)
+        assert mark.note in text
+    assert mark.word.startswith("path: ") == (preferred and not j.covariances)
+    assert mark.word.removeprefix("path: ") == j.verdict.value or j.verdict is Verdict.ONLY
+    # the overview of all logs
+    found = conclusion([j])
+    if j.measured:
+        where = {Verdict.SMOOTHER: found.smoother, Verdict.EITHER: found.either, Verdict.FILTER: found.filter,
+                 Verdict.NEITHER: found.neither}  # fmt: skip
+        assert [v for v, names in where.items() if names] == [j.verdict] * (j.verdict in where)
+        assert bool(found.paths) == (preferred and not j.covariances)
+    else:
+        assert re.search(said, introduction([j]))
+    # the table of the report, and the one of the terminal
+    facts = as_json(j)
+    (row,) = overview([(Trial(LOG, "slam", ()), j)], Path("nowhere"), drawn=False).rows
+    unusable = [f"{r.estimator} {r.association}" for r in j.last if not r.usable]
+    assert row.cells[-1].text == (f"{len(unusable)} of {len(j.last)}" if unusable else "0")
+    assert all(name in row.cells[-1].note for name in unusable[:2])
+    shown = "\n".join(lines(groups_of([(Trial(LOG, "slam", ()), j)], score([]), (), ())))
+    for run in j.last:
+        assert re.search(rf"{run.estimator}, {run.phase} .*{re.escape(run.verdict)}", shown)
+    assert facts["verdict"] == j.verdict.value
+    assert [o["objection"] for o in facts["objections"]] == [o.objection.value for o in j.objections]
+    if not all(r.usable for r in j.compared.pair):
+        assert "Offline, use the smoother" not in answer(j)
+
+
+@settings(max_examples=examples(300), deadline=None)
+@given(st.floats(0.001, 50.0), st.floats(0.001, 50.0), st.none() | st.floats(0.0, 1.0))
+def test_a_preference_is_significant_both_ways(filtered, smoothed, p):
+    size = filtered - smoothed
+    ends = (0.5 * size, 1.5 * size)
+    found = None if p is None else Difference(size, min(ends), max(ends), p, 1.0, False, "")
+    turned = {Verdict.SMOOTHER: Verdict.FILTER, Verdict.FILTER: Verdict.SMOOTHER}
+    one = nearer(filtered, smoothed, found)
+    assert nearer(smoothed, filtered, found) == turned.get(one, one)
+    if p is not None and p > 0.05:
+        assert one is Verdict.EITHER
+
+
+EQUAL, BETTER = (0.46, 0.46), (0.075, 0.026)
+"""Errors of filter and smoother [m]."""
+
+
+def decided(ekf: dict, batch: dict, errors: tuple[float, float] = BETTER, *, measured: bool = True) -> Judgement:
+    rows = []
+    for base, changed, rmse in ((EKF, ekf, errors[0]), (BATCH, batch, errors[1])):
+        known = {"rmse_position_m": rmse, "rmse_aligned_m": rmse}
+        unknown = dict.fromkeys(("rmse_position_m", "rmse_aligned_m", "nees_pose"))
+        lost = {"lost_why": "0 used"} if "lost_frame" in changed else {}
+        rows.append(base | (known if measured else unknown) | lost | changed)
+    return judgement(*rows, log=LOG if measured else BLIND)
+
+
+def test_nearest_neighbour_in_the_corridor_is_no_tick():
+    j = decided({"nees_pose": 136.0, "nis": 17.4}, {"nees_pose": 136.0}, EQUAL)
+    assert (j.verdict, j.tone, j.covariances) == (Verdict.EITHER, Tone.FAIR, False)
+    assert (j.objections[0].objection, j.objections[0].value) == (Objection.NEES, 136.0)
+
+
+@pytest.mark.parametrize(("nees", "why"), [(1507.0, "observations 1 s late"), (66258.0, "the truth's yaw in degrees")])
+def test_estimates_ten_sigma_from_the_truth_are_of_no_use_on_any_surface(nees, why):
+    """Seen: terminal "do not use them", report "Use: either"."""
+    j = decided({"nees_pose": nees}, {"nees_pose": nees}, EQUAL)
+    assert (j.verdict, j.tone) == (Verdict.NEITHER, Tone.BAD), why
+    assert [o.objection for o in j.objections] == [Objection.ASTRAY] * 2
+    for text in (trust_line(j), in_short(j)):
+        assert "use neither" in text.lower()
+        assert f"pose NEES {number(nees)}" in text
+    assert "use neither on home" in introduction([j]).lower()
+    assert [r.estimator for r in j.unusable] == ["ekf", "batch"]
+
+
+def test_a_nis_of_seventeen_without_truth_recommends_nothing():
+    """Seen: "use the smoother" at NIS 17.1."""
+    j = decided({"nis": 17.1}, {"nis": 17.1}, measured=False)
+    assert j.verdict is Verdict.NEITHER
+    assert "NIS of ekf is too large: 17.1" in trust_line(j)
+    slight = decided({"nis": 1.6}, {"nis": 1.6}, measured=False)
+    assert (slight.verdict, slight.covariances) == (Verdict.UNKNOWN, False)
+
+
+def test_an_estimator_of_somebody_else_with_wrong_covariances_is_named_in_every_sentence():
+    """Seen: one with NEES 57.5 beside `ekf` and `batch` named nowhere."""
+    j = judgement(EKF, BATCH, OWN | {"nees_pose": 57.5})
+    assert [r.estimator for r in j.others] == ["MySlam"]
+    for text in (trust_line(j), in_short(j), trust_mark(j).note):
+        assert "MySlam is overconfident: pose NEES 57.5" in text
+    assert not judgement(EKF, BATCH, OWN).others
+
+
+def test_a_path_that_never_left_the_start_is_usable_by_no_table():
+    """Seen: rows with NEES 3.7e7 with status ok, offered "by decisions"."""
+    stays = {"rmse_position_m": 17.1, "nees_pose": 3.7e7}
+    counts = {"tp": 205, "tn": 125, "fp": 20, "fn": 71}
+    j = judgement(EKF | stays, BATCH | stays, outcomes=[EKF | counts, BATCH | counts])
+    assert j.methods is not None
+    assert not j.methods.decides
+    assert len(j.unusable) == 2
+
+
+def test_an_estimate_three_centimetres_off_is_not_lost():
+    j = decided({"nees_pose": 1.1, "lost_frame": 3}, {"nees_pose": 1.2, "lost_frame": 3})
+    assert (j.verdict, j.objections) == (Verdict.SMOOTHER, ())
+
+
+def test_without_ground_truth_an_estimate_that_looks_lost_is():
+    j = decided({"lost_frame": 3}, {"lost_frame": 3}, measured=False)
+    assert (j.verdict, j.objections[0].objection) == (Verdict.NEITHER, Objection.LOST)
+
+
+def test_six_percent_of_rmse_may_be_chance():
+    assert decided({}, {}, (1.06, 1.0)).verdict is Verdict.EITHER
+
+
+def test_after_a_kidnapping_a_smoother_on_the_lost_filters_pairings_is_not_trusted():
+    lost = {"nees_pose": 900.0, "lost_frame": 80}
+    assert decided(lost, {"nees_pose": 211.0}).verdict is Verdict.NEITHER
+    right = decided(lost, {})
+    assert (right.verdict, right.objections) == (Verdict.SMOOTHER, ())
+    assert decided({"lost_frame": 80}, {"nis": 6.0}, measured=False).verdict is Verdict.NEITHER
+
+
+@pytest.mark.parametrize(("nees", "lower", "tone"), [(3.4, 2.8, "good"), (4.4, 3.9, "fair"), (8.0, None, "good")])
+def test_an_interval_clear_of_three_objects(nees, lower, tone):
+    assert decided({}, {"nees_pose": nees, "nees_pose_lower": lower}).tone == tone
+
+
+def test_one_wrong_pairing_in_ten_is_named_and_the_path_is_of_no_use():
+    j = judgement(EKF, BATCH, outcomes=[BATCH | {"tp": 90, "tn": 0, "fp": 10, "fn": 0}])
+    assert j.objections[0] == Objected(Objection.ASSOCIATION, "batch", 0.1)
+    assert j.verdict is Verdict.NEITHER
