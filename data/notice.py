@@ -20,158 +20,156 @@ class Severity(StrEnum):
     ERROR = "error"
 
 
+INFO, WARNING, ERROR = Severity
+
+
 class Code(StrEnum):
-    """Every possible finding about a log or a run; `templates/notices.j2` holds their words."""
+    """Every possible finding about a log or a run, with its severity; `templates/notices.j2` holds their words.
+
+    Warnings are what a person must act on, errors are reasons not to use a result, all else is a fact.
+    """
+
+    severity: Severity
+
+    def __new__(cls, name: str, severity: Severity) -> Code:
+        """A member whose value is the name alone."""
+        member = str.__new__(cls, name)
+        member._value_ = name
+        member.severity = severity
+        return member
 
     # about a log, for its author
-    MAP_ROWS = "map-rows"
-    BAD_TRUTH = "bad-truth"
-    TRUTH_RATE = "truth-rate"
-    LABELS = "labels"
-    LABEL_NAMES = "label-names"
-    BEARING_UNIT = "bearing-unit"
-    TURN_RATE = "turn-rate"
-    TURN_RATES = "turn-rates"
-    TIME_UNIT = "time-unit"
-    MAX_RANGE = "max-range"
-    FIELD_OF_VIEW = "field-of-view"
-    PRIOR = "prior"
-    TRUTH_FRAME = "truth-frame"
-    INTEGRATION = "integration"
-    MIRRORED = "mirrored"
+    MAP_ROWS = "map-rows", WARNING
+    BAD_TRUTH = "bad-truth", WARNING
+    TRUTH_RATE = "truth-rate", WARNING
+    LABELS = "labels", WARNING
+    LABEL_NAMES = "label-names", WARNING
+    BEARING_UNIT = "bearing-unit", WARNING
+    TURN_RATE = "turn-rate", WARNING
+    TURN_RATES = "turn-rates", WARNING
+    TIME_UNIT = "time-unit", WARNING
+    MAX_RANGE = "max-range", WARNING
+    FIELD_OF_VIEW = "field-of-view", WARNING
+    PRIOR = "prior", WARNING
+    TRUTH_FRAME = "truth-frame", WARNING
+    INTEGRATION = "integration", WARNING
+    MIRRORED = "mirrored", WARNING
     # about a laser log, for its author
-    NO_ODOMETRY = "no-odometry"
-    ODOMETRY_UNIT = "odometry-unit"
-    HEADING_UNIT = "heading-unit"
-    RANGE_UNIT = "range-unit"
-    FEW_RETURNS = "few-returns"
-    MOUNTING = "mounting"
-    BEAM_ANGLES = "beam-angles"
-    STAMPS_BACK = "stamps-back"
-    STAMPS_BROKEN = "stamps-broken"
+    NO_ODOMETRY = "no-odometry", WARNING
+    ODOMETRY_UNIT = "odometry-unit", WARNING
+    HEADING_UNIT = "heading-unit", WARNING
+    RANGE_UNIT = "range-unit", WARNING
+    FEW_RETURNS = "few-returns", WARNING
+    MOUNTING = "mounting", WARNING
+    BEAM_ANGLES = "beam-angles", WARNING
+    STAMPS_BACK = "stamps-back", WARNING
+    STAMPS_BROKEN = "stamps-broken", WARNING
     # about a run: how it was made
-    NOTE = "note"
-    DECIDED_BY = "decided-by"
-    OUT_OF_NODES = "out-of-nodes"
-    NO_COVARIANCE = "no-covariance"
-    NO_LANDMARKS = "no-landmarks"
-    NIS_STATED = "nis-stated"
-    NIS_UNCHECKED = "nis-unchecked"
-    FILTER_ONLY = "filter-only"
-    MAP_AS_EXACT = "map-as-exact"
-    PARKED = "parked"
-    NOT_PARKED = "not-parked"
-    POSES_UNUSED = "poses-unused"
-    REMOVED = "removed"
-    OBSERVATIONS_REJECTED = "observations-rejected"
-    AGAINST_WHEELS = "against-wheels"
-    CHAIN_WIDENED = "chain-widened"
-    CLOSURES_REFUSED = "closures-refused"
-    DOUBLED_WALLS = "doubled-walls"
-    BEYOND_CLAIMS = "beyond-claims"
-    SIZES_DISAGREE = "sizes-disagree"
-    TOO_MANY_KEYS = "too-many-keys"
-    CLOSURES_GATED = "closures-gated"
-    CLOSURES_REJECTED = "closures-rejected"
-    CLOSURES_LOST = "closures-lost"
-    CORNERS = "corners"
-    READ_FROM = "read-from"
-    MATCHED = "matched"
-    TIME_OFFSET = "time-offset"
-    NO_TRUTH = "no-truth"
-    ALIGNED = "aligned"
-    LANDMARKS_GONE = "landmarks-gone"
+    NOTE = "note", INFO
+    DECIDED_BY = "decided-by", INFO
+    OUT_OF_NODES = "out-of-nodes", WARNING
+    NO_COVARIANCE = "no-covariance", INFO
+    NO_LANDMARKS = "no-landmarks", INFO
+    NIS_STATED = "nis-stated", WARNING
+    NIS_UNCHECKED = "nis-unchecked", WARNING
+    FILTER_ONLY = "filter-only", INFO
+    MAP_AS_EXACT = "map-as-exact", INFO
+    PARKED = "parked", INFO
+    NOT_PARKED = "not-parked", INFO
+    POSES_UNUSED = "poses-unused", WARNING
+    REMOVED = "removed", INFO
+    OBSERVATIONS_REJECTED = "observations-rejected", INFO
+    AGAINST_WHEELS = "against-wheels", WARNING
+    CHAIN_WIDENED = "chain-widened", INFO
+    CLOSURES_REFUSED = "closures-refused", WARNING
+    DOUBLED_WALLS = "doubled-walls", WARNING
+    BEYOND_CLAIMS = "beyond-claims", WARNING
+    SIZES_DISAGREE = "sizes-disagree", WARNING
+    TOO_MANY_KEYS = "too-many-keys", ERROR
+    CLOSURES_GATED = "closures-gated", INFO
+    CLOSURES_REJECTED = "closures-rejected", INFO
+    CLOSURES_LOST = "closures-lost", INFO
+    CORNERS = "corners", INFO
+    READ_FROM = "read-from", INFO
+    MATCHED = "matched", INFO
+    TIME_OFFSET = "time-offset", INFO
+    NO_TRUTH = "no-truth", INFO
+    ALIGNED = "aligned", INFO
+    LANDMARKS_GONE = "landmarks-gone", WARNING
     # about the files of a result and its truth
-    TILT = "tilt"
-    PARTLY_KNOWN = "partly-known"
-    FRAMES_DIFFER = "frames-differ"
-    PATH_AXES = "path-axes"
-    PATH_TURNS = "path-turns"
-    PATH_DEGREES = "path-degrees"
-    PATH_SWAPPED = "path-swapped"
-    PATH_ORDER = "path-order"
-    PATH_SCALE = "path-scale"
-    PATH_TILT = "path-tilt"
-    PATH_MIRRORED = "path-mirrored"
+    TILT = "tilt", INFO
+    PARTLY_KNOWN = "partly-known", INFO
+    FRAMES_DIFFER = "frames-differ", WARNING
+    PATH_AXES = "path-axes", WARNING
+    PATH_TURNS = "path-turns", WARNING
+    PATH_DEGREES = "path-degrees", WARNING
+    PATH_SWAPPED = "path-swapped", WARNING
+    PATH_ORDER = "path-order", WARNING
+    PATH_SCALE = "path-scale", WARNING
+    PATH_TILT = "path-tilt", WARNING
+    PATH_MIRRORED = "path-mirrored", WARNING
     # about a run of hindsight
-    LARGER_SIGMAS = "larger-sigmas"
-    REVISED = "revised"
-    REVISED_POSES = "revised-poses"
-    REASSOCIATED_AT_END = "reassociated-at-end"
-    NO_REASSOCIATION = "no-reassociation"
-    MERGED = "merged"
-    MOVED_UNSEEN = "moved-unseen"
-    FOUND_AGAIN = "found-again"
-    PLACED = "placed"
-    MAP_RESTARTED = "map-restarted"
-    RETRACTED = "retracted"
-    MAP_FOLDED = "map-folded"
-    PLAIN_LIKELIER = "plain-likelier"
+    LARGER_SIGMAS = "larger-sigmas", WARNING
+    REVISED = "revised", INFO
+    REVISED_POSES = "revised-poses", INFO
+    REASSOCIATED_AT_END = "reassociated-at-end", INFO
+    NO_REASSOCIATION = "no-reassociation", WARNING
+    MERGED = "merged", INFO
+    MOVED_UNSEEN = "moved-unseen", INFO
+    FOUND_AGAIN = "found-again", INFO
+    PLACED = "placed", WARNING
+    MAP_RESTARTED = "map-restarted", WARNING
+    RETRACTED = "retracted", WARNING
+    MAP_FOLDED = "map-folded", WARNING
+    PLAIN_LIKELIER = "plain-likelier", INFO
     # diagnostics of a run
-    COST = "cost"
-    LABELS_LEFT_OUT = "labels-left-out"
-    UNUSED = "unused"
-    LANDMARKS = "landmarks"
-    AMBIGUOUS = "ambiguous"
-    DOUBLE = "double"
-    TWO_MINIMA = "two-minima"
-    DISPUTED = "disputed"
-    NAMING = "naming"
-    SOURCE_UNUSED = "source-unused"
-    SOURCE_NIS = "source-nis"
-    SOURCE_REJECTED = "source-rejected"
-    SOURCE_OUTLIERS = "source-outliers"
+    COST = "cost", WARNING
+    LABELS_LEFT_OUT = "labels-left-out", WARNING
+    UNUSED = "unused", WARNING
+    LANDMARKS = "landmarks", WARNING
+    AMBIGUOUS = "ambiguous", INFO
+    DOUBLE = "double", INFO
+    TWO_MINIMA = "two-minima", INFO
+    DISPUTED = "disputed", WARNING
+    NAMING = "naming", INFO
+    SOURCE_UNUSED = "source-unused", WARNING
+    SOURCE_NIS = "source-nis", WARNING
+    SOURCE_REJECTED = "source-rejected", WARNING
+    SOURCE_OUTLIERS = "source-outliers", WARNING
     # implausible, and where it began
-    NIS = "nis"
-    PATH_TOO_FAR = "path-too-far"
-    LANDMARKS_TOO_FAR = "landmarks-too-far"
-    LANDMARKS_UNSEEN = "landmarks-unseen"
-    COVARIANCE_TOO_LARGE = "covariance-too-large"
-    ORIGIN = "origin"
+    NIS = "nis", ERROR
+    PATH_TOO_FAR = "path-too-far", ERROR
+    LANDMARKS_TOO_FAR = "landmarks-too-far", ERROR
+    LANDMARKS_UNSEEN = "landmarks-unseen", ERROR
+    COVARIANCE_TOO_LARGE = "covariance-too-large", ERROR
+    ORIGIN = "origin", INFO
     # lost
-    HARDLY_USED = "hardly-used"
-    UNPAIRED = "unpaired"
-    MISSED = "missed"
-    TEN_SIGMA = "ten-sigma"
-    BY_CHANCE = "by-chance"
+    HARDLY_USED = "hardly-used", ERROR
+    UNPAIRED = "unpaired", ERROR
+    MISSED = "missed", ERROR
+    TEN_SIGMA = "ten-sigma", ERROR
+    BY_CHANCE = "by-chance", ERROR
     # missing results
-    STOPPED = "stopped"
-    FRONT_END_STOPPED = "front-end-stopped"
-    OUT_OF_MEMORY = "out-of-memory"
-    MISSING = "missing"
+    STOPPED = "stopped", ERROR
+    FRONT_END_STOPPED = "front-end-stopped", ERROR
+    OUT_OF_MEMORY = "out-of-memory", ERROR
+    MISSING = "missing", ERROR
     # consistency without ground truth, and twins
-    EXACT_PRIOR = "exact-prior"
-    NOT_MEASURED = "not-measured"
-    NOT_MEASURED_ON_TWINS = "not-measured-on-twins"
-    STOOD_IN = "stood-in"
-    NO_TWINS = "no-twins"
-    TOO_FEW_TWINS = "too-few-twins"
-
-
-QUESTIONS = frozenset(
-    {
-        Code.FRAMES_DIFFER,
-        Code.PATH_AXES,
-        Code.PATH_TURNS,
-        Code.PATH_DEGREES,
-        Code.PATH_SWAPPED,
-        Code.PATH_ORDER,
-        Code.PATH_SCALE,
-        Code.PATH_TILT,
-        Code.PATH_MIRRORED,
-    }
-)
-"""Findings about the files of a result that the user has to answer."""
+    EXACT_PRIOR = "exact-prior", INFO
+    NOT_MEASURED = "not-measured", INFO
+    NOT_MEASURED_ON_TWINS = "not-measured-on-twins", INFO
+    STOOD_IN = "stood-in", INFO
+    NO_TWINS = "no-twins", INFO
+    TOO_FEW_TWINS = "too-few-twins", INFO
 
 
 @dataclass(frozen=True)
 class Notice:
-    """A finding about a log or a run: code, values, severity, and what it concerns.
+    """A finding about a log or a run: code, values, and what it concerns.
 
     Attributes:
         code: kind of finding.
         values: pairs of name and value, sorted by name (`named`: as a mapping).
-        severity: fact, warning, or reason not to use the result.
         log, task, estimator, association: names; blank: not specific.
         frame: first frame concerned; None: not specific.
 
@@ -182,12 +180,16 @@ class Notice:
 
     code: Code
     values: tuple[tuple[str, Value], ...] = ()
-    severity: Severity = Severity.WARNING
     log: str = ""
     task: str = ""
     estimator: str = ""
     association: str = ""
     frame: int | None = None
+
+    @property
+    def severity(self) -> Severity:
+        """Fact, warning, or reason not to use the result."""
+        return self.code.severity
 
     @property
     def named(self) -> Mapping[str, Value]:
@@ -208,11 +210,11 @@ class Notice:
         return replace(self, **{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
 
 
-def notice(code: Code, severity: Severity = Severity.WARNING, frame: int | None = None, **values: Value) -> Notice:
+def notice(code: Code, frame: int | None = None, **values: Value) -> Notice:
     """A notice with values by name."""
-    return Notice(code, tuple(sorted(values.items())), severity, frame=frame)
+    return Notice(code, tuple(sorted(values.items())), frame=frame)
 
 
 def stopped(text: str) -> Notice:
     """The notice of an estimator stopped by an error, with its message."""
-    return notice(Code.STOPPED, Severity.ERROR, text=text)
+    return notice(Code.STOPPED, text=text)

@@ -18,7 +18,7 @@ from data.formats.results.reading import read_path
 from data.formats.results.tables import Companions, companions
 from data.inputs import IntArray
 from data.log import Log
-from data.notice import Code, Notice, Severity, notice
+from data.notice import Code, Notice, notice
 from data.se2 import Array
 from eval.plan.flags.table import Reading, Results
 from eval.referee.given.pairing import Pair, about_file, about_pair, called, same_clock, same_frames
@@ -238,7 +238,7 @@ def _moved(
         last = paths.get("final", next(iter(paths.values())))
         seconds, error = time_offset(last.file, last.time, last.pose, truth.time, truth.pose)
     moved = {phase: restamped(path, path.time + seconds, path.clock) for phase, path in paths.items()}
-    return moved, [notice(Code.TIME_OFFSET, Severity.INFO, seconds=seconds, error=error)]
+    return moved, [notice(Code.TIME_OFFSET, seconds=seconds, error=error)]
 
 
 def unmatched(path: GivenPath, truth: TruePath) -> str:

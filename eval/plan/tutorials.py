@@ -18,7 +18,7 @@ from data.formats.mrclam.load import Grid, Treatment, load_mrclam
 from data.inputs import FrameObservations, Increment, IntArray, Prior
 from data.log import Log
 from data.motion.velocity import VelocityModel, VelocityNoise, carried
-from data.notice import Code, Severity, notice
+from data.notice import Code, notice
 from data.result import DISCARD, NEW, Run
 from data.se2 import Array, BoolArray, wrap_angle
 from ekf.filter import FilterOptions
@@ -184,7 +184,7 @@ def tutorial_run(log: Log, variant: Variant) -> Run:
             assert inputs.map is not None
             front.estimator = GainFromBefore(inputs.prior, inputs.sensor, inputs.map, options)
         run = driven("ekf", front, inputs, variant.task, each=variant.each)
-    notes = (notice(Code.NOTE, Severity.INFO, text=text) for text in variant.notes)
+    notes = (notice(Code.NOTE, text=text) for text in variant.notes)
     return replace(with_plausibility(run, inputs), notes=(*run.notes, *notes))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from data.inputs import Inputs
-from data.notice import Code, Notice, Severity, notice
+from data.notice import Code, Notice, notice
 from data.result import Failure, Run
 from eval.compare import compare
 from eval.plan.experiment import Experiment, Work
@@ -36,7 +36,7 @@ def incomplete(name: str, association: str, task: str, inputs: Inputs, why: Noti
     return missing_run(name, association, task, inputs, Failure("incomplete", 0, why))
 
 
-MISSING_RUN = notice(Code.MISSING, Severity.ERROR)
+MISSING_RUN = notice(Code.MISSING)
 
 
 @dataclass

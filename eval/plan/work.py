@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from data.errors import SlamrefError, UsageError
-from data.notice import Code, Notice, Severity, notice
+from data.notice import Code, Notice, notice
 from data.words import sentence
 from eval.figures.figure_style import FigureStyle, current, figure_style
 from eval.plan.flags.table import Execution
@@ -39,7 +39,7 @@ class Job(Generic[OwnerT]):
     seconds: float = math.inf
 
 
-KILLED = notice(Code.OUT_OF_MEMORY, Severity.ERROR, killed=True)
+KILLED = notice(Code.OUT_OF_MEMORY, killed=True)
 """A notice in place of a result says why there is none."""
 
 
@@ -104,7 +104,7 @@ def _done(names: tuple[str, ...], style: FigureStyle, function: Callable[..., An
         try:
             return function(*arguments)
         except MemoryError as fault:
-            return notice(Code.OUT_OF_MEMORY, Severity.ERROR, detail=str(fault).rstrip("."))
+            return notice(Code.OUT_OF_MEMORY, detail=str(fault).rstrip("."))
 
 
 def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, Any]]:

@@ -19,7 +19,7 @@ import scipy
 from data import se2
 from data.inputs import Inputs, IntArray
 from data.motion.systematic import corrected_inputs
-from data.notice import Code, Notice, Severity, Value, notice
+from data.notice import Code, Notice, Value, notice
 from data.questions.asked import ask
 from data.result import Run
 from data.se2 import Array
@@ -44,7 +44,7 @@ ON_TOP = 5.0  # standard deviations of an observation within which two landmarks
 
 
 def _of(run: Run, code: Code, **values: Value) -> Notice:
-    return notice(code, Severity.WARNING, None, **values).about(estimator=run.estimator, association=run.association)
+    return notice(code, None, **values).about(estimator=run.estimator, association=run.association)
 
 
 def questions_of_run(run: Run, inputs: Inputs) -> list[Notice]:
@@ -215,7 +215,7 @@ def origin(run: Run, trial: Trial) -> Notice | None:
     if len(rows):
         i = int(rows[np.argmax(_misfit(run, squared)[rows])])
         of_pairing, near = _pairing(run, trial, used, path, i), _near_ranges(trial, rows)
-    return notice(Code.ORIGIN, Severity.WARNING, k, sign=sign, online=online, size=size, beside=near, **of_pairing)
+    return notice(Code.ORIGIN, k, sign=sign, online=online, size=size, beside=near, **of_pairing)
 
 
 Sign = tuple[int, str, str, float]  # frame, kind (`path` or `innovation`), estimator and size of a misfit
@@ -310,7 +310,7 @@ def notices(trials: Sequence[Trial], scores: Scores | None = None) -> list[Notic
     scores = scores or score(trials)
     found: list[Notice] = []
     for log in {t.log.name: t.log for t in trials if t.variant_of is None}.values():
-        found += [notice(Code.NOTE, Severity.INFO, text=text).about(log=log.name) for text in log.notes]
+        found += [notice(Code.NOTE, text=text).about(log=log.name) for text in log.notes]
         found += ask(log)
     for trial in trials:
         own = [

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from association.scans.consistency import Consistency, consistency
 from association.scans.constraints import LaserRun
 from data.inputs import Inputs
-from data.notice import Code, Notice, Severity, Value, notice
+from data.notice import Code, Notice, Value, notice
 from data.result import Run
 from data.se2 import between, compose, covariances_in_world, dead_reckoned, wrap_angle
 from eval.referee.laser import errors, relation_errors
@@ -56,24 +55,23 @@ def against_wheels(run: LaserRun, inputs: Inputs) -> Notice | None:
 
 
 def _of(run: Run, code: Code, frame: int | None = None, **values: Value) -> Notice:
-    return notice(code, Severity.WARNING, frame, **values).about(estimator=run.estimator, association=run.association)
+    return notice(code, frame, **values).about(estimator=run.estimator, association=run.association)
 
 
-REFUSED, HARDLY_ANY, TESTED = 0.6, 0.9, 50
-"""Shares of refused loop closures that are a fact and a warning, and their least number. On Intel and simulated plans
+REFUSED, TESTED = 0.9, 50
+"""Share of refused loop closures that is worth a warning, and their least number. On Intel and simulated plans
 0.33 to 0.57 are refused, as they do not fit well enough or find no second one; in halls of equal rows, with half of the
 walls of glass and a reach of 5 m, up to 0.85 beside a right path, 0.99 beside a wrong one."""
 
 
 def refused(run: LaserRun) -> Notice | None:
-    """A notice where most loop closures were refused."""
+    """A notice where hardly any loop closure was believed."""
     if run.loops is None or len(run.loops) < TESTED:
         return None
     out = int((run.loops.believed < 0).sum())
     if out <= REFUSED * len(run.loops):
         return None
-    found = _of(run, Code.CLOSURES_REFUSED, refused=out, tested=len(run.loops))
-    return found if out > HARDLY_ANY * len(run.loops) else replace(found, severity=Severity.INFO)
+    return _of(run, Code.CLOSURES_REFUSED, refused=out, tested=len(run.loops))
 
 
 def doubled_walls(run: LaserRun, inputs: Inputs) -> Notice | None:

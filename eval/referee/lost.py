@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from data.inputs import Inputs, IntArray
-from data.notice import Code, Notice, Severity, Value, notice
+from data.notice import Code, Notice, Value, notice
 from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee.consistency import gated
@@ -40,7 +40,7 @@ def lost(run: Run, inputs: Inputs, label: IntArray | None = None) -> Notice | No
 
 
 def _lost(code: Code, frame: int, **values: Value) -> Notice:
-    return notice(code, Severity.ERROR, frame, **values)
+    return notice(code, frame, **values)
 
 
 def _unused(run: Run, inputs: Inputs, label: IntArray | None) -> Notice | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from data import se2
 from data.inputs import Inputs, LabelledObservations
-from data.notice import Code, Notice, Severity, Value, notice
+from data.notice import Code, Notice, Value, notice
 from data.result import DISCARD, Failure, Run
 from data.se2 import Array
 from data.sensors import Sensor
@@ -228,4 +228,4 @@ def _covariances(run: Run, inputs: Inputs, reach: Array) -> Iterator[Failure]:
 
 
 def _failure(frame: int, code: Code, **values: Value) -> Failure:
-    return Failure(IMPLAUSIBLE, frame, notice(code, Severity.ERROR, None, **values))
+    return Failure(IMPLAUSIBLE, frame, notice(code, None, **values))

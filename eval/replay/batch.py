@@ -10,7 +10,7 @@ import numpy as np
 
 from association.expectation import gate_threshold
 from data.inputs import Inputs, IntArray
-from data.notice import Code, Severity, notice, stopped
+from data.notice import Code, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, map_with
 from data.se2 import Array, BoolArray
 from graph.batch import Rejected, Start, landmark_starts, smooth
@@ -43,14 +43,14 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
 
     if front.online is None or (front.failure is not None and not np.isfinite(front.online.pose).all()):
         at = front.failure.frame if front.failure else 0
-        why = notice(Code.FRONT_END_STOPPED, Severity.ERROR, front=front.estimator, at=at)
+        why = notice(Code.FRONT_END_STOPPED, front=front.estimator, at=at)
         return failed(Failure("incomplete", 0, why), 0.0)
     # retracted landmarks are left out; those that a filter merely forgot are smoothed
     initialized = front.initialized
     start = start_at(inputs, front, initialized)
     final = front.final_decisions
     decides = front.estimator != "dead-reckoning"  # which is the front of logs without observations
-    notes = [notice(Code.DECIDED_BY, Severity.INFO, front=front.estimator)] if decides else []
+    notes = [notice(Code.DECIDED_BY, front=front.estimator)] if decides else []
     starts: list[Callable[[], Start | None]] = [lambda: start]
     starts += [partial(_start_of, run, inputs, initialized) for run in others]
     if inputs.closures is not None:
@@ -61,7 +61,7 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
             left_out = _left_out(final, initialized, accepted)
             rejected = int((~accepted & (np.where(initialized >= 0, initialized, final) >= 0)).sum())
             if decides:
-                notes.append(notice(Code.OBSERVATIONS_REJECTED, Severity.INFO, observations=rejected))
+                notes.append(notice(Code.OBSERVATIONS_REJECTED, observations=rejected))
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
             result = _lowest(inputs, final, initialized, starts, LOSSES[name], _rejected(front))

@@ -18,7 +18,7 @@ from association.truncated import Acceptance, acceptance, accepted_moments, trun
 from data.appearance import Appearance
 from data.errors import UsageError
 from data.inputs import Frame, FrameObservations, IntArray, LandmarkMap
-from data.notice import Code, Notice, Severity, notice
+from data.notice import Code, Notice, notice
 from data.result import DISCARD, NEW, Event, MapState, Updated
 from data.se2 import Array
 from ekf.filter import Filter, FilterOptions
@@ -334,13 +334,13 @@ class FrontEnd:
         notes += [] if self.own is None else self.own.notes()
         notes += self.poses.notes()
         if self.slam and not self.estimator.smooths and s.deactivate_after is not None and self.parking is None:
-            notes.append(notice(Code.NOT_PARKED, Severity.INFO))
+            notes.append(notice(Code.NOT_PARKED))
         if self.incomplete:
             notes.append(notice(Code.OUT_OF_NODES, method=self.association, nodes=BUDGET, frames=self.incomplete))
         if self.slam and self.estimator.smooths and (s.forget_after is not None or s.deactivate_after is not None):
-            notes.append(notice(Code.FILTER_ONLY, Severity.INFO))
+            notes.append(notice(Code.FILTER_ONLY))
         if self.parking is not None:
             notes += self.parking.notes()
         if self.map_management is not None and self.map_management.removed:
-            notes.append(notice(Code.REMOVED, Severity.INFO, landmarks=len(self.map_management.removed)))
+            notes.append(notice(Code.REMOVED, landmarks=len(self.map_management.removed)))
         return notes

@@ -15,7 +15,7 @@ import numpy as np
 from association.candidates import UncertaintyBounds, may_be_in_view
 from association.decide import horizon
 from data.inputs import FrameObservations, Increment, IntArray
-from data.notice import Code, Notice, Severity, notice
+from data.notice import Code, Notice, notice
 from data.sensors import Sensor
 from ekf.epochs import LEAST, MOVED, PAIRING, PRODUCT, STEP
 from ekf.slam import EkfSlam
@@ -169,7 +169,7 @@ class Parking:
     def notes(self) -> list[Notice]:
         """A message about parked landmarks."""
         after = self.management.setup.deactivate_after
-        return [notice(Code.PARKED, Severity.INFO, after=after, largest=self.largest, restored=self.restored)]
+        return [notice(Code.PARKED, after=after, largest=self.largest, restored=self.restored)]
 
 
 class AutomaticParking:

@@ -19,7 +19,7 @@ from association.scans.constraints import SCAN
 from association.truncated import truncated_square
 from data.errors import SlamrefError, UsageError, unknown
 from data.inputs import Frame, Inputs, IntArray, LabelledObservations
-from data.notice import Code, Notice, Severity, notice, stopped
+from data.notice import Code, Notice, notice, stopped
 from data.result import DISCARD, Failure, Finished, Innovations, Run, Trajectory, Updated, map_estimate
 from data.se2 import Array
 from ekf.epochs import run_in_epochs, worthwhile
@@ -288,7 +288,7 @@ def _compare(
     notes = list[Notice]()
     if inputs.map is not None and inputs.map.sigma is not None and not inputs.map_is_uncertain:
         sigma, effect = float(inputs.map.sigma.max()), inputs.map_effect
-        notes = [notice(Code.MAP_AS_EXACT, Severity.INFO, sigma=sigma, effect=effect)]
+        notes = [notice(Code.MAP_AS_EXACT, sigma=sigma, effect=effect)]
         inputs = replace(inputs, map=inputs.map.exact)
     each = _Comparison(inputs, task, estimators, association, setup.settled(inputs.labels_are_sensed), watch)
     runs = [each.run(name) for name in estimators]

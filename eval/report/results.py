@@ -17,7 +17,7 @@ from data.formats.results.space import ignored
 from data.formats.results.tables import Companions
 from data.log import Log
 from data.logs import is_world, open_log, unknown_world
-from data.notice import QUESTIONS, Code, notice
+from data.notice import Code, Severity, notice
 from data.se2 import Array
 from data.words import sentence
 from eval.plan.flags.table import Output, Reading
@@ -115,7 +115,7 @@ def scored(file: str, truth: str, reading: Reading) -> Scored:
     said = [] if given is None else [f"truth {truth}: {n}" for n in (f"read as {given.kind}", *given.notes) if n]
     both = {ESTIMATE: estimate} | ({} if given is None else {TRUTH: given})
     projected = {name: what for name, p in both.items() if (what := ignored(p))}
-    questions = (f"question: {sentence(n)}" if n.code in QUESTIONS else sentence(n) for n in run.notes)
+    questions = (f"question: {sentence(n)}" if n.severity is Severity.WARNING else sentence(n) for n in run.notes)
     return Scored(run, log, phase, (*said, *questions), projected)
 
 

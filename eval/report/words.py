@@ -12,7 +12,7 @@ from typing import Any
 from jinja2 import Environment
 
 from data import words
-from data.notice import Code, Notice
+from data.notice import Notice, Severity
 from data.words import number, sentence, title
 from eval.figures.paper import tex_escape
 from eval.report.page.blocks import FinePrint
@@ -109,15 +109,6 @@ def fine_print(title: str) -> FinePrint:
     return FinePrint(title, paragraph(f"reading#{re.sub(r'[^a-z0-9]+', '_', title.lower())}"))
 
 
-QUESTIONS = (
-    *(Code.MAP_ROWS, Code.BAD_TRUTH, Code.TRUTH_RATE, Code.LABELS, Code.LABEL_NAMES, Code.BEARING_UNIT, Code.TURN_RATE),
-    *(Code.TURN_RATES, Code.TIME_UNIT, Code.MAX_RANGE, Code.FIELD_OF_VIEW, Code.PRIOR, Code.TRUTH_FRAME),
-    *(Code.INTEGRATION, Code.MIRRORED),
-    *(Code.NO_ODOMETRY, Code.ODOMETRY_UNIT, Code.HEADING_UNIT, Code.RANGE_UNIT, Code.FEW_RETURNS, Code.MOUNTING),
-    *(Code.BEAM_ANGLES, Code.STAMPS_BACK, Code.STAMPS_BROKEN, Code.UNUSED, Code.LANDMARKS),
-)  # notices that are questions to the person: warnings about a log or a run
-
-
 def together(found: Iterable[Notice]) -> list[Notice]:
     """Each notice once: estimators of one log, task and association that have it are named together."""
     names: dict[Notice, list[str]] = {}
@@ -127,8 +118,8 @@ def together(found: Iterable[Notice]) -> list[Notice]:
 
 
 def questions(found: Iterable[Notice]) -> list[Notice]:
-    """The questions among them."""
-    return together(n for n in found if n.code in QUESTIONS)
+    """The warnings among them."""
+    return together(n for n in found if n.severity is Severity.WARNING)
 
 
 def whose(notice: Notice) -> str:

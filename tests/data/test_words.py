@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from jinja2 import UndefinedError
 
-from data.notice import Code, Severity, notice
+from data.notice import Code, notice
 from data.words import NOTICES, environment, sentence
 
 
@@ -15,7 +15,7 @@ def test_every_code_has_its_words_and_nothing_else_has():
 
 
 def test_a_notice_is_said_with_its_values():
-    assert sentence(notice(Code.REMOVED, Severity.INFO, landmarks=1)) == "1 landmark was removed from the map"
+    assert sentence(notice(Code.REMOVED, landmarks=1)) == "1 landmark was removed from the map"
 
 
 def test_a_value_that_a_template_does_not_know_is_an_error():

@@ -18,7 +18,7 @@ from data.formats.results.frames import Tree, bare, in_frame
 from data.formats.results.matrices import translation_first
 from data.formats.results.path import LEFT, LOCAL, ROTATION, WORLD, GivenPath, Spatial, restamped
 from data.formats.results.space import flattened
-from data.notice import Code, Notice, Severity, Value, notice
+from data.notice import Code, Notice, Value, notice
 from data.questions.asked import FASTEST, SHARE, changes, per_second
 from data.se2 import Array, BoolArray, wrap_angle
 from eval.referee.consistency import nees
@@ -127,7 +127,7 @@ NAME = "name"
 
 
 def _ask(code: Code, **values: Value) -> Notice:
-    return notice(code, Severity.WARNING, None, **values)
+    return notice(code, None, **values)
 
 
 # ---- what the numbers look like
@@ -349,7 +349,7 @@ def _tilt(path: GivenPath, truth: GivenPath, both: InSpace) -> Iterator[Notice]:
     if tilt <= TILTED:
         level = max(float(np.max(np.abs(v))) for v in (ours.rotation[:, 2, :2], theirs.rotation[:, 2, :2]))
         if level > 1e-6:
-            yield notice(Code.TILT, Severity.INFO, tilt=math.degrees(tilt), poses=int(known.sum()))
+            yield notice(Code.TILT, tilt=math.degrees(tilt), poses=int(known.sum()))
         return
     worlds = theirs.rotation @ np.swapaxes(ours.rotation, -1, -2)
     bodies = np.swapaxes(ours.rotation, -1, -2) @ theirs.rotation

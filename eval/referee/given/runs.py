@@ -20,7 +20,7 @@ from data.formats.results.space import flattened, projection
 from data.inputs import Increments, Inputs, IntArray, Observations, Prior
 from data.locked import read_only
 from data.log import Log
-from data.notice import Code, Notice, Severity, notice
+from data.notice import Code, Notice, notice
 from data.result import DISCARD, NEW, MapEstimate, Run, Trajectory, surviving
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import RangeBearing
@@ -94,7 +94,7 @@ class Match:
         """The counts."""
         error = self.error if math.isfinite(self.error) else None
         poses, between = self.matched + self.unmatched, self.interpolated
-        return notice(Code.MATCHED, Severity.INFO, matched=self.matched, poses=poses, between=between, error=error)
+        return notice(Code.MATCHED, matched=self.matched, poses=poses, between=between, error=error)
 
 
 def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Match:
@@ -312,13 +312,13 @@ def given_run(
 
 def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool) -> Iterator[Notice]:
     """Notices of a path that was read; `aligned`: its alignment, empty for none."""
-    yield notice(Code.READ_FROM, Severity.INFO, file=str(path.file), kind=path.kind)
+    yield notice(Code.READ_FROM, file=str(path.file), kind=path.kind)
     yield notice(Code.NO_TRUTH) if found is None else found.notice
     if path.covariance is None:
         yield notice(Code.NO_COVARIANCE, name="")
-    yield from (notice(Code.NOTE, Severity.INFO, text=s) for s in (projection(path), *path.notes) if s)
+    yield from (notice(Code.NOTE, text=s) for s in (projection(path), *path.notes) if s)
     if aligned:
-        yield notice(Code.ALIGNED, Severity.INFO, how=aligned, in_space=in_space)
+        yield notice(Code.ALIGNED, how=aligned, in_space=in_space)
 
 
 def _removed(kept: Kept, task: str, created: IntArray) -> list[Notice]:

@@ -19,7 +19,7 @@ from association.expectation import gate_threshold
 from association.truncated import truncated_square
 from data.inputs import Inputs, IntArray
 from data.log import Log
-from data.notice import Code, Notice, Severity, Value, notice
+from data.notice import Code, Notice, Value, notice
 from data.pose_measurements import FixKind, PoseInnovations
 from data.result import Run
 from data.se2 import BoolArray
@@ -207,7 +207,7 @@ def source_notices(run: Run, inputs: Inputs) -> list[Notice]:
 def _unused(s: SourceScore) -> Notice | None:
     if s.formed or s.used:
         return None
-    return notice(Code.SOURCE_UNUSED, Severity.WARNING, source=s.source, kind=s.kind, count=s.count)
+    return notice(Code.SOURCE_UNUSED, source=s.source, kind=s.kind, count=s.count)
 
 
 def _inconsistent(s: SourceScore) -> Notice | None:
@@ -215,7 +215,7 @@ def _inconsistent(s: SourceScore) -> Notice | None:
     if s.phase != "online" or not s.nis_dof or low <= s.nis_mean <= high:
         return None
     nis: dict[str, Value] = {"nis": s.nis_mean, "expected": s.expected, "low": s.nis_low, "high": s.nis_high}
-    return notice(Code.SOURCE_NIS, Severity.WARNING, None, source=s.source, kind=s.kind, **nis)
+    return notice(Code.SOURCE_NIS, None, source=s.source, kind=s.kind, **nis)
 
 
 def _rejected(s: SourceScore) -> Notice | None:
@@ -225,7 +225,7 @@ def _rejected(s: SourceScore) -> Notice | None:
     if float(special.bdtrc(rejected - 1, s.formed, 1.0 - s.gate)) >= SURE:
         return None
     counts: dict[str, Value] = {"rejected": rejected, "count": s.formed, "expected": s.formed * (1.0 - s.gate)}
-    return notice(Code.SOURCE_REJECTED, Severity.WARNING, None, source=s.source, kind=s.kind, gate=s.gate, **counts)
+    return notice(Code.SOURCE_REJECTED, None, source=s.source, kind=s.kind, gate=s.gate, **counts)
 
 
 def _outlying(s: SourceScore) -> Notice | None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from association.conditional import jcbb_conditional
 from data.inputs import Frame, Increment, IntArray, LandmarkMap
-from data.notice import Code, Notice, Severity, notice
+from data.notice import Code, Notice, notice
 from data.result import DISCARD
 from data.se2 import Array
 from eval.replay.hindsight import constants
@@ -123,7 +123,7 @@ class Kidnapping:
         if not self.alarms:
             return []
         times, first = len(self.alarms), self.alarms[0]
-        return [notice(Code.MOVED_UNSEEN, Severity.INFO, times=times, first=first, found=len(self.found))]
+        return [notice(Code.MOVED_UNSEEN, times=times, first=first, found=len(self.found))]
 
 
 def anywhere(xy: Array, reach: float) -> Array:

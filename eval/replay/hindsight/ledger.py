@@ -17,7 +17,7 @@ from association.candidates import holding, narrower
 from association.conditional import ConditionalInnovations, conditional_innovations
 from association.expectation import Expectation
 from data.inputs import Frame, IntArray
-from data.notice import Code, Notice, Severity, notice
+from data.notice import Code, Notice, notice
 from data.result import DISCARD, NEW, Event, Updated
 from data.se2 import Array
 from data.sensors import Sensor
@@ -287,13 +287,11 @@ class Ledger:
         events = [e for e in self.events if e.why != REASSOCIATED]
         reassociated = len({e.observation for e in self.events if e.why == REASSOCIATED})
         undone, again = sum(e.old >= 0 for e in events), sum(e.new >= 0 for e in events)
-        revised = [notice(Code.REVISED, Severity.INFO, undone=undone, again=again)] if events else []
-        return revised + (
-            [notice(Code.REASSOCIATED_AT_END, Severity.INFO, decisions=reassociated)] if reassociated else []
-        )
+        revised = [notice(Code.REVISED, undone=undone, again=again)] if events else []
+        return revised + ([notice(Code.REASSOCIATED_AT_END, decisions=reassociated)] if reassociated else [])
 
     def merge_notes(self) -> list[Notice]:
         """Messages about merged landmarks."""
         if not self.merged:
             return []
-        return [notice(Code.MERGED, Severity.INFO, landmarks=len(self.merged), first=self.merged[0][0])]
+        return [notice(Code.MERGED, landmarks=len(self.merged), first=self.merged[0][0])]

@@ -12,7 +12,7 @@ import numpy as np
 from association.expectation import gate_threshold
 from data.errors import UsageError
 from data.inputs import Frame, IntArray
-from data.notice import Code, Notice, Severity, notice
+from data.notice import Code, Notice, notice
 from data.result import DISCARD, Event, PoseEstimate
 from data.se2 import pose_error
 from ekf.filter import FilterOptions
@@ -151,8 +151,8 @@ class HindsightLocalizer:
     def notes(self) -> list[Notice]:
         """Messages about revisions and alarms."""
         revised = len({e.observation for e in self.events})
-        notes = [notice(Code.REVISED_POSES, Severity.INFO, decisions=revised)]
+        notes = [notice(Code.REVISED_POSES, decisions=revised)]
         if self.alarms:
             times, first = len(self.alarms), self.alarms[0]
-            notes.append(notice(Code.FOUND_AGAIN, Severity.INFO, times=times, first=first, found=len(self.found)))
+            notes.append(notice(Code.FOUND_AGAIN, times=times, first=first, found=len(self.found)))
         return notes

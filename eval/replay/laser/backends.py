@@ -12,7 +12,7 @@ from association.expectation import gate_threshold
 from association.scans.constraints import SCAN, Chain, Loops
 from association.truncated import truncated_square
 from data.inputs import Inputs, IntArray
-from data.notice import Code, Notice, Severity, notice, stopped
+from data.notice import Code, Notice, notice, stopped
 from data.result import DISCARD, Failure, Innovations, Run, Trajectory
 from data.se2 import Array, compose, covariances_in_world, dead_reckoned
 from ekf.pose_chain import run_pose_chain
@@ -166,7 +166,7 @@ def _filter(given: _Constraints, gate: float | None) -> Solved:
     if gate is not None:
         tested = int(np.isfinite(found.d2).sum())
         rejected = tested - int(found.used.sum())
-        notes = (notice(Code.CLOSURES_GATED, Severity.INFO, gate=gate, rejected=rejected, closures=tested),)
+        notes = (notice(Code.CLOSURES_GATED, gate=gate, rejected=rejected, closures=tested),)
     run = _run(
         "ekf",
         online=over_frames(c, found.online, found.online_covariance),
@@ -204,7 +204,7 @@ def _incremental(name: str, given: _Constraints, loss: str, lag: float | None) -
         pose = graph.poses()
         if isinstance(graph, FixedLagPoseGraph):
             final = over_frames(chain, pose, graph.covariances())
-            notes = (notice(Code.CLOSURES_LOST, Severity.INFO, fixes=graph.fixes, lost=graph.lost),)
+            notes = (notice(Code.CLOSURES_LOST, fixes=graph.fixes, lost=graph.lost),)
             run = _run(name, final=final, notes=notes)
             weight = np.full(len(given.believed), np.nan)
         else:
@@ -239,7 +239,7 @@ def _batch(name: str, given: _Constraints) -> Solved:
     run = _smoothed(name, given, found, loss)
     if name == "gnc":
         out = int((found.weight == 0.0).sum())
-        rejected = notice(Code.CLOSURES_REJECTED, Severity.INFO, rejected=out, closures=len(found.weight))
+        rejected = notice(Code.CLOSURES_REJECTED, rejected=out, closures=len(found.weight))
         run = replace(run, notes=(rejected,))
     return Solved(run, found.pose, given.weights(found.weight))
 

@@ -15,7 +15,7 @@ from association.scans.points import beams_of, scan_points
 from association.scans.redundant import redundant, without
 from data.errors import UsageError
 from data.inputs import Inputs
-from data.notice import Code, Notice, Severity, notice
+from data.notice import Code, Notice, notice
 from data.result import Run
 from data.se2 import Array, between, compose, dead_reckoned, transform_points
 from eval.replay.laser.backends import NAMES, Solved, backend
@@ -86,7 +86,7 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> li
 
 def _note(repeated: Repeated) -> Notice:
     return notice(
-        Code.CHAIN_WIDENED, Severity.INFO, first=repeated.first.revisits, taken=repeated.taken.revisits,
+        Code.CHAIN_WIDENED, first=repeated.first.revisits, taken=repeated.taken.revisits,
         factor=repeated.factor, believed=repeated.believed,
     )  # fmt: skip
 

@@ -11,7 +11,7 @@ from association.scans.constraints import Chain, LaserRun
 from association.scans.corners import corners
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, Observations, Scans
 from data.motion.velocity import floor_covariances
-from data.notice import Code, Severity, notice
+from data.notice import Code, notice
 from data.result import Failure, Innovations, Run
 from data.se2 import Array, transform_points
 from data.sensors import RelativePoint
@@ -116,7 +116,7 @@ def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:
     if run.map is not None:
         given["map"] = replace(run.map, first_frame=of[np.maximum(run.map.first_frame, 0)])
     seen = len(corners.inputs.observations.frame)
-    given["notes"] = (*run.notes, notice(Code.CORNERS, Severity.INFO, corners=seen, scans=len(of)))
+    given["notes"] = (*run.notes, notice(Code.CORNERS, corners=seen, scans=len(of)))
     return LaserRun(**given)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from data.inputs import Observations
-from data.notice import Code, Severity, notice, stopped
+from data.notice import Code, notice, stopped
 from data.result import DISCARD, NEW, Failure, Innovations, MapEstimate
 from eval.referee.lost import former_observations, lost
 from tests.eval.handmade import FRAMES, LANDMARKS, circle_log, run_with_error
@@ -83,7 +83,7 @@ def whitened(*large, size=10.5, unused=()):
 def test_three_innovations_in_a_row_beyond_ten_sigma_are_more_than_wrong_labels():
     run = localizing(used_but())
     found = lost(replace(run, innovations=whitened(30, 31, 32)), INPUTS)
-    assert found == notice(Code.TEN_SIGMA, Severity.ERROR, 10, innovations=3)
+    assert found == notice(Code.TEN_SIGMA, 10, innovations=3)
     assert lost(replace(run, innovations=whitened(30, 31, 33, 34)), INPUTS) is None
     assert lost(replace(run, innovations=whitened(30, 31, 32, size=9.9)), INPUTS) is None
     # what was not used stands between

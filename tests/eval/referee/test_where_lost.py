@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
-from data.notice import Code, Severity, notice, stopped
+from data.notice import Code, notice, stopped
 from data.result import DISCARD, Innovations, Run, Trajectory
 from data.sensors import RangeBearing
 from eval.referee.lost import lost
@@ -46,7 +46,7 @@ def until(frame: int, each: int = 1):
 def test_it_is_lost_in_the_first_thirty_observations_of_which_less_than_a_tenth_is_used():
     found = lost(run(until(50)), inputs())
     assert found is not None
-    assert found == notice(Code.UNPAIRED, Severity.ERROR, 48, did=2, could=30.0, last=77)
+    assert found == notice(Code.UNPAIRED, 48, did=2, could=30.0, last=77)
 
 
 def test_a_tenth_is_enough():
@@ -56,7 +56,7 @@ def test_a_tenth_is_enough():
 
 def test_many_observations_at_once_are_judged_over_ten_frames():
     found = lost(run(until(50, each=6)), inputs(each=6))
-    assert found == notice(Code.UNPAIRED, Severity.ERROR, 50, did=0, could=60.0, last=59)
+    assert found == notice(Code.UNPAIRED, 50, did=0, could=60.0, last=59)
 
 
 def test_fewer_than_thirty_at_the_end_are_not_judged():
@@ -70,7 +70,7 @@ def test_observations_labelled_as_no_landmark_do_not_count():
 
 def test_a_mapper_is_judged_after_its_first_frames_over_all():
     slam = inputs(known_map=False)
-    assert lost(run(until(10), "slam"), slam) == notice(Code.HARDLY_USED, Severity.ERROR, 10, share=0.0, after=10)
+    assert lost(run(until(10), "slam"), slam) == notice(Code.HARDLY_USED, 10, share=0.0, after=10)
     assert lost(run(until(19), "slam"), slam) is None  # 9 of 90
     assert lost(run(until(18), "slam"), slam) is not None
 
@@ -86,7 +86,7 @@ def test_three_innovations_beyond_ten_sigma_in_a_row_are_absurd(squared, is_lost
     found = lost(run(np.ones(FRAMES, bool), white=white), inputs())
     assert (found is not None) == is_lost
     if is_lost:
-        assert found == notice(Code.TEN_SIGMA, Severity.ERROR, 60, innovations=3)
+        assert found == notice(Code.TEN_SIGMA, 60, innovations=3)
 
 
 def test_in_a_row_are_those_that_were_used():
@@ -100,7 +100,7 @@ def test_in_a_row_are_those_that_were_used():
 )
 def test_a_whole_cost_of_a_hundred_per_degree_of_freedom_is_absurd(total, is_lost):
     found = lost(run(np.ones(FRAMES, bool), total_nis=total), inputs())
-    assert found == (notice(Code.NIS, Severity.ERROR, 0, per_dof=101.0, over_run=False) if is_lost else None)
+    assert found == (notice(Code.NIS, 0, per_dof=101.0, over_run=False) if is_lost else None)
 
 
 GATED = (0.9, 1.5)

@@ -9,7 +9,7 @@ import pytest
 
 from data.errors import UsageError
 from data.inputs import Frame, FrameObservations, Increment, LandmarkMap, Prior
-from data.notice import Code, Severity, notice
+from data.notice import Code, notice
 from data.result import DISCARD
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants
@@ -101,8 +101,8 @@ def test_a_robot_that_was_carried_away_is_lost_and_found_where_it_stands():
         (4, 18 + i, DISCARD, number) for i, number in enumerate(IDS.tolist())
     ]
     assert localizer.notes() == [
-        notice(Code.REVISED_POSES, Severity.INFO, decisions=6),
-        notice(Code.FOUND_AGAIN, Severity.INFO, times=1, first=4, found=1),
+        notice(Code.REVISED_POSES, decisions=6),
+        notice(Code.FOUND_AGAIN, times=1, first=4, found=1),
     ]
 
 
@@ -156,4 +156,4 @@ def test_a_reading_that_may_be_of_four_landmarks_waits_until_more_is_known(shown
     (event,) = robot.localizer.events
     assert (event.frame, event.observation, event.old, event.new, event.why) == (frame, 0, DISCARD, number, why)
     assert robot.localizer.online == [DISCARD, 9, 9, 9]
-    assert robot.localizer.notes() == [notice(Code.REVISED_POSES, Severity.INFO, decisions=1)]
+    assert robot.localizer.notes() == [notice(Code.REVISED_POSES, decisions=1)]

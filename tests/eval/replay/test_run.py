@@ -13,7 +13,7 @@ from threadpoolctl import ThreadpoolController, threadpool_info
 from association.decide import METHODS
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
-from data.notice import Code, Severity, notice
+from data.notice import Code, notice
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
 from data.worlds.arena import Arena, simulate
@@ -69,10 +69,10 @@ def test_a_batch_takes_the_decisions_of_isam2_or_of_the_filter_if_there_is_no_is
     inputs = slam(lab, labels=True)
     _, isam2, batch = compare(inputs, "slam", ["ekf", "isam2", "batch"], "nn")
     np.testing.assert_array_equal(batch.final_decisions, isam2.final_decisions)
-    assert batch.notes[0] == notice(Code.DECIDED_BY, Severity.INFO, front="isam2")
+    assert batch.notes[0] == notice(Code.DECIDED_BY, front="isam2")
     ekf, alone = compare(inputs, "slam", ["ekf", "batch"], "nn")
     np.testing.assert_array_equal(alone.decisions, ekf.decisions)
-    assert alone.notes[0] == notice(Code.DECIDED_BY, Severity.INFO, front="ekf")
+    assert alone.notes[0] == notice(Code.DECIDED_BY, front="ekf")
     assert not np.array_equal(ekf.decisions, isam2.decisions)
 
 

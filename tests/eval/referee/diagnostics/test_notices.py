@@ -28,14 +28,14 @@ def test_a_run_that_stopped_says_why_and_where():
 
 
 def test_an_implausible_run_says_why_and_where_it_probably_began():
-    flaw = Failure("implausible", 2, notice(Code.NIS, Severity.ERROR, per_dof=400.0, over_run=True))
+    flaw = Failure("implausible", 2, notice(Code.NIS, per_dof=400.0, over_run=True))
     run = replace(run_with_error(np.zeros(3)), implausible=flaw)
     assert [n.code for n in found(run)][:2] == [Code.NIS, Code.ORIGIN]
 
 
 def test_a_lost_run_says_why():
     run = replace(run_with_error(4.0 * SIGMA), total_nis=(1010.0, 10))
-    why = notice(Code.NIS, Severity.ERROR, 0, per_dof=101.0, over_run=False).about(
+    why = notice(Code.NIS, 0, per_dof=101.0, over_run=False).about(
         log=LOG.name, task="slam", estimator="ekf", association="known"
     )
     assert why in found(run)
@@ -45,7 +45,7 @@ def test_a_lost_run_says_why():
 
 def test_the_table_has_values_as_json_and_the_sentence():
     (row,) = notices_table(
-        [notice(Code.MATCHED, Severity.INFO, poses=7, matched=7, between=1, error=np.nan).about(log="home")]
+        [notice(Code.MATCHED, poses=7, matched=7, between=1, error=np.nan).about(log="home")]
     ).to_dict("records")
     assert json.loads(row["values"]) == {"between": 1, "error": None, "matched": 7, "poses": 7}
     assert (row["code"], row["severity"], row["log"]) == ("matched", "info", "home")

@@ -10,7 +10,7 @@ import pytest
 
 from association.expectation import Expectation
 from data.inputs import Frame, FrameObservations, Increment
-from data.notice import Code, Severity, notice
+from data.notice import Code, notice
 from data.result import DISCARD, NEW
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants, kidnapping
@@ -175,7 +175,7 @@ def test_where_the_scan_has_one_place_the_frame_is_put_there(world):
     assert done.kidnapped is None
     assert not world.kidnapping.lost
     assert world.kidnapping.found == [1]
-    assert world.kidnapping.notes() == [notice(Code.MOVED_UNSEEN, Severity.INFO, times=1, first=0, found=1)]
+    assert world.kidnapping.notes() == [notice(Code.MOVED_UNSEEN, times=1, first=0, found=1)]
     assert world.frame(NEW, NEW, NEW, surprise=0.9 * ALARM).kidnapped is None, "it begins at zero again"
 
 

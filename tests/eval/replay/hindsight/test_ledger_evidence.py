@@ -9,7 +9,7 @@ import pytest
 
 from association.expectation import Expectation
 from data.inputs import Frame, FrameObservations, Increment
-from data.notice import Code, Severity, notice
+from data.notice import Code, notice
 from data.result import DISCARD, NEW, Updated
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants
@@ -225,10 +225,10 @@ def test_the_ledgers_notes_count_what_was_undone_and_what_was_made_instead():
     ledger = Robot().sees(NEW, NEW).sees(0, 1).sees(NEW).sees(2).ledger
     assert ledger.notes() == ledger.merge_notes() == []
     ledger.merge([(2, 0)])
-    assert ledger.notes() == [notice(Code.REVISED, Severity.INFO, undone=1, again=2)]
-    assert ledger.merge_notes() == [notice(Code.MERGED, Severity.INFO, landmarks=1, first=3)]
+    assert ledger.notes() == [notice(Code.REVISED, undone=1, again=2)]
+    assert ledger.merge_notes() == [notice(Code.MERGED, landmarks=1, first=3)]
     ledger._retract({1: "moved"})
-    assert ledger.notes() == [notice(Code.REVISED, Severity.INFO, undone=2, again=2)]
+    assert ledger.notes() == [notice(Code.REVISED, undone=2, again=2)]
 
 
 def replacing(ledger, decisions, missing):

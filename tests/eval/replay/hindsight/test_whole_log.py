@@ -10,7 +10,7 @@ import pytest
 from association.expectation import gate_threshold
 from association.truncated import truncated_square
 from data.inputs import Frame, FrameObservations, Increment, Increments, Inputs, Observations, Prior, Systematic
-from data.notice import Code, Severity, notice
+from data.notice import Code, notice
 from data.result import DISCARD, NEW, MapState, revised
 from data.se2 import compose
 from data.sensors import RangeBearing
@@ -109,7 +109,7 @@ def test_a_landmark_is_known_by_what_it_begins_with_in_the_end_and_at_first_if_i
 def test_how_much_was_decided_anew_is_said(crowded):
     run = crowded[1][0]
     anew = {e.observation for e in run.events if e.why == REASSOCIATED}
-    assert notice(Code.REASSOCIATED_AT_END, Severity.INFO, decisions=len(anew)) in run.notes
+    assert notice(Code.REASSOCIATED_AT_END, decisions=len(anew)) in run.notes
 
 
 def test_a_path_that_cannot_be_smoothed_leaves_decisions_as_they_are_and_says_so(monkeypatch):
