@@ -6,7 +6,7 @@ PYTEST_ARGS ?=
 LOCK_ARGS ?=
 
 BIN := .venv/bin
-PACKAGES := association data ekf eval graph
+PACKAGES := association data ekf eval graph wings
 
 # Kernels are compiled again where their source changed, or that of a module they use (eval/plan/stale_kernels.py).
 KERNELS := $(shell grep -lsr --include=*.py numba $(wildcard $(PACKAGES))) $(wildcard eval/warm.py eval/plan/warming.py)

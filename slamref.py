@@ -122,7 +122,6 @@ COMMANDS = {
     "check": ("eval.check:main", "check your own estimator or association method"),
     "step": ("eval.step:main", "walk through a log, one frame at each press of Enter"),
     "play": ("eval.play:main", "write a page that replays a log in the browser"),
-    "live": ("eval.live.__main__:main", "run filters and smoothers online while a small robot drives"),
     "twin": ("eval.twin:main", "draw a bootstrap replicate of a log from its own noise model"),
     "tune": ("eval.tune:main", "fit noise, biases and odometry scales to a labelled log"),
     "detect": ("eval.detect:main", "find reference pictures in a photo"),
@@ -130,7 +129,7 @@ COMMANDS = {
     "benchmark": ("eval.benchmark:main", "time the estimators beside their peers"),
     "warm": ("eval.warm:main", "compile all kernels into the cache"),
 }
-"""Module and function of each subcommand, and what it does."""
+"""Module and function of each subcommand of the core, and what it does."""
 FIRST = """\
 slamref scores EKF and smoother estimates of one robot log, and their data associations.
   slamref run arena:0      a simulated log: table on the terminal, report in results/report
@@ -140,7 +139,14 @@ slamref --help lists all commands.
 """
 
 
-PACKAGES = ("association", "data", "ekf", "eval", "graph")
+PACKAGES = ("association", "data", "ekf", "eval", "graph", "wings")
+
+
+def commands() -> dict[str, tuple[str, str]]:
+    """The subcommands, those of wings last."""
+    from data.wing import wings
+
+    return COMMANDS | {name: command for wing in wings() for name, command in wing.commands.items()}
 
 
 @cache
@@ -181,24 +187,25 @@ def main(argv: Sequence[str] | None = None) -> int:
     from data.terminal import ended
 
     words = list(sys.argv[1:] if argv is None else argv)
-    return ended(lambda: _command(completed(words, COMMANDS)))
+    known = commands()
+    return ended(lambda: _command(completed(words, known), known))
 
 
-def _command(words: list[str]) -> int:
+def _command(words: list[str], known: dict[str, tuple[str, str]]) -> int:
     from data.terminal import meant
 
     name, *rest = words or [""]
-    if name in COMMANDS:
-        module, _, function = COMMANDS[name][0].partition(":")
+    if name in known:
+        module, _, function = known[name][0].partition(":")
         status: int = getattr(import_module(module), function)(rest, f"slamref {name}")
         return status
     if name in ("", "-h", "--help", "--version"):
-        lines = "".join(f"  {command:<11}{about}\n" for command, (_, about) in COMMANDS.items())
+        lines = "".join(f"  {command:<11}{about}\n" for command, (_, about) in known.items())
         usage = f"usage: slamref COMMAND ...\n\n{lines}\nslamref COMMAND --help shows its flags, with examples.\n"
         version = f"slamref {__getattr__('__version__')}\n" if name == "--version" else ""
         sys.stdout.write(version or (usage if name else FIRST))
         return 0
-    hint = meant(name, COMMANDS) or f"; type one of {', '.join(COMMANDS)}"
+    hint = meant(name, known) or f"; type one of {', '.join(known)}"
     sys.stderr.write(f"slamref: {name}: no such command{hint}\n")
     return 2
 

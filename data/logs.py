@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from data.errors import UsageError
 from data.log import Log
 from data.terminal import meant
+from data.wing import used, wings
 from data.worlds import registry
 
 if TYPE_CHECKING:
@@ -140,13 +141,13 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
 
 
 def _with_header(path: Path, relations: Path | None = None) -> Log:
-    """A folder with a `log.toml`: an open log, or the recording of a robot's link."""
-    from data.robot.log import is_recording, load_recording
-
-    if is_recording(path):
-        if relations is not None:
-            raise UsageError(f"--relations {relations}: the recording {path} takes none; name a log with scans")
-        return load_recording(path)
+    """A folder with a `log.toml`: one of a wing, or an open log."""
+    for text in (text for wing in wings() for text in wing.logs):
+        log: Log | None = used(text)(path)
+        if log is not None:
+            if relations is not None:
+                raise UsageError(f"--relations {relations}: {path} takes none; name a log with scans")
+            return log
     from data.formats.open_log.reader import load_folder
 
     return load_folder(path, relations)

@@ -17,7 +17,7 @@ from data.errors import SlamrefError, nearest
 
 FINE, WRONG, INTERRUPTED = 0, 2, 130
 ROOT = Path(__file__).parents[1]
-OURS = ("association", "data", "ekf", "eval", "graph", "slamref")
+OURS = ("association", "data", "ekf", "eval", "graph", "wings", "slamref")
 FULL = (errno.ENOSPC, errno.EDQUOT)
 
 

@@ -1,1 +1,1 @@
-"""A small robot on a serial line as the tutorials build it: eight sonars, wheel encoders, and a simulated one."""
+"""The name under which the simulated robot of the wing `robot` is run."""

@@ -14,11 +14,12 @@ import importlib
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import Field, dataclass, fields, is_dataclass
+from dataclasses import Field, fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from data.errors import UsageError, did_you_mean
+from data.wing import World, wings
 
 if TYPE_CHECKING:
     from data.log import Log
@@ -129,27 +130,6 @@ def written(f: Field[Any], value: Any) -> str:
     return f"{value:.12g}" if isinstance(value, float) and float(f"{value:.12g}") == value else str(value)
 
 
-@dataclass(frozen=True)
-class World:
-    """A world and its texts.
-
-    Attributes:
-        module: with its function `simulate(parameters, seed, name)`.
-        parameters: in that module, the dataclass of its parameters.
-        example: names of its logs.
-        counts: further keys of its names, whole numbers from 1 up that are no parameters.
-        help, description, examples: of its kind of `python -m data.convert`; empty if that writes something else.
-    """
-
-    module: str
-    parameters: str
-    example: str
-    help: str = ""
-    description: str = ""
-    examples: str = ""
-    counts: tuple[str, ...] = ()
-
-
 SIMULATORS: Mapping[str, World] = {
     "arena": World(
         "data.worlds.arena",
@@ -232,17 +212,8 @@ examples:
         " same log.",
         "example:\n  python -m data.convert park logs/park-0 --seed 0 --frames 8240 --spacing 4.5",
     ),
-    "walls": World(
-        "data.robot.world",
-        "Walls",
-        "walls:0 or walls:3:room=0",
-        "a small robot with sonars along the walls of a room, simulated",
-        "A simulated robot with eight sonars and wheel encoders follows the walls of a room, which are the landmarks;"
-        " the same seed gives the same log.",
-        "example:\n  python -m data.convert walls logs/walls-0 --seed 0 --frames 2400",
-    ),
     "visual": World("data.worlds.gallery", "Gallery", "visual:0", counts=("frames",)),
-}
+} | {name: world for wing in wings() for name, world in wing.worlds.items()}
 
 
 class Named(NamedTuple):

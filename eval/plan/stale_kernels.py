@@ -15,7 +15,7 @@ from pathlib import Path
 
 from data.terminal import ROOT
 
-PACKAGES = ("association", "data", "ekf", "eval", "graph")
+PACKAGES = ("association", "data", "ekf", "eval", "graph", "wings")
 KEPT = ROOT / "ekf" / "__pycache__" / ".slamref-sources.json"
 """sha256 of what each module with kernels was compiled from."""
 

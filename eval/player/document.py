@@ -1,6 +1,6 @@
 """The page: one file with style, scripts and data, which loads nothing else.
 
-The live page has no data and fetches chunks from its server (`eval.live`).
+The live page has no data and fetches chunks from its server (`wings.robot.live`).
 """
 
 from __future__ import annotations

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from data.robot.driving import WallFollower
-from data.robot.simulated.lidar import Lidar
-from data.robot.simulated.physics import drive
-from data.robot.simulated.room import room
-from eval.live.feed import Feed, header
-from eval.live.grid import GridPainter
-from eval.live.scanning import ScanEstimating
-from eval.live.server import Server
-from eval.live.session import Session
 from eval.player.document import live_document
 from eval.replay.settings import Setup
+from wings.robot.driving import WallFollower
+from wings.robot.live.feed import Feed, header
+from wings.robot.live.grid import GridPainter
+from wings.robot.live.scanning import ScanEstimating
+from wings.robot.live.server import Server
+from wings.robot.live.session import Session
+from wings.robot.simulated.lidar import Lidar
+from wings.robot.simulated.physics import drive
+from wings.robot.simulated.room import room
 
 pytestmark = pytest.mark.browser
 

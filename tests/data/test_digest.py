@@ -18,7 +18,7 @@ from pathlib import Path
 {work}
 files = [Path(m.__file__).resolve() for m in list(sys.modules.values()) if getattr(m, "__file__", None)]
 ours = [f.relative_to({root!r}).as_posix() for f in files if f.suffix == ".py" and f.is_relative_to({root!r})
-        and f.relative_to({root!r}).parts[0] in ("association", "data", "ekf", "eval", "graph")]
+        and f.relative_to({root!r}).parts[0] in ("association", "data", "ekf", "eval", "graph", "wings")]
 print(json.dumps(sorted(ours)))
 """
 STUDY = """

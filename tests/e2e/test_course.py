@@ -62,4 +62,4 @@ def test_every_command_is_understood(words):
     elif name == "convert":
         convert_parser().parse_args(arguments)
     else:
-        assert name in slamref.COMMANDS
+        assert name in slamref.commands()

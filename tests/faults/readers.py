@@ -21,9 +21,6 @@ from data.formats.recordings.victoria_park import load_victoria_park
 from data.formats.results.reading import read_path
 from data.formats.results.tables import companions
 from data.logs import open_log
-from data.robot.packets import command_of
-from data.robot.simulated.lidar import Lidar
-from data.robot.traffic.recording import Recording
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import CONFIGS
 from eval.studies.scenario import load_scenario
@@ -37,8 +34,11 @@ from tests.data.formats.open_log.test_corruption import assert_sound
 from tests.data.formats.open_log.test_scans import GOOD
 from tests.data.formats.open_log.test_sensors import files_of as files_of_sensors
 from tests.data.formats.recordings.carmen_text import SMALL
-from tests.data.robot.line import linked
 from tests.faults.mutations import BYTES, MAT, NPY, TABLE, TOML, Fault, Files, zipped
+from tests.wings.robot.line import linked
+from wings.robot.packets import command_of
+from wings.robot.simulated.lidar import Lidar
+from wings.robot.traffic.recording import Recording
 
 
 def faults_of(name: str) -> list[Fault]:

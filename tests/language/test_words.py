@@ -12,7 +12,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 LIST = Path(__file__).parent / "banned.txt"
-ROOMS = ("association", "data", "ekf", "eval", "graph")
+ROOMS = ("association", "data", "ekf", "eval", "graph", "wings")
 PAGES = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md")
 VALUES = ("paired anew on the smoothed path",)
 """Values in files are contracts."""

@@ -15,7 +15,7 @@ from tests.mutation.faults import interpreted
 from tests.mutation.table import FAULTS, label
 from tests.quick import slow
 
-PRODUCT = ("association", "data", "ekf", "eval", "graph")
+PRODUCT = ("association", "data", "ekf", "eval", "graph", "wings")
 
 
 def attributes():

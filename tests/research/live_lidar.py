@@ -14,16 +14,16 @@ import numpy as np
 
 from data.command import Parser
 from data.inputs import Inputs
-from data.robot.driving import WallFollower
-from data.robot.log import Framing, inputs_of, scans_of
-from data.robot.simulated.lidar import Lidar
-from data.robot.simulated.physics import drive
-from data.robot.simulated.room import room
 from data.se2 import Array, between, wrap_angle
-from eval.live.scanning import rehearse_scans
 from eval.replay.laser.incremental import ScanSlam
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.settings import Setup
+from wings.robot.driving import WallFollower
+from wings.robot.live.scanning import rehearse_scans
+from wings.robot.log import Framing, inputs_of, scans_of
+from wings.robot.simulated.lidar import Lidar
+from wings.robot.simulated.physics import drive
+from wings.robot.simulated.room import room
 
 SHARES = (None, 0.05, 0.1, 0.2)
 

@@ -175,7 +175,7 @@ def at_line(fault: BaseException) -> str:
 
 ROOT = Path(__file__).parents[3]
 LIBRARIES = (
-    *(str(ROOT / folder) for folder in ("association", "data", "ekf", "eval", "graph")),
+    *(str(ROOT / folder) for folder in ("association", "data", "ekf", "eval", "graph", "wings")),
     *(sysconfig.get_path(kind) for kind in ("stdlib", "purelib", "platlib")),
 )
 

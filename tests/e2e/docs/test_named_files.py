@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[3]
-PACKAGES = ("association", "data", "ekf", "eval", "graph")
+PACKAGES = ("association", "data", "ekf", "eval", "graph", "wings")
 OURS = (*PACKAGES, "docs", "tests")
 PAGES = [p for kind in ("*.md", "docs/**/*.md", "docs/**/*.ipynb") for p in sorted(ROOT.glob(kind))]
 PAGES.remove(ROOT / "CHANGELOG.md")  # which names what there was

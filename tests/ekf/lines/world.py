@@ -11,12 +11,12 @@ import numpy as np
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
-from data.robot.packets import WHEEL_BASE
-from data.robot.simulated.physics import Physics
-from data.robot.simulated.room import room
 from data.se2 import compose, wrap_angle
 from data.sensors import Line
 from data.truth import Truth
+from wings.robot.packets import WHEEL_BASE
+from wings.robot.simulated.physics import Physics
+from wings.robot.simulated.room import room
 
 PERIOD = 0.25
 SPEED = 0.25

@@ -12,11 +12,11 @@ from association.decide import known_decisions
 from data import se2
 from data.inputs import Increments, Inputs, LabelledObservations, LandmarkMap, Prior
 from data.result import MapState
-from data.robot.simulated.room import room
 from data.sensors import Line
 from graph.batch import Start, smooth
 from tests.graph.driving import for_task
 from tests.graph.worlds import MOTION_SIGMA, OFF_CENTRE, order_of_creation
+from wings.robot.simulated.room import room
 
 SENSORS = {"centred": Line(max_range=8.0), "off centre": Line(max_range=8.0, **OFF_CENTRE)}
 WALLS = np.array([[6.0, 0.2], [5.0, 1.7], [7.0, 3.0], [4.0, -2.0], [1.5, -0.9]])

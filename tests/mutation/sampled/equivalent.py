@@ -16,5 +16,5 @@ EQUIVALENT = {
     # one stream of random numbers is as good as another
     ("eval/studies/twins.py", "0x7A17", "31256"),
     # the last statement of a function
-    ("data/robot/simulate.py", "return", "pass"),
+    ("wings/robot/simulate.py", "return", "pass"),
 }  # fmt: skip

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from os.path import commonpath
 from pathlib import Path
 
-PACKAGES = ("association", "data", "ekf", "eval", "graph")
+PACKAGES = ("association", "data", "ekf", "eval", "graph", "wings")
 
 
 def importers(root: Path) -> dict[str, set[str]]:

@@ -34,7 +34,7 @@ from tests.research.sensitivity.cases import (
 )
 
 ROOT = Path(__file__).parents[3]
-PACKAGES = ("association", "data", "ekf", "eval", "graph")
+PACKAGES = ("association", "data", "ekf", "eval", "graph", "wings")
 EVIDENCE = "eval.replay.hindsight.constants"
 BY_NAME = {c.name: c for c in all_constants()}
 DECIDER = [path for package in ("association", "ekf", "eval/replay") for path in (ROOT / package).rglob("*.py")]

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from data.inputs import Increment, Prior
-from data.robot.simulated.lidar import Lidar
-from data.robot.simulated.room import room
 from data.se2 import between, compose
 from eval.replay.laser.incremental import MOST_AT_ONCE, ScanSlam
 from eval.replay.laser.parameters import LaserParameters
+from wings.robot.simulated.lidar import Lidar
+from wings.robot.simulated.room import room
 
 ROUNDS, FRAMES = 4, 60  # on an ellipse through the room, frames each
 EXACT = Prior(np.zeros(3), np.zeros((3, 3)))

@@ -1,0 +1,86 @@
+"""What a wing adds to the core: commands, names of the Python API, kinds of logs, sections of the report.
+
+The core imports no wing. It asks `wings()` for tables of texts `module:function`, and imports what it uses. Ours are
+the folders of the package `wings`; those of others are entry points of the group `slamref.wings`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import import_module, metadata, resources
+from typing import Any
+
+from data.errors import UsageError
+
+GROUP = "slamref.wings"
+
+
+@dataclass(frozen=True)
+class World:
+    """A world and its texts.
+
+    Attributes:
+        module: with its function `simulate(parameters, seed, name)`.
+        parameters: in that module, the dataclass of its parameters.
+        example: names of its logs.
+        counts: further keys of its names, whole numbers from 1 up that are no parameters.
+        help, description, examples: of its kind of `python -m data.convert`; empty if that writes something else.
+    """
+
+    module: str
+    parameters: str
+    example: str
+    help: str = ""
+    description: str = ""
+    examples: str = ""
+    counts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Wing:
+    """One wing; every text is `module:function`, imported when it is used.
+
+    Attributes:
+        name: of its folder, or entry point.
+        commands: subcommands of `slamref`: function of (arguments, name of the command), and what it does.
+        api: names of the Python API, and their modules.
+        worlds: simulated worlds by name.
+        logs: functions of (path) that open a folder with a `log.toml` if it is one of theirs, else return None.
+        log_sections: functions of (folder, output, trial) that give sections of the report on one log and task.
+    """
+
+    name: str
+    commands: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    api: Mapping[str, str] = field(default_factory=dict)
+    worlds: Mapping[str, World] = field(default_factory=dict)
+    logs: tuple[str, ...] = ()
+    log_sections: tuple[str, ...] = ()
+
+
+@cache
+def wings() -> tuple[Wing, ...]:
+    """Ours by name, then those of others.
+
+    Raises:
+        UsageError: an entry point that cannot be imported, or is no `Wing`.
+    """
+    folders = resources.files("wings").iterdir()
+    ours = sorted(f.name for f in folders if f.is_dir() and (f / "__init__.py").is_file())
+    found = [import_module(f"wings.{name}").wing for name in ours]
+    for entry in metadata.entry_points(group=GROUP):
+        try:
+            wing = entry.load()
+        except (ImportError, AttributeError) as fault:
+            raise UsageError(f"wing {entry.name} ({entry.value}): {fault}") from fault
+        if not isinstance(wing, Wing):
+            raise UsageError(f"wing {entry.name} ({entry.value}): not a data.wing.Wing")
+        found.append(wing)
+    return tuple(found)
+
+
+def used(text: str) -> Any:
+    """The function that a text `module:function` names."""
+    module, _, name = text.partition(":")
+    return getattr(import_module(module), name)

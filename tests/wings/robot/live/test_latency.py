@@ -1,0 +1,60 @@
+"""From the bytes of a packet to the estimates, with a hundred walls in the map: well below 10 ms."""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from data.inputs import Frame, FrameObservations
+from eval.replay.settings import Setup
+from tests.wings.robot.live.driven import packets
+from wings.robot.live.session import Session
+from wings.robot.packets import encode_answer
+from wings.robot.traffic.recording import RECEIVED, SENT, Record, Recording
+from wings.robot.traffic.stream import Exchange
+
+WALLS, LONGEST, SHARE = 100, 0.010, 0.99
+
+
+def with_walls(name, association):
+    """A session with as many walls in the map: 25 directions, 4 distances each, beyond the room's own."""
+    session = Session((name,), association, Setup())
+    alpha = np.repeat(np.linspace(-math.pi, math.pi, WALLS // 4, endpoint=False), 4)
+    z = np.column_stack([np.tile([12.0, 14.0, 16.0, 18.0], WALLS // 4), alpha])
+    first = Frame(0, -1.0, None, FrameObservations(z, np.tile(np.diag([1e-4, 1e-4]), (WALLS, 1, 1))), None, 0)
+    session.estimating[0].take(first)
+    return session
+
+
+def times(session, folder, seconds):
+    """CPU time [s] from each packet's bytes to the estimates; the first is not counted, it has no motion."""
+    exchange, taken, answered = Exchange(framed=False), [], 0
+    with Recording(folder) as recording, threadpool_limits(1):
+        for packet in packets(seconds):
+            sent = Record(SENT, packet.t + 0.001)
+            recording.append(sent)
+            exchange.consume(sent)
+            received = Record(RECEIVED, packet.t + 0.03, encode_answer(packet.answer))
+            begin = time.thread_time()
+            recording.append(received)
+            came = exchange.consume(received)
+            for each in came:
+                session.take(each)
+            taken.append(time.thread_time() - begin)
+            answered += len(came)
+    assert answered == len(taken)
+    return np.array(taken[2:])
+
+
+@pytest.mark.parametrize("association", ["jcbb", pytest.param("nn", marks=pytest.mark.slow)])
+def test_a_packet_is_an_estimate_within_ten_milliseconds(tmp_path, association):
+    session = with_walls("ekf", association)
+    spent = times(session, tmp_path / "log", 40.0)
+    state = session.estimating[0].map()
+    assert len(state.number) > WALLS
+    assert session.observations > 15
+    assert np.quantile(spent, SHARE) < LONGEST, f"median {np.median(spent):.4f} s, longest {spent.max():.4f} s"

@@ -1,0 +1,138 @@
+"""A robot with a lidar, online: as the front end of laser logs, within the period, with a grid on the page."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import time
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from data.logs import open_log
+from data.se2 import between
+from eval.plan.experiments import _work
+from eval.plan.flags.table import Options
+from eval.replay.laser.front_end import run_front_end
+from eval.replay.laser.parameters import LaserParameters
+from eval.replay.settings import Setup
+from tests.wings.robot.line import linked
+from wings.robot.driving import WallFollower
+from wings.robot.live.drive import Looking
+from wings.robot.live.drive import drive as drive_on_line
+from wings.robot.live.feed import Feed
+from wings.robot.live.grid import EVERY, SCANS, GridPainter
+from wings.robot.live.scanning import ScanEstimating, rehearse_scans
+from wings.robot.live.session import Session, latency_table
+from wings.robot.packets import PERIOD
+from wings.robot.simulated.lidar import Lidar
+from wings.robot.simulated.physics import drive
+from wings.robot.simulated.room import room
+from wings.robot.simulated.wire import Faults
+from wings.robot.traffic.recording import Recording
+
+SECONDS = 20.0
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """A recording on a line that tears some scans, what was taken, the session, the display and its feed."""
+    folder, said, taken = tmp_path_factory.mktemp("robot") / "log", [], []
+    rehearse_scans(Setup(least_information=0.1), 0.01)
+    scanning = ScanEstimating(Setup(), 0.01)
+    session = Session(("ekf",), "jcbb", Setup(), scanning=scanning)
+    feed = Feed(2)
+    display = Looking("drive", session, dict, said.append, feed=feed, painter=GridPainter(scanning.keys, feed.show))
+    session._processed = lambda each: (taken.append(each), display.take(each))
+    with Recording(folder, framed=True, lidar_sigma=0.01) as recording, pytest.MonkeyPatch.context() as patch:
+        patch.setattr("time.perf_counter", time.thread_time)  # how busy the machine is does not matter
+        link, wire, clock = linked(Faults(1e-4, 0.0, 0.0), 2, recording=recording, lidar=Lidar())
+        drive_on_line(link, clock, session, WallFollower(), lambda: clock.now() >= SECONDS, display.look)
+    display.end(clock.now())
+    return folder, taken, session, feed, said, wire
+
+
+def test_a_replay_of_the_recording_has_the_same_poses_to_the_bit(driven):
+    folder, taken, session, *_ = driven
+    inputs = open_log(str(folder)).inputs()
+    assert len(inputs) == len(taken) > 70
+    assert 0.7 * len(inputs) < len(inputs.scans.frame) < len(inputs), "some scans were torn"
+    front = run_front_end(inputs, LaserParameters())
+    steps = [t.steps[1] for t in taken]
+    first = next(k for k, step in enumerate(steps) if step is not None)
+    assert first == inputs.scans.frame[0]
+    assert np.array([s.mean for s in steps[first:]]).tobytes() == front.online[first:].tobytes()
+    assert session.estimating[1].slam.size == len(front.keys) > 5
+
+
+def test_it_is_far_more_accurate_than_walls_and_odometry(driven):
+    _, taken, _, _, _, wire = driven
+    pose = between(room(0).start, wire.robot.pose)
+    walls, scans = (np.hypot(*(taken[-1].steps[i].mean - pose)[:2]) for i in (0, 1))
+    assert scans < 0.03
+    assert scans < walls
+
+
+def test_every_frame_is_done_within_the_period(driven):
+    spent = driven[2].spent[1]
+    assert spent.longest < PERIOD
+    assert spent.within(0.5) < 0.01
+
+
+def test_status_and_table_name_it_beside_the_others(driven):
+    said = driven[4]
+    assert "| isam2 scan x " in said[-4]
+    assert ", key poses " in said[-4]
+    assert said[-3].split() == ["estimator", "median", "99", "%", "longest", "[ms", "a", "frame;", "period", "250]"]
+    assert [line.split("  ")[0] for line in said[-2:]] == ["ekf", "isam2 scan"]
+    assert len(latency_table(["none"], [type(driven[2].spent[0])()], 0.25)) == 1
+
+
+def test_the_page_has_the_grid_of_the_room(driven):
+    feed = driven[3]
+    assert feed.published.grids == 1 + int(SECONDS / EVERY)
+    assert json.loads(feed.published.small[-1].text)["grids"] == feed.published.grids
+    shown = json.loads(feed.published.grid)
+    picture = Image.open(io.BytesIO(base64.b64decode(shown["png"])))
+    assert picture.mode == "LA"
+    opaque = np.asarray(picture)[..., 1]
+    assert opaque.shape == (round(shown["high"] / 0.05), round(shown["wide"] / 0.05))
+    rows, columns = np.nonzero(opaque > 200)
+    y = shown["south"] + shown["high"] - 0.05 * (rows + 0.5)
+    # walls ahead of the robot's start: one a metre to the right, one 5 m to the left
+    counted = np.bincount(np.round((y + 1.0) / 0.1).astype(int) + 5, minlength=70)
+    assert counted[5] + counted[65] > 0.3 * len(y)
+    assert len(columns) > 200
+
+
+def test_it_is_drawn_a_few_scans_in_a_period():
+    rng, shown = np.random.default_rng(0), []
+    scanner = Lidar().directions.scanner(0.01)
+    poses = np.column_stack([rng.uniform(0, 3, (3 * SCANS - 1, 2)), np.zeros(3 * SCANS - 1)])
+    painter = GridPainter(lambda: (poses, rng.uniform(1.0, 3.0, (len(poses), 360)), scanner), shown.append)
+    for k in range(4):
+        assert not shown
+        painter.work(0.25 * k)
+    assert len(shown) == 1
+    painter.work(EVERY - 0.1)
+    painter.work(EVERY - 0.05)
+    assert len(shown) == 1
+
+
+def test_before_the_first_scan_it_waits_and_frames_count():
+    packets = drive(room(0), WallFollower(), 3.0, np.random.default_rng(0), lidar=Lidar()).packets
+    blind = [*(p.__class__(p.t, p.ranges, p.odometry, p.joined, p.sure, p.answer) for p in packets[:4]), *packets[4:]]
+    session = Session((), "jcbb", Setup(), scanning=ScanEstimating(Setup(), 0.01))
+    steps = [session.take(p).steps[0] for p in blind]
+    assert [s is None for s in steps] == [True] * 4 + [False] * 8
+    moved = between(packets[0].odometry, packets[4].odometry)
+    np.testing.assert_allclose(steps[4].mean[:2], moved[:2], atol=0.01)
+
+
+def test_of_a_log_with_walls_and_scans_each_estimator_gets_what_it_can_use(driven):
+    log = open_log(str(driven[0]))
+    selection = Options().selection.__class__(estimator=("ekf-fej", "isam2"), association=("jcbb", "scan"))
+    work = _work(log, selection)
+    assert [(w.association, w.estimators) for w in work] == [("jcbb", ("ekf-fej", "isam2")), ("scan", ("isam2",))]

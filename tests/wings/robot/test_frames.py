@@ -1,0 +1,112 @@
+"""Packets become frames one at a time; increments and walls err by as much as they say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from data.se2 import between, compose, wrap_angle
+from wings.robot.driving import WallFollower
+from wings.robot.log import FLOOR, ROUNDING, SENSOR, Framing, Noise, inputs_of, slip_covariance
+from wings.robot.packets import FASTEST, WHEEL_BASE, Answer
+from wings.robot.simulated.physics import drive
+from wings.robot.simulated.room import room
+from wings.robot.traffic.motion import Packet
+from wings.robot.world import lines
+
+
+def packet(k, pose, *, joined=True):
+    """A packet that saw nothing, its odometry rounded as the robot rounds it."""
+    x, y, heading = (round(1000 * v) for v in pose)
+    odometry = np.array([x, y, heading]) / 1000
+    return Packet(0.25 * k, np.full(8, np.inf), odometry, joined, 1.0, Answer((4000,) * 8, x, y, heading))
+
+
+def arc(f, theta):
+    """Motion (3,) of an arc of length f that turns by theta."""
+    return np.array([f * np.cos(0.5 * theta), f * np.sin(0.5 * theta), theta])
+
+
+def test_slip_moves_the_body_as_two_wheels_on_an_arc_do():
+    f, theta, slip = 0.3, 0.4, 0.004
+
+    def moved(left, right):
+        ways = f - 0.5 * WHEEL_BASE * theta + left, f + 0.5 * WHEEL_BASE * theta + right
+        return arc(0.5 * sum(ways), (ways[1] - ways[0]) / WHEEL_BASE)
+
+    h, expected = 1e-6, np.zeros((3, 3))
+    for side in np.eye(2):
+        J = (moved(*(h * side)) - moved(*(-h * side))) / (2 * h)
+        expected += slip**2 * abs(f + (side[1] - side[0]) * 0.5 * WHEEL_BASE * theta) * np.outer(J, J)
+    assert np.allclose(slip_covariance(arc(f, theta), slip), expected, rtol=1e-6, atol=1e-15)
+
+
+def test_the_first_frame_has_no_motion_and_a_robot_at_rest_only_the_floor():
+    framing = Framing()
+    first, still, gone = (framing.frame(packet(k, [0.5, 0.2, x])) for k, x in enumerate([1.0, 1.0, 1.1]))
+    assert first.increment is None
+    assert (still.increment.mean == 0).all()
+    assert (still.increment.covariance == FLOOR * np.eye(3)).all()
+    assert np.diag(gone.increment.covariance)[2] > ROUNDING**2
+    assert framing.at_rest == 1
+
+
+def test_after_odometry_began_anew_the_robot_may_be_where_it_can_have_driven():
+    framing = Framing()
+    framing.frame(packet(0, [0, 0, 0]))
+    increment = framing.frame(packet(40, [3, 2, 1], joined=False)).increment
+    assert (increment.mean == 0).all()
+    assert np.sqrt(increment.covariance[0, 0]) == pytest.approx(2.0 * FASTEST)
+    assert increment.covariance[2, 2] == pytest.approx(np.pi**2)
+
+
+@pytest.mark.slow
+def test_increments_and_walls_err_by_what_is_stated():
+    """NEES of 600 increments, 3 dof, and of about 100 walls, 2 dof: within 3 sigma of their means."""
+    place = room(0)
+    driven = drive(place, WallFollower(), 150.0, np.random.default_rng(2))
+    framing = Framing()
+    inputs = inputs_of([framing.frame(p) for p in driven.packets], framing.at_rest)
+    error = inputs.increments.mean[1:] - between(driven.poses[:-1], driven.poses[1:])
+    error[:, 2] = wrap_angle(error[:, 2])
+    nees = np.einsum("ni,nij,nj->n", error, np.linalg.inv(inputs.increments.covariance[1:]), error)
+    assert nees.mean() == pytest.approx(3.0, abs=3 * np.sqrt(6 / len(nees)))
+    o, known = inputs.observations, lines(place).xy
+    path = between(place.start, driven.poses)
+    errors = [SENSOR.residual(z, SENSOR.predict(path[k], known)) for k, z in zip(o.frame, o.z, strict=True)]
+    nearest = np.array([e[np.argmin((np.abs(e) / [0.1, 0.15]).sum(axis=1))] for e in errors])
+    nees = np.einsum("ni,nij,nj->n", nearest, np.linalg.inv(o.R), nearest)
+    assert len(nees) > 80
+    assert nees.mean() == pytest.approx(2.0, abs=3 * 2 / np.sqrt(len(nees)))
+
+
+def test_frames_put_together_give_the_same_frames_again():
+    driven = drive(room(1), WallFollower(), 30.0, np.random.default_rng(0))
+    framing = Framing(Noise(0.004, 0.006))
+    frames = [framing.frame(p) for p in driven.packets]
+    inputs = inputs_of(frames, framing.at_rest)
+    assert len(inputs) == len(frames) == 120
+    for k, frame in enumerate(frames):
+        again = inputs.frame(k)
+        assert (again.time, again.first, again.number) == (frame.time, frame.first, frame.number)
+        assert again.observations.z.tobytes() == frame.observations.z.tobytes()
+        assert again.observations.R.tobytes() == frame.observations.R.tobytes()
+        assert k == 0 or again.increment.covariance.tobytes() == frame.increment.covariance.tobytes()
+    steps = np.zeros(3)
+    for mean in inputs.increments.mean:
+        steps = compose(steps, mean)
+    end = between(driven.packets[0].odometry, driven.packets[-1].odometry)
+    assert np.allclose([*steps[:2], np.cos(steps[2])], [*end[:2], np.cos(end[2])], atol=1e-9)
+
+
+def test_a_frame_cannot_be_written_into_as_those_of_a_log():
+    driven, framing = drive(room(0), WallFollower(), 10.0, np.random.default_rng(0)), Framing()
+    frames = [framing.frame(p) for p in driven.packets]
+    again = inputs_of(frames, framing.at_rest)
+    for frame in frames:
+        ours, theirs = ([*f.observations, *(f.increment or ())] for f in (frame, again.frame(frame.number)))
+        for a, b in zip(ours, theirs, strict=True):
+            assert not a.flags.writeable
+            assert not b.flags.writeable
+            assert a.flags.c_contiguous
+            assert b.flags.c_contiguous

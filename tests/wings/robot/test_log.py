@@ -1,0 +1,159 @@
+"""A recording opens as the log it was while it was made, finished or cut off; completed, others can read it."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from data.errors import DataError, UsageError
+from data.formats.open_log.reader import load_folder
+from data.logs import Reading, find_logs, open_log
+from tests.wings.robot.line import linked
+from wings.robot.driving import WallFollower
+from wings.robot.log import Framing, Noise, complete
+from wings.robot.packets import command_of
+from wings.robot.simulated.wire import Faults
+from wings.robot.traffic.recording import HEADER, PACKETS, Recording, read_recording
+from wings.robot.traffic.stream import decoded
+from wings.robot.walls import FITS, USUAL_FIT
+
+NOISE = Noise(0.004, 0.006)
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """A folder with a recording of 20 s on a bad line, and its frames as they came."""
+    folder, frames, framing, drive = tmp_path_factory.mktemp("robot") / "log", [], Framing(NOISE), WallFollower()
+    command = command_of(0.0, 0.0)
+    with Recording(folder, noise=NOISE) as recording:
+        link, _, clock = linked(Faults(0.003, 0.001, 0.0), 3, recording=recording)
+        while clock.now() < 20.0:
+            for packet in link.step(command):
+                frames.append(framing.frame(packet))
+                command = command_of(*drive(packet))
+    return folder, frames
+
+
+@pytest.fixture
+def folder(driven, tmp_path):
+    return shutil.copytree(driven[0], tmp_path / "log")
+
+
+def same(a, b):
+    """Whether two logs hold the same inputs to the bit."""
+    a, b = a.recorded, b.recorded
+    return all(
+        x.tobytes() == y.tobytes()
+        for x, y in [
+            (a.time, b.time),
+            (a.increments.mean, b.increments.mean),
+            (a.increments.covariance, b.increments.covariance),
+            (a.observations.frame, b.observations.frame),
+            (a.observations.z, b.observations.z),
+            (a.observations.R, b.observations.R),
+        ]
+    )
+
+
+def test_it_holds_the_frames_that_came_to_the_bit(driven):
+    folder, frames = driven
+    log = open_log(str(folder))
+    assert len(log.recorded) == len(frames) > 60
+    assert len(log.recorded.observations.frame) > 5
+    for k, frame in enumerate(frames):
+        again = log.recorded.frame(k)
+        assert again.time == frame.time
+        assert again.observations.R.tobytes() == frame.observations.R.tobytes()
+        assert k == 0 or again.increment.covariance.tobytes() == frame.increment.covariance.tobytes()
+    assert log.name == "log"
+    assert "Faults of the link" in log.notes[0]
+
+
+def test_completed_it_is_an_open_log_too_and_still_the_recording(folder):
+    before = open_log(str(folder))
+    complete(folder)
+    assert same(load_folder(folder), before), "read from its CSV files"
+    assert same(open_log(str(folder)), before), "read from its packets"
+    complete(folder)
+    assert not list(folder.glob(".*"))
+    (folder / PACKETS).unlink()
+    assert same(open_log(str(folder)), before), "without its packets it is an open log like others"
+
+
+def test_cut_off_it_ends_earlier_and_says_so(folder):
+    whole = open_log(str(folder))
+    packets = folder / PACKETS
+    packets.write_bytes(packets.read_bytes()[: packets.stat().st_size // 2])
+    log = open_log(str(folder))
+    n = len(log.recorded)
+    assert 20 < n < len(whole.recorded)
+    assert log.recorded.time.tobytes() == whole.recorded.time[:n].tobytes()
+    assert any("truncated" in note for note in log.notes)
+
+
+def test_without_an_answer_it_is_no_log(tmp_path):
+    Recording(tmp_path / "log").close()
+    with pytest.raises(DataError, match=r"packets.bin: 0 records, none of them an answer"):
+        open_log(str(tmp_path / "log"))
+
+
+def test_it_is_found_among_other_logs(folder):
+    found = [load() for load in find_logs(folder.parent, print)]
+    assert [log.name for log in found] == ["log"]
+    with pytest.raises(UsageError, match="--relations"):
+        open_log(str(folder), Reading(relations=folder / "x"))
+
+
+@pytest.mark.parametrize("noise", ["slip = -1.0\nsonar_sigma = 0.1", "slip = 0.1", 'slip = "a"\nsonar_sigma = 0.1'])
+def test_noise_that_is_none_is_said(folder, noise):
+    header = folder / HEADER
+    header.write_text(f'format = 1\nname = "log"\n[source]\nkind = "robot link"\nframed = false\n{noise}\n')
+    with pytest.raises(DataError, match=r"slip and sonar_sigma: two numbers"):
+        open_log(str(folder))
+
+
+def test_walls_are_fitted_as_the_recording_says(driven, folder):
+    """A recording of before names no fit; one by the author's is replayed by it."""
+    usual = open_log(str(driven[0])).recorded.observations.z
+    header = folder / HEADER
+    told = header.read_text()
+    header.write_text(told.replace("[source]\n", '[source]\nfit = "author"\n'))
+    records = read_recording(folder).records
+    framing = Framing(NOISE, "author")
+    frames = [framing.frame(packet) for packet in decoded(records, framed=False)[0]]
+    expected = np.concatenate([frame.observations.z for frame in frames])
+    found = open_log(str(folder)).recorded.observations.z
+    assert found.tobytes() == expected.tobytes()
+    assert found.shape != usual.shape or not np.allclose(found, usual, atol=1e-4)
+    header.write_text(told.replace("[source]\n", '[source]\nfit = "best"\n'))
+    with pytest.raises(DataError, match=r"fit 'best': weighted or author is needed"):
+        open_log(str(folder))
+
+
+def test_a_recording_names_its_fit_where_it_is_not_the_usual_one(tmp_path):
+    for fit in FITS:
+        Recording(tmp_path / fit, fit=fit).close()
+        assert ("fit" in (tmp_path / fit / HEADER).read_text()) == (fit != USUAL_FIT)
+        assert read_recording(tmp_path / fit).fit == fit
+
+
+def test_the_noise_it_was_told_counts(driven):
+    log = open_log(str(driven[0]))
+    assert log.source["slip"] == NOISE.slip
+    moving = np.linalg.norm(log.recorded.increments.mean[1:, :2], axis=1) > 0.04
+    variance = log.recorded.increments.covariance[1:][moving][:, 2, 2]
+    way = np.linalg.norm(log.recorded.increments.mean[1:][moving][:, :2], axis=1)
+    assert np.median(variance / way) == pytest.approx(2 * NOISE.slip**2 / 0.25**2, rel=0.2)
+
+
+def test_where_a_file_cannot_be_written_the_recording_stays_as_it_was_and_it_is_said(folder):
+    header = (folder / HEADER).read_bytes()
+    (folder / "frames.csv").mkdir()
+    with pytest.raises(DataError) as error:
+        complete(folder)
+    assert str(error.value) == f"{folder}: cannot be written: Is a directory"
+    assert (folder / HEADER).read_bytes() == header
+    (folder / "frames.csv").rmdir()
+    assert same(complete(folder), load_folder(folder))

@@ -1,0 +1,93 @@
+"""Bytes of the protocol: known by hand, back and forth, and a checksum known from its definition."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from wings.robot.packets import (
+    MARKER,
+    Answer,
+    Command,
+    checksum,
+    command_of,
+    decode_answer,
+    decode_command,
+    encode_answer,
+    encode_command,
+    framed,
+    next_frame,
+    overflowed,
+)
+
+
+def crc_by_bits(data):
+    """x^16 + x^12 + x^5 + 1, begun with ones, the highest bit first."""
+    register = 0xFFFF
+    for byte in data:
+        for bit in range(7, -1, -1):
+            out = (register >> 15) ^ (byte >> bit & 1)
+            register = (register << 1 & 0xFFFF) ^ (0x1021 * out)
+    return register
+
+
+def test_a_command_is_four_bytes_with_the_low_one_first():
+    assert encode_command(Command(300, -1000)) == bytes([0x2C, 0x01, 0x18, 0xFC])
+    assert decode_command(bytes([0x2C, 0x01, 0x18, 0xFC])) == Command(300, -1000)
+
+
+def test_speeds_are_rounded_to_whole_thousandths_and_what_does_not_fit_is_brought_to_the_ends():
+    assert command_of(0.2996, -1.0) == Command(300, -1000)
+    assert command_of(40.0, -40.0) == Command(32767, -32768)
+
+
+def test_an_answer_is_eight_distances_and_a_pose_in_22_bytes():
+    answer = Answer((1, 2, 3, 4, 5, 6, 7, 4000), -1, 256, 3141)
+    data = encode_answer(answer)
+    assert data == bytes([1, 0, 2, 0, 3, 0, 4, 0, 5, 0, 6, 0, 7, 0, 0xA0, 0x0F, 0xFF, 0xFF, 0, 1, 0x45, 0x0C])
+    assert decode_answer(data) == answer
+
+
+@pytest.mark.parametrize(("value", "counted"), [(32767, 32767), (32768, -32768), (65536, 0), (-32769, 32767)])
+def test_counters_overflow_as_an_int16_does(value, counted):
+    assert overflowed(value) == counted == int(np.array(value, np.int64).astype(np.int16))
+
+
+def test_the_checksum_is_that_of_its_definition_and_of_the_published_check_value():
+    assert checksum(b"123456789") == (0x29B1).to_bytes(2, "little")
+    data = np.random.default_rng(0).bytes(22)
+    assert checksum(data) == crc_by_bits(data).to_bytes(2, "little")
+
+
+def test_a_frame_is_found_behind_bytes_that_are_none_and_behind_a_false_marker():
+    content = bytes(range(22))
+    pending = bytearray(b"\x00\x01" + MARKER + b"\x07" + framed(content) + b"rest")
+    used, found = next_frame(pending, 22)
+    assert (used, found) == (2 + 2 + 1 + 26, content)
+    assert next_frame(pending[used:], 22) == (4, None)
+
+
+def test_a_frame_that_is_not_whole_is_waited_for_half_a_marker_included():
+    whole = framed(bytes(22))
+    for part in range(1, 26):
+        assert next_frame(bytearray(b"x" + whole[:part]), 22) == (1, None)
+
+
+def test_any_two_bits_and_any_16_neighbouring_ones_that_turn_over_are_noticed():
+    content = np.random.default_rng(1).bytes(22)
+    whole = int.from_bytes(content + checksum(content)[::-1], "big")  # as the polynomial reads them
+    patterns = [1 << a | 1 << b for a in range(192) for b in range(a + 1)]
+    patterns += [int(p) << at for p in np.random.default_rng(2).integers(1, 1 << 16, 20) for at in range(176)]
+    for pattern in patterns:
+        spoiled = (whole ^ pattern).to_bytes(24, "big")
+        assert checksum(spoiled[:22])[::-1] != spoiled[22:]
+
+
+@pytest.mark.slow
+def test_of_spoiled_frames_no_more_than_one_in_65536_passes():
+    """4 million contents at random behind one marker, the worst that can happen to a frame."""
+    rng, count = np.random.default_rng(0), 4_000_000
+    data = rng.bytes(24 * count)
+    passed = sum(checksum(data[i : i + 22]) == data[i + 22 : i + 24] for i in range(0, 24 * count, 24))
+    expected = count / 65536
+    assert abs(passed - expected) < 4.0 * expected**0.5  # 61 +- 31

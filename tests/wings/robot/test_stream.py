@@ -1,0 +1,249 @@
+"""Where packets begin: shifted streams are recognized, what is whole is used, what is not possible never is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tests.wings.robot.line import wander
+from wings.robot.packets import Answer, encode_answer, framed, overflowed
+from wings.robot.simulated.physics import drive
+from wings.robot.simulated.room import room
+from wings.robot.traffic.motion import possible, reachable
+from wings.robot.traffic.stream import Framed, Unframed
+
+PERIOD = 0.25
+
+
+@cache
+def answers(seed, seconds):
+    rng = np.random.default_rng(seed)
+    made = drive(room(seed), lambda packet: wander(packet, rng), seconds, rng)
+    return [p.answer for p in made.packets]
+
+
+def standing(count, distances):
+    return [Answer(distances, 0, 0, 0)] * count
+
+
+def heard(stream, pieces, *, stamped=True):
+    """By piece: the packets that came out with it."""
+    return [stream.feed(PERIOD * (i + 1) if stamped else None, piece) for i, piece in enumerate(pieces)]
+
+
+def used(by_piece):
+    return [p.answer for packets in by_piece for p in packets]
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_a_whole_stream_is_used_whole_however_it_is_cut_into_pieces(stamped):
+    said = answers(0, 30.0)
+    assert used(heard(Unframed(), map(encode_answer, said), stamped=stamped)) == said
+    stream, out = Unframed(), []
+    for i, answer in enumerate(said):
+        for j, byte in enumerate(encode_answer(answer)):
+            out += stream.feed(PERIOD * i + 0.001 * j if stamped else None, bytes([byte]))
+    assert [p.answer for p in out] == said
+    assert not +stream.faults
+    assert [p.joined for p in out] == [False] + [True] * (len(said) - 1)
+
+
+def test_with_pauses_a_packet_comes_out_with_its_last_byte():
+    by_piece = heard(Unframed(), map(encode_answer, answers(0, 10.0)))
+    assert [len(packets) for packets in by_piece] == [0, 2] + [1] * 38  # the first must be confirmed
+
+
+@pytest.mark.parametrize("lost", [1, 2, 8, 21])
+def test_after_a_short_answer_the_next_one_is_used_at_once_and_nothing_of_the_short_one(lost):
+    said = answers(0, 5.0)
+    pieces = [encode_answer(a) for a in said]
+    pieces[7] = pieces[7][:1] + pieces[7][1 + lost :]
+    stream = Unframed()
+    by_piece = heard(stream, pieces)
+    assert used(by_piece) == said[:7] + said[8:]
+    assert len(by_piece[7]) == 0
+    assert len(by_piece[8]) == 1
+    assert +stream.faults == Counter(short=1)
+
+
+def test_a_byte_of_dirt_before_an_answer_is_a_shift_and_a_spoiled_answer_is_garbage():
+    said = answers(0, 5.0)
+    pieces = [encode_answer(a) for a in said]
+    pieces[7] = b"\x07" + pieces[7]
+    pieces[12] = b"\xff" * 22
+    stream = Unframed()
+    assert used(heard(stream, pieces)) == said[:12] + said[13:]
+    assert +stream.faults == Counter(shifted=1, garbage=1)
+
+
+@pytest.mark.parametrize("kind", [Unframed, Framed])
+@pytest.mark.parametrize("field", range(0, 8, 3))
+def test_an_answer_with_one_value_out_of_range_is_not_used(field, kind):
+    said = answers(0, 5.0)
+    wrap = framed if kind is Framed else bytes
+    distances = list(said[7].distances)
+    for value in (4001, -1):
+        distances[field] = value
+        spoiled = [*said[:7], said[7]._replace(distances=tuple(distances)), *said[8:]]
+        assert used(heard(kind(), (wrap(encode_answer(a)) for a in spoiled))) == said[:7] + said[8:]
+
+
+@pytest.mark.parametrize("change", [{"x": 400}, {"y": -400}, {"heading": 2000}])
+@pytest.mark.parametrize("kind", [Unframed, Framed])
+def test_a_jump_beyond_what_the_robot_can_move_is_not_used(kind, change):
+    said = answers(0, 5.0)
+    wrap = framed if kind is Framed else bytes
+    (name, by), far = next(iter(change.items())), 10 if kind is Framed else 1
+    jumped = said[7]._replace(**{name: overflowed(getattr(said[7], name) + far * by)})
+    stream = kind()
+    assert used(heard(stream, (wrap(encode_answer(a)) for a in [*said[:7], jumped, *said[8:]]))) == said[:7] + said[8:]
+    assert +stream.faults == Counter(garbage=1)
+
+
+@pytest.mark.parametrize("kind", [Unframed, Framed])
+def test_odometry_that_began_anew_is_believed_at_the_third_answer_and_said_to_be_not_joined(kind):
+    said = answers(0, 30.0)
+    wrap = framed if kind is Framed else bytes
+    anew = answers(0, 5.0)
+    assert not reachable(said[-1], anew[0], 2.0)
+    by_piece = heard(kind(), [wrap(encode_answer(a)) for a in said + anew])
+    assert used(by_piece) == said + anew
+    assert [len(by_piece[len(said) + i]) for i in range(4)] == [0, 0, 3, 1]
+    joined = [p.joined for packets in by_piece for p in packets]
+    assert [i for i, j in enumerate(joined) if not j] == [0, len(said)]
+
+
+def test_an_answer_held_up_in_two_halves_is_used_when_its_end_is_known():
+    said = answers(0, 5.0)
+    pieces = [encode_answer(a) for a in said]
+    stream = Unframed()
+    out = [p for i, piece in enumerate(pieces[:8]) for p in stream.feed(0.25 * i, piece)]
+    out += stream.feed(2.0, pieces[8][:10])
+    assert stream.feed(2.2, pieces[8][10:]) == []
+    out += stream.feed(2.4, pieces[9])
+    assert [p.answer for p in out] == said[:10]
+
+
+def test_a_first_answer_between_two_pauses_is_used_though_the_next_is_short():
+    pieces = [encode_answer(a) for a in answers(0, 1.0)]
+    assert used(heard(Unframed(), [pieces[0], pieces[1][:5]])) == answers(0, 1.0)[:1]
+
+
+def shifted_by(answers_, x):
+    return [a._replace(x=overflowed(a.x + x)) for a in answers_]
+
+
+@pytest.mark.parametrize("kind", [Unframed, Framed])
+def test_a_robot_that_drove_on_while_an_answer_was_held_up_is_followed(kind):
+    """0.4 m between two stamps is more than a period's and less than what it drives until its watchdog stops it."""
+    said = answers(0, 5.0).copy()
+    said[10:] = shifted_by(said[10:], 400)
+    wrap = framed if kind is Framed else bytes
+    by_piece = heard(kind(), [wrap(encode_answer(a)) for a in said])
+    assert used(by_piece) == said
+    assert [len(by_piece[i]) for i in range(10, 14)] == ([0, 0, 3, 1] if kind is Unframed else [1] * 4)
+    assert [p.joined for packets in by_piece for p in packets] == [False] + [True] * 19
+
+
+def test_of_two_places_the_one_that_the_robot_can_have_come_to_is_taken():
+    """Behind a short answer of a burst, the shifted answers of a robot at rest go with each other as well."""
+    said = [Answer((500,) * 8, 700, 2000, 300)] * 12
+    pieces = [encode_answer(a) for a in said]
+    by_piece = heard(Unframed(), [*pieces[:5], pieces[5][2:] + b"".join(pieces[6:10]), *pieces[10:]])
+    assert used(by_piece) == said[:11]
+
+
+@pytest.mark.parametrize("away", [400, 5000])
+def test_an_answer_is_not_put_together_from_a_stray_byte_and_the_rest_of_one_where_nothing_else_speaks_for_it(away):
+    said = answers(0, 5.0).copy()
+    said[10:] = shifted_by(said[10:], away)
+    pieces = [encode_answer(a) for a in said]
+    pieces[9:11] = [bytes([pieces[10][0] & 0x0F]), pieces[10][1:]]
+    by_piece = heard(Unframed(), pieces)
+    assert used(by_piece) == said[:9] + said[11:]
+
+
+def test_only_pauses_tell_where_an_answer_begins_while_the_robot_stands_at_its_origin():
+    """Two bytes fewer look like an answer there as well: eight distances, a heading of half a radian."""
+    said = standing(12, (500,) * 8)
+    pieces = [encode_answer(a) for a in said]
+    pieces[5] = pieces[5][2:]
+    by_piece = heard(Unframed(), pieces)
+    assert used(by_piece) == said[:11]
+    assert all(len(by_piece[i]) == (i != 5) for i in range(3, 12))
+
+
+def test_a_standing_robot_s_stream_that_begins_in_the_middle_is_not_guessed_at():
+    pieces = [encode_answer(a) for a in standing(20, (500,) * 8)]
+    assert used(heard(Unframed(), [pieces[0][4:], *pieces[1:]], stamped=False)) == []
+
+
+def test_memory_is_bounded_by_noise_without_end():
+    stream, rng = Unframed(), np.random.default_rng(0)
+    for i in range(300):
+        assert stream.feed(0.01 * i, rng.bytes(64)) == []
+    assert len(stream._bytes) < 100
+
+
+def recognized(seed, count, *, stamped, seconds=60.0):
+    """Shifts by lost bytes at random; shares recognized within three packets, and with a wrong packet used; used."""
+    rng, said = np.random.default_rng(seed), answers(seed, seconds)
+    right, wrong, claimed = 0, 0, Counter()
+    for _ in range(count):
+        first, lost = int(rng.integers(len(said) - 12)), int(rng.integers(1, 22))
+        part = said[first : first + 12]
+        pieces = [encode_answer(a) for a in part]
+        at = int(rng.integers(0, 23 - lost))
+        pieces[4] = pieces[4][:at] + pieces[4][at + lost :]
+        by_piece = heard(Unframed(), pieces, stamped=stamped)
+        false = [i for i, packets in enumerate(by_piece) for p in packets if p.answer not in part]
+        taken = used(by_piece)
+        right += all(a in taken for a in part[7:11]) and max(false, default=0) <= 7
+        wrong += bool(false)
+        claimed.update((p.sure, p.answer in part) for packets in by_piece for p in packets)
+    return right / count, wrong / count, claimed
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_a_shifted_stream_is_recognized_within_three_packets(stamped):
+    right, wrong, _ = recognized(0, 100, stamped=stamped, seconds=30.0)
+    assert right >= 0.99
+    assert wrong <= 0.01
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stamped", [True, False])
+def test_a_shifted_stream_is_recognized_within_three_packets_in_many_rooms(stamped):
+    """And what a packet says of its sureness is no more than what is so."""
+    results = [recognized(seed, 200, stamped=stamped, seconds=120.0) for seed in range(10)]
+    assert np.mean([r[0] for r in results]) >= 0.99
+    assert np.mean([r[1] for r in results]) <= (0.0 if stamped else 0.005)
+    claimed = sum((r[2] for r in results), Counter())
+    for sure in {s for s, _ in claimed}:
+        so, not_so = claimed[sure, True], claimed[sure, False]
+        assert not_so <= (1.0 - sure) * (so + not_so)
+
+
+def spoiled(rng, data, drop, flip):
+    out = bytearray()
+    for byte in data:
+        if rng.random() >= drop:
+            out.append(byte ^ (1 << int(rng.integers(8)) if rng.random() < flip else 0))
+    return bytes(out)
+
+
+@pytest.mark.parametrize("kind", [Unframed, Framed])
+@pytest.mark.parametrize("stamped", [True, False])
+def test_nothing_impossible_is_used_of_a_line_as_bad_as_can_be(kind, stamped):
+    rng, stream = np.random.default_rng(3), kind()
+    wrap = framed if kind is Framed else bytes
+    pieces = [spoiled(rng, wrap(encode_answer(a)), 0.02, 0.02) for a in answers(0, 30.0)]
+    packets = [p for out in heard(stream, pieces, stamped=stamped) for p in out]
+    assert packets
+    assert all(possible(p.answer) for p in packets)
+    for before, after in pairwise(packets):
+        assert reachable(before.answer, after.answer, after.t - before.t + 1.0) or not after.joined

@@ -1,0 +1,336 @@
+"""`python -m eval.live`: online filters and smoothers while a small robot drives, with a recording for replay.
+
+Only the parser is imported at once, so that `--help` does not wait for numerical libraries.
+"""
+
+from __future__ import annotations
+
+import gc
+import math
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from data.command import Command
+from data.errors import UsageError
+from data.terminal import INTERRUPTED, WRONG, ended, unread
+from eval.plan.flags.options import options_of
+from eval.plan.flags.table import Options, add_flags
+from eval.replay.flag import rows
+from eval.replay.settings import ASSOCIATIONS, STEPPING, steps
+
+if TYPE_CHECKING:
+    from wings.robot.live.drive import Presses
+
+PROG = "python -m eval.live"
+TABLE = rows(Options)
+SCAN, SCAN_ESTIMATOR = "scan", "isam2"
+"""The association of scans, and the only estimator with it."""
+UNFIT = {"known": "walls have no labels", SCAN: "--lidar is needed", "jcbb-hindsight": "needs point landmarks"}
+FIT = tuple(name for name in ASSOCIATIONS if name not in UNFIT)
+USUAL_SIGMA = 0.01
+"""m, standard deviation of a lidar's range, as of the simulated one."""
+FITTED = ("weighted", "author")
+"""Names of `wings.robot.walls.FITS`."""
+SPARSER = (
+    "with a lidar: a key pose leaves the graph, while the robot drives, where its scan has less than this share in the "
+    "information on the places it sees, so that their number follows the area (default: none)"
+)
+SHARED = (
+    replace(
+        TABLE["estimator"],
+        help=f"of {', '.join(STEPPING)}, or your own (default: ekf-fej; with --lidar: ekf-fej,isam2)",
+    ),
+    replace(
+        TABLE["association"],
+        metavar="NAME",
+        help=f"of {', '.join(FIT)}, or your own (default: jcbb; with --lidar: jcbb,scan)",
+    ),
+    *(TABLE[name] for name in ("gate", "new_gate", "in_view", "forget_after", "deactivate_after", "lag")),
+    replace(TABLE["keyframe_distance"], help="with a lidar: a key pose every M metres (default: 0.4)"),
+    replace(TABLE["least_information"], help=SPARSER),
+)
+"""Flags as in `eval.run_all`, without `--maintain`: a wall is seen in one frame of five."""
+DEFAULTS = {"estimator": "ekf-fej", "association": "jcbb"}
+WITH_LIDAR = {"estimator": f"ekf-fej,{SCAN_ESTIMATOR}", "association": f"jcbb,{SCAN}"}
+OF_SCANS = ("keyframe_distance", "least_information")
+REPORT = "-report"
+EXAMPLES = """\
+examples:
+  python -m data.robot.simulate --world walls:0 --link /tmp/robot &    a simulated robot
+  python -m eval.live --link /tmp/robot --out drive                    Ctrl-C ends it, with a report in drive-report
+  python -m eval.live --link /dev/ttyUSB0 --estimator ekf,isam2 --out drive1
+  python -m eval.live --link /dev/ttyUSB0 --framed --slip 0.01 --sonar-sigma 0.01 --out drive2
+  python -m eval.live --link /dev/ttyUSB0 --drive none --no-page --out drive3
+  python -m eval.live --link /tmp/robot --estimator fixed-lag --lag 20 --out drive4 --seconds 300
+  python -m eval.live --link /tmp/robot --deactivate-after 60 --out drive5 --estimates now.csv --port 8000
+  python -m eval.live --link /tmp/robot --lidar --least-information 0.1 --out drive6    a robot with a lidar
+  python -m eval.run_all --log drive --task slam --association jcbb    the same estimates, and more estimators
+
+exit status: 0 fine, 2 wrong usage, no answer of the robot, or no report, 130 interrupted in the report (the log is
+whole)"""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The parsed command line."""
+
+    options: Options
+    given: dict[str, object]
+    link: Path
+    out: Path
+    walls: bool
+    framed: bool
+    slip: float | None
+    sonar_sigma: float | None
+    fit: str
+    speed: float
+    seconds: float | None
+    port: int
+    page: bool
+    estimates: Path | None
+    lidar_sigma: float | None  # None: no lidar
+
+    @property
+    def by_walls(self) -> str | None:
+        """The association of walls; None: only scans are asked for."""
+        return next((name for name in self.options.selection.association if name != SCAN), None)
+
+    @property
+    def by_scans(self) -> bool:
+        """Whether scans are asked for."""
+        return SCAN in self.options.selection.association
+
+
+def parser(prog: str = PROG) -> Command:
+    """The command's flags."""
+    p = Command(
+        prog, PROG, "Run filters and smoothers online while a small robot drives; record it and show a page.", EXAMPLES
+    )
+    add = p.add_argument
+    add("--link", metavar="DEVICE", type=Path, required=True, help="serial device of the robot")
+    add("--out", metavar="LOG", type=Path, required=True, help="folder of the recording; there must be none yet")
+    add_flags(p, SHARED)
+    add("--drive", choices=("walls", "none"), default="walls", help="follow the wall on the right (default), or rest")
+    add("--framed", action="store_true", help="packets with marker and checksum, both ways")
+    text = f"the robot sends scans (framed, 115200 baud), which {SCAN_ESTIMATOR} matches, beside estimators by walls"
+    add("--lidar", action="store_true", help=text)
+    add("--lidar-sigma", metavar="M", help="standard deviation of its ranges, m (default: 0.01)")
+    add("--slip", metavar="M", help="of a wheel, m per square root of the distance in m (default: 0.005)")
+    add("--sonar-sigma", metavar="M", help="standard deviation of a distance, m (default: 0.005)")
+    text = "of walls: with weights that find outliers (default), or the robot author's weights by range, in one pass"
+    add("--fit", choices=FITTED, default=FITTED[0], help=text)
+    add("--speed", metavar="X", default="1", help="speed of a simulated robot, robot s per s (default: 1)")
+    add("--seconds", metavar="S", help="end after S seconds of the robot's time (default: Ctrl-C)")
+    add("--port", metavar="N", default="0", help="of the page on this machine (default: a free one)")
+    add("--no-page", dest="page", action="store_false", help="no page")
+    add("--estimates", metavar="FILE", type=Path, help="CSV file for every estimate, written at once")
+    return p
+
+
+def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
+    """Parse and check the flags. Raises UsageError."""
+    given = vars(parser(prog).read(argv))
+    lidar = bool(given["lidar"])
+    shared = (WITH_LIDAR if lidar else DEFAULTS) | {row.name: given[row.name] for row in SHARED if row.name in given}
+    if shared["association"] == SCAN and "estimator" not in given:
+        shared["estimator"] = SCAN_ESTIMATOR
+    options = options_of(shared)
+    _check(options, shared, lidar=lidar, sigma=given["lidar_sigma"])
+
+    def number(name: str, least: float, most: float = math.inf) -> float | None:
+        text = given[name]
+        try:
+            value = None if text is None else float(text)
+        except ValueError:
+            value = math.nan
+        if value is not None and not least <= value <= most:
+            limits = f"from {least:g}" + (" up" if math.isinf(most) else f" to {most:g}")
+            raise UsageError(f"--{name.replace('_', '-')} {text}: a number {limits} is needed")
+        return value
+
+    port = number("port", 0.0, 65535.0)
+    if port is None or not port.is_integer():
+        raise UsageError(f"--port {given['port']}: a whole number from 0 to 65535 is needed")
+    plain = {name: given[name] for name in ("link", "out", "framed", "fit", "page", "estimates")}
+    return Wish(
+        options,
+        shared,
+        walls=given["drive"] == "walls",
+        slip=number("slip", 0.0),
+        sonar_sigma=number("sonar_sigma", 1e-6),
+        speed=number("speed", 0.01, 1000.0) or 1.0,
+        seconds=number("seconds", 0.0),
+        port=int(port),
+        lidar_sigma=(number("lidar_sigma", 1e-6) or USUAL_SIGMA) if lidar else None,
+        **plain,
+    )
+
+
+def _check(options: Options, shared: dict[str, object], *, lidar: bool, sigma: object) -> None:
+    """Raise UsageError for an association or an estimator that does not fit a robot with or without a lidar."""
+    asked = options.selection
+    for name in asked.association:
+        if name in UNFIT and not (lidar and name == SCAN):
+            raise UsageError(f"--association {name}: {UNFIT[name]}; {', '.join(FIT)} do")
+    if len([name for name in asked.association if name != SCAN]) > 1:
+        more = f", and {SCAN}" if lidar else ""
+        raise UsageError(f"--association {','.join(asked.association)}: one name is needed{more}")
+    for name in asked.estimator:
+        if not steps(name):
+            raise UsageError(f"--estimator {name}: does not work step by step; {', '.join(STEPPING)} do")
+    if not lidar:
+        if sigma is not None:
+            raise UsageError(f"--lidar-sigma {sigma}: --lidar is needed")
+        for name in OF_SCANS:
+            if name in shared:
+                raise UsageError(f"--{name.replace('_', '-')} {shared[name]}: --lidar is needed")
+    if SCAN in asked.association:
+        other = [name for name in asked.estimator if name != SCAN_ESTIMATOR]
+        if SCAN_ESTIMATOR not in asked.estimator:
+            raise UsageError(f"--estimator {other[0]}: with --association {SCAN} {SCAN_ESTIMATOR} is needed")
+        if other and len(asked.association) == 1:
+            raise UsageError(f"--estimator {other[0]}: --association {SCAN} has {SCAN_ESTIMATOR} alone")
+
+
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The whole command, called `prog`; returns the exit status."""
+    return ended(lambda: _live(read(argv, prog)))
+
+
+def say(text: str) -> None:
+    """Print a line; a closed terminal does not end the drive."""
+    try:
+        print(text, flush=True)
+    except BrokenPipeError:
+        if not unread():
+            raise
+
+
+def _live(wish: Wish) -> int:
+    from wings.robot.live.drive import Presses
+
+    say("getting ready ...")
+    with ExitStack() as stack:
+        presses = stack.enter_context(Presses())
+        _drive(wish, presses, stack)
+        from wings.robot.log import complete
+
+        log = complete(wish.out)
+        for note in log.notes:
+            say(note)
+        from eval import run_all  # before Ctrl-C raises: exceptions during imports may be lost
+
+        say(f"log: {wish.out}")
+        status = INTERRUPTED
+        if presses.count < 2:
+            # from here on both signals end the report
+            presses.heed()
+            with suppress(KeyboardInterrupt):
+                status = run_all.main(report_words(wish))
+        if status in (INTERRUPTED, WRONG):
+            say(f"no report; the log is whole: {wish.out}")
+        return status
+
+
+def _drive(wish: Wish, presses: Presses, stack: ExitStack) -> None:
+    """Drive until Ctrl-C or the end of time, then close the recording; the page stays."""
+    from threadpoolctl import threadpool_limits
+
+    from eval.plan.foreign import load_all
+    from eval.plan.warming import compile_if_needed
+    from eval.player.document import live_document
+    from wings.robot.driving import WallFollower
+    from wings.robot.link import Clock, Link
+    from wings.robot.live.drive import Looking, at_rest, drive
+    from wings.robot.live.feed import Feed
+    from wings.robot.live.grid import GridPainter
+    from wings.robot.live.scanning import ScanEstimating, rehearse_scans
+    from wings.robot.live.server import Server
+    from wings.robot.live.session import Estimates, Session, Taken, rehearse
+    from wings.robot.log import USUAL, Noise
+    from wings.robot.traffic.recording import Recording
+
+    setup, name = wish.options.setup, wish.out.absolute().name
+    association = wish.by_walls or DEFAULTS["association"]
+    estimators = wish.options.selection.estimator if wish.by_walls else ()
+    load_all(estimators, [association])
+    compile_if_needed()
+    if estimators:
+        rehearse(estimators, association, setup)
+    scanning, painter = None, None
+    if wish.by_scans and wish.lidar_sigma is not None:
+        rehearse_scans(setup, wish.lidar_sigma)
+        scanning = ScanEstimating(setup, wish.lidar_sigma)
+    if presses.count:
+        raise KeyboardInterrupt
+    noise = Noise(
+        USUAL.slip if wish.slip is None else wish.slip,
+        USUAL.sonar_sigma if wish.sonar_sigma is None else wish.sonar_sigma,
+    )
+    feed = Feed(len(estimators) + (scanning is not None)) if wish.page else None
+    if feed is not None:
+        painter = None if scanning is None else GridPainter(scanning.keys, feed.show)
+        server = stack.enter_context(Server(wish.port, live_document(name).encode(), lambda: feed.published))
+    receivers: list[Callable[[Taken], None]] = []
+
+    def processed(taken: Taken) -> None:
+        for receiver in receivers:
+            receiver(taken)
+
+    session = Session(estimators, association, setup, noise, processed, wish.fit, scanning)
+    # objects made so far stay; collecting them again would delay frames
+    gc.collect()
+    gc.freeze()
+    with ExitStack() as driving:
+        driving.enter_context(threadpool_limits(1))  # as in a replay
+        with_frames = wish.framed or wish.lidar_sigma is not None
+        recording = driving.enter_context(
+            Recording(wish.out, framed=with_frames, noise=tuple(noise), fit=wish.fit, lidar_sigma=wish.lidar_sigma)
+        )
+        clock = Clock(wish.speed)
+        try:
+            link = driving.enter_context(
+                Link(str(wish.link), clock, recording, with_frames=with_frames, with_scans=wish.lidar_sigma is not None)
+            )
+            if wish.estimates is not None:
+                receivers.append(
+                    driving.enter_context(Estimates(wish.estimates, [each.title for each in session.estimating])).add
+                )
+        except UsageError:
+            recording.discard()
+            raise
+        display = Looking(
+            name, session, lambda: link.exchange.faults, say, feed=feed, speed=wish.speed, painter=painter
+        )
+        receivers.append(display.take)
+        if feed is not None:
+            say(f"page: {server.address}")
+        say(f"recording to {wish.out}; Ctrl-C ends the drive")
+        end = math.inf if wish.seconds is None else wish.seconds
+        policy = WallFollower() if wish.walls else at_rest
+
+        def over() -> bool:
+            return presses.count > 0 or clock.now() >= end
+
+        drive(link, clock, session, policy, over, display.look, display.latencies)
+        display.end(clock.now())
+    if feed is not None:
+        feed.end()
+    say(f"{session.frames} frames, {session.observations} walls seen")
+
+
+def report_words(wish: Wish) -> list[str]:
+    """The words of `eval.run_all` that make the report of the log by the same estimators."""
+    words = ["--log", str(wish.out), "--task", "slam", "--out", f"{wish.out}{REPORT}"]
+    for row in SHARED:
+        if row.name in wish.given:
+            words += row.words(row.of(wish.options))
+    return words
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,317 @@
+"""Online estimators: each packet becomes a frame, which passes the front end of each.
+
+The steps are those of a replay (`eval.replay.run.through`), so a replayed recording gives the same numbers. A failure
+ends one estimator alone. Also here: estimates written to CSV at once; a rehearsal, so that nothing is compiled while
+the robot moves (compiling a kernel takes seconds, loading one 40 ms; a frame has 250 ms); and the status line.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import TracebackType
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from data.errors import UsageError
+from data.inputs import Frame, FrameObservations, Increment, IntArray
+from data.result import DISCARD, MapState, Updated
+from data.se2 import Array, wrap_angle
+from data.terminal import message_of
+from ekf.slam import EkfSlam
+from eval.player.watch import map_now
+from eval.replay.external.guard import ForeignError
+from eval.replay.external.make import CannotError, require
+from eval.replay.external.spec import is_foreign, name_of
+from eval.replay.run import DIVERGED, front_end, through
+from eval.replay.settings import Beginning, Setup
+from graph.fixed_lag import FixedLagSmoother
+from graph.incremental import Isam2Smoother
+from wings.robot.driving import WallFollower
+from wings.robot.log import SENSOR, USUAL, Framing, Noise, prior
+from wings.robot.packets import PERIOD
+from wings.robot.scan_packets import Scan
+from wings.robot.simulated.physics import drive
+from wings.robot.simulated.room import room
+from wings.robot.traffic.motion import Packet
+from wings.robot.walls import USUAL_FIT
+
+ROBOT = Beginning(prior(), SENSOR)  # SLAM from the origin
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """An estimator after a frame."""
+
+    mean: Array  # (3,) pose [m, m, rad], world frame
+    covariance: Array  # (3, 3) of it
+    decisions: IntArray  # (m,) about the frame's observations, as in `data.result.Run`
+    created: IntArray  # (m,) landmarks they initialized, -1 for none
+    nis: float  # per degree of freedom; NaN where nothing was paired
+
+
+class Taken(NamedTuple):
+    """A frame and each estimator's step, None after its end."""
+
+    frame: Frame
+    steps: tuple[Step | None, ...]
+
+
+class Online(Protocol):
+    """An online estimator.
+
+    Attributes:
+        name, association: as in a replay.
+        title: both, where the association is not that of the others.
+        failure: why it ended; empty while it runs.
+        smooths: whether it is a smoother.
+    """
+
+    name: str
+    association: str
+    title: str
+    failure: str
+    smooths: bool
+
+    def take(self, frame: Frame, scan: Scan | None = None, /) -> Step | None:
+        """Process the next frame, and its scan; None if the estimator has ended, or has nothing yet."""
+
+    def map(self) -> MapState | None:
+        """Its current walls, without side effects; None if not available."""
+
+    def counted(self) -> str:
+        """How much it has mapped, in words; empty if not available."""
+
+
+class Estimating:
+    """One online estimator by walls; see `Online`."""
+
+    def __init__(self, name: str, association: str, setup: Setup) -> None:
+        """Make it. Raises UsageError: a foreign estimator lacks something, or failed at once."""
+        self.name = self.title = name_of(name)
+        self.failure = ""
+        setup = setup.settled(sensed=False)
+        try:
+            if is_foreign(name):
+                require(name, "slam", association, setup)
+            self.front = front_end(name, association, ROBOT, setup)
+        except (CannotError, ForeignError) as stop:
+            raise UsageError(f"--estimator {self.name}: {stop}") from None
+        if isinstance(self.front.estimator, FixedLagSmoother):
+            self.front.estimator.keep_no_path()
+        self.association, self.smooths = self.front.association, self.front.estimator.smooths
+
+    def take(self, frame: Frame, scan: Scan | None = None) -> Step | None:
+        """Process the next frame; None if the estimator has ended."""
+        if self.failure:
+            return None
+        nothing = len(frame.observations.z)
+        decided, created, nis = np.full(nothing, DISCARD, np.int64), np.full(nothing, -1, np.int64), np.nan
+
+        def used(part: Frame, decisions: IntArray, done: Updated) -> None:
+            nonlocal nis
+            rows = slice(part.first - frame.first, part.first - frame.first + len(decisions))
+            decided[rows] = np.where((decisions >= 0) & ~done.used, DISCARD, decisions)
+            created[rows] = done.created
+            nis = done.nis / done.dof if done.dof else np.nan
+
+        try:
+            through(self.front, frame, used)
+            mean, covariance = self.front.estimator.estimate()
+        except (*DIVERGED, ForeignError) as stop:
+            self.failure = f"at frame {frame.number}: {stop}"
+            return None
+        return Step(mean, covariance, decided, created, nis)
+
+    def map(self) -> MapState | None:
+        """Its current walls, without side effects; None if not available."""
+        estimator = self.front.estimator
+        return map_now(estimator) if isinstance(estimator, EkfSlam | Isam2Smoother) and not self.failure else None
+
+    def counted(self) -> str:
+        """Its number of walls in words."""
+        state = self.map()
+        return "" if state is None else f"walls {len(state.number)}"
+
+
+class Session:
+    """Frames of a drive."""
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        association: str,
+        setup: Setup,
+        noise: Noise = USUAL,
+        processed: Callable[[Taken], None] = lambda taken: None,
+        fit: str = USUAL_FIT,
+        scanning: Online | None = None,
+    ) -> None:
+        """Start; `processed` gets every processed frame, `fit` is of walls (`wings.robot.walls.FITS`), `scanning` is an
+        estimator of scans beside those by walls.
+        """
+        by_walls: list[Online] = [Estimating(name, association, setup) for name in names]
+        self.estimating = by_walls if scanning is None else [*by_walls, scanning]
+        self.spent = [Latencies() for _ in self.estimating]  # time of each estimator by frame
+        self.frames = self.observations = 0
+        self._framing, self._processed = Framing(noise, fit), processed
+
+    def take(self, packet: Packet) -> Taken:
+        """Convert a packet to a frame, and pass it to every estimator."""
+        frame = self._framing.frame(packet)
+        self.frames, self.observations = frame.number + 1, frame.first + len(frame.observations.z)
+        steps = []
+        for each, spent in zip(self.estimating, self.spent, strict=True):
+            began = time.perf_counter()
+            steps.append(each.take(frame, packet.scan))
+            spent.add(time.perf_counter() - began)
+        taken = Taken(frame, tuple(steps))
+        self._processed(taken)
+        return taken
+
+
+COLUMNS = "frame,t,estimator,x,y,theta,xx,xy,xt,yy,yt,tt"
+"""Pose [m, m, rad] and its covariance; numbers are written without loss."""
+
+
+class Estimates:
+    """Writes a line for each estimator and frame at once; `with` closes the file."""
+
+    def __init__(self, path: Path, names: Sequence[str]) -> None:
+        """Create a file. Raises UsageError: it cannot be written, or exists already."""
+        self._names = names
+        try:
+            self._file = path.open("x", encoding="utf-8", buffering=1)
+        except OSError as fault:
+            raise UsageError(f"--estimates {path}: {message_of(fault)}") from None
+        self._file.write(COLUMNS + "\n")
+
+    def add(self, taken: Taken) -> None:
+        """Write a frame; an ended estimator has no line."""
+        for name, step in zip(self._names, taken.steps, strict=True):
+            if step is not None:
+                values = [*step.mean.tolist(), *step.covariance[np.triu_indices(3)].tolist()]
+                cells = [str(taken.frame.number), repr(taken.frame.time), name, *map(repr, values)]
+                self._file.write(",".join(cells) + "\n")
+
+    def __enter__(self) -> Estimates:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._file.close()
+
+
+DRIVEN = 15.0  # s of a simulated drive
+WALLS = (0.0, 0.5 * math.pi, math.pi)  # rad, directions of the walls in synthetic frames
+PARKED = 1.0  # s after which a wall leaves the state there, if at all
+
+
+def rehearse(names: Sequence[str], association: str, setup: Setup) -> None:
+    """A short simulated drive, and frames with several walls at once, which leave the view and return."""
+    session = Session(names, association, setup)
+    for packet in drive(room(0), WallFollower(), DRIVEN, np.random.default_rng(0)).packets:
+        session.take(packet)
+    soon = setup if setup.deactivate_after is None else replace(setup, deactivate_after=PARKED)
+    for name in names:
+        estimating = Estimating(name, association, soon)
+        for frame in frames():
+            estimating.take(frame)
+        estimating.map()
+
+
+def frames() -> Iterator[Frame]:
+    """A wall is seen, and another until the first is parked; then all, one, and all again."""
+    seen, rng, sigma = 0, np.random.default_rng(0), 0.01
+    long = round(2.0 * PARKED / PERIOD)
+    first, second = [WALLS[:1]] * long, [WALLS[1:2]] * long
+    views = [WALLS[:1], *second, WALLS, (), WALLS[:2], WALLS, *first, WALLS, WALLS[1:]]
+    for number, walls in enumerate(views):
+        count = len(walls)
+        z = np.array([[1.0, angle] for angle in walls]).reshape(-1, 2)
+        z += 0.3 * sigma * rng.standard_normal(z.shape)
+        R = np.tile(sigma**2 * np.eye(2), (count, 1, 1))
+        increment = Increment(np.zeros(3), 1e-6 * np.eye(3)) if number else None
+        for array in (z, R, *(increment or ())):
+            array.setflags(write=False)
+        yield Frame(number, PERIOD * number, increment, FrameObservations(z, R), None, seen)
+        seen += count
+
+
+SIGMAS = 3.0
+SHORTEST, PER_DECADE, DECADES = 1.0e-5, 50, 8
+"""s, and the classes in which latencies are counted: 5 % wide, up to 1000 s."""
+
+
+class Latencies:
+    """Histogram of latencies, of constant size."""
+
+    def __init__(self) -> None:
+        self.longest = 0.0  # s, since `begin`
+        self._counts = np.zeros(PER_DECADE * DECADES + 1, np.int64)
+
+    def add(self, seconds: float) -> None:
+        """Add a latency."""
+        self.longest = max(self.longest, seconds)
+        place = PER_DECADE * math.log10(max(seconds, SHORTEST) / SHORTEST)
+        self._counts[min(math.ceil(place), len(self._counts) - 1)] += 1
+
+    def begin(self) -> None:
+        """Reset the longest one."""
+        self.longest = 0.0
+
+    def within(self, share: float) -> float:
+        """Time [s] within which this share of all estimates came, at most 5 % too long; NaN if there are none."""
+        total = int(self._counts.sum())
+        if not total:
+            return math.nan
+        place = int(np.searchsorted(np.cumsum(self._counts), share * total))
+        return float(SHORTEST * 10.0 ** (place / PER_DECADE))
+
+
+def pose_words(mean: Array, covariance: Array) -> str:
+    """A pose with its 3 sigma: x, y [m], heading [degrees]."""
+    x, y, heading = SIGMAS * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    degrees = math.degrees(float(wrap_angle(float(mean[2]))))
+    return (
+        f"x {mean[0]:.3f} ± {x:.3f}, y {mean[1]:.3f} ± {y:.3f} m, heading {degrees:.1f} ± {math.degrees(heading):.1f}°"
+    )
+
+
+def estimator_words(name: str, step: Step | None, counted: str, failure: str) -> str:
+    """An estimator with its newest pose and how much it has mapped, or its end."""
+    if failure:
+        return f"{name} ended"
+    if step is None:
+        return f"{name} waits"
+    return f"{name} {pose_words(step.mean, step.covariance)}" + (f", {counted}" if counted else "")
+
+
+def latency_table(titles: Sequence[str], spent: Sequence[Latencies], period: float) -> list[str]:
+    """Lines of a table: time of each estimator by frame, and whether it stays below the `period` [s] of real time."""
+    width = max(map(len, ("estimator", *titles)))
+    lines = [f"{'estimator':{width}}  median    99 %  longest  [ms a frame; period {1e3 * period:g}]"]
+    for title, own in zip(titles, spent, strict=True):
+        cells = (own.within(0.5), own.within(0.99), own.longest)
+        if math.isfinite(cells[0]):
+            lines.append(f"{title:{width}}  {1e3 * cells[0]:6.1f}  {1e3 * cells[1]:6.1f}  {1e3 * cells[2]:7.1f}")
+    return lines
+
+
+def status_line(
+    t: float, estimators: Sequence[str], faults: Mapping[str, int], latencies: Latencies, period: float
+) -> str:
+    """The status; `period` [s]: real time between frames, beyond which an estimate is late."""
+    counted = ", ".join(f"{name} {count}" for name, count in faults.items() if count)
+    parts = [f"{t:7.1f} s", *estimators, f"link: {counted or 'no faults'}"]
+    soon = latencies.within(0.99)
+    if math.isfinite(soon):
+        parts.append(f"latency {1e3 * latencies.longest:.1f} ms, 99 % < {1e3 * soon:.1f} ms")
+    if latencies.longest > period:
+        parts.append(f"late: {latencies.longest:.2f} s, longer than a period of {period:g} s")
+    return " | ".join(parts)

@@ -1,0 +1,244 @@
+"""Wall observations z = (rho, alpha) with covariance R, completed by packets.
+
+Each sonar collects readings while it hears one smooth wall, which only the sonar within 22.5 degrees of the wall's
+normal does. Once its readings make a good enough line, the line is an observation and the readings are used up: no
+reading counts twice, so sonar errors of observations are independent.
+
+A wall's end echoes through the whole cone, 26 cm wide at a metre, and looks like a tilted line to a passing sonar. So a
+reading counts only after the cone has swept its own width since it began to hear the wall, and again before it ceases;
+the first packet of a log is exempt from the former.
+
+Odometry joins readings of several packets, and the estimator's motion model contains the same odometry errors. R
+includes them (`_of_odometry`) but not their correlation with the motion, so `LONGEST` is short.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from data.se2 import Array, between, compose, wrap_angle
+from wings.robot.packets import CONE_HALF_ANGLE, SONARS, WHEEL_BASE
+from wings.robot.traffic.motion import Packet
+from wings.robot.walls import FITS, MIRROR, SIGMA, USUAL_FIT, Line, echo_points, fit_author, geometry, visible
+
+SLIP = 0.005
+"""m per sqrt(m) of a wheel's travel, as of the simulated robot (`wings.robot.simulated.physics`)."""
+FEWEST = 5
+"""Fewest readings of a line: two fix it, three check it."""
+LONGEST = 0.8
+"""m, longest travel of either wheel since the oldest reading of a line."""
+OLDEST = 64
+"""Most packets kept: 16 s."""
+VAGUEST = 0.05
+"""rad, largest standard deviation of alpha from sonar noise; the fewest readings, 5.5 cm apart, give 0.03."""
+MISSES = 2
+"""Consecutive packets without an echo that end a sonar's collection."""
+GOOD = 0.7
+"""Smallest mean weight of a line's readings; good ones weigh 0.9, so one in five may be an outlier."""
+RESIDUAL = 2.0
+"""Sigmas, largest RMS residual of readings of one wall."""
+CONE_WIDTH = 2.0 * math.tan(CONE_HALF_ANGLE)
+"""Width of the cone over the distance."""
+ACROSS = math.radians(45.0)
+"""rad, least angle between a wall's normal and the sonar's path: straight towards a wall all echoes come from one
+point, and noise becomes an angle."""
+
+
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Walls that a packet completes, in its body frame: z (m, 2) rho [m] and alpha [rad], R (m, 2, 2), and the sonars'
+    rows (m,).
+    """
+
+    z: Array
+    R: Array
+    sonars: Rows
+
+
+class _Reading(NamedTuple):
+    """One sonar reading: packet number, distance [m], sonar pose (3,) by odometry, distance its cone has swept [m]."""
+
+    packet: int
+    distance: float
+    sensor: Array
+    swept: float
+
+
+class _Run:
+    """Readings of one sonar while it hears one wall."""
+
+    def __init__(self, sigma: float) -> None:
+        self._noise = 4.0 * math.sqrt(2.0) * sigma
+        self.readings: list[_Reading] = []
+        self.used = -1  # number of the last packet whose reading is used up
+        self._pending: tuple[int, float, Array] | None = None
+        self._silent = 0
+        self._began = 0.0  # part of `swept` that is a wall's end
+
+    def add(self, packet: int, distance: float, sensor: Array) -> None:
+        """Add a reading, inf for no echo; one that does not continue the last waits for a second."""
+        if math.isinf(distance):
+            self._silent += 1
+            if self._silent >= MISSES:
+                self.readings = []
+            return
+        self._silent = 0
+        new, pending = (packet, distance, sensor), self._pending
+        self._pending = None
+        if not self.readings:
+            self._began = 0.0 if packet else -math.inf
+            self.readings = [_Reading(packet, distance, sensor, 0.0)]
+        elif self._continues(self.readings[-1], new):
+            last = self.readings[-1]
+            step = between(last.sensor, sensor)
+            swept = abs(float(step[1])) + distance * abs(float(step[2]))
+            self.readings.append(_Reading(packet, distance, sensor, last.swept + swept))
+        elif pending is not None and self._continues(_Reading(*pending, 0.0), new):
+            self._began, self.readings = 0.0, [_Reading(*pending, 0.0)]
+            self.add(*new)
+        else:
+            self._pending = new
+
+    def _continues(self, last: _Reading, new: tuple[int, float, Array]) -> bool:
+        """Whether one wall can give both: the distance changes by at most the sonar's travel and turn."""
+        step = between(last.sensor, new[2])
+        possible = math.hypot(step[0], step[1]) + math.tan(MIRROR) * last.distance * abs(float(step[2]))
+        return abs(new[1] - last.distance) < possible + self._noise
+
+    def complete(self, oldest: int) -> list[_Reading]:
+        """Unused readings of packets from `oldest` on, without those of the wall's ends."""
+        if not self.readings:
+            return []
+        last = self.readings[-1]
+        oldest = max(oldest, self.used + 1)
+        self.readings = [r for r in self.readings if r.packet >= oldest] or [last]
+        return [
+            r
+            for r in self.readings
+            if r.packet >= oldest and min(r.swept - self._began, last.swept - r.swept) >= CONE_WIDTH * r.distance
+        ]
+
+
+class WallObserver:
+    """Collect readings of the last packets and return walls.
+
+    `sigma`: m, of a sonar distance; `slip`: m per sqrt(m) of a wheel's travel; `fit`: one of `wings.robot.walls.FITS`.
+    """
+
+    def __init__(self, sigma: float = SIGMA, slip: float = SLIP, fit: str = USUAL_FIT) -> None:
+        self._sigma, self._slip, self._fit = sigma, slip, FITS[fit]
+        self._restart()
+
+    def _restart(self) -> None:
+        self._odometry: deque[Array] = deque()
+        self._first = 0  # number of the packet that the odometry begins with
+        self._runs = [_Run(self._sigma) for _ in SONARS]
+
+    def observe(self, packet: Packet) -> Seen:
+        """The walls that this packet completes."""
+        if not packet.joined:
+            self._restart()
+        self._odometry.append(packet.odometry)
+        self._forget()
+        number = self._first + len(self._odometry) - 1
+        sensors = compose(packet.odometry, SONARS)
+        rows, lines = [], []
+        for row, run in enumerate(self._runs):
+            run.add(number, float(packet.ranges[row]), sensors[row])
+            readings = run.complete(self._first)
+            line = self._line(readings) if len(readings) >= FEWEST else None
+            if line is not None:
+                rows.append(row)
+                lines.append(line)
+                run.used = readings[-1].packet
+        z = np.array([[line.rho, line.alpha] for line in lines]).reshape(-1, 2)
+        R = np.array([line.cov for line in lines]).reshape(-1, 2, 2)
+        R = 0.5 * (R + R.transpose(0, 2, 1))
+        return Seen(z, R, np.array(rows, np.int64))
+
+    def _forget(self) -> None:
+        """Drop packets older than `LONGEST` or `OLDEST`."""
+        ways = _wheel_ways(np.array(self._odometry))
+        ago = np.cumsum(ways[::-1], axis=0).max(axis=1)[::-1]
+        for _ in range(max(int(np.sum(ago > LONGEST)), len(self._odometry) - OLDEST)):
+            self._odometry.popleft()
+            self._first += 1
+
+    def _line(self, readings: list[_Reading]) -> Line | None:
+        """The line through readings in the newest body frame, or None where it is not good enough."""
+        odometry = np.array(self._odometry)
+        sensors = between(odometry[-1], np.array([r.sensor for r in readings]))
+        ranges = np.array([r.distance for r in readings])
+        line = self._fit(sensors, ranges, self._sigma)
+        w, total = line.weights, float(line.weights.sum())
+        if w.mean() < GOOD or total < FEWEST - 1 or not visible(line, sensors) or not _crossed(line, sensors):
+            return None
+        if float(w @ line.residuals**2) > total * (RESIDUAL * self._sigma) ** 2:
+            return None
+        J = w[:, None] * geometry(sensors, ranges, line.alpha)
+        information = J.T @ geometry(sensors, ranges, line.alpha)
+        # from the sonar's sigma: so few residuals say little about their own spread
+        gain = np.asarray(np.linalg.solve(information, J.T), float)
+        # weights by range say nothing of a reading's own noise
+        spread = gain @ gain.T if self._fit is fit_author else np.linalg.inv(information)
+        sonar = self._sigma**2 * spread
+        if not sonar[1, 1] < VAGUEST**2:
+            return None
+        packets = np.array([r.packet for r in readings]) - self._first
+        points = echo_points(sensors, ranges, line.alpha)
+        return line._replace(cov=sonar + _of_odometry(odometry, packets, points, line.alpha, gain, self._slip))
+
+
+def _crossed(line: Line, sensors: Array) -> bool:
+    """Whether the sonars (N, 3) moved across the line's normal."""
+    way = sensors[-1, :2] - sensors[0, :2]
+    along = abs(way @ (math.cos(line.alpha), math.sin(line.alpha)))
+    return bool(along <= math.cos(ACROSS) * math.hypot(way[0], way[1]))
+
+
+def _wheel_ways(odometry: Array) -> Array:
+    """Travel (F - 1, 2) [m] of the left and right wheel between poses (F, 3), unsigned."""
+    steps = between(odometry[:-1], odometry[1:])
+    forward = steps[:, 0] * np.cos(0.5 * steps[:, 2]) + steps[:, 1] * np.sin(0.5 * steps[:, 2])
+    ways: Array = np.abs(
+        np.stack([forward - 0.5 * WHEEL_BASE * steps[:, 2], forward + 0.5 * WHEEL_BASE * steps[:, 2]], -1)
+    )
+    return ways
+
+
+def _of_odometry(odometry: Array, packets: Rows, points: Array, alpha: float, gain: Array, slip: float) -> Array:
+    """Covariance (2, 2) of rho and alpha from the slip of each wheel on each step since the readings.
+
+    Slip of a wheel by s moves the body by s / 2 and turns it by s / WHEEL_BASE. In the newest frame, points seen before
+    the step move back by s / 2 and turn the other way about the robot's position then.
+
+    Args:
+        odometry: (F, 3) body poses.
+        packets: (N,) rows of `odometry` at which the echoes came.
+        points: (N, 2) echoes in the last body frame [m].
+        alpha: rad, direction of the line's normal.
+        gain: (2, N) change of rho and alpha by the points' distances from the line.
+        slip: m per sqrt(m).
+    """
+    poses = between(odometry[-1], odometry)
+    normal = np.array([math.cos(alpha), math.sin(alpha)])
+    cov = np.zeros((2, 2))
+    for k, ways in enumerate(_wheel_ways(odometry), start=1):
+        before = packets < k
+        heading = poses[k - 1, 2] + 0.5 * wrap_angle(poses[k, 2] - poses[k - 1, 2])
+        back = -0.5 * float(normal @ (math.cos(heading), math.sin(heading)))
+        arm = points - poses[k, :2]
+        turned = (normal[1] * arm[:, 0] - normal[0] * arm[:, 1]) / WHEEL_BASE
+        for way, side in zip(ways, (1.0, -1.0), strict=True):
+            change = gain @ (before * (back + side * turned))
+            cov += slip**2 * way * np.outer(change, change)
+    return cov

@@ -1,0 +1,186 @@
+"""The robot's dimensions, and its serial protocol byte for byte: command, answer, and the framed variant.
+
+    command   4 bytes: int16 speed [mm/s], int16 turn rate [mrad/s]
+    answer   22 bytes: eight int16 sonar distances [mm], int16 x, y [mm], int16 heading [mrad]
+
+Packets of a scan are in `wings.robot.scan_packets`.
+
+Little-endian. x, y and heading overflow at 32.767 m and rad. A framed packet is `MARKER`, the same bytes, and their
+CRC-16 (0x1021, initial value 0xFFFF, not reflected: `binascii.crc_hqx`, CRC-16/IBM-3740), little-endian.
+
+A round hobby robot with differential drive. Body frame: x ahead, y left, origin midway between the wheels.
+"""
+
+from __future__ import annotations
+
+import binascii
+import math
+import struct
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from data.se2 import Array
+
+RADIUS = 0.15
+"""m, of the body; the sonars sit on its rim."""
+
+
+def _ring(count: int) -> Array:
+    angle = 2.0 * math.pi * np.arange(count) / count
+    return np.stack(
+        [RADIUS * np.cos(angle), RADIUS * np.sin(angle), np.where(angle > math.pi, angle - 2 * math.pi, angle)], axis=-1
+    )
+
+
+SONARS: Array = _ring(8)
+"""Poses (8, 3) of the sonars on the body [m, m, rad], counter-clockwise from the one ahead.
+
+At 45 degree steps one sonar is always within 22.5 degrees of a wall's normal, the limit at which a smooth wall returns
+an echo (`wings.robot.simulated.physics`).
+"""
+SONARS.setflags(write=False)
+AHEAD, RIGHT = 0, 6
+"""Rows of `SONARS`."""
+
+CONE_HALF_ANGLE = math.radians(7.5)
+"""rad. A sonar measures the nearest point inside its cone of 15 degrees, not that point's direction."""
+TIMEOUT_MM = 4000
+"""mm, the distance that stands for "no echo". Eight echoes of 5.8 us/mm x 4000 mm fit into a cycle of 0.25 s."""
+LONGEST_RANGE = TIMEOUT_MM / 1000.0
+"""m."""
+
+WHEEL_BASE = 0.25
+"""m, track width."""
+WHEEL_RADIUS = 0.0325
+"""m."""
+TICKS_PER_TURN = 960
+"""Encoder ticks per turn of a wheel, 0.21 mm each."""
+FASTEST_WHEEL = 0.4
+"""m/s of a wheel's rim; faster commands are limited to it."""
+FASTEST = FASTEST_WHEEL
+"""m/s of the body."""
+FASTEST_TURN = 2.0 * FASTEST_WHEEL / WHEEL_BASE
+"""rad/s, with the wheels at full speed in opposite directions."""
+
+
+def wheel_speeds(v: float, omega: float) -> tuple[float, float]:
+    """Speeds of the left and the right wheel [m/s] for a body speed v [m/s] and turn rate omega [rad/s]."""
+    return v - 0.5 * WHEEL_BASE * omega, v + 0.5 * WHEEL_BASE * omega
+
+
+PERIOD = 0.25
+"""s between commands."""
+ANSWER_TIMEOUT = 0.25
+"""s to wait for an answer."""
+WATCHDOG = 1.0
+"""s without a command after which the robot stops itself."""
+BAUD = 9600
+"""bit/s; a byte takes 10 bits (8N1)."""
+LIDAR_BAUD = 115200
+"""bit/s of a line that carries scans."""
+BITS_PER_BYTE = 10.0
+BYTE_TIME = BITS_PER_BYTE / BAUD
+"""s."""
+
+SONAR_COUNT = 8
+_COMMAND = struct.Struct("<2h")
+_ANSWER = struct.Struct(f"<{SONAR_COUNT + 3}h")
+COMMAND_BYTES, ANSWER_BYTES = _COMMAND.size, _ANSWER.size
+
+MARKER = b"\xa5\x5a"
+FRAME_BYTES = len(MARKER) + 2
+"""Bytes a frame adds to its content."""
+_LOW, _HIGH = -(1 << 15), (1 << 15) - 1
+
+
+class Command(NamedTuple):
+    """A command: speed [mm/s] and turn rate [mrad/s], counter-clockwise."""
+
+    speed: int
+    turn: int
+
+
+class Answer(NamedTuple):
+    """An answer: eight distances [mm], and the odometry's x, y [mm] and heading [mrad] as int16."""
+
+    distances: tuple[int, ...]
+    x: int
+    y: int
+    heading: int
+
+
+def command_of(v: float, omega: float) -> Command:
+    """The command nearest to v [m/s] and omega [rad/s], clipped to int16."""
+    return Command(*(min(max(round(1000.0 * value), _LOW), _HIGH) for value in (v, omega)))
+
+
+def overflowed(value: int) -> int:
+    """A value as int16: modulo 2^16, -32768 to 32767."""
+    return (value - _LOW) % (1 << 16) + _LOW
+
+
+def encode_command(command: Command) -> bytes:
+    """Bytes (4) of a command."""
+    return _COMMAND.pack(*command)
+
+
+def decode_command(data: bytes) -> Command:
+    """The command of 4 bytes."""
+    return Command(*_COMMAND.unpack(data))
+
+
+def encode_answer(answer: Answer) -> bytes:
+    """Bytes (22) of an answer."""
+    return _ANSWER.pack(*answer.distances, answer.x, answer.y, answer.heading)
+
+
+def decode_answer(data: bytes) -> Answer:
+    """The answer of 22 bytes, unchecked."""
+    values = _ANSWER.unpack(data)
+    return Answer(values[:SONAR_COUNT], *values[SONAR_COUNT:])
+
+
+def checksum(data: bytes) -> bytes:
+    """CRC-16 of a frame's content, 2 bytes."""
+    return struct.pack("<H", binascii.crc_hqx(data, 0xFFFF))
+
+
+def framed(data: bytes, marker: bytes = MARKER) -> bytes:
+    """The bytes of a packet between marker and checksum."""
+    return marker + data + checksum(data)
+
+
+def next_frame(pending: bytearray, size: int) -> tuple[int, bytes | None]:
+    """`next_of` where all frames have one marker and one size."""
+    used, _, content = next_of(pending, {MARKER: size})
+    return used, content
+
+
+def next_of(pending: bytearray, sizes: Mapping[bytes, int]) -> tuple[int, bytes, bytes | None]:
+    """The first intact frame; `sizes`: bytes of content by marker, whose first bytes are equal.
+
+    Returns how many pending bytes are consumed, the marker, and the content, or None. After a false marker one byte is
+    consumed, so an intact frame behind a damaged one is found.
+    """
+    first = next(iter(sizes))[:1]
+    at = 0
+    while True:
+        at = pending.find(first, at)
+        if at < 0:
+            return len(pending), b"", None
+        if at + 1 == len(pending):
+            return at, b"", None
+        marker = bytes(pending[at : at + len(MARKER)])
+        size = sizes.get(marker)
+        if size is None:
+            at += 1
+            continue
+        if len(pending) < at + size + FRAME_BYTES:
+            return at, b"", None
+        content = bytes(pending[at + len(MARKER) : at + len(MARKER) + size])
+        end = at + len(MARKER) + size
+        if pending[end : end + 2] == checksum(content):
+            return end + 2, marker, content
+        at += 1

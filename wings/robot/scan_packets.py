@@ -1,0 +1,143 @@
+"""Packets of a lidar's scan on the robot's line, byte for byte: scan to frames, frames to scan.
+
+A scan is sent in pieces of up to `BEAMS` beams, each a frame of one size: `SCAN_MARKER`, content, and the CRC-16 of the
+content, as of `wings.robot.packets`. Little-endian content of 148 bytes:
+
+    uint32    time of the scan by the robot's clock [ms]; it overflows
+    int16 x3  odometry at that time: x, y [mm], heading [mrad], as in the answer that follows the scan
+    uint16    beams in the scan
+    uint16    first beam in this packet: 0, 60, 120, ...
+    int32     angle of beam 0 from ahead, counter-clockwise [urad]
+    int32     angle from each beam to the next [nrad], negative for a clockwise scanner
+    uint16    largest range [mm]
+    uint32    CRC-32 of all ranges of the scan
+    60 uint16 ranges [mm], 0 for no return; 0 after the last beam
+
+A packet is read alone, so what lies between those of one scan does no harm. A scan is used if all packets have arrived,
+agree on everything but the first beam, and its ranges fit their CRC-32. The lidar is over the robot's centre.
+"""
+
+from __future__ import annotations
+
+import binascii
+import struct
+from typing import NamedTuple
+
+import numpy as np
+
+from data.inputs import Scanner
+from data.se2 import Array
+from wings.robot.packets import FRAME_BYTES, framed
+
+SCAN_MARKER = b"\xa5\x5c"
+BEAMS = 60
+"""Beams in a packet."""
+MOST_BEAMS = 1440
+"""A quarter of a degree apart all round."""
+NARROWEST, WIDEST = 10_000, 1_000_000_000
+"""nrad between beams; a scan is at most a full circle."""
+CIRCLE = 6_283_186_000
+"""nrad, and a rounding."""
+_HEAD = struct.Struct("<I3hHHiiHI")
+_RANGES = struct.Struct(f"<{BEAMS}H")
+SCAN_BYTES = _HEAD.size + _RANGES.size
+SCAN_FRAME = SCAN_BYTES + FRAME_BYTES
+"""Bytes of a packet."""
+
+
+class Beams(NamedTuple):
+    """Directions of a scan's beams and the largest range, as transmitted.
+
+    Attributes:
+        number: of beams.
+        first: urad, direction of beam 0 from ahead, counter-clockwise.
+        step: nrad, from each beam to the next.
+        reach: mm.
+    """
+
+    number: int
+    first: int
+    step: int
+    reach: int
+
+    def scanner(self, sigma: float) -> Scanner:
+        """The scanner that has them, in radians and metres, over the robot's centre; `sigma` [m] of a range."""
+        return Scanner(self.first / 1e6, self.step / 1e9, self.reach / 1000.0, sigma)
+
+    @property
+    def possible(self) -> bool:
+        """Whether a scanner can have them: at least one beam, at most a circle, directions within a turn of ahead."""
+        return (
+            0 < self.number <= MOST_BEAMS
+            and NARROWEST <= abs(self.step) <= WIDEST
+            and abs(self.step) * (self.number - 1) < CIRCLE
+            and abs(1000 * self.first) <= CIRCLE
+            and self.reach > 0
+        )
+
+
+class Scan(NamedTuple):
+    """A scan as transmitted: time [ms], odometry x, y [mm], heading [mrad], and ranges [mm], 0 for no return."""
+
+    stamp: int
+    odometry: tuple[int, int, int]
+    beams: Beams
+    ranges: tuple[int, ...]
+
+    @property
+    def metres(self) -> Array:
+        """Ranges (B,) [m], 0 for no return."""
+        mm = np.array(self.ranges, float)
+        found: Array = np.where(mm < self.beams.reach, mm / 1000.0, 0.0)
+        return found
+
+
+def encode_scan(scan: Scan) -> bytes:
+    """All packets of a scan, one after the other."""
+    check = binascii.crc32(np.array(scan.ranges, "<u2").tobytes())
+    frames = []
+    for first in range(0, scan.beams.number, BEAMS):
+        part = scan.ranges[first : first + BEAMS]
+        b = scan.beams
+        head = _HEAD.pack(scan.stamp, *scan.odometry, b.number, first, b.first, b.step, b.reach, check)
+        frames.append(framed(head + _RANGES.pack(*part, *(0,) * (BEAMS - len(part))), SCAN_MARKER))
+    return b"".join(frames)
+
+
+class ScanParts:
+    """Puts packets of scans together.
+
+    Attributes:
+        torn: scans of which a packet was missing, or whose ranges did not fit their CRC-32.
+    """
+
+    def __init__(self) -> None:
+        self.torn = 0
+        self._head: tuple[int, ...] | None = None  # of the scan that has begun, without the first beam
+        self._parts: dict[int, tuple[int, ...]] = {}  # its ranges by first beam
+
+    def add(self, content: bytes) -> Scan | None:
+        """The scan that a packet's content completes, or None. An impossible packet ends the scan that has begun."""
+        stamp, x, y, heading, count, first, angle, step, reach, check = _HEAD.unpack_from(content)
+        beams = Beams(count, angle, step, reach)
+        head = (stamp, x, y, heading, *beams, check)
+        if head != self._head:
+            self.torn += self._head is not None
+            self._head, self._parts = head, {}
+        if not beams.possible or first % BEAMS or first >= count:
+            self.give_up()
+            return None
+        self._parts[first] = _RANGES.unpack_from(content, _HEAD.size)[: count - first]
+        if len(self._parts) < -(-count // BEAMS):
+            return None
+        ranges = tuple(r for _, part in sorted(self._parts.items()) for r in part)
+        self._head, self._parts = None, {}
+        if binascii.crc32(np.array(ranges, "<u2").tobytes()) != check:
+            self.torn += 1
+            return None
+        return Scan(stamp, (x, y, heading), beams, ranges)
+
+    def give_up(self) -> None:
+        """Forget the scan that has begun."""
+        self.torn += self._head is not None
+        self._head, self._parts = None, {}

@@ -1,0 +1,178 @@
+"""The simulated robot on a pseudo-terminal, byte-compatible with the real one: `python -m data.robot.simulate`."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import os
+import re
+import select
+import signal
+import sys
+import tty
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from data.command import Parser
+from data.errors import UsageError
+from data.terminal import ended
+from data.worlds.registry import seed
+
+if TYPE_CHECKING:
+    from wings.robot.link import Clock
+    from wings.robot.simulated.wire import Wire
+
+TRUTH_PERIOD = 0.05
+"""s of robot time between rows of the truth."""
+LONGEST_WAIT = 0.05
+"""s of real time to wait for a byte before the robot moves on."""
+EXAMPLE = """\
+example:
+  python -m data.robot.simulate --world walls:0 --link /tmp/robot &
+  python -m data.robot.simulate --world walls:0 --link /tmp/robot --lidar &
+  python -m data.robot.simulate --world walls:3 --link /tmp/robot --drop 0.01 --flip 0.001 --stall 5 --truth path.csv
+"""
+
+
+class Terminal:
+    """A pseudo-terminal with a symbolic link to the end that serves as serial device; `with` removes it."""
+
+    def __init__(self, path: Path) -> None:
+        """Open it; UsageError where the path cannot become a link.
+
+        A link to a terminal is replaced: a simulator that was killed leaves it behind.
+        """
+        self._path = path
+        self.master, self._slave = os.openpty()
+        tty.setraw(self._slave)
+        os.set_blocking(self.master, False)
+        self._device = os.ttyname(self._slave)
+        try:
+            if path.is_symlink() and os.readlink(path).startswith("/dev/"):
+                path.unlink()
+            path.symlink_to(self._device)
+        except FileExistsError:
+            self._close()
+            raise UsageError(f"--link {path}: exists already; remove it or name another path") from None
+        except OSError as error:
+            self._close()
+            raise UsageError(f"--link {path}: {error.strerror}") from None
+
+    def read(self, wait: float) -> bytes:
+        """Bytes received within a real time [s]."""
+        ready, _, _ = select.select([self.master], [], [], max(wait, 0.0))
+        return os.read(self.master, 4096) if ready else b""
+
+    def write(self, data: bytes) -> None:
+        """Send; bytes that nobody reads are lost, as on a line."""
+        with contextlib.suppress(BlockingIOError):
+            os.write(self.master, data)
+
+    def _close(self) -> None:
+        os.close(self.master)
+        os.close(self._slave)  # held open until now, so that a reader may come and go
+
+    def __enter__(self) -> Terminal:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._path.is_symlink() and os.readlink(self._path) == self._device:
+            self._path.unlink()
+        self._close()
+
+
+def run(wire: Wire, terminal: Terminal, clock: Clock, truth: TextIO | None = None) -> None:
+    """Run the robot by the clock until the process is terminated; its true path (t,x,y,theta) goes to `truth`."""
+    rows = 0
+    if truth is not None:
+        truth.write("t,x,y,theta\n")
+    while True:
+        now = clock.now()
+        while truth is not None and rows * TRUTH_PERIOD <= now:
+            wire.advance(rows * TRUTH_PERIOD)
+            x, y, theta = wire.robot.pose.tolist()
+            truth.write(f"{rows * TRUTH_PERIOD:.2f},{x!r},{y!r},{theta!r}\n")
+            rows += 1
+        data = wire.read(now)
+        if data:
+            terminal.write(data)
+        came = terminal.read(min((wire.due() - clock.now()) / clock.speed, LONGEST_WAIT))
+        if came:
+            wire.write(clock.now(), came)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    top = Parser(
+        prog="python -m data.robot.simulate",
+        description="Run a small robot on a pseudo-terminal until interrupted. It stops 1 s after the last command.",
+        epilog=EXAMPLE,
+    )
+    top.add_argument("--world", default="walls:0", metavar="walls:SEED", help="room (default: walls:0)")
+    text = "symbolic link to the terminal; exists once the robot is ready"
+    top.add_argument("--link", type=Path, required=True, metavar="PATH", help=text)
+    share = _number(0.0, 1.0)
+    top.add_argument("--drop", type=share, default=0.0, metavar="P", help="probability that a byte is lost")
+    top.add_argument("--flip", type=share, default=0.0, metavar="P", help="probability that a byte has a flipped bit")
+    text = "length of a stall of one direction, about once a minute: answers are late, commands are lost"
+    top.add_argument("--stall", type=_number(0.0, 3600.0), default=0.0, metavar="SECONDS", help=text)
+    text = "robot seconds per second (default: 1)"
+    top.add_argument("--speed", type=_number(0.01, 1000.0), default=1.0, metavar="X", help=text)
+    top.add_argument("--framed", action="store_true", help="packets between a marker and a checksum, both ways")
+    text = "with a lidar: 360 beams up to 8 m, sigma 0.01 m, 1 %% without a return; frames at 115200 baud"
+    top.add_argument("--lidar", action="store_true", help=text)
+    text = "seed of slip, sonars, lidar and faults (default: 0)"
+    top.add_argument("--seed", type=seed, default=0, metavar="N", help=text)
+    text = "CSV file for the true path: t,x,y,theta, 20 rows per second"
+    top.add_argument("--truth", type=Path, metavar="FILE", help=text)
+    return top
+
+
+def _number(low: float, high: float) -> Callable[[str], float]:
+    def convert(text: str) -> float:
+        value = float(text)
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text} is not from {low:g} to {high:g}")
+        return value
+
+    convert.__name__ = "number"  # argparse names the type in its message
+    return convert
+
+
+def _terminated(*_: object) -> None:
+    raise SystemExit(0)
+
+
+def _simulate(argv: Sequence[str] | None) -> None:
+    args = parser().parse_args(argv)
+    world = re.fullmatch(r"walls:([0-9]{1,9})", args.world)
+    if world is None:
+        raise UsageError(f"--world {args.world}: no such world; walls:SEED is one, with a whole number from 0 up")
+    import numpy as np
+
+    from wings.robot.link import Clock
+    from wings.robot.simulated.lidar import Lidar
+    from wings.robot.simulated.physics import Robot
+    from wings.robot.simulated.room import room
+    from wings.robot.simulated.wire import Faults, Wire
+
+    body, line = np.random.default_rng(args.seed).spawn(2)
+    robot = Robot(room(int(world[1])), body, lidar=Lidar() if args.lidar else None)
+    if robot.lidar is not None:  # compiles, or loads, what measures ranges: the robot's clock has not begun
+        robot.lidar.scan(robot.room, robot.pose, 0.0, (0, 0, 0), np.random.default_rng(0))
+    wire = Wire(robot, Faults(args.drop, args.flip, args.stall), line, with_frames=args.framed)
+    for name in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+        signal.signal(name, _terminated)
+    with contextlib.ExitStack() as stack:
+        truth = None if args.truth is None else stack.enter_context(args.truth.open("w", buffering=1))
+        run(wire, stack.enter_context(Terminal(args.link)), Clock(args.speed), truth)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Simulate until terminated; 0, or 2 with one line on stderr."""
+    return ended(lambda: _simulate(argv))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,269 @@
+"""Motion and sonars of the simulated robot, in steps of its own time.
+
+The same generator, room and timed commands give the same path and answers. Each wheel's PI loop with anti-windup brings
+its encoder to the commanded speed; the ground follows with slip. A wall stops the body, not the wheels.
+
+The motor is a first-order lag from duty to speed, with friction. The loop's zero cancels the motor's pole, so without a
+load the wheel follows as a lag of `RESPONSE` (Astrom and Hagglund, PID Controllers, section 4.4).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from data.se2 import Array, compose, wrap_angle
+from wings.robot.packets import (
+    CONE_HALF_ANGLE,
+    FASTEST_WHEEL,
+    LONGEST_RANGE,
+    PERIOD,
+    RADIUS,
+    SONARS,
+    TICKS_PER_TURN,
+    TIMEOUT_MM,
+    WATCHDOG,
+    WHEEL_BASE,
+    WHEEL_RADIUS,
+    Answer,
+    Command,
+    command_of,
+    overflowed,
+    wheel_speeds,
+)
+from wings.robot.scan_packets import Scan
+from wings.robot.simulated.lidar import Lidar
+from wings.robot.simulated.room import Room, cast, clearance
+from wings.robot.traffic.motion import Heard, Packet, Unwrapper
+
+LAG = 0.1
+"""s, time constant of the motor: a geared motor of 6 V with a 65 mm wheel."""
+FULL_SPEED = 1.25 * FASTEST_WHEEL
+"""m/s of the rim at full duty without load: 25 % above the limit, as reserve of the loop."""
+RESPONSE = 0.05
+"""s, time constant of the closed loop: half the motor's, five steps of 0.01 s."""
+PROPORTIONAL = LAG / (FULL_SPEED * RESPONSE)
+"""Duty per m/s."""
+INTEGRAL = 1.0 / (FULL_SPEED * RESPONSE)
+"""Duty per m."""
+FRICTION = 0.1
+"""Smallest duty that turns the wheel."""
+
+
+@dataclass
+class SpeedLoop:
+    """A wheel's PI controller; `integral` is the duty it has accumulated."""
+
+    integral: float = 0.0
+
+    def duty(self, wanted: float, measured: float, dt: float) -> float:
+        """Duty, -1 to 1, for speeds [m/s] wanted and measured, dt [s] after the last call.
+
+        At the limit the integral holds unless the error leads away from it (conditional integration). At rest it is
+        zero: friction holds the wheel.
+        """
+        error = wanted - measured
+        if wanted == 0.0:
+            self.integral = 0.0
+            return min(max(PROPORTIONAL * error, -1.0), 1.0)
+        integral = self.integral + INTEGRAL * error * dt
+        duty = PROPORTIONAL * error + integral
+        limited = min(max(duty, -1.0), 1.0)
+        if duty == limited or (duty - limited) * error < 0.0:
+            self.integral = integral
+        return limited
+
+
+def turned(speed: float, duty: float, dt: float, load: float = 0.0) -> float:
+    """Speed [m/s] of a motor's wheel after dt [s]; `load`: opposing push, in parts of that of full duty.
+
+    Friction and load hold a wheel at rest and stop a turning one, not beyond.
+    """
+    against = FRICTION + load
+    pushed = speed + (duty * FULL_SPEED - speed) * dt / LAG
+    brake = against * FULL_SPEED * dt / LAG
+    return 0.0 if abs(pushed) <= brake else pushed - math.copysign(brake, pushed)
+
+
+STEP = 0.01
+"""s, step of motion and of the firmware's encoders."""
+BRAKING = 0.1
+"""s in which the loop stops a wheel from full speed."""
+PATIENCE = WATCHDOG - BRAKING - 2.0 * STEP
+"""s without a command after which the firmware brakes, so that the robot stands at `WATCHDOG`."""
+METRES_PER_TICK = 2.0 * math.pi * WHEEL_RADIUS / TICKS_PER_TURN
+SHORTEST_RANGE = 0.02
+"""m. Nearer echoes return while the sonar still sends."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """Imperfections of the robot.
+
+    Attributes:
+        slip: m per sqrt(m) of a wheel's travel, standard deviation, independent per wheel; 0.005 turns the body by 1.6
+            degrees per metre, as hobby wheels do on a smooth floor.
+        range_sigma: m, standard deviation of a distance.
+        mirror: rad. A wall met at a larger angle from its normal returns no echo. 15 degrees at the cone's edge are
+            22.5 at its axis, so eight sonars just see every wall.
+        dropout: share of echoes that are missed.
+        crosstalk: share of readings that are another sonar's ping: any distance below the true one.
+    """
+
+    slip: float = 0.005
+    range_sigma: float = 0.005
+    mirror: float = math.radians(15.0)
+    dropout: float = 0.01
+    crosstalk: float = 0.01
+
+
+class Robot:
+    """The simulated body with wheels, encoders, sonars and watchdog, at rest at the start of its room.
+
+    Attributes:
+        pose: (3,) true pose [m, m, rad], world frame, heading wrapped.
+        wheels: speeds [m/s] of the left and the right wheel.
+    """
+
+    def __init__(
+        self, room: Room, rng: np.random.Generator, physics: Physics | None = None, lidar: Lidar | None = None
+    ) -> None:
+        """Motion, sonars and lidar draw from separate generators: the number of answers does not change the path, nor
+        does a lidar change what the sonars hear.
+        """
+        self.room, self.physics, self.lidar = room, physics or Physics(), lidar
+        self._ground, self._sound, self._light = rng.spawn(3)
+        self.pose = np.array(room.start, float)
+        self.wheels = (0.0, 0.0)
+        self._loops = (SpeedLoop(), SpeedLoop())
+        self._wanted: tuple[float, ...] = (0.0, 0.0)
+        self._commanded = -math.inf
+        self._steps = 0
+        self._turned = [0.0, 0.0]
+        self._ticks = [0, 0]
+        self._odometry = [0.0, 0.0, 0.0]
+        self._free = 0.0
+
+    @property
+    def time(self) -> float:
+        """Time of the last step [s]."""
+        return self._steps * STEP
+
+    def command(self, t: float, command: Command) -> None:
+        """Obey from time t [s] on, within the limits of each wheel."""
+        self.advance(t)
+        left, right = wheel_speeds(command.speed / 1000.0, command.turn / 1000.0)
+        self._wanted = tuple(min(max(speed, -FASTEST_WHEEL), FASTEST_WHEEL) for speed in (left, right))
+        self._commanded = t
+
+    def advance(self, t: float) -> None:
+        """Move to the last step not after t [s]; a past time changes nothing."""
+        for _ in range(math.floor(t / STEP + 1e-9) - self._steps):
+            self._step()
+
+    def _step(self) -> None:
+        wanted = self._wanted if self.time - self._commanded < PATIENCE - 1e-9 else (0.0, 0.0)
+        self._steps += 1
+        before = self.wheels
+        each = zip(self._loops, before, wanted, strict=True)
+        left, right = (turned(now, loop.duty(goal, now, STEP), STEP) for loop, now, goal in each)
+        self.wheels = (left, right)
+        if left == right == 0.0 and before == (0.0, 0.0):
+            return
+        ways = [0.5 * (a + b) * STEP for a, b in zip(before, self.wheels, strict=True)]
+        noise = self._ground.standard_normal(2)
+        true = [w + self.physics.slip * math.sqrt(abs(w)) * float(n) for w, n in zip(ways, noise, strict=True)]
+        self._encode(ways)
+        self._move(0.5 * (true[0] + true[1]), (true[1] - true[0]) / WHEEL_BASE)
+
+    def _encode(self, ways: list[float]) -> None:
+        """Count whole ticks and advance the firmware's odometry by them."""
+        counted = []
+        for i in (0, 1):
+            self._turned[i] += ways[i]
+            ticks = math.floor(self._turned[i] / METRES_PER_TICK)
+            counted.append((ticks - self._ticks[i]) * METRES_PER_TICK)
+            self._ticks[i] = ticks
+        forward, turn = 0.5 * (counted[0] + counted[1]), (counted[1] - counted[0]) / WHEEL_BASE
+        x, y, heading = self._odometry
+        middle = heading + 0.5 * turn
+        self._odometry = [x + forward * math.cos(middle), y + forward * math.sin(middle), heading + turn]
+
+    def _move(self, forward: float, turn: float) -> None:
+        """Move the body unless a wall is in the way; clearance is computed only where a wall may be reached."""
+        x, y, theta = self.pose.tolist()
+        middle = theta + 0.5 * turn
+        to = (x + forward * math.cos(middle), y + forward * math.sin(middle))
+        self._free -= abs(forward)
+        if self._free <= 0.0:
+            self._free = clearance(self.room, np.array(to)) - RADIUS
+            if self._free <= 0.0:
+                self._free = 0.0
+                here = clearance(self.room, self.pose)
+                if clearance(self.room, np.array(to)) < here:
+                    to = (x, y)
+        self.pose = np.array([to[0], to[1], wrap_angle(theta + turn)])
+
+    def answer(self, t: float) -> Answer:
+        """The firmware's answer at time t [s]: present distances, odometry in whole mm and mrad, overflowed."""
+        self.advance(t)
+        x, y, heading = (overflowed(round(1000.0 * value)) for value in self._odometry)
+        return Answer(tuple(self._distances()), x, y, heading)
+
+    def scan(self, answer: Answer) -> Scan | None:
+        """The lidar's scan at the time of an answer that was just given; None without a lidar."""
+        if self.lidar is None:
+            return None
+        odometry = (answer.x, answer.y, answer.heading)
+        return self.lidar.scan(self.room, self.pose, self.time, odometry, self._light)
+
+    def _distances(self) -> list[int]:
+        p = self.physics
+        echo = cast(self.room, compose(self.pose, SONARS), CONE_HALF_ANGLE)
+        missed, early, where = self._sound.random((3, len(SONARS)))
+        heard: Array = echo.distance + p.range_sigma * self._sound.standard_normal(len(SONARS))
+        heard[(echo.incidence > p.mirror) | (missed < p.dropout)] = np.inf
+        heard = np.clip(heard, SHORTEST_RANGE, LONGEST_RANGE)
+        heard = np.where(early < p.crosstalk, SHORTEST_RANGE + where * (heard - SHORTEST_RANGE), heard)
+        return [min(round(1000.0 * d), TIMEOUT_MM) for d in heard.tolist()]
+
+
+class Drive(NamedTuple):
+    """A drive without a line: N packets, one a period from time 0 on.
+
+    `commands` (N, 2) [m/s, rad/s] in whole mm/s and mrad/s follow each packet; `poses` (N, 3) are the true poses at its
+    time [m, m, rad], world frame.
+    """
+
+    packets: list[Packet]
+    commands: Array
+    poses: Array
+
+
+def drive(
+    room: Room,
+    policy: Callable[[Packet], tuple[float, float]],
+    seconds: float,
+    rng: np.random.Generator,
+    physics: Physics | None = None,
+    lidar: Lidar | None = None,
+) -> Drive:
+    """Drive through a room without waiting, as over a perfect line, for seconds / PERIOD packets.
+
+    `policy` returns the speed [m/s] and turn rate [rad/s] to command after a packet; `rng` draws slip and sonars.
+    """
+    robot, unwrapper = Robot(room, rng, physics, lidar), Unwrapper()
+    packets, commands, poses = [], [], []
+    for k in range(round(seconds / PERIOD)):
+        t = k * PERIOD
+        answer = robot.answer(t)
+        packets.append(unwrapper.packet(Heard(t, answer, 1.0, robot.scan(answer)), joined=True))
+        poses.append(robot.pose)
+        command = command_of(*policy(packets[-1]))
+        commands.append(command)
+        robot.command(t, command)
+    return Drive(packets, np.array(commands, float).reshape(-1, 2) / 1000.0, np.array(poses).reshape(-1, 3))

@@ -1,0 +1,223 @@
+"""Walls from sonar readings: where an echo came from, and the straight line through several of them.
+
+A line is (rho, alpha): rho >= 0 its distance from the origin [m], alpha the direction of its normal [rad], from the
+origin to the line. Sensors and lines share one frame, usually the newest body frame.
+
+A reading is the distance to the nearest point inside the cone: the foot of the perpendicular if the wall's normal is
+inside the cone, else the point where the nearer edge of the cone meets the wall. So a line fixes the direction of each
+echo, and directions and line are found by iteration. Echoes taken on the sonar's axis would misplace the wall by up to
+1 - cos(22.5 degrees) = 7.6 % of the distance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from data.se2 import Array, between, compose, wrap_angle
+from wings.robot.packets import CONE_HALF_ANGLE, SONARS
+
+SIGMA = 0.005
+"""m, standard deviation of a distance, as of the simulated sonars (`wings.robot.simulated.physics`)."""
+MIRROR = math.radians(15.0)
+"""rad, largest angle between an echo and the wall's normal at which a smooth wall returns the sound."""
+WELSCH = 2.985
+"""Standard deviations. The weight exp(-(d / (WELSCH sigma))^2) has 95 % efficiency on normal errors (Holland and Welsch
+1977)."""
+NORMAL_MEDIAN = 1.4826
+"""Standard deviation of normal residuals over their median absolute value."""
+FADING = 0.75
+"""m^2, of the robot's author: the weight of a reading at range r is exp(-r^2 / FADING), a half at 0.72 m."""
+ITERATIONS = 50
+CONVERGED = 1e-9
+"""rad or m; a smaller step ends the iteration."""
+
+
+class Line(NamedTuple):
+    """A wall.
+
+    Attributes:
+        rho: m, >= 0.
+        alpha: rad, (-pi, pi].
+        cov: (2, 2) covariance of rho and alpha [m, rad].
+        weights: (N,) of the readings, 0 to 1.
+        residuals: (N,) m, signed distances of the echoes from the line, positive beyond it.
+    """
+
+    rho: float
+    alpha: float
+    cov: Array
+    weights: Array
+    residuals: Array
+
+
+def sensor_poses(odometry: Array) -> Array:
+    """Poses (F, 8, 3) of the sonars for body poses (F, 3), in the last body frame."""
+    return compose(between(odometry[-1], odometry)[:, None], SONARS)
+
+
+def echo_points(sensors: Array, ranges: Array, alpha: float | Array) -> Array:
+    """Points (..., N, 2) that the echoes came from: within the cone, nearest to the normal's direction `alpha` [rad].
+
+    `sensors` (..., N, 3) are sonar poses, `ranges` (..., N) distances [m]; `alpha` is scalar or (..., 1).
+    """
+    turn = np.clip(wrap_angle(alpha - sensors[..., 2]), -CONE_HALF_ANGLE, CONE_HALF_ANGLE)
+    way = sensors[..., 2] + turn
+    return np.stack([sensors[..., 0] + ranges * np.cos(way), sensors[..., 1] + ranges * np.sin(way)], axis=-1)
+
+
+def predicted_ranges(sensors: Array, rho: float, alpha: float) -> Array:
+    """Readings (N,) of an infinite wall by the model above, inf where the cone misses it."""
+    off = np.abs(wrap_angle(alpha - sensors[:, 2]))
+    distance = rho - sensors[:, 0] * math.cos(alpha) - sensors[:, 1] * math.sin(alpha)
+    slant = np.maximum(off - CONE_HALF_ANGLE, 0.0)
+    seen = (slant < 0.5 * math.pi) & (distance > 0.0)
+    return np.where(seen, distance / np.where(seen, np.cos(slant), 1.0), np.inf)
+
+
+def total_least_squares(points: Array, weights: Array, sensors: Array) -> tuple[Array, Array]:
+    """(rho, alpha) (...) of the lines with least weighted squared distances from points (..., N, 2).
+
+    `weights` (..., N): at least two above zero; `sensors` (..., N, 3) lie before the lines. rho is negative where the
+    origin lies beyond its line.
+    """
+    total = weights.sum(-1)
+    mean = (weights[..., None] * points).sum(-2) / total[..., None]
+    d = points - mean[..., None, :]
+    sxx, syy = (weights * d[..., 0] ** 2).sum(-1), (weights * d[..., 1] ** 2).sum(-1)
+    sxy = (weights * d[..., 0] * d[..., 1]).sum(-1)
+    alpha = 0.5 * np.arctan2(-2.0 * sxy, syy - sxx)
+    before = mean - (weights[..., None] * sensors[..., :2]).sum(-2) / total[..., None]
+    alpha = np.where(before[..., 0] * np.cos(alpha) + before[..., 1] * np.sin(alpha) < 0.0, alpha + math.pi, alpha)
+    rho = mean[..., 0] * np.cos(alpha) + mean[..., 1] * np.sin(alpha)
+    return rho, alpha
+
+
+def fit_weighted(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
+    """The line through N >= 3 readings by weighted total least squares, w = exp(-d^2 / c).
+
+    d is the distance from the last line, c = (`WELSCH` sigma)^2. Iteration starts at the repeated median line, since a
+    few outliers would turn a least-squares line away from all good readings; the scale in c starts at the median of its
+    d and is halved until sigma.
+    """
+    rho, alpha = _repeated_median(sensors, ranges)
+    scale = NORMAL_MEDIAN * float(np.median(np.abs(_distances(sensors, ranges, rho, alpha))))
+    for _ in range(ITERATIONS):
+        d = _distances(sensors, ranges, rho, alpha)
+        weights = np.exp(-((d / (WELSCH * max(scale, sigma))) ** 2))
+        if weights.sum() < 1.0:  # not a line
+            break
+        before = rho, alpha
+        rho, alpha = _least_squares(sensors, ranges, weights, alpha)
+        if scale <= sigma and max(abs(rho - before[0]), abs(wrap_angle(alpha - before[1]))) < CONVERGED:
+            break
+        scale *= 0.5
+    d = _distances(sensors, ranges, rho, alpha)
+    u = (d / (WELSCH * sigma)) ** 2
+    return _line(sensors, ranges, (rho, alpha), d, np.exp(-u), np.exp(-u) * (1.0 - 2.0 * u))
+
+
+def fit_author(sensors: Array, ranges: Array, sigma: float = SIGMA) -> Line:
+    """The line by the robot author's weights exp(-r^2 / `FADING`), r the range to the robot, in one pass.
+
+    Echoes are taken on the sonars' axes, and no reading is an outlier. The original regresses y on x, which knows no
+    wall ahead; this is total least squares. `sigma` is unused: the spread comes from the residuals. The nearest reading
+    has weight 1. Source: A. Kramer, "Weighted Linear Regression for Wall Following" (andrewjkramer.net), its program.
+    """
+    points = echo_points(sensors, ranges, sensors[:, 2])
+    nearness = -np.sum(points**2, axis=-1) / FADING
+    weights = np.exp(nearness - nearness.max())
+    rho, alpha = (float(v) for v in total_least_squares(points, weights, sensors))
+    d = points @ (math.cos(alpha), math.sin(alpha)) - rho
+    J = np.stack([-np.ones(len(d)), points @ (-math.sin(alpha), math.cos(alpha))], axis=-1)
+    information = (weights[:, None] * J).T @ J
+    freedom = len(d) - 2
+    if freedom <= 0 or np.linalg.det(information) <= 0.0:
+        return _turned(rho, alpha, np.full((2, 2), np.inf), weights, d)
+    gain = np.linalg.solve(information, (weights[:, None] * J).T)
+    variance = float(weights @ d**2) / float(weights.sum()) * len(d) / freedom
+    return _turned(rho, alpha, variance * gain @ gain.T, weights, d)
+
+
+Fit = Callable[[Array, Array, float], Line]
+FITS: dict[str, Fit] = {"weighted": fit_weighted, "author": fit_author}
+"""Ways to fit a wall, by name: with weights that find outliers, and the robot author's."""
+USUAL_FIT = "weighted"
+
+
+def visible(line: Line, sensors: Array) -> bool:
+    """Whether a smooth wall there would return echoes to the sensors (N, 3), by the weighted mean of the angle."""
+    off = np.abs(wrap_angle(line.alpha - sensors[:, 2]))
+    return bool(line.weights @ off < line.weights.sum() * (CONE_HALF_ANGLE + MIRROR))
+
+
+def geometry(sensors: Array, ranges: Array, alpha: float) -> Array:
+    """Jacobian (N, 2) of the echoes' distances from a line to rho and alpha: -1 and their position along it.
+
+    An echo on the cone's edge moves along the wall with alpha, which does not change its distance.
+    """
+    along = echo_points(sensors, ranges, alpha) @ (-math.sin(alpha), math.cos(alpha))
+    return np.stack([-np.ones(len(ranges)), along], axis=-1)
+
+
+def _line(sensors: Array, ranges: Array, fitted: tuple[float, float], d: Array, weights: Array, slope: Array) -> Line:
+    """The line with its covariance, rho >= 0; `slope` (N,): derivative of weight times distance d.
+
+    The covariance is that of an M-estimate (Huber, Robust Statistics, section 7.6).
+    """
+    rho, alpha = fitted
+    J = geometry(sensors, ranges, alpha)
+    total, curvature = float(weights.sum()), float(slope.sum())
+    information = (weights[:, None] * J).T @ J
+    freedom = total - 2.0
+    if freedom <= 0.0 or curvature <= 0.0 or np.linalg.det(information) <= 0.0:
+        cov = np.full((2, 2), np.inf)
+    else:
+        variance = float(np.sum((weights * d) ** 2)) / curvature * total / freedom
+        cov = variance * total / curvature * np.linalg.inv(information)
+    return _turned(rho, alpha, cov, weights, d)
+
+
+def _turned(rho: float, alpha: float, cov: Array, weights: Array, d: Array) -> Line:
+    """The line with rho >= 0."""
+    if rho < 0.0:
+        rho, alpha = -rho, alpha + math.pi
+        cov = cov * [[1.0, -1.0], [-1.0, 1.0]] if np.isfinite(cov).all() else cov
+    return Line(rho, wrap_angle(alpha), cov, weights, d)
+
+
+def _distances(sensors: Array, ranges: Array, rho: float | Array, alpha: float | Array) -> Array:
+    points = echo_points(sensors, ranges, alpha)
+    return np.asarray(points[..., 0] * np.cos(alpha) + points[..., 1] * np.sin(alpha) - rho)
+
+
+def _least_squares(sensors: Array, ranges: Array, weights: Array, alpha: float) -> tuple[float, float]:
+    """Line through the echoes of a wall with the normal `alpha`."""
+    line = total_least_squares(echo_points(sensors, ranges, alpha), weights, sensors)
+    return float(line[0]), float(line[1])
+
+
+def _repeated_median(sensors: Array, ranges: Array) -> tuple[float, float]:
+    """Rho and alpha of a line that tolerates half of the readings as outliers (Siegel 1982).
+
+    Slopes are taken across the sonars' mean axis. Echoes are placed on their axes first, then by the line found.
+    """
+    axis = math.atan2(float(np.sin(sensors[:, 2]).sum()), float(np.cos(sensors[:, 2]).sum()))
+    c, s = math.cos(axis), math.sin(axis)
+    laid: float | Array = sensors[:, 2]
+    rho = alpha = 0.0
+    for _ in range(2):
+        x, y = np.moveaxis(echo_points(sensors, ranges, laid), -1, 0)
+        ahead, across = c * x + s * y, c * y - s * x
+        run = across[:, None] - across
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slopes = np.where(run == 0.0, np.nan, (ahead[:, None] - ahead) / run)
+        known = np.isfinite(slopes).any(axis=1)
+        slope = float(np.median(np.nanmedian(slopes[known], axis=1))) if known.any() else 0.0
+        tilt = math.atan(slope)
+        laid = alpha = axis - tilt
+        rho = float(np.median(ahead - slope * across)) * math.cos(tilt)
+    return rho, alpha
