@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 
 def _require_ours() -> None:
     """Refuse to start where another package hides one of ours: `python -m` searches the working directory first."""
-    for package in ("association", "data", "ekf", "graph"):
+    for package in ("association", "data", "ekf", "graph", "wings"):
         spec = find_spec(package)
         places = [] if spec is None else [*(spec.submodule_search_locations or ()), spec.origin or ""]
         if not any(p and Path(p).resolve() == (ROOT / package).resolve() for p in places):

@@ -163,7 +163,7 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class Doubts:
+class LogFaults:
     """What objects to a log: its map, its conventions, its contents."""
 
     map_rows: Notice | None = None  # rows of the map that look swapped or shifted
@@ -196,7 +196,7 @@ class Judgement:
     objections: tuple[Objected, ...] = ()
     methods: Methods | None = None
     cause: Cause | None = None
-    doubts: Doubts = field(default_factory=Doubts)
+    log_faults: LogFaults = field(default_factory=LogFaults)
     given: tuple[str, ...] = ()
 
     @property
@@ -296,12 +296,12 @@ def judgement_of(
         p = blame.p if blame is not None and blame.objected else math.nan
         twins = None if blame is None else len(trust.twins)
         cause = Cause(cause_word(trust), tuple(main_findings(trust)), terms, twins, p)
-    doubts = Doubts(
+    log_faults = LogFaults(
         None if slam else next(iter(asked.map_rows(log)), None),
         (*asked.conventions(log), *laser_faults.serious(trial)),
         not len(log.recorded.observations.frame) and log.recorded.scans is None and not has_sources(log.recorded),
     )
-    verdict, objections = decided(compared, cause, doubts, measured=measured)
+    verdict, objections = decided(compared, cause, log_faults, measured=measured)
     true_id = log.truth.landmark_of
     labelled = None if true_id is None else len(np.unique(true_id[true_id >= 0]))
     return Judgement(
@@ -315,7 +315,7 @@ def judgement_of(
         objections,
         methods_of(runs, labelled),
         cause,
-        doubts,
+        log_faults,
         tuple(sorted({r.estimator for r in trial.runs if r.handed_in})),
     )
 
@@ -373,7 +373,7 @@ def nearer(filtered: float, smoothed: float, difference: Difference | None = Non
 
 
 def decided(
-    compared: Comparison, cause: Cause | None = None, doubts: Doubts = Doubts(), *, measured: bool
+    compared: Comparison, cause: Cause | None = None, log_faults: LogFaults = LogFaults(), *, measured: bool
 ) -> tuple[Verdict, tuple[Objected, ...]]:
     """Whose path to use, and what speaks against it, the strongest first."""
     filtered, smoothed = compared.filtered, compared.smoothed
@@ -399,10 +399,10 @@ def decided(
         found += [o for o in filtered.objections if o.objection is Objection.NEES]
     if measured and verdict in (Verdict.SMOOTHER, Verdict.EITHER, Verdict.FILTER):
         found += [Objected(Objection.CAUSE, "", cause.p)] if cause is not None and math.isfinite(cause.p) else []
-    if doubts.conventions:
+    if log_faults.conventions:
         verdict = Verdict.NEITHER
         found.append(Objected(Objection.CONVENTION, ""))
-    if doubts.map_rows is not None:
+    if log_faults.map_rows is not None:
         found.append(Objected(Objection.MAP, ""))
     order = list(Objection)
     return verdict, tuple(sorted(found, key=lambda o: order.index(o.objection)))

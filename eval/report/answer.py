@@ -40,7 +40,7 @@ def outcome(compared: Comparison) -> Outcome:
 
 def answer(j: Judgement, trust: str = "") -> str:
     """The comparison in a few sentences; `trust`, the diagnosis, comes first without ground truth."""
-    about = {"outcome": outcome(j.compared), "linearized": j.compared.lost_to_linearization}
+    about = {"outcome": outcome(j.compared), "verdict": j.verdict, "linearized": j.compared.lost_to_linearization}
     words = say("answer", j.compared, **about, methods=j.methods, trust=trust)
     return "\n".join(map(one_line, re.split(r"\n(?=\* )", words)))
 

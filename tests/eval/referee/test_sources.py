@@ -216,7 +216,7 @@ def test_copies_of_dead_reckoning_beside_closures_are_not_trusted():
     log = replace(log, truth=replace(log.truth, pose=None))
     smoother = replace(run, estimator="batch", online=None, final=run.online)
     bare = judge_trial(Trial(log, "slam", (run, smoother)), score([Trial(log, "slam", (run, smoother))]), ())
-    assert (bare.verdict, bare.doubts.empty) == (Verdict.NEITHER, False)
+    assert (bare.verdict, bare.log_faults.empty) == (Verdict.NEITHER, False)
     assert [o.objection for o in bare.objections] == [Objection.IDLE, Objection.IDLE]
     found = drawn(np.random.default_rng(0), 20, 3)
     used = replace(run, closures=found), replace(smoother, closures_final=found)

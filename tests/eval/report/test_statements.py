@@ -20,7 +20,7 @@ def innovations(**changed) -> str:
 
 EMPTY = {
     "association": "known", "several": False, "outcome": "none ran", "filtered": None, "smoothed": None,
-    "trust": "", "methods": None, "linearized": False,
+    "trust": "", "methods": None, "linearized": False, "verdict": "nothing ran",
 }  # fmt: skip
 
 

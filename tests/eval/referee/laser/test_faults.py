@@ -62,7 +62,7 @@ def test_the_headline_names_no_path_where_walls_are_doubled(trial):
     facts = judge_trial(wrong, score([wrong]), [])
     assert facts.verdict is Verdict.NEITHER
     assert facts.objections[0].objection is Objection.CONVENTION
-    assert facts.doubts.conventions[0].code is Code.DOUBLED_WALLS
+    assert facts.log_faults.conventions[0].code is Code.DOUBLED_WALLS
 
 
 @pytest.mark.parametrize(("share", "named"), [(0.7, set()), (0.95, {Code.CLOSURES_REFUSED})])

@@ -51,7 +51,7 @@ def test_swapped_map_rows_are_the_first_objection_and_no_tick_stands_there():
 
 def test_right_maps_have_no_such_objection():
     facts, _ = judged(open_log("arena:3"))
-    assert facts.doubts.map_rows is None
+    assert facts.log_faults.map_rows is None
     assert facts.tone == "good"
 
 
@@ -93,7 +93,7 @@ def test_utias_dataset_1_as_published_is_not_lost_but_has_swapped_rows(mrclam):
         assert lost_of(run, trial.log) is None
     assert (facts.verdict, facts.unusable) == (Verdict.SMOOTHER, ())
     assert [o.objection for o in facts.objections] == [Objection.MAP]
-    assert facts.doubts.map_rows.named["swapped"] == (11, 17)
+    assert facts.log_faults.map_rows.named["swapped"] == (11, 17)
     assert trust_mark(facts).note.startswith("map rows 11 and 17 look swapped")
 
 
