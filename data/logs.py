@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from data.errors import UsageError
 from data.log import Log
 from data.terminal import meant
+from data.truth_windows import scored
 from data.wing import used, wings
 from data.worlds import registry
 
@@ -26,6 +27,9 @@ NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in regist
 class Reading:
     """How logs are read: options of images (`data.visual.opening.Camera`), the cache of rendered detections, and the
     file of reference relations of a laser log (None: the one beside it), and whether its odometry is left out.
+
+    Of a log that is scored: stretches of its truth to leave out [s of its recording], and whether windows of bad truth
+    are scored, too.
     """
 
     camera_translation: str = "cm"
@@ -35,12 +39,17 @@ class Reading:
     cache: Path | None = None
     relations: Path | None = None
     no_odometry: bool = False
+    exclude_truth: tuple[tuple[float, float], ...] = ()
+    keep_truth: bool = False
 
 
 def open_log(
     name: str | os.PathLike[str], reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None
 ) -> Log:
     """Open a log by name (`victoria-park`, `arena:SEED`, `corridor:SEED:KEYS`), folder, or CARMEN file.
+
+    Its truth is that of the file. Windows of bad truth are left out when it is scored (`Trial`, `study`, all commands);
+    `data.truth_windows.scored(log, keep=True)` keeps them.
 
     Args:
         name: name or path.
@@ -66,6 +75,18 @@ def open_log(
     from data.formats.recordings.laser import without_odometry
 
     return replace(log, recorded=without_odometry(log.recorded))
+
+
+def open_scored(
+    name: str | os.PathLike[str], reading: Reading = Reading(), say: Callable[[str], None] = lambda text: None
+) -> Log:
+    """As `open_log`, with the ground truth that is scored."""
+    return as_scored(open_log(name, reading, say), reading)
+
+
+def as_scored(log: Log, reading: Reading) -> Log:
+    """The log with the ground truth that is scored (`data.truth_windows.scored`)."""
+    return scored(log, reading.exclude_truth, keep=reading.keep_truth)
 
 
 def _opened(name: str, reading: Reading, say: Callable[[str], None]) -> Log:

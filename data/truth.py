@@ -82,6 +82,8 @@ class Truth(Locked):
         relations: reference relations of a laser log.
         errors: true systematic errors of a simulated robot, by frame (sigma is zero).
         left_out: windows of bad ground truth, whose poses are NaN.
+        excluded: stretches (from, to) [s of the log's recording], whose poses are NaN on request.
+        screened: windows of bad ground truth were looked for, or are scored on request (`data.truth_windows.scored`).
         fix_inlier: (F,) 1 where a fix is right, 0 where it is an outlier, -1 unknown; None: not stated.
         closure_inlier: (K,) the same of each closure.
     """
@@ -92,6 +94,8 @@ class Truth(Locked):
     relations: Relations | None = None
     errors: Systematics | None = None
     left_out: tuple[BadTruth, ...] = ()
+    excluded: tuple[tuple[float, float], ...] = ()
+    screened: bool = False
     fix_inlier: IntArray | None = None
     closure_inlier: IntArray | None = None
 

@@ -108,17 +108,36 @@ def without(log: Log, stretches: Sequence[tuple[float, float]]) -> Log:
     """The log without true poses in stretches (from, to) [s of its recording], both ends included."""
     if log.truth.pose is None or not stretches:
         return log
-    pose, time = log.truth.pose.copy(), log.recorded.time + log.clock
-    for begin, end in stretches:
-        pose[(time >= begin) & (time <= end)] = np.nan
+    pose = log.truth.pose.copy()
+    pose[_inside(log, log.recorded.time, stretches)] = np.nan
     return replace(log, truth=replace(log.truth, pose=pose))
 
 
-def without_bad_truth(log: Log) -> Log:
-    """The log without true poses in windows of bad ground truth, which `Truth.left_out` keeps."""
-    found = bad_truth(log)
-    changed = without(log, [(w.start, w.end) for w in found])
-    return replace(changed, truth=replace(changed.truth, left_out=found)) if found else log
+def scored(log: Log, excluded: Sequence[tuple[float, float]] = (), *, keep: bool = False) -> Log:
+    """The log with the ground truth that counts: what every command and `Trial` scores.
+
+    Left out are the stretches `excluded` (from, to) [s of its recording] and, unless `keep`, windows of bad ground
+    truth, which are in `Truth.left_out` then. A log that was screened before stays as it is.
+    """
+    if log.truth.screened:
+        return log
+    rest = without(log, excluded)
+    found = () if keep else bad_truth(rest)
+    pose = without(rest, [(w.start, w.end) for w in found]).truth.pose
+    truth = replace(log.truth, pose=pose, left_out=found, excluded=tuple(excluded), screened=True)
+    return replace(log, truth=truth)
+
+
+def unscored(log: Log, time: Array) -> BoolArray:
+    """Which of the times (n,) [s of `Inputs.time`] are in windows or stretches that are not scored."""
+    return _inside(log, time, [*log.truth.excluded, *((w.start, w.end) for w in log.truth.left_out)])
+
+
+def _inside(log: Log, time: Array, stretches: Sequence[tuple[float, float]]) -> BoolArray:
+    recorded, inside = time + log.clock, np.zeros(len(time), bool)
+    for a, b in stretches:
+        inside |= (recorded >= a) & (recorded <= b)
+    return inside
 
 
 def misplaced(log: Log) -> tuple[MapRow, ...]:

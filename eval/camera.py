@@ -65,10 +65,10 @@ def _camera(log: str, pixel_sigma: str, camera_translation: str, camera_reading:
         sigma = -1.0
     if not 1e-3 <= sigma <= 100.0:
         raise UsageError(f"--pixel-sigma {pixel_sigma}: a number from 0.001 to 100 [px] is needed")
-    from data.logs import Reading, open_log
+    from data.logs import Reading, open_scored
 
     reading = Reading(camera_translation, camera_reading, trust_pickle=trust_pickle)
-    opened = open_log(log, reading, lambda text: print(text, file=sys.stderr))
+    opened = open_scored(log, reading, lambda text: print(text, file=sys.stderr))
     if opened.evidence is None:
         raise UsageError(f"log {opened.name!r} has no images; visual:SEED and folders of the visual lab have")
     found = opened.evidence.found

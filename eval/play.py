@@ -20,7 +20,8 @@ TASKS = "localization, slam (default: localization where there is a map)"
 LAB_REPORT = "for a log of this lab: take the lab's settings (default: results/report, if it is one)"
 HOW = ("estimator", "association", "gate", "new_gate", "gate_known", "in_view")
 LONG_LOGS = ("maintain", "forget_after", "deactivate_after", "lag", "keyframe_distance")
-SHARED = (replace(TABLE["task"], help=TASKS), *(TABLE[name] for name in (*HOW, *LONG_LOGS)))
+TRUTH = ("exclude_truth", "keep_truth")
+SHARED = (replace(TABLE["task"], help=TASKS), *(TABLE[name] for name in (*HOW, *LONG_LOGS, *TRUTH)))
 """Flags shared with `slamref run`."""
 EXAMPLES = """\
 examples:
@@ -35,7 +36,7 @@ exit status: 0 fine, 2 wrong usage or bad data, 130 interrupted"""
 
 
 @dataclass(frozen=True)
-class Wish:
+class PlayOptions:
     """The values of all flags."""
 
     options: Options
@@ -56,7 +57,7 @@ def parser(prog: str = PROG) -> Command:
     return p
 
 
-def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
+def read(argv: Sequence[str] | None, prog: str = PROG) -> PlayOptions:
     """Checked flags; UsageError for invalid ones."""
     given = vars(parser(prog).read(argv))
     out = given["out"]
@@ -65,7 +66,7 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     stated: dict[str, object] = {"log": [given["log"]]}
     stated |= {row.name: given[row.name] for row in SHARED if row.name in given}
     frames = None if given["frames"] is None else FIRST_FRAMES("--frames", given["frames"])
-    return Wish(options_of(stated), stated, given["report"], out, frames)
+    return PlayOptions(options_of(stated), stated, given["report"], out, frames)
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -73,18 +74,21 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     return ended(lambda: _play(read(argv, prog)))
 
 
-def _play(wish: Wish) -> None:
+def _play(wish: PlayOptions) -> None:
     from data.log import folder_name, shortened
-    from data.logs import open_log
-    from eval.plan.experiments import make_plan
+    from data.logs import open_scored
+    from data.questions.asked import truth_windows
+    from eval.plan.experiments import make_plan, reading_of
     from eval.plan.lab_settings import settings_line, settings_of_lab
     from eval.plan.unfinished import estimate, wanted
     from eval.plan.warming import compile_if_needed
     from eval.player.document import played, write_page
     from eval.referee.score import Trial
+    from eval.report.words import asked
 
     compile_if_needed()
-    taken = settings_of_lab(lambda: open_log(wish.options.selection.log[0]), wish.report)
+    reading = reading_of(wish.options)
+    taken = settings_of_lab(lambda: open_scored(wish.options.selection.log[0], reading), wish.report)
     options = options_of({**taken, **wish.given})
     if line := settings_line(wish.options, options, wish.report):
         print(line)
@@ -98,6 +102,8 @@ def _play(wish: Wish) -> None:
             if run.flaw is not None:
                 print(f"{run.estimator} ({run.association}) {run.status}: {run.flaw.text}")
         trials.append(Trial(e.log, e.task, tuple(runs[key] for key in wanted(e.work))))
+    for question in truth_windows(trials[0].log):
+        print(asked(question))
     path = wish.out or Path(f"{folder_name(trials[0].log.name)}.html")
     try:
         write_page(path, played(trials)[0], options.setup)

@@ -9,7 +9,7 @@ from typing import Any
 from data.command import Command
 from data.errors import UsageError
 from data.terminal import counted, ended
-from eval.plan.flags.table import Reading, add_flags
+from eval.plan.flags.table import Scoring, add_flags
 from eval.replay.flag import read_values, rows
 
 PROG = "python -m eval.score"
@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     parser.add_argument("files", metavar="FILE", nargs="+", help="ESTIMATE TRUTH, or estimates alone with --truth")
     truth = "one truth for all estimates, or one for each, in order"
     parser.add_argument("--truth", metavar="FILE", nargs="+", default=[], help=truth)
-    add_flags(parser, rows(Reading).values())
+    add_flags(parser, rows(Scoring).values())
     given = vars(parser.read(argv))
     return ended(lambda: _score(given))
 
@@ -50,7 +50,7 @@ def _score(given: dict[str, Any]) -> None:
     from eval.report.results import printed
 
     files, truths = _files(given.pop("files"), given.pop("truth"))
-    reading = Reading(**read_values(Reading, given, lambda row: row.option))
+    reading = Scoring(**read_values(Scoring, given, lambda row: row.option))
     scores, notes = printed(files, truths, reading)
     sys.stdout.write(f"{scores}\n")
     sys.stderr.write("".join(f"note: {note}\n" for note in notes.splitlines()))

@@ -29,6 +29,7 @@ SHARED = (
     replace(TABLE["estimator"], metavar="NAME", help=f"of {', '.join(STEPPING)}, or your own (default: ekf)"),
     replace(TABLE["task"], metavar="NAME", help=TASKS),
     *(TABLE[name] for name in ("gate", "new_gate", "gate_known", "gate_poses", "in_view", "maintain")),
+    *(TABLE[name] for name in ("exclude_truth", "keep_truth")),
 )
 """Flags shared with `slamref run`."""
 DEFAULTS = {"association": "jcbb", "estimator": "ekf"}
@@ -49,7 +50,7 @@ exit status: 0 fine, 2 wrong usage or bad data, 130 interrupted"""
 
 
 @dataclass(frozen=True)
-class Wish:
+class StepOptions:
     """The values of all flags."""
 
     options: Options
@@ -79,7 +80,7 @@ def parser(prog: str = PROG) -> Command:
     return p
 
 
-def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
+def read(argv: Sequence[str] | None, prog: str = PROG) -> StepOptions:
     """Checked flags; UsageError for invalid ones."""
     given = vars(parser(prog).read(argv))
     given["log"] = logs = [*given.pop("words"), *given.get("log", [])]
@@ -95,7 +96,7 @@ def read(argv: Sequence[str] | None, prog: str = PROG) -> Wish:
     if not steps(estimator):
         raise UsageError(f"--estimator {estimator}: does not work step by step; {', '.join(STEPPING)} do")
     frames = None if given["frames"] is None else FIRST_FRAMES("--frames", given["frames"])
-    return Wish(options, stated, given["report"], given["save"], given["run_through"], frames, given["lab_text"])
+    return StepOptions(options, stated, given["report"], given["save"], given["run_through"], frames, given["lab_text"])
 
 
 def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
@@ -103,18 +104,20 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     return ended(lambda: _step(read(argv, prog)), "interrupted; files written so far are complete")
 
 
-def _step(wish: Wish) -> None:
+def _step(wish: StepOptions) -> None:
     from data.log import shortened
-    from data.logs import open_log
+    from data.logs import open_scored
+    from data.questions.asked import truth_windows
     from eval.plan.warming import compile_if_needed
 
     compile_if_needed()
     from eval.plan.experiment import check_maintained, check_possible_on, default_task, default_task_line
+    from eval.plan.experiments import reading_of
     from eval.plan.foreign import load_all
     from eval.plan.lab_settings import settings_line
 
     load_all(wish.options.selection.estimator, wish.options.selection.association)
-    log = open_log(wish.options.selection.log[0])
+    log = open_scored(wish.options.selection.log[0], replace(reading_of(wish.options), cache=None))
     options = options_of({**DEFAULTS, **of_lab(log, wish.report), **wish.given})
     asked, setup = options.selection, options.setup
     (estimator,), (association,) = asked.estimator, asked.association
@@ -132,6 +135,7 @@ def _step(wish: Wish) -> None:
     from eval.replay.external.spec import is_foreign, name_of
     from eval.replay.run import step_by_step
     from eval.report.answer import gate_sentence
+    from eval.report.words import asked as question_line
     from eval.stepping.pictures import ImageWriter, open_windows
     from eval.stepping.stepper import StoppedError, Walk, end
     from eval.stepping.text import lab_block, step_block
@@ -144,6 +148,8 @@ def _step(wish: Wish) -> None:
     inputs = log.inputs(labels=association == "known")
     if task == "slam":
         inputs = inputs.without_map()
+    for question in truth_windows(log):
+        print(question_line(question))
     if inputs.labels_are_sensed:
         print(gate_sentence(setup, sensed=True))
     pausing = not wish.run_through and sys.stdin.isatty()

@@ -330,7 +330,7 @@ def truth_windows(log: Log) -> list[Notice]:
             off=max(off) if off else None,
             left_out=bool(log.truth.left_out),
             flags=tuple(f"--exclude-truth {w.start:.15g}:{w.end:.15g}" for w in found),
-        )
+        ).about(log=log.name)
     ]
 
 

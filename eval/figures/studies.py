@@ -203,7 +203,7 @@ COLUMNS = 4
 
 
 @dataclass(frozen=True)
-class Seen:
+class FaultPower:
     """One fault: its sizes in words from small to large, and the shares [%] of logs in which each test sees it."""
 
     fault: str
@@ -214,7 +214,7 @@ class Seen:
 
 
 @drawing()
-def power_figure(faults: Sequence[Seen], tests: tuple[str, str], level: float, title: str) -> Figure:
+def power_figure(faults: Sequence[FaultPower], tests: tuple[str, str], level: float, title: str) -> Figure:
     """A panel for each fault: share [%] of the logs in which each test sees it, against its size, not to scale.
 
     `level`: share [%] of the first test on logs without a fault, as it should be.

@@ -12,8 +12,7 @@ from data.command import stretch
 from data.errors import UsageError
 from data.formats.recordings.esde import NAME, find_esde
 from data.log import Log, folder_name, shortened
-from data.logs import Reading, find_logs, open_log
-from data.truth_windows import without, without_bad_truth
+from data.logs import Reading, as_scored, find_logs, open_log, open_scored
 from eval.plan.calibrate import check_calibrated
 from eval.plan.experiment import (
     Experiment,
@@ -23,7 +22,7 @@ from eval.plan.experiment import (
     default_task,
     default_task_line,
 )
-from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Opening, Options, Selection
+from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.lab import VISUAL, lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
@@ -81,10 +80,12 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         experiments = lab_experiments(s.lab, s.estimator, options.setup, reading_of(options), say)
     else:
         experiments = [] if s.log else _default(options, say)
-    asked = [_scored(open_log(name, reading_of(options), say), options.opening) for name in s.log]
-    if asked and given.results:
-        asked, given = [given.settled(asked[0])[0]], given.settled(asked[0])[1]
-    asked += [_scored(log, options.opening) for folder in s.data for log in _found(folder, say)]
+    reading = reading_of(options)
+    asked = [open_log(name, reading, say) for name in s.log]
+    if asked and (given.results or given.file is not None):
+        log, given = given.settled(asked[0])
+        asked = [log]
+    asked = [as_scored(log, reading) for log in (*asked, *(log for folder in s.data for log in _found(folder, say)))]
     if not s.task and (line := default_task_line(asked)):
         say(line)
     for log in asked:
@@ -105,12 +106,6 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     if runs is None:
         runs = 0 if s.log or s.lab or alone else QUICK_RUNS if options.output.quick else DEFAULT_RUNS
     return Plan(tuple(experiments), ((load_scenario("arena"), runs),) if runs else (), given=given)
-
-
-def _scored(log: Log, opening: Opening) -> Log:
-    """The log with the ground truth that is scored."""
-    stretches = [stretch(text) for text in opening.exclude_truth]
-    return without(log, stretches) if opening.keep_truth else without_bad_truth(without(log, stretches))
 
 
 def _found(folder: str, say: Callable[[str], None]) -> list[Log]:
@@ -231,13 +226,13 @@ PRIMED_WORK = (Work("known", ("ekf", "ekf-iterated", "isam2")), Work(HINDSIGHT, 
 
 
 def reading_of(options: Options) -> Reading:
-    """How logs with images are read."""
+    """How logs are read."""
     o = options.opening
     relations = None if o.relations is None else Path(o.relations)
     cache = options.output.kept / ".detections"
-    return Reading(
-        o.camera_translation, o.camera_reading, o.corner_noise, o.trust_pickle, cache, relations, o.no_odometry
-    )
+    camera = (o.camera_translation, o.camera_reading, o.corner_noise, o.trust_pickle, cache)
+    stretches = tuple(stretch(text) for text in o.exclude_truth)
+    return Reading(*camera, relations, o.no_odometry, stretches, o.keep_truth)
 
 
 def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
@@ -258,7 +253,7 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
         rows.append((PRIMED, "slam", PRIMED_WORK))
         rows.append((f"visual:0:frames={SHORT_GALLERY}", "localization", (Work("known", VISUAL),)))
     rows = [row for row in rows if not s.task or row[1] in s.task]
-    logs = {name: _cut(open_log(name, reading_of(options), say), options) for name, _, _ in rows}
+    logs = {name: _cut(open_scored(name, reading_of(options), say), options) for name, _, _ in rows}
     experiments = []
     for name, task, work in rows:
         log = logs[name]

@@ -15,7 +15,7 @@ import numpy as np
 from data.errors import UsageError, nearest
 from data.inputs import CLUTTER
 from data.log import Log
-from data.logs import Reading, find_logs, open_log
+from data.logs import Reading, as_scored, find_logs, open_scored
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.table import DEFAULT_ESTIMATORS
 from eval.plan.variants import maintained
@@ -38,10 +38,10 @@ def lab_experiments(
 ) -> list[Experiment]:
     """All experiments of a lab; UsageError for an unknown name, or a folder that lacks a condition."""
     if lab.startswith("corridor:"):
-        logs: Sequence[Log] = [open_log(name, reading, say) for name in corridor_names(lab)]
+        logs: Sequence[Log] = [open_scored(name, reading, say) for name in corridor_names(lab)]
         return _corridor(estimators, setup, logs)
     if lab.startswith("visual:"):
-        return _visual(estimators, setup, open_log(_with_colon(lab), reading, say))
+        return _visual(estimators, setup, open_scored(_with_colon(lab), reading, say))
     folder = Path(lab)
     if not folder.is_dir():
         near = nearest(lab.partition(":")[0], ("corridor", "visual"))
@@ -51,8 +51,8 @@ def lab_experiments(
     from data.formats.lab.folder import is_lab
 
     if is_lab(folder) and not (folder / "log.toml").exists():
-        return _visual(estimators, setup, open_log(lab, reading, say))
-    return _corridor(estimators, setup, list(_recorded(folder, say).values()))
+        return _visual(estimators, setup, open_scored(lab, reading, say))
+    return _corridor(estimators, setup, [as_scored(log, reading) for log in _recorded(folder, say).values()])
 
 
 def _with_colon(name: str) -> str:

@@ -20,9 +20,9 @@ from data.inputs import IntArray
 from data.log import Log
 from data.notice import Code, Notice, notice
 from data.se2 import Array
-from eval.plan.flags.table import Reading, Results
+from eval.plan.flags.table import Matching, Results
 from eval.referee.given.pairing import Pair, about_file, about_pair, called, same_clock, same_frames
-from eval.referee.given.runs import GivenRun, Kept, TruePath, given_run, truth_log, with_truth
+from eval.referee.given.runs import GivenRun, MapAndDecisions, TruePath, given_run, truth_log, with_truth
 from eval.referee.given.time_offset import time_offset
 from eval.referee.score import Trial
 from eval.replay.flag import rows
@@ -31,7 +31,7 @@ from eval.replay.settings import ESTIMATORS
 OFFSET, AUTO = "--time-offset", "auto"
 TRUTH = "truth"  # its name, as in `--times truth=FILE`
 PHASES = ("online", "final")
-PLAIN = Reading()
+PLAIN = Matching()
 NAME = re.compile(r"[\w][\w.+-]*")
 
 
@@ -45,7 +45,7 @@ class Result:
     offset: float | str = 0.0
 
 
-def read_results(asked: Sequence[str], reading: Reading) -> tuple[Result, ...]:
+def read_results(asked: Sequence[str], reading: Matching) -> tuple[Result, ...]:
     """The results `NAME=FILE`; UsageError for an invalid name, DataError for an invalid file."""
     named: dict[str, str] = {}
     for text in asked:
@@ -80,7 +80,7 @@ def phase_of(path: Path) -> str:
     return "online" if path.stem == "online" else "final"
 
 
-def manner_of(name: str, names: Sequence[str], reading: Reading) -> Manner:
+def manner_of(name: str, names: Sequence[str], reading: Matching) -> Manner:
     """How a result or the truth is read; a value with `NAME=` overrides one for all."""
     cov = _of("--cov", reading.cov, name, names, alone=True)
     times = _of("--times", reading.times, name, names, alone=False)
@@ -96,7 +96,7 @@ def manner_of(name: str, names: Sequence[str], reading: Reading) -> Manner:
     return Manner(None if cov is None else Path(cov), None if times is None else Path(times), *chosen, *units)
 
 
-def offset_of(name: str, names: Sequence[str], reading: Reading) -> float | str:
+def offset_of(name: str, names: Sequence[str], reading: Matching) -> float | str:
     """Seconds to add to the stamps of a result, or `AUTO`; UsageError for anything else."""
     if _of(OFFSET, [v for v in reading.time_offset if v.startswith(f"{TRUTH}=")], TRUTH, (), alone=True) is not None:
         raise UsageError(f"{OFFSET} {TRUTH}=...: the truth's clock counts; move the result by the negative")
@@ -153,7 +153,7 @@ def _of(flag: str, values: Sequence[str], name: str, names: Sequence[str], *, al
     return common[0] if common else None
 
 
-def true_path(file: str, names: Sequence[str], reading: Reading) -> GivenPath:
+def true_path(file: str, names: Sequence[str], reading: Matching) -> GivenPath:
     """The true path in a file; its covariance is not used."""
     manner = manner_of(TRUTH, names, reading)
     return read_path(file, replace(manner, frame=None, order=None))
@@ -166,7 +166,7 @@ def truth_of(log: Log, path: GivenPath | None) -> TruePath | None:
     return None if log.truth.pose is None else TruePath(log.recorded.time, log.truth.pose)
 
 
-def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading: Reading) -> Iterator[GivenRun]:
+def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading: Matching) -> Iterator[GivenRun]:
     """The runs of a result on a log: one, or one per phase if their stamps differ; questions are among their notes.
 
     Raises DataError if no pose matches the truth, units of stamps disagree, or the decisions belong to other
@@ -205,7 +205,7 @@ def runs_of(result: Result, log: Log, task: str, truth: TruePath | None, reading
 
 
 def _comparable(
-    result: Result, log: Log, truth: TruePath | None, reading: Reading
+    result: Result, log: Log, truth: TruePath | None, reading: Matching
 ) -> tuple[dict[str, GivenPath], TruePath | None, list[Notice]]:
     """Paths and truth on one clock, and in one pair of frames; questions where it is not known."""
     paths = result.paths
@@ -254,11 +254,11 @@ def _span(time: Array) -> str:
     return f"{float(time[0])!r} to {float(time[-1])!r} s"
 
 
-def _kept(result: Result, log: Log) -> Kept:
+def _kept(result: Result, log: Log) -> MapAndDecisions:
     """Map and decisions of a result, after a check that these are about the observations of the log."""
     b = result.companions
     if b.decisions is None or not len(log.recorded.observations.frame):
-        return Kept(b.landmarks)
+        return MapAndDecisions(b.landmarks)
     decisions: IntArray = b.decisions
     frame = log.recorded.observations.frame
     m = len(frame)
@@ -270,7 +270,7 @@ def _kept(result: Result, log: Log) -> Kept:
         k = int(off[0])
         found, needed = (f"frame {i}, observation {j}" for i, j in (decisions[k, :2], (frame[k], within[k])))
         raise DataError.at(str(b.file), f"{found}; {needed} of log {log.name!r} is needed", line=k + 2)
-    return Kept(b.landmarks, decisions[:m, 2], decisions[:m, 3])
+    return MapAndDecisions(b.landmarks, decisions[:m, 2], decisions[:m, 3])
 
 
 @dataclass(frozen=True, eq=False)
@@ -286,7 +286,7 @@ class Asked:
     results: tuple[Result, ...] = ()
     file: GivenPath | None = None
     truth: TruePath | None = None
-    reading: Reading = PLAIN
+    reading: Matching = PLAIN
 
     def settled(self, log: Log) -> tuple[Log, Asked]:
         """The log with the given truth, if any, and the results with their truth."""
@@ -309,7 +309,7 @@ NOTHING = Asked()
 
 def asked_results(reading: Results, logs: Sequence[str], folders: Sequence[str]) -> Asked:
     """The results and truth of the flags; UsageError for an invalid combination."""
-    for row in rows(Reading).values():
+    for row in rows(Matching).values():
         if getattr(reading, row.name) != row.default and not (reading.result or reading.truth):
             raise UsageError(f"{row.option}: for results only; type --result NAME=FILE, too")
     if not reading.result and reading.truth is None:

@@ -17,6 +17,7 @@ from data.log import Log
 from data.notice import Notice
 from data.result import DISCARD, Failure, MapEstimate, Run, Trajectory
 from data.se2 import Array
+from data.truth_windows import scored
 from data.words import sentence
 from eval.referee import consistency, errors, result_files
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
@@ -71,7 +72,8 @@ class Trial:
     """All runs of one log and task on identical inputs.
 
     Attributes:
-        log, task: with the truth for the referee; `localization` or `slam`.
+        log, task: with the truth for the referee, without windows of bad truth (`data.truth_windows.scored`), which
+            `log.truth.left_out` lists; `localization` or `slam`.
         runs: results of `compare`.
         variant_of, about: of a variant, the log whose table it joins, and a description.
 
@@ -87,6 +89,9 @@ class Trial:
     """Name of the log whose table these runs join."""
     about: str = ""
     """Description of the variant."""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "log", scored(self.log))
 
     def find(self, estimator: str, association: str = "known") -> Run | None:
         """The run of an estimator, or None."""

@@ -16,7 +16,7 @@ from data.log import Log
 from eval.compare import compare
 from eval.judgement.causes import Terms, terms_of
 from eval.plan.experiment import Experiment, Work
-from eval.plan.flags.table import TWINS, Execution, Options, Output, Reading
+from eval.plan.flags.table import TWINS, Execution, Options, Output, Scoring
 from eval.plan.flags.table import Study as Simulated
 from eval.plan.trust import trusted
 from eval.plan.unfinished import Unfinished
@@ -265,7 +265,7 @@ def score_files(estimate: str | Path, truth: str | Path, **reading: object) -> d
     Example:
         >>> slamref.score_files("estimate.tum", "truth.tum", align="se2")["rmse_position_m"]
     """
-    if unknown := sorted(set(reading) - set(rows(Reading))):
-        raise UsageError(f"{unknown[0]}: unknown; known: {', '.join(rows(Reading))}")
-    flags = Reading(**read_values(Reading, reading, lambda row: f"{row.name} ="))
+    if unknown := sorted(set(reading) - set(rows(Scoring))):
+        raise UsageError(f"{unknown[0]}: unknown; known: {', '.join(rows(Scoring))}")
+    flags = Scoring(**read_values(Scoring, reading, lambda row: f"{row.name} ="))
     return scores(scored(str(estimate), str(truth), flags))

@@ -16,11 +16,12 @@ from data.formats.results.reading import read_path
 from data.formats.results.space import ignored
 from data.formats.results.tables import Companions
 from data.log import Log
-from data.logs import is_world, open_log, unknown_world
+from data.logs import Reading, is_world, open_scored, unknown_world
 from data.notice import Code, Severity, notice
+from data.questions.asked import truth_windows
 from data.se2 import Array
 from data.words import sentence
-from eval.plan.flags.table import Output, Reading
+from eval.plan.flags.table import Output, Scoring
 from eval.plan.results import TRUTH, Result, manner_of, offset_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
@@ -59,7 +60,7 @@ class Scored:
     """What the projection to the plane ignores, by role of the file."""
 
 
-def printed(files: Sequence[str], truths: Sequence[str], reading: Reading) -> tuple[str, str]:
+def printed(files: Sequence[str], truths: Sequence[str], reading: Scoring) -> tuple[str, str]:
     """Lines of the scores, a name and a value each, of several with their verdicts; and lines of notes."""
     found = [scored(file, truth, reading) for file, truth in zip(files, truths, strict=True)]
     if len(found) == 1:
@@ -92,7 +93,7 @@ def _pooled(files: Sequence[str], found: Sequence[Scored]) -> dict[str, object]:
     }
 
 
-def scored(file: str, truth: str, reading: Reading) -> Scored:
+def scored(file: str, truth: str, reading: Scoring) -> Scored:
     """An estimate, read and matched; of a truth that is a log, the run has its frames if they are the same."""
     path = Path(truth)
     given = None
@@ -101,7 +102,7 @@ def scored(file: str, truth: str, reading: Reading) -> Scored:
         given = true_path(truth, [ESTIMATE], reading)
         log, asked = truth_log(path.stem, given), TruePath.of(given)
     elif path.exists() or is_world(truth):
-        log = open_log(truth)
+        log = open_scored(truth, Reading(keep_truth=reading.keep_truth))
         asked = truth_of(log, None)
     else:
         right = "a truth is a trajectory file, a log folder, or a world such as arena:0"
@@ -116,7 +117,8 @@ def scored(file: str, truth: str, reading: Reading) -> Scored:
     both = {ESTIMATE: estimate} | ({} if given is None else {TRUTH: given})
     projected = {name: what for name, p in both.items() if (what := ignored(p))}
     questions = (f"question: {sentence(n)}" if n.severity is Severity.WARNING else sentence(n) for n in run.notes)
-    return Scored(run, log, phase, (*said, *questions), projected)
+    left_out = (sentence(n) for n in truth_windows(log))
+    return Scored(run, log, phase, (*said, *left_out, *questions), projected)
 
 
 def _pooled_in_space(found: Sequence[Scored]) -> dict[str, float]:

@@ -16,7 +16,7 @@ from scipy import special
 from data.log import folder_name
 from data.terminal import counted
 from eval.figures.claims import anees_figure
-from eval.figures.studies import Seen, coverage_figure, outlier_figure, power_figure, run_end_figure
+from eval.figures.studies import FaultPower, coverage_figure, outlier_figure, power_figure, run_end_figure
 from eval.figures.style import save
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
@@ -90,7 +90,7 @@ def _validation_picture(folder: Path, study: Validation, power: pd.DataFrame) ->
         shares = (tuple(own[column]) for column in ("detected [%]", "±", "NIS alone [%]"))
         unit = FAULTS[str(name)].unit if name in FAULTS else ""
         called = f"{name} [{unit}]" if unit else str(name)
-        faults.append(Seen(called, tuple(size.split()[0] for size in own["size"]), *shares))
+        faults.append(FaultPower(called, tuple(size.split()[0] for size in own["size"]), *shares))
     title = f"{study.name}: {study.power_runs} logs of {study.power} for each fault and size"
     save(power_figure(faults, TESTS, 100.0 * battery.LEVEL, title), folder, stem)
     alt = "Power of the battery and of NIS against the size of each fault"

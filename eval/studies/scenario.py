@@ -17,6 +17,7 @@ from data.errors import UsageError, did_you_mean
 from data.log import Log
 from data.motion.priors import AUTO, PRIORS, systematic
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
+from data.truth_windows import scored
 from data.worlds import registry
 from data.worlds.registry import SIMULATORS, parameters_of
 from eval.replay.external.load import load
@@ -109,7 +110,7 @@ class Scenario:
             raise UsageError(f"{shown(self.maker)}: it returned {type(log).__name__}; a slamref.Log is needed")
         if log.truth.pose is None:
             raise UsageError(f"{shown(self.maker)}: log {log.name} has no truth; a study needs it in every frame")
-        return replace(log, name=f"{self.name}:{seed}", source={**log.source, "kind": f"scenario {self.name}"})
+        return replace(scored(log), name=f"{self.name}:{seed}", source={**log.source, "kind": f"scenario {self.name}"})
 
     def parts(self) -> tuple[Scenario, ...]:
         """An outlier study as one scenario for each rate; a calibrating one also without calibration and

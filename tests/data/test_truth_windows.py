@@ -16,7 +16,7 @@ from data.notice import Code
 from data.questions.asked import ask
 from data.se2 import Array
 from data.truth import BadTruth, TruthFault
-from data.truth_windows import bad_truth, misplaced, without, without_bad_truth
+from data.truth_windows import bad_truth, misplaced, scored, without
 from tests.quick import slow
 
 FIRST, LAST = 70, 110
@@ -199,7 +199,7 @@ def test_without_ids_and_without_return_nobody_knows_who_is_wrong():
 def test_what_is_left_out_is_remembered_and_the_line_for_it_leaves_out_the_same():
     log = replace(truth(open_log("arena:3"), jump), source={"clock": 40.25})
     (found,) = [q for q in ask(log) if q.code is Code.BAD_TRUTH]
-    rest = without_bad_truth(log)
+    rest = scored(log)
     assert np.flatnonzero(np.isnan(rest.truth.pose[:, 0])).tolist() == list(range(FIRST, LAST + 1))
     (w,) = rest.truth.left_out
     assert isinstance(w, BadTruth)

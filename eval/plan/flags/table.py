@@ -93,6 +93,8 @@ several = partial(row, (), texts, repeatable=True)  # a flag given once for each
 file_row = partial(row, None, text("a file"), "FILE")
 switch_row = partial(row, False, switch, "")
 free_switch = partial(free_row, False, switch, "")
+KEEP_TRUTH = "score windows of bad ground truth, too, which are found and left out by default"
+keep_truth_row = partial(switch_row, KEEP_TRUTH)
 
 
 def choice(default: str, others: Iterable[str], metavar: str, help: str, kind: Callable[..., Any] = row) -> Any:
@@ -146,7 +148,7 @@ class Selection:
 
 
 @dataclass(frozen=True)
-class Reading:
+class Matching:
     """How files of results are read and matched with the truth; `slamref score` has these flags, too."""
 
     cov: tuple[str, ...] = several(
@@ -197,7 +199,14 @@ class Reading:
 
 
 @dataclass(frozen=True)
-class Results(Reading):
+class Scoring(Matching):
+    """The flags of `slamref score`."""
+
+    keep_truth: bool = keep_truth_row()
+
+
+@dataclass(frozen=True)
+class Results(Matching):
     """Results of other programs, and their truth."""
 
     result: tuple[str, ...] = several(
@@ -235,7 +244,7 @@ class Opening:
         "converted from (repeatable)",
         repeatable=True,
     )
-    keep_truth: bool = switch_row("score windows of bad ground truth, too, which are found and left out by default")
+    keep_truth: bool = keep_truth_row()
     relations: str | None = file_row(
         "reference relations of the only laser log (default: NAME.relations.csv, or relations.csv in its folder)"
     )

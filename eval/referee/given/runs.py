@@ -25,6 +25,7 @@ from data.result import DISCARD, NEW, MapEstimate, Run, Trajectory, surviving
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import RangeBearing
 from data.truth import Truth
+from data.truth_windows import unscored
 from data.words import sentence
 from eval.referee.errors import align
 from eval.referee.given.in_space import EVO, FIRST, NONE, SIM3, InSpace, Poses, aligning, poses
@@ -97,11 +98,13 @@ class Match:
         return notice(Code.MATCHED, matched=self.matched, poses=poses, between=between, error=error)
 
 
-def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Match:
+def match(
+    time: Array, truth_time: Array, truth: Array, gap: float = GAP, hidden: BoolArray | slice = slice(0)
+) -> Match:
     """Truth (n, 3) at stamps `time` (n,) from truths (K, 3) at `truth_time` (K,), both strictly ascending.
 
     A stamp within `SAME` of a truth's takes that truth. Between two known truths at most `gap` seconds apart, positions
-    and headings are interpolated linearly. Elsewhere the truth is unknown.
+    and headings are interpolated linearly. Elsewhere, and at the `hidden` stamps, the truth is unknown.
     """
     n = len(time)
     found = np.full((n, 3), np.nan)
@@ -111,6 +114,7 @@ def match(time: Array, truth_time: Array, truth: Array, gap: float = GAP) -> Mat
     found[near.same] = truth[near.nearest[near.same]]
     within = near.within
     found[within] = _between(truth_time, truth, near.before[within], near.after[within], time[within])
+    found[hidden] = np.nan
     known = np.asarray(np.isfinite(found).all(axis=1))
     matched, between = int(known.sum()), int((within & known).sum())
     return Match(found, matched, n - matched, between, _sagitta(truth_time, truth, gap) if between else math.nan)
@@ -138,7 +142,7 @@ def neighbours(time: Array, truth_time: Array, gap: float) -> Neighbours:
     return Neighbours(nearest, before, after, same, within)
 
 
-def match_in_space(time: Array, truth: Spatial, gap: float = GAP) -> Poses:
+def match_in_space(time: Array, truth: Spatial, gap: float = GAP, hidden: BoolArray | slice = slice(0)) -> Poses:
     """True poses at stamps (n,), as `match`: positions linearly, rotations at constant rate in between."""
     p, R = np.full((len(time), 3), np.nan), np.full((len(time), 3, 3), np.nan)
     near = neighbours(time, truth.time, gap)
@@ -148,6 +152,7 @@ def match_in_space(time: Array, truth: Spatial, gap: float = GAP) -> Poses:
     share = (time[w] - truth.time[a]) / (truth.time[b] - truth.time[a])
     p[w] = truth.position[a] + share[:, None] * (truth.position[b] - truth.position[a])
     R[w] = se3.between_rotations(truth.rotation[a], truth.rotation[b], share)
+    p[hidden], R[hidden] = np.nan, np.nan
     return Poses(p, R)
 
 
@@ -178,7 +183,7 @@ TRUTH_ALONE = "a truth alone"  # kind of the source of a log that has a truth al
 
 
 @dataclass(frozen=True, eq=False)
-class Kept:
+class MapAndDecisions:
     """The map and the decisions (M,) that were read with a path, as of `Run`."""
 
     landmarks: MapEstimate | None = None
@@ -225,7 +230,8 @@ def with_truth(log: Log, path: GivenPath, gap: float = GAP) -> tuple[Log, Match]
     """The log with the true path of a file instead of its own."""
     found = match(log.recorded.time, path.time, path.pose, gap)
     note = f"True path from {path.file}: {sentence(found.notice)}."
-    return replace(log, truth=replace(log.truth, pose=found.truth), notes=(*log.notes, note)), found
+    truth = replace(log.truth, pose=found.truth, left_out=(), excluded=(), screened=False)
+    return replace(log, truth=truth, notes=(*log.notes, note)), found
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,20 +258,20 @@ def given_run(
     align: str = NONE,
     gap: float = GAP,
     pairs: str = EVO,
-    kept: Kept = Kept(),
+    kept: MapAndDecisions = MapAndDecisions(),
 ) -> GivenRun:
     """A run of the phases in `paths`, which have the same stamps, scored against `truth`."""
     own, time = log.recorded.time, next(iter(paths.values())).time
     last = paths.get("final") or next(iter(paths.values()))
-    found = None
+    found, hidden = None, unscored(log, time)
     if truth is not None:
-        found = match(time, truth.time, truth.pose, 0.0 if log.recorded.time_is_index else gap)
+        found = match(time, truth.time, truth.pose, 0.0 if log.recorded.time_is_index else gap, hidden)
     same = len(time) == len(own) and bool((np.abs(time - own) <= SAME).all())
     unknown, landmarks = np.full((len(time), 3, 3), np.nan), kept.landmarks
     true_space = None if truth is None or truth.path is None else truth.path.space
     space: dict[str, InSpace] = {}
     if true_space is not None and last.space is not None:
-        at = match_in_space(time, true_space, gap)
+        at = match_in_space(time, true_space, gap, hidden)
         fit = aligning(poses(last.space), at, align)
         for phase, path in paths.items():
             assert path.space is not None  # all phases are of one format
@@ -321,7 +327,7 @@ def _notes(path: GivenPath, found: Match | None, aligned: str, *, in_space: bool
         yield notice(Code.ALIGNED, how=aligned, in_space=in_space)
 
 
-def _removed(kept: Kept, task: str, created: IntArray) -> list[Notice]:
+def _removed(kept: MapAndDecisions, task: str, created: IntArray) -> list[Notice]:
     """A notice of landmarks that were removed at an unknown time."""
     if kept.landmarks is None or kept.decisions is None or task == "localization":
         return []

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from data.log import Log
-from data.logs import open_log
+from data.logs import open_scored
 from data.se2 import Array
 from eval.plan.provenance import input_digest
 from eval.plan.work import Job
@@ -64,14 +64,14 @@ def seed_jobs(log: Log, setup: Setup) -> list[Job[str]]:
         return []
     _, _, rest = log.name.removeprefix("corridor:").partition(":")
     names = [f"corridor:{seed + k}" + (f":{rest}" if rest else "") for k in range(SEEDS)]
-    if not names or names[0] != log.name or input_digest(open_log(names[0])) != input_digest(log):
+    if not names or names[0] != log.name or input_digest(open_scored(names[0])) != input_digest(log):
         return []
     return [Job(name, partial(one_seed, name, setup)) for name in names]
 
 
 def one_seed(name: str, setup: Setup) -> Seed:
     """The filter with every method on one simulated corridor."""
-    log = open_log(name)
+    log = open_scored(name)
     rows = []
     for method in METHODS:
         run = step_by_step("ekf", log.inputs(labels=method == "known").without_map(), "slam", method, setup)

@@ -21,7 +21,7 @@ from eval.figures.growth import growth_figure
 from eval.figures.laser import loop_picture
 from eval.figures.log import log_figure, loop_state_figure
 from eval.figures.map import map_figure
-from eval.figures.studies import Seen, coverage_figure, outlier_figure, power_figure, run_end_figure
+from eval.figures.studies import FaultPower, coverage_figure, outlier_figure, power_figure, run_end_figure
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 
 OFF = np.array([0.1, -0.1, 0.02])
@@ -59,7 +59,7 @@ FIGURES = {
     "average nees": lambda: anees_figure(np.arange(20.0), {"ekf": np.full(20, 3.0)}, 3, 50),
     "growth": lambda: growth_figure(circle_log(), [ONLINE]),
     "power": lambda: power_figure(
-        [Seen("scale", ("1 %", "2 %"), (10.0, 90.0), (3.0, 3.0), (5.0, 60.0))], ("A", "B"), 5.0, "Power"
+        [FaultPower("scale", ("1 %", "2 %"), (10.0, 90.0), (3.0, 3.0), (5.0, 60.0))], ("A", "B"), 5.0, "Power"
     ),
     "log": lambda: log_figure(circle_log()),
     "run end": lambda: run_end_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from eval.figures.claims import anees_figure
-from eval.figures.studies import Seen, coverage_figure, outlier_figure, power_figure, run_end_figure
+from eval.figures.studies import FaultPower, coverage_figure, outlier_figure, power_figure, run_end_figure
 from eval.figures.style import STYLES, save
 from tests.eval.figures.looks import within
 from tests.quick import slow
@@ -168,7 +168,8 @@ def test_what_was_not_measured_is_a_gap_and_a_missing_interval_no_bar():
 
 def test_each_fault_has_a_panel_in_which_both_tests_stand_where_the_table_has_them():
     faults = [
-        Seen(f"fault {i}", ("1", "2", "5"), (5.0, 50.0, 100.0), (2.0, 10.0, 0.0), (0.0, 10.0, 20.0)) for i in range(5)
+        FaultPower(f"fault {i}", ("1", "2", "5"), (5.0, 50.0, 100.0), (2.0, 10.0, 0.0), (0.0, 10.0, 20.0))
+        for i in range(5)
     ]
     fig = power_figure(faults, ("battery", "NIS alone"), 5.0, "what was studied")
     shown = [ax for ax in fig.axes if ax.get_visible()]

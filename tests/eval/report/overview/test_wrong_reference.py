@@ -12,7 +12,7 @@ from data.formats.open_log.writer import write_folder
 from data.inputs import LandmarkMap
 from data.log import Log
 from data.logs import open_log
-from data.truth_windows import without_bad_truth
+from data.truth_windows import scored
 from eval.compare import compare
 from eval.judgement.judgement import Judgement, Verdict, judge_trial
 from eval.judgement.runs import Objection
@@ -63,8 +63,8 @@ def bad(log: Log) -> Log:
 
 def test_a_bad_window_is_no_error_of_an_estimator():
     log = bad(open_log("arena:3"))
-    kept, _ = judged(log)
-    left_out, _ = judged(without_bad_truth(log))
+    kept, _ = judged(scored(log, keep=True))
+    left_out, _ = judged(log)
     assert kept.compared.smoothed.nees > 100.0 > 9.0 > left_out.compared.smoothed.nees
     assert [j.tone == "good" for j in (kept, left_out)] == [False, True]
 
@@ -99,8 +99,7 @@ def test_utias_dataset_1_as_published_is_not_lost_but_has_swapped_rows(mrclam):
 
 @pytest.mark.slow
 def test_utias_dataset_9_is_scored_without_its_bad_truth(mrclam):
-    log = load_mrclam(mrclam / "MRCLAM_Dataset9.zip", 3)
-    facts, _ = judged(without_bad_truth(log))
+    facts, _ = judged(load_mrclam(mrclam / "MRCLAM_Dataset9.zip", 3))
     assert facts.compared.errors == pytest.approx((0.0362, 0.0300), abs=5e-4)
     assert 2.0 < facts.compared.filtered.nees < 4.0
     assert 2.0 < facts.compared.smoothed.nees < 4.0

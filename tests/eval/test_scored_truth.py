@@ -1,0 +1,153 @@
+"""A log with a window of bad truth has the same numbers in every command and from Python."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import slamref
+from data.formats.open_log.writer import write_folder
+from data.log import Log
+from data.logs import open_log
+from data.notice import Code
+from data.truth_windows import scored, unscored
+from eval.player.pack import unpacked
+from eval.report.publish import write_tum
+from tests.eval.player.test_document import chunk_of
+
+FIRST, LAST = 70, 110
+NOTICE = "left out of scoring, unless --keep-truth"
+ESTIMATE = "out/runs/log/localization-ekf-known/online.csv"
+NUMBERS = ("rmse_position_m", "nees_pose")
+
+
+def bad(log: Log) -> Log:
+    pose = log.truth.pose.copy()
+    pose[FIRST : LAST + 1, :2] += [2.0, -2.0]
+    return replace(log, truth=replace(log.truth, pose=pose))
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory):
+    """The folder of a log and of its report, what `slamref run` said, and its row of metrics.csv."""
+    folder = tmp_path_factory.mktemp("windows")
+    write_folder(bad(open_log("arena:3")), folder / "log")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        assert slamref.main(["run", "log", "--estimator", "ekf", "--no-plots", "--out", "out"]) == 0
+        row = pd.read_csv("out/metrics.csv").iloc[0]
+    said = (folder / "out" / "run.log").read_text()
+    return SimpleNamespace(folder=folder, said=said, row=row)
+
+
+@pytest.fixture(autouse=True)
+def there(ran, monkeypatch):
+    monkeypatch.chdir(ran.folder)
+
+
+def numbers(out: str) -> dict[str, float]:
+    """The first number of each line of `score`, or the last table of `step`, by its name."""
+    found = (line.rsplit(maxsplit=1) for line in out.splitlines() if len(line.split()) > 1)
+    return {name.strip(): float(v) for name, v in found if v.replace(".", "", 1).replace("e-", "", 1).isdigit()}
+
+
+def test_run_says_what_it_leaves_out(ran):
+    assert NOTICE in ran.said
+    assert ran.row.nees_pose < 9.0
+
+
+def test_scoring_its_file_gives_the_numbers_of_the_run(ran, capsys):
+    assert slamref.main(["score", ESTIMATE, "log"]) == 0
+    out, err = capsys.readouterr()
+    assert {n: numbers(out)[n] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS}, rel=1e-5)
+    assert NOTICE in err
+    python = slamref.score_files(ESTIMATE, "log")
+    assert {n: python[n] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS})
+
+
+def test_scored_on_request_the_window_counts(ran, capsys):
+    assert slamref.main(["score", ESTIMATE, "log", "--keep-truth"]) == 0
+    assert numbers(capsys.readouterr().out)["rmse_position_m"] > 1.0
+    assert slamref.score_files(ESTIMATE, "log", keep_truth=True)["nees_pose"] > 100.0
+
+
+def test_a_truth_from_a_file_is_screened_for_results_of_others_and_for_ours(ran):
+    truth = open_log("log").truth.pose
+    write_tum(ran.folder / "truth.tum", open_log("log").recorded.time, truth)
+    words = ["run", "log", "--truth", "truth.tum", "--result", f"mine={ESTIMATE}", "--estimator", "ekf", "--no-plots"]
+    assert slamref.main([*words, "--out", "given"]) == 0
+    rows = pd.read_csv("given/metrics.csv").set_index("estimator")
+    for name in ("ekf", "mine"):
+        assert {n: rows[n][name] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS}, rel=1e-4), name
+
+
+def test_step_ends_with_the_numbers_of_the_run(ran, capsys):
+    assert slamref.main(["step", "log", "--association", "known", "--run-through"]) == 0
+    out = capsys.readouterr().out
+    assert NOTICE in out
+    assert numbers(out)["position RMSE [m]"] == pytest.approx(ran.row.rmse_position_m, rel=2e-2)
+    assert slamref.main(["step", "log", "--association", "known", "--run-through", "--keep-truth"]) == 0
+    assert numbers(capsys.readouterr().out)["position RMSE [m]"] > 1.0
+
+
+def test_play_shows_no_truth_and_no_nees_there(ran, capsys):
+    assert slamref.main(["play", "log", "--estimator", "ekf", "--association", "known", "--out", "page.html"]) == 0
+    assert NOTICE in capsys.readouterr().out
+    page = chunk_of(Path("page.html").read_text(encoding="utf-8"))
+    arrays = unpacked(page)
+    nees = arrays[f"{page['runs'][0]['key']}online_nees"][:, 0]
+    assert np.isnan(nees[FIRST : LAST + 1]).all()
+    assert np.nanmean(nees) == pytest.approx(ran.row.nees_pose, rel=2e-2)
+
+
+def test_python_scores_and_studies_the_same(ran):
+    log = slamref.open_log("log")
+    assert np.isfinite(log.truth.pose).all()  # the truth of the file
+    runs = slamref.compare(log.inputs(labels=True), "localization", ("ekf",))
+    trial = slamref.Trial(log, "localization", tuple(runs))
+    row = slamref.score([trial]).metrics.iloc[0]
+    assert {n: row[n] for n in NUMBERS} == pytest.approx({n: ran.row[n] for n in NUMBERS})
+    assert [(w.first, w.last) for w in trial.log.truth.left_out] == [(FIRST, LAST)]
+    assert Code.BAD_TRUTH in {n.code for n in slamref.notices([trial])}
+    found = slamref.study([log], ["ekf"], task="localization")
+    assert found.runs.nees_pose[0] == pytest.approx(ran.row.nees_pose)
+    kept = slamref.Trial(scored(log, keep=True), "localization", tuple(runs))
+    assert slamref.score([kept]).metrics.nees_pose[0] > 100.0
+
+
+def test_a_screened_log_is_not_screened_again_and_stretches_are_in_seconds_of_the_recording():
+    log = replace(bad(open_log("arena:3")), source={"clock": 40.0})
+    once = scored(log, [(40.0, 41.0)])
+    assert scored(once) is once
+    t = log.recorded.time
+    hidden = unscored(once, t)
+    assert np.array_equal(hidden, np.isnan(once.truth.pose[:, 0]))
+    assert hidden[t <= 1.0].all()
+
+
+def test_a_lab_leaves_them_out_as_well(tmp_path, monkeypatch):
+    from eval.plan.experiments import make_plan
+    from eval.plan.flags.options import read_options
+    from eval.plan.lab import corridor_names
+
+    monkeypatch.chdir(tmp_path)
+    for i, name in enumerate(corridor_names("corridor:3")):
+        log = open_log(name)
+        pose = log.truth.pose.copy()
+        pose[20:26, :2] += [3.0, 3.0] if i == 0 else 0.0
+        write_folder(replace(log, truth=replace(log.truth, pose=pose)), tmp_path / "lab" / f"c{i}")
+    logs = {e.log.name: e.log for e in make_plan(read_options(["lab"], "slamref lab", "lab"), print).experiments}
+    assert [bool(logs[f"c{i}"].truth.left_out) for i in range(4)] == [True, False, False, False]
+
+
+def test_the_truth_of_a_file_counts_without_results_of_others_too(ran):
+    log = open_log("log")
+    write_tum(ran.folder / "shifted.tum", log.recorded.time, log.truth.pose + [5.0, 0.0, 0.0])
+    words = ["run", "log", "--truth", "shifted.tum", "--estimator", "ekf", "--no-plots", "--out", "shifted"]
+    assert slamref.main(words) == 0
+    assert pd.read_csv("shifted/metrics.csv").rmse_position_m[0] > 4.0
