@@ -1,6 +1,6 @@
 """Referee for 2-D SLAM: errors, consistency and data association of filters and smoothers on identical logs.
 
-Five steps, from a log to a table and its warnings:
+Six steps, from a log to a table and its warnings:
 
     import slamref
 
@@ -9,11 +9,13 @@ Five steps, from a log to a table and its warnings:
     trial = slamref.Trial(log, "slam", tuple(runs))
     print(slamref.score([trial]).metrics)                                    # RMSE, NEES, NIS, ...
     print([slamref.sentence(n) for n in slamref.notices([trial])])           # warnings
+    print(slamref.judge(trial).verdict)                                      # whose path to use
 
 Logs: `open_log`, `Log` (`Log.from_arrays`).
 Runs: `compare` with `Setup`; `make_estimator` (one estimator, step by step).
 Data association: `Expectation` (candidates and covariances), `decide`, and the decisions `NEW` and `DISCARD`.
-Results: `Trial`, `score`, `notices`, `Notice`, `sentence`; `score_files` for files of other programs.
+Results: `Trial`, `score`, `judge` (a `Judgement`), `notices`, `Notice`, `sentence`; `score_files` for files of other
+programs.
 Your own estimators and association methods: `Samples`, and `check_estimator`, `check_association` (for tests),
 `estimator_findings`, `association_findings` (as lists).
 Many logs: `study` (a `Study` with verdicts). A log without ground truth: `twins` (a `Diagnosis`).
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
     from data.words import sentence
     from eval.checks.checking import association_findings, check_association, check_estimator, estimator_findings
     from eval.compare import compare
+    from eval.judgement.judgement import Judgement, judge
     from eval.referee.diagnostics import notices
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
@@ -59,6 +62,7 @@ __all__ = [
     "NEW",
     "Diagnosis",
     "Expectation",
+    "Judgement",
     "Log",
     "Notice",
     "Samples",
@@ -73,6 +77,7 @@ __all__ = [
     "compare",
     "decide",
     "estimator_findings",
+    "judge",
     "make_estimator",
     "notices",
     "open_log",
@@ -98,6 +103,8 @@ HOMES = {
     "decide": "association.decide",
     "Trial": "eval.referee.score",
     "score": "eval.referee.score",
+    "judge": "eval.judgement.judgement",
+    "Judgement": "eval.judgement.judgement",
     "notices": "eval.referee.diagnostics",
     "Notice": "data.notice",
     "sentence": "data.words",

@@ -160,7 +160,8 @@ def staged(out: Path) -> Iterator[Path]:
 def _run(options: Options, console: Console, folder: Path, command: Sequence[str], check: Callable[[], None]) -> int:
     from data.questions.asked import ask
     from eval.figures.figure_style import figure_style
-    from eval.judgement.judgement import Verdict, judge_trial
+    from eval.judgement.judgement import Verdict
+    from eval.judgement.judgement import judge as judge_trial
     from eval.plan.appearance import figure_style_of, require_latex
     from eval.plan.execute import execute
     from eval.plan.experiments import make_plan

@@ -21,6 +21,8 @@ from eval.checks.checking import (
     estimator_findings as estimator_findings,
 )
 from eval.compare import compare as compare
+from eval.judgement.judgement import Judgement as Judgement
+from eval.judgement.judgement import judge as judge
 from eval.referee.diagnostics import notices as notices
 from eval.referee.score import Trial as Trial
 from eval.referee.score import score as score

@@ -16,10 +16,11 @@ import slamref
 
 ROOT = Path(__file__).parents[1]
 NAMES = [
-    *("DISCARD", "NEW", "Diagnosis", "Expectation", "Log", "Notice", "Samples", "Setup", "Study", "Trial"),
+    *("DISCARD", "NEW", "Diagnosis", "Expectation", "Judgement", "Log", "Notice", "Samples", "Setup", "Study", "Trial"),
     *("__version__", "association_findings", "audit", "check_association", "check_estimator", "compare", "decide"),
     *(
         "estimator_findings",
+        "judge",
         "make_estimator",
         "notices",
         "open_log",
@@ -48,6 +49,7 @@ def test_the_names_are_those_of_the_submodules():
     from data.words import sentence
     from eval.checks.checking import association_findings, check_association, check_estimator, estimator_findings
     from eval.compare import compare
+    from eval.judgement.judgement import Judgement, judge
     from eval.referee.diagnostics import notices
     from eval.referee.score import Trial, score
     from eval.replay.estimators import make_estimator
@@ -58,8 +60,21 @@ def test_the_names_are_those_of_the_submodules():
 
     assert (dir(slamref), slamref.__all__) == (sorted(NAMES), NAMES)
     homes = (
-        *(DISCARD, NEW, Diagnosis, Expectation, Log, Notice, Samples, Setup, Study, Trial, version("slamref")),
-        *(association_findings, audit, check_association, check_estimator, compare, decide, estimator_findings),
+        *(
+            DISCARD,
+            NEW,
+            Diagnosis,
+            Expectation,
+            Judgement,
+            Log,
+            Notice,
+            Samples,
+            Setup,
+            Study,
+            Trial,
+            version("slamref"),
+        ),
+        *(association_findings, audit, check_association, check_estimator, compare, decide, estimator_findings, judge),
         *(make_estimator, notices, open_log, score, score_files, sentence, study, twins),
     )
     assert tuple(getattr(slamref, name) for name in NAMES) == homes

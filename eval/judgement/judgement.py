@@ -1,4 +1,4 @@
-"""`judge_trial`: filter against smoother on one log and task, whom to trust, and what speaks against it.
+"""`judge`: filter against smoother on one log and task, whom to trust, and what speaks against it.
 
 No tick stands where a number of the same result objects: NEES, NIS, wrong pairings, a lost or implausible estimate.
 Ground truth speaks before anything that is inferred without it.
@@ -16,6 +16,7 @@ import numpy as np
 
 from data.notice import Notice
 from data.questions import asked
+from data.truth import BadTruth
 from eval.judgement.causes import Explanation, Terms, cause_word, explanations, main_findings, of_trial, terms_of
 from eval.judgement.methods import Methods, methods_of
 from eval.judgement.runs import (
@@ -170,6 +171,7 @@ class LogFaults:
     # conventions: that the log follows otherwise than stated, or walls and wheels that forbid trust; use neither
     conventions: tuple[Notice, ...] = ()
     empty: bool = False  # neither observations nor scans
+    left_out: tuple[BadTruth, ...] = ()  # windows of bad ground truth that are not scored
 
 
 @dataclass(frozen=True)
@@ -184,6 +186,9 @@ class Judgement:
         cause: None without a diagnosis.
         verdict, covariances: whose path to use, and whether its covariances may be used, too.
         objections: to the verdict, the strongest first.
+
+    Example:
+        >>> [(o.objection, o.estimator) for o in slamref.judge(trial).objections]
     """
 
     log: str
@@ -256,13 +261,16 @@ class Judgement:
         return min(handed, key=lambda r: r.rmse, default=None)
 
 
-def judge_trial(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust] = ()) -> Judgement:
+def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust] = ()) -> Judgement:
     """The judgement of a trial.
 
     Args:
         trial: the runs, with the truth.
         scores: of these trials, if they are known already.
         diagnoses: without ground truth, of any logs.
+
+    Example:
+        >>> slamref.judge(trial).verdict
     """
     scores = score([trial]) if scores is None else scores
     metrics, outcomes, differences = (
@@ -300,6 +308,7 @@ def judgement_of(
         None if slam else next(iter(asked.map_rows(log)), None),
         (*asked.conventions(log), *laser_faults.serious(trial)),
         not len(log.recorded.observations.frame) and log.recorded.scans is None and not has_sources(log.recorded),
+        log.truth.left_out,
     )
     verdict, objections = decided(compared, cause, log_faults, measured=measured)
     true_id = log.truth.landmark_of

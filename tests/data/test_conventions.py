@@ -15,7 +15,7 @@ from data.notice import Code
 from data.questions.asked import ask
 from data.questions.conventions import ORDERS, order_by_observations, order_by_truth, side_of_bearings
 from data.sensors import RelativePoint
-from eval.judgement.judgement import judge_trial
+from eval.judgement.judgement import judge
 from eval.report.overview import trust_mark
 from tests.quick import slow
 
@@ -141,7 +141,7 @@ def thinned(inputs, n):
 def test_the_headline_says_neither_and_why(name, converted):
     log = converted("turn-first")
     trial = slamref.Trial(log, "slam", tuple(slamref.compare(log.inputs(), "slam", ["ekf", "batch"], "nn")))
-    facts = judge_trial(trial, slamref.score([trial]), ())
+    facts = judge(trial, slamref.score([trial]), ())
     assert facts.verdict == "neither"
     assert facts.objections[0].objection == "convention"
     assert "--integrate turn-first" in trust_mark(facts).note

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 from data.log import Log
 from eval.compare import compare
-from eval.judgement.judgement import Judgement, Verdict, judge_trial
+from eval.judgement.judgement import Judgement, Verdict, judge
 from eval.judgement.runs import RunJudgement
 from eval.referee.score import Trial
 from tests.research.variety.worlds import LATER, draw, indices, log_of
@@ -32,7 +32,7 @@ def trial_of(log: Log, task: str, association: str) -> Trial:
 
 def facts(log: Log, task: str, association: str) -> Judgement:
     """What the first screen knows of filter and smoother on a log."""
-    return judge_trial(trial_of(log, task, association))
+    return judge(trial_of(log, task, association))
 
 
 def understated(log: Log) -> Log:

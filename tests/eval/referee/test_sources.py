@@ -12,7 +12,7 @@ from data.logs import open_log
 from data.notice import Code
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource, PoseInnovations
 from data.words import sentence
-from eval.judgement.judgement import Verdict, judge_trial
+from eval.judgement.judgement import Verdict, judge
 from eval.judgement.runs import Objection
 from eval.referee import consistency
 from eval.referee.diagnostics import notices, unused
@@ -215,12 +215,12 @@ def test_copies_of_dead_reckoning_beside_closures_are_not_trusted():
     log, run = nothing_seen(of_closures=closures())
     log = replace(log, truth=replace(log.truth, pose=None))
     smoother = replace(run, estimator="batch", online=None, final=run.online)
-    bare = judge_trial(Trial(log, "slam", (run, smoother)), score([Trial(log, "slam", (run, smoother))]), ())
+    bare = judge(Trial(log, "slam", (run, smoother)), score([Trial(log, "slam", (run, smoother))]), ())
     assert (bare.verdict, bare.log_faults.empty) == (Verdict.NEITHER, False)
     assert [o.objection for o in bare.objections] == [Objection.IDLE, Objection.IDLE]
     found = drawn(np.random.default_rng(0), 20, 3)
     used = replace(run, closures=found), replace(smoother, closures_final=found)
-    trusted = judge_trial(Trial(log, "slam", used), score([Trial(log, "slam", used)]), ())
+    trusted = judge(Trial(log, "slam", used), score([Trial(log, "slam", used)]), ())
     assert not trusted.objections
 
 

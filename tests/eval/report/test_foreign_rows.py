@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from eval.judgement.judgement import judge_trial
+from eval.judgement.judgement import judge
 from eval.judgement.runs import associations, filters_in, judged_runs, smoothers_in
 from eval.referee.result_files import rows_of
 from eval.referee.score import Trial, score
@@ -25,7 +25,7 @@ def test_who_has_a_final_row_is_a_smoother_and_who_has_none_a_filter():
 
 def test_the_answer_compares_a_foreign_filter_with_a_foreign_smoother():
     trial = made({"estimator": "mine"}, {"estimator": "theirs", "phases": ("online", "final")})
-    assert [r.estimator for r in judge_trial(trial).compared.pair] == ["mine", "theirs"]
+    assert [r.estimator for r in judge(trial).compared.pair] == ["mine", "theirs"]
 
 
 def test_who_brought_an_estimator_sees_it_in_the_figures():

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from data.truth import Truth
-from eval.judgement.judgement import judge_trial
+from eval.judgement.judgement import judge
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.table import Execution, Options, Output, Study
 from eval.plan.trust import trusted
@@ -110,7 +110,7 @@ def one(case: Case, twins: int) -> Row:
         p=blame.p,
         objected=bool(blame.objected),
         cause=blame.cause,
-        word=judge_trial(blind, score([blind]), judged).cause.word,
+        word=judge(blind, score([blind]), judged).cause.word,
         named=AND.join(name_of(f) for f in blame.findings),
         statistics=AND.join(" ".join(key) for key in blame.objected),
     )

@@ -17,7 +17,7 @@ import numpy as np
 from data import se2
 from data.log import Log
 from data.result import Run
-from eval.judgement.judgement import Verdict, judge_trial
+from eval.judgement.judgement import Verdict, judge
 from eval.referee.score import confusion_of
 from eval.report.overview import trust_mark
 from tests.research.foreign.faults import FAULTS
@@ -100,7 +100,7 @@ def one(case: Case) -> Row:
     begin = time.perf_counter()
     log = make(case.shape, case.seed, case.fault or None)
     trial = trial_of(log, case.task, case.association)
-    f = judge_trial(trial)
+    f = judge(trial)
     found = [measured(log, next((r for r in trial.runs if r.estimator == name), None)) for name in ("ekf", "batch")]
     strong = [each[3] for each in found]
     about = {Verdict.SMOOTHER: strong[1:], Verdict.FILTER: strong[:1]}.get(f.verdict, strong)

@@ -12,7 +12,7 @@ from data.result import Trajectory
 from data.se2 import between
 from data.truth import Relations
 from data.worlds.registry import named_log
-from eval.judgement.judgement import Verdict, judge_trial
+from eval.judgement.judgement import Verdict, judge
 from eval.judgement.runs import Objection
 from eval.referee import laser_faults
 from eval.referee.score import Trial, score
@@ -59,7 +59,7 @@ def test_half_a_turn_that_no_wheel_reported_is_named_with_its_frame(trial):
 def test_the_headline_names_no_path_where_walls_are_doubled(trial):
     drift = np.linspace(0.0, 1.0, len(trial.runs[0].key_pose))[:, None] * np.array([1.5, 1.0, 0.0])
     wrong = changed(trial, key_pose=trial.runs[0].key_pose + drift)
-    facts = judge_trial(wrong, score([wrong]), [])
+    facts = judge(wrong, score([wrong]), [])
     assert facts.verdict is Verdict.NEITHER
     assert facts.objections[0].objection is Objection.CONVENTION
     assert facts.log_faults.conventions[0].code is Code.DOUBLED_WALLS

@@ -14,7 +14,7 @@ from data.logs import open_log
 from data.sensors import RangeBearing
 from data.truth import Truth
 from eval.compare import compare
-from eval.judgement.judgement import judge_trial
+from eval.judgement.judgement import judge
 from eval.referee.score import Trial, score
 from eval.report.overview import trust_mark
 from tests.quick import slow
@@ -25,7 +25,7 @@ def first_screen(log: Log, task: str, association: str):
     inputs = log.inputs(labels=association == "known")
     inputs = inputs.without_map() if task == "slam" else inputs
     trial = Trial(log, task, tuple(compare(inputs, task, ("ekf", "batch"), association)))
-    facts = judge_trial(trial, score([trial]), ())
+    facts = judge(trial, score([trial]), ())
     return facts, trust_mark(facts)
 
 
@@ -76,7 +76,7 @@ def test_a_smoother_other_than_batch_is_compared_and_not_denied():
 
     def judged(*runs):
         trial = Trial(blind, "slam", runs)
-        facts = judge_trial(trial, score([trial]), ())
+        facts = judge(trial, score([trial]), ())
         return facts, trust_mark(facts)
 
     facts, mark = judged(ekf, isam2)

@@ -14,7 +14,7 @@ from data.log import Log
 from data.logs import open_log
 from data.truth_windows import scored
 from eval.compare import compare
-from eval.judgement.judgement import Judgement, Verdict, judge_trial
+from eval.judgement.judgement import Judgement, Verdict, judge
 from eval.judgement.runs import Objection
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
@@ -29,7 +29,7 @@ def judged(log: Log) -> tuple[Judgement, Trial]:
     """Localization with sensed labels, which are gated."""
     runs = compare(log.inputs(labels=True), "localization", ("ekf", "batch"), "known", Setup().settled(sensed=True))
     trial = Trial(log, "localization", tuple(runs))
-    return judge_trial(trial), trial
+    return judge(trial), trial
 
 
 def swapped(log: Log) -> Log:

@@ -8,7 +8,7 @@ import pytest
 
 import slamref
 from eval import run_all
-from eval.judgement.judgement import judge_trial
+from eval.judgement.judgement import judge
 from eval.report.terminal import ROWS, WIDTH, groups_of, lines
 
 
@@ -24,7 +24,7 @@ def trials(*names: str, task: str = "slam", estimators=("dead-reckoning", "ekf",
 def groups(*names: str):
     made = trials(*names)
     scores = slamref.score(made)
-    return groups_of([(t, judge_trial(t, scores)) for t in made], scores, (), ())
+    return groups_of([(t, judge(t, scores)) for t in made], scores, (), ())
 
 
 def lines_of(*names: str) -> list[str]:
