@@ -124,11 +124,10 @@ def _mrclam(path: Path) -> list[str]:
 
 def _mat(path: Path) -> list[str]:
     from data.formats.lab.folder import is_lab
-    from data.formats.lab.hdf5 import variables73
-    from data.formats.lab.matlab import is_hdf5, variables
+    from data.formats.lab.matlab import variables
     from data.formats.recordings.esde import NEEDED
 
-    names = [v.name for v in (variables73(path) if is_hdf5(path) else variables(path))]
+    names = list(variables(path))
     folder = shlex.quote(str(path.absolute().parent))
     if set(NEEDED) <= set(names):
         return [

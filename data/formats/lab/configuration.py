@@ -6,17 +6,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
-from data.errors import LARGEST, DataError, UsageError
-from data.formats.lab.matlab import Struct, Variable, read
+from data.errors import DataError, UsageError
+from data.formats.lab.matlab import kind_of
+from data.formats.lab.records import Place, size_of
 from data.inputs import IntArray, Prior
 from data.pictures import CORNERS, VisualSetup
 from data.se2 import Array, inverse, rotation, transform_points, wrap_angle
@@ -51,39 +51,8 @@ def camera_from_body(R: Array, T: Array, *, translation_unit: str, reading: str)
     return angle, (float(T[0]), float(T[1]))
 
 
-Parts = Mapping[str, Mapping[str, object]]
-"""Fields of the structs, by names as in `PARTS`: numbers, or what a file has instead."""
-
-
-def parts_of(variables: Iterable[Variable]) -> Parts:
-    """The structs of a MATLAB file, those that are there. DataError if one is no struct."""
-    found: dict[str, Mapping[str, object]] = {}
-    for variable in variables:
-        if variable.name in PARTS:
-            size = "x".join(map(str, variable.shape))
-            found[variable.name] = struct_of(variable.path, variable.name, read(variable), variable.kind, size)
-    return found
-
-
-def struct_of(path: Path, name: str, value: object, kind: str, size: str) -> Mapping[str, object]:
-    """The fields of one struct; DataError for anything else, of which `kind` and `size` tell."""
-    if not isinstance(value, Struct) or len(value.elements) != 1:
-        raise DataError.at(path, f"{name}: {kind} of size {size}; one struct is needed")
-    return value.elements[0]
-
-
-def parts_by_name(values: Mapping[str, object]) -> Parts:
-    """The structs of NumPy's arrays: dicts or records of the structs' names, or the fields by their own names."""
-    known = {name: value for name, value in values.items() if name in PARTS and isinstance(value, Mapping)}
-    for name, fields in PARTS.items():
-        alone = {field: values[field] for field in fields if field in values}
-        if name not in known and alone:
-            known[name] = alone
-    return known
-
-
-def read_configuration(path: Path, parts: Parts, *, translation_unit: str, reading: str) -> VisualSetup:
-    """The setup from the structs of a file; its corners have a row for each picture of the map.
+def read_configuration(path: Path, values: Mapping[str, object], *, translation_unit: str, reading: str) -> VisualSetup:
+    """The setup from the structs of a file, or their fields alone; its corners have a row for each picture of the map.
 
     Raises DataError for missing or invalid fields, UsageError for an unknown unit or reading.
     """
@@ -91,20 +60,61 @@ def read_configuration(path: Path, parts: Parts, *, translation_unit: str, readi
         raise UsageError(f"unit of T {translation_unit!r}; known: {', '.join(TRANSLATION_UNITS)}")
     if reading not in READINGS:
         raise UsageError(f"reading of camera_to_body {reading!r}; known: {', '.join(READINGS)}")
-    values = _Values(path, parts)
-    angle, translation = camera_from_body(
-        values.rotation("camera_to_body", "R"),
-        values.numbers("camera_to_body", "T", 2),
-        translation_unit=translation_unit,
-        reading=reading,
-    )
-    pose = {name: float(values.numbers("pose_init", name, 1)[0]) for name in PARTS["pose_init"]}
+    fields = _fields(path, values)
+    rotation_in_file = Place(path, "camera_to_body.R")
+    R = rotation_in_file.finite(fields["R"])
+    shown = str(R.tolist())
+    if R.shape != (2, 2):
+        raise rotation_in_file.error(f"size {size_of(R)}; a rotation matrix, 2x2, is needed")
+    if np.abs(R @ R.T - np.eye(2)).max() > ORTHOGONAL:
+        raise rotation_in_file.error(f"{shown} is no rotation; R R' = I is needed, as [[0, -1], [1, 0]]")
+    if np.linalg.det(R) < 0:
+        raise rotation_in_file.error(f"{shown} mirrors (det -1); a rotation as [[0, -1], [1, 0]] is needed")
+    T = Place(path, "camera_to_body.T").finite(fields["T"], 2)
+    angle, translation = camera_from_body(R, T, translation_unit=translation_unit, reading=reading)
+    pose = {n: float(Place(path, f"pose_init.{n}").finite(fields[n], 1)[0]) for n in PARTS["pose_init"]}
     sigma = np.array([pose["sigma_x"] * CM, pose["sigma_y"] * CM, math.radians(pose["sigma_theta"])])
     for name, value in zip(PARTS["pose_init"][3:], sigma, strict=True):
         if value < 0:
-            raise values.error(f"pose_init.{name}", f"{pose[name]:g}; a standard deviation is not negative")
+            raise DataError.at(path, f"pose_init.{name}: {pose[name]:g}; a standard deviation is not negative")
     mean = np.array([pose["x0"] * CM, pose["y0"] * CM, wrap_angle(math.radians(pose["theta0"]))])
-    return VisualSetup(angle, translation, values.corners() * CM, Prior(mean, np.diag(sigma**2)))
+    return VisualSetup(angle, translation, _corners(path, fields) * CM, Prior(mean, np.diag(sigma**2)))
+
+
+def _fields(path: Path, values: Mapping[str, object]) -> dict[str, object]:
+    """The fields of all structs, which have different names."""
+    found: dict[str, object] = {}
+    for part, needed in PARTS.items():
+        inside = values.get(part, {field: values[field] for field in needed if field in values})
+        if not isinstance(inside, Mapping):
+            what = f"{kind_of(inside)} of size {size_of(np.asarray(inside))}"
+            raise DataError.at(path, f"{part}: {what}; one struct is needed")
+        if not inside:
+            raise DataError.at(path, f"no struct {part}; {', '.join(PARTS)} are needed")
+        for field in needed:
+            if field not in inside:
+                raise DataError.at(path, f"{part}: no field {field}; {', '.join(needed)} are needed")
+        found |= {field: inside[field] for field in needed}
+    return found
+
+
+def _corners(path: Path, fields: Mapping[str, object]) -> Array:
+    """Corners (L, 4, 2) of the map in the file's unit."""
+    both: list[Array] = []
+    for name in PARTS["landmark"]:
+        place = Place(path, f"landmark.{name}")
+        value = place.finite(fields[name])
+        if value.ndim != 2 or value.shape[1] != CORNERS or not len(value):
+            raise place.error(f"size {size_of(value)}; a row of 4 corners per picture is needed")
+        if both and both[0].shape != value.shape:
+            raise place.error(f"size {size_of(value)}, but xpos has size {size_of(both[0])}; the same is needed")
+        both.append(value)
+    corners = np.stack(both, axis=-1)
+    for i, picture in enumerate(corners, start=1):
+        if np.array_equal(picture[0], picture[1]):
+            what = "a picture without width; corners run upper left, upper right, lower right, lower left"
+            raise DataError.at(path, f"landmark.xpos({i},:), ypos({i},:): {what}")
+    return corners
 
 
 def configuration(setup: VisualSetup) -> dict[str, dict[str, Any]]:
@@ -125,78 +135,6 @@ def configuration(setup: VisualSetup) -> dict[str, dict[str, Any]]:
             "sigma_theta": math.degrees(sigma[2]),
         },
     }
-
-
-class _Values:
-    """The fields of the file's structs, checked."""
-
-    def __init__(self, path: Path, parts: Parts) -> None:
-        self._path, self._fields = path, parts
-        for name, needed in PARTS.items():
-            if name not in parts:
-                raise DataError.at(path, f"no struct {name}; {', '.join(PARTS)} are needed")
-            for field in needed:
-                if field not in parts[name]:
-                    raise self.error(name, f"no field {field}; {', '.join(needed)} are needed")
-
-    def error(self, place: str, what: str) -> DataError:
-        """The error of a field."""
-        return DataError.at(self._path, f"{place}: {what}")
-
-    def array(self, part: str, field: str) -> Array:
-        """A field's numbers, all finite."""
-        value = self._fields[part][field]
-        if isinstance(value, int | float | list | tuple | np.generic):
-            value = np.asarray(value)
-        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu":
-            kind = "a struct" if isinstance(value, Struct | Mapping) else getattr(value, "kind", "no array of numbers")
-            raise self.error(f"{part}.{field}", f"{kind}; numbers are needed")
-        result: NDArray[np.float64] = value.astype(float)
-        wrong = np.argwhere(~(np.abs(result) <= LARGEST))
-        if len(wrong):
-            at = ",".join(str(k + 1) for k in wrong[0])
-            number = result[tuple(wrong[0])]
-            raise self.error(f"{part}.{field}({at})", f"{number:g} is not a number between -1e15 and 1e15")
-        return result
-
-    def numbers(self, part: str, field: str, count: int) -> Array:
-        """A field of `count` numbers (count,), as a row or a column."""
-        value = self.array(part, field)
-        if value.size != count:
-            needed = "one number" if count == 1 else f"{count} numbers"
-            raise self.error(f"{part}.{field}", f"size {_size(value)}; {needed} needed")
-        return value.ravel()
-
-    def rotation(self, part: str, field: str) -> Array:
-        """A proper rotation (2, 2)."""
-        R = self.array(part, field)
-        shown = str(R.tolist())
-        if R.shape != (2, 2):
-            raise self.error(f"{part}.{field}", f"size {_size(R)}; a rotation matrix, 2x2, is needed")
-        if np.abs(R @ R.T - np.eye(2)).max() > ORTHOGONAL:
-            raise self.error(f"{part}.{field}", f"{shown} is no rotation; R R' = I is needed, as [[0, -1], [1, 0]]")
-        if np.linalg.det(R) < 0:
-            raise self.error(f"{part}.{field}", f"{shown} mirrors (det -1); a rotation as [[0, -1], [1, 0]] is needed")
-        return R
-
-    def corners(self) -> Array:
-        """Corners (L, 4, 2) of the map in the file's unit."""
-        x, y = self.array("landmark", "xpos"), self.array("landmark", "ypos")
-        for field, value in (("xpos", x), ("ypos", y)):
-            if value.ndim != 2 or value.shape[1] != CORNERS or not len(value):
-                raise self.error(f"landmark.{field}", f"size {_size(value)}; a row of 4 corners per picture is needed")
-        if x.shape != y.shape:
-            raise self.error("landmark.ypos", f"size {_size(y)}, but xpos has size {_size(x)}; the same is needed")
-        both = np.stack([x, y], axis=-1)
-        for i, picture in enumerate(both, start=1):
-            if np.array_equal(picture[0], picture[1]):
-                what = "a picture without width; corners run upper left, upper right, lower right, lower left"
-                raise self.error(f"landmark.xpos({i},:), ypos({i},:)", what)
-        return both
-
-
-def _size(value: NDArray[Any]) -> str:
-    return "x".join(map(str, value.shape))
 
 
 SIGMA = np.array([0.04, 0.10])

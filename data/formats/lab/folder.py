@@ -2,7 +2,7 @@
 
     my_recording/
       config.mat           camera_to_body, landmark, pose_init (cm, degrees); see data.formats.lab.configuration
-      log.mat|.npy|.npz    timestamp [s], commands [m/s, rad/s], rgb, xyz [mm] per frame; see data.formats.lab.frames
+      log.mat|.npy|.npz    timestamp [s], commands [m/s, rad/s], rgb, xyz [mm] per frame; see below
       landmark/            a reference image for each row of landmark.xpos, in the order of their names
 
 The two files are recognized by content, not by name; one file may hold both. Both may be in NumPy's forms, or pickles.
@@ -18,32 +18,36 @@ import shutil
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 from PIL import Image
 
 from data.errors import DataError, UsageError
 from data.formats.csv_table import bytes_of
 from data.formats.lab.configuration import PARTS, REFERENCES, configuration, read_configuration
-from data.formats.lab.frames import FIELDS, MM, LogFile, check_fields, frames
-from data.formats.lab.matlab import write_struct_array
+from data.formats.lab.matlab import LIMIT, save
+from data.formats.lab.records import FIELDS, LogFile, Place, size_of, unwrapped
 from data.formats.lab.sources import LOG_VARIABLE, Sources
 from data.pictures import VisualFrame, VisualRecording, VisualSetup
 from data.whole import whole_folder
+
+COMMANDS = ("v", "omega")
+MM = np.float32(0.001)
+"""m; the unit of xyz."""
+WHITE = 255
 
 
 def write_lab(folder: Path, recording: VisualRecording, *, form: str = "mat") -> None:
     """Write config.mat, log.mat (or .npy, .npz) and landmark/NN.png into `folder`, which must be free or empty.
 
-    One frame is in memory at a time. Points in m become mm (float32), NaN becomes 0. `form` "mat": MATLAB 5, at most
-    2 GiB; "npy": a structured array; "npz": an array per field, uncompressed.
+    Points in m become mm (float32), NaN becomes 0. `form` "mat": MATLAB 5, at most 2 GiB, all in memory; "npy": a
+    structured array; "npz": an array per field, uncompressed, both with one frame in memory at a time.
 
     Raises DataError for a folder in use or not writable, inconsistent frames, a correlated prior, or a log that exceeds
     MATLAB 5; UsageError for an unknown form.
@@ -56,7 +60,7 @@ def write_lab(folder: Path, recording: VisualRecording, *, form: str = "mat") ->
             raise DataError.at(folder, "exists and is not an empty folder; name another one")
         with whole_folder(folder) as partial:
             (partial / REFERENCES).mkdir()
-            scipy.io.savemat(partial / "config.mat", configuration(recording.setup))
+            save(partial / "config.mat", configuration(recording.setup))
             _write_references(partial / REFERENCES, recording.references)
             WRITERS[form](partial / f"log.{form}", recording)
             if folder.exists():
@@ -101,8 +105,15 @@ def _record(frame: VisualFrame) -> dict[str, NDArray[Any]]:
 
 
 def _write_mat(path: Path, recording: VisualRecording) -> None:
-    with path.open("wb") as file:
-        write_struct_array(file, path.name, LOG_VARIABLE, FIELDS, len(recording), _records(recording))
+    log = np.empty((1, len(recording)), [(name, object) for name in FIELDS])
+    for i, record in enumerate(_records(recording)):
+        size = sum(value.nbytes for value in record.values()) * len(recording)
+        if size > LIMIT:
+            what = f"{size / 2**30:.1f} GiB for {len(recording)} frames"
+            raise DataError(f"{path.name}: {what}; a .mat holds 2 GiB, write npy or npz")
+        for name in FIELDS:
+            log[0, i][name] = record[name]
+    save(path, {LOG_VARIABLE: log})
 
 
 def _write_npy(path: Path, recording: VisualRecording) -> None:
@@ -166,11 +177,11 @@ class LabRecording:
     _files: tuple[Path, ...] = field(repr=False)
 
     def __len__(self) -> int:
-        return len(self._log)
+        return self._log.count
 
     def frames(self) -> Iterator[VisualFrame]:
         """Every frame in order, one in memory at a time; DataError names a wrong frame and field."""
-        return frames(self._log)
+        return _frames(self._log)
 
     def digest(self) -> str:
         """SHA-256 of configuration, log and reference images, in their order."""
@@ -212,24 +223,117 @@ def open_lab(
     if not folder.is_dir():
         raise DataError.at(folder, "not a folder")
     found = Sources(folder, trust_pickle=trust_pickle)
-    known = found.the("configuration", found.configurations, f"a .mat, .npy or .npz with {', '.join(PARTS)}")
-    setup = read_configuration(known.path, known.parts(), translation_unit=translation_unit, reading=reading)
+    name, values = found.the("configuration", found.configurations, f"a .mat, .npy or .npz with {', '.join(PARTS)}")
+    known = folder / name
+    setup = read_configuration(known, values(), translation_unit=translation_unit, reading=reading)
     right = f"a .mat with the struct array {LOG_VARIABLE}, or a .npy or .npz, its fields"
-    log = found.the("log", found.logs, right)()
-    check_fields(log)
+    log = found.the("log", found.logs, right)[1]()
+    _check_fields(log)
     images, others = _reference_files(folder / REFERENCES)
     if len(images) != len(setup.corners):
         names = ", ".join(p.name for p in images)
         what = f"{len(setup.corners)} rows, but {folder / REFERENCES} holds {len(images)} images ({names})"
         right = "a row per image is needed, in the order of their names"
-        raise DataError.at(known.path, f"landmark.xpos: {what}; {right}")
+        raise DataError.at(known, f"landmark.xpos: {what}; {right}")
     formula = "p_c = R p_b + T" if reading == "to-camera" else "p_b = R p_c + T"
     notes = [f"camera_to_body is read as {formula} with T in {translation_unit} (the format states neither)"]
     if others:
         notes.append(f"ignored in {REFERENCES}/, not images: {', '.join(others)}")
-    files = (known.path, log.path, *images)
+    files = (known, log.path, *images)
     pictures = [read_image(path) for path in images]
     return LabRecording(setup, pictures, folder, translation_unit, reading, tuple(notes), log, files)
+
+
+def _check_fields(log: LogFile) -> None:
+    """Raise DataError unless the log has frames with all their fields."""
+    for name in FIELDS:
+        if name not in log.fields:
+            raise DataError.at(log.path, f"the log has no {name}; {', '.join(FIELDS)} are needed")
+    if not log.count:
+        raise DataError.at(log.path, "the log has no frames; at least one is needed")
+
+
+def _frames(log: LogFile) -> Iterator[VisualFrame]:
+    """The frames of a log in SI units: colours uint8, points [m] with NaN where stereo found none.
+
+    A pixel without a point has three zeros or a coordinate that is not finite. DataError names file, frame and field of
+    a missing or invalid value, or a log without any point.
+    """
+    previous, seen = -np.inf, False
+    first: NDArray[Any] | None = None
+    colours = _Colours()
+    for i, record in enumerate(log.records()):
+        place = {name: Place(log.path, log.place(i, name)) for name in FIELDS}
+        for name in FIELDS:
+            if name not in record:
+                raise place[name].error(f"missing; {', '.join(FIELDS)} are needed")
+        time = float(place["timestamp"].finite(record["timestamp"], 1)[0])
+        if time <= previous:
+            raise place["timestamp"].error(f"{time!r} s follows {previous!r} s; it must increase")
+        previous = time
+        v, omega = _commands(place["commands"], record["commands"])
+        rgb, xyz = (_image(place[name], record[name]) for name in ("rgb", "xyz"))
+        first = rgb if first is None else first
+        if rgb.shape != first.shape:
+            said = f"size {size_of(rgb)}, but the first frame has {size_of(first)}; one size is needed"
+            raise place["rgb"].error(said)
+        if xyz.shape != rgb.shape:
+            raise place["xyz"].error(f"size {size_of(xyz)}, but rgb has {size_of(rgb)}; a point per pixel is needed")
+        points = _points(xyz)
+        seen = seen or not bool(np.isnan(points[..., 0]).all())
+        yield VisualFrame(time, v, omega, colours.bytes(place["rgb"], rgb), points)
+    if not seen:
+        right = "mm in the camera's frame, 0 or NaN where unknown"
+        raise DataError.at(log.path, f"xyz: not one valid point in {log.count} frames; {right}")
+
+
+def _commands(place: Place, value: Any) -> tuple[float, float]:
+    """Commands v [m/s] and omega [rad/s], a pair or a struct."""
+    value = unwrapped(value)
+    if not isinstance(value, Mapping):
+        v, omega = place.finite(value, 2)
+        return float(v), float(omega)
+    for name in COMMANDS:
+        if name not in value:
+            raise place.error(f"no field {name}; v [m/s] and omega [rad/s] are needed")
+    v, omega = (Place(place.path, f"{place.name}.{name}").finite(value[name], 1)[0] for name in COMMANDS)
+    return float(v), float(omega)
+
+
+def _image(place: Place, value: Any) -> NDArray[Any]:
+    """An array (H, W, 3)."""
+    array = place.array(value)
+    if array.ndim != 3 or array.shape[-1] != 3 or not array.size:
+        raise place.error(f"size {size_of(array)}; H x W x 3 is needed")
+    return array
+
+
+class _Colours:
+    """Scales colours to 0..255; the first frame that is not black shows whether fractions are of 1 or of 255."""
+
+    def __init__(self) -> None:
+        self._white: float | None = None
+
+    def bytes(self, place: Place, rgb: NDArray[Any]) -> NDArray[np.uint8]:
+        if rgb.dtype == np.uint8:
+            return np.ascontiguousarray(rgb, np.uint8)
+        low, high = float(rgb.min()), float(rgb.max())
+        fractions = rgb.dtype.kind == "f"
+        if self._white is None and fractions and high > 0:
+            self._white = 1.0 if high <= 1 else WHITE
+        white = (self._white or WHITE) if fractions else WHITE
+        if not (low >= 0 and high <= white):
+            wrong = low if not low >= 0 else high
+            raise place.error(f"colour {wrong:g}; 0 to {white:g} is needed (as in the frames before)")
+        return np.ascontiguousarray(np.rint(rgb * (WHITE / white)), np.uint8)
+
+
+def _points(xyz: NDArray[Any]) -> NDArray[np.float32]:
+    """Points (H, W, 3) in m from mm, NaN where there is none."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a NaN may be a signalling one
+        points = np.ascontiguousarray(xyz, np.float32) * MM
+    points[~np.isfinite(points).all(axis=-1) | ~points.any(axis=-1)] = np.nan
+    return points
 
 
 def _reference_files(folder: Path) -> tuple[list[Path], list[str]]:

@@ -1,433 +1,334 @@
-"""MATLAB files of versions 5 to 7, read and written incrementally: a struct array comes one element at a time.
+"""MATLAB files, read whole: versions 4 to 7 by scipy, 7.3 (HDF5) by h5py (extra `hdf5`).
 
-A file is a header of 128 bytes and elements, each a tag (type, number of bytes) and its content; a variable is a
-matrix element, in version 7 inside a zlib stream of its own. Source: MAT-File Format, Level 5, The MathWorks.
+scipy trusts the types and sizes that a file states, and a damaged one can end the process; so they are checked first.
+Source: MAT-File Format, Level 5, The MathWorks.
 """
 
 from __future__ import annotations
 
 import math
+import mmap
 import os
 import struct
 import zlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
-from os import PathLike
 from pathlib import Path
-from typing import IO, Any, BinaryIO, Protocol, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
+from scipy.io.matlab import MatReadError
 
 from data.errors import DataError
 
-HEADER_BYTES, ENDIAN_AT, VERSION_AT = 128, 126, 124
+Value: TypeAlias = "NDArray[Any] | dict[str, Value] | list[dict[str, Value]]"
+"""An array in MATLAB's shape; a struct; a struct array, column by column."""
+Bytes: TypeAlias = "bytes | mmap.mmap"
+BYTE_ORDER, VERSION, HEADER = 126, 124, 128
+"""Positions in a file of version 5 to 7: of the byte order and the version, and the end of its header."""
 HDF5_SIGNATURE = b"\x89HDF\r\n\x1a\n"
 HDF5_AT = (0, 512)
 """Positions of the signature in version 7.3: at the start, or after MATLAB's own header."""
+BROKEN = (
+    *(ValueError, TypeError, KeyError, IndexError, AttributeError, RuntimeError, OverflowError, OSError),
+    *(zlib.error, struct.error, MatReadError),
+)
+"""Errors of the readers for damaged bytes."""
+INT32, UINT32, MATRIX, COMPRESSED = 5, 6, 14, 15
+TEXT = frozenset({1, 16})
+NUMBERS = frozenset({*range(1, 8), 9, 12, 13, *TEXT, 17, 18})
+"""Element types of text and numbers."""
+CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
+NUMERIC = range(6, 16)
+"""Classes of matrices of numbers."""
+COMPLEX = 0x800
+DEEPEST = 32
+"""Most structs or cell arrays inside each other."""
+BLANK = 1 << 12
+"""Most elements without content."""
+HEAD = 1 << 16
+"""Bytes of a compressed variable that hold its name and fields."""
+LIMIT = 2**31 - 1
+"""Most bytes of a variable in versions 5 to 7."""
 
 
-class DamagedError(Exception):
-    """Damaged bytes; becomes a DataError where the file is known."""
+class Variable(NamedTuple):
+    """A variable: number of elements, and the fields of a struct."""
+
+    size: int
+    fields: tuple[str, ...] = ()
 
 
-class Source(Protocol):
-    """Bytes in their order; `position` counts those read or skipped."""
-
-    position: int
-
-    def read(self, count: int) -> bytes:
-        """The next `count` bytes, all of them."""
-
-    def skip(self, count: int) -> None:
-        """Skip `count` bytes."""
-
-
-class Plain:
-    """The bytes of the file itself, from `position` on."""
-
-    def __init__(self, file: BinaryIO, position: int) -> None:
-        self._file, self.position = file, position
-        self._size = os.fstat(file.fileno()).st_size
-        file.seek(position)
-
-    def read(self, count: int) -> bytes:
-        """See `Source`."""
-        # a damaged count would reserve gigabytes before the end of the file is reached
-        if self.position + count > self._size:
-            raise DamagedError(f"ends early: {count} bytes are announced and {self._size - self.position} are left")
-        self.position += count
-        return self._file.read(count)
-
-    def skip(self, count: int) -> None:
-        """See `Source`."""
-        self.position += count
-        self._file.seek(count, os.SEEK_CUR)
+def variables(path: Path) -> dict[str, Variable]:
+    """The variables of a file by name, their values unread. DataError as `load`."""
+    with _opened(path) as (content, order):
+        if order == "4":
+            return {name: Variable(math.prod(shape)) for name, shape, _ in scipy.io.whosmat(path)}
+        if order == "hdf5":
+            with _hdf5(path) as file:
+                return {name: _described(item) for name, item in _named(file)}
+        return {header.name: Variable(header.size, header.fields) for header, *_ in _matrices(content, order)}
 
 
-class Inflated:
-    """The content of a zlib stream of `count` bytes at the file's position, unpacked as it is read."""
+def load(path: Path, names: Collection[str]) -> dict[str, Value]:
+    """Those of the named variables that are there, numbers in the type of their class.
 
-    CHUNK = 1 << 16
+    Raises DataError for a damaged file or another kind of file, for 7.3 without h5py, and beyond the memory.
+    """
+    with _opened(path) as (content, order):
+        if order == "hdf5":
+            with _hdf5(path) as file:
+                _must_fit(_size_of(file))
+                return {name: _of_hdf5(file, item) for name, item in _named(file) if name in names}
+        if order != "4":
+            for header, packed, start, end in _matrices(content, order):
+                if header.name in names:
+                    _must_fit(2 * (end - start))
+                    data = _inflated(content[start:end], order) if packed else content
+                    if _check(data, *((8, len(data)) if packed else (start, end)), order):
+                        raise DataError.at(path, f"{header.name} holds complex numbers; real ones are needed")
+        found = scipy.io.loadmat(path, variable_names=list(names), mat_dtype=True)
+        return {name: _of_scipy(value) for name, value in found.items() if name in names}
 
-    def __init__(self, file: BinaryIO, count: int) -> None:
-        self._file, self._left, self._pending, self.position = file, count, b"", 0
-        self._stream = zlib.decompressobj()
 
-    def _some(self, most: int) -> bytes:
-        """Between 1 and `most` bytes, none at the end."""
-        while not self._stream.eof:
-            if not self._pending:
-                self._pending = self._file.read(min(self.CHUNK, self._left))
-                self._left -= len(self._pending)
-            last = not self._pending
-            piece = self._stream.decompress(self._pending, most)
-            self._pending = self._stream.unconsumed_tail
-            if piece or last:
-                return piece
-        return b""
+def save(path: Path, values: Mapping[str, object]) -> None:
+    """Write a file of version 5: dicts as structs, vectors as rows. The same values give the same bytes."""
+    scipy.io.savemat(str(path), dict(values))
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 5.0 MAT-file".ljust(VERSION - 8))  # scipy states the time
 
-    def read(self, count: int) -> bytes:
-        """See `Source`."""
-        pieces, left = [], count
-        while left:
-            piece = self._some(left)
-            if not piece:
-                raise DamagedError(f"ends early: {count} bytes are announced and {count - left} are left")
-            pieces.append(piece)
-            left -= len(piece)
-        self.position += count
-        return b"".join(pieces)
 
-    def skip(self, count: int) -> None:
-        """See `Source`."""
-        while count:
-            count -= len(self.read(min(count, self.CHUNK)))
-
-    def close(self) -> None:
-        """Read to the checksum at the end."""
-        while self._some(self.CHUNK):
-            pass
-        if not self._stream.eof:
-            raise DamagedError("ends early: a compressed variable is cut off")
+def kind_of(value: object) -> str:
+    """What a value is, in words."""
+    if isinstance(value, Mapping):
+        return "a struct"
+    if not isinstance(value, np.ndarray):
+        return "a sparse matrix" if scipy.sparse.issparse(value) else f"a {type(value).__name__}"
+    kinds = {"O": "cell array or objects", "U": "text", "S": "text", "c": "complex numbers", "V": "records"}
+    return kinds.get(value.dtype.kind, "numbers")
 
 
 @contextmanager
-def open_mat(path: Path) -> Iterator[tuple[BinaryIO, str]]:
-    """The file and its byte order; damaged bytes become a DataError."""
+def _opened(path: Path) -> Iterator[tuple[mmap.mmap, str]]:
+    """The bytes of a file with their order (`<` or `>`), `4` or `hdf5`; errors of the readers become a DataError."""
     try:
         with path.open("rb") as file:
-            yield file, _byte_order(path, file.read(HDF5_AT[-1] + len(HDF5_SIGNATURE)))
-    except (DamagedError, zlib.error) as error:
-        raise DataError.at(path, f"damaged: {error}") from error
-    except OSError as error:
+            order = _order(path, file.read(HDF5_AT[-1] + len(HDF5_SIGNATURE)))
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                yield content, order
+    except MemoryError as error:
+        right = "save its frames as .npy or .npz, which are read one at a time"
+        raise DataError.at(path, f"larger than the memory; {right}") from error
+    except (FileNotFoundError, PermissionError, IsADirectoryError) as error:
         raise DataError.at(path, f"cannot be read: {error.strerror}") from error
+    except BROKEN as error:
+        raise DataError.at(path, f"damaged: {' '.join(str(error).split())[:200]}") from error
 
 
-def is_hdf5(path: Path) -> bool:
-    """Whether a file is of version 7.3. Raises DataError if it cannot be read."""
-    try:
-        with path.open("rb") as file:
-            return _has_signature(file.read(HDF5_AT[-1] + len(HDF5_SIGNATURE)))
-    except OSError as error:
-        raise DataError.at(path, f"cannot be read: {error.strerror}") from error
-
-
-def _has_signature(head: bytes) -> bool:
-    return any(head[at : at + len(HDF5_SIGNATURE)] == HDF5_SIGNATURE for at in HDF5_AT)
-
-
-def _byte_order(path: Path, head: bytes) -> str:
-    hdf5 = _has_signature(head)
-    order = {b"IM": "<", b"MI": ">"}.get(head[ENDIAN_AT:HEADER_BYTES])
-    version = struct.unpack(f"{order}H", head[VERSION_AT:ENDIAN_AT])[0] if order else 0
-    if hdf5 or version >> 8 == 2:
-        raise DataError.at(path, f"MATLAB 7.3 (HDF5) is not read; save it with save('{path.name}', ..., '-v7')")
-    if order and version >> 8 == 1:
+def _order(path: Path, head: bytes) -> str:
+    order = {b"IM": "<", b"MI": ">"}.get(head[BYTE_ORDER:HEADER])
+    version = struct.unpack_from(f"{order}H", head, VERSION)[0] >> 8 if order else 0
+    if version == 2 or any(head[at : at + len(HDF5_SIGNATURE)] == HDF5_SIGNATURE for at in HDF5_AT):
+        return "hdf5"
+    if order and version == 1:
         return order
     if 0 in head[:4] and len(head) >= 20:
-        raise DataError.at(path, "MATLAB version 4, which has no structs; save it with -v7")
-    raise DataError.at(path, "not a MATLAB file of version 5 to 7")
+        return "4"
+    raise DataError.at(path, "not a MATLAB file of version 4 to 7.3")
 
 
-INT8, INT32, UINT32, MATRIX, COMPRESSED = 1, 5, 6, 14, 15
-STORED = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
-"""NumPy types of the numeric element types."""
-CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
-KINDS = {CELL: "cell array", OBJECT: "object", CHAR: "text", SPARSE: "sparse matrix", FUNCTION: "function"}
-NUMERIC = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
-"""NumPy types of the numeric classes; the values may be stored in a smaller type."""
-COMPLEX = 0x08
+def _must_fit(count: int) -> None:
+    """Raise MemoryError for more bytes than the machine has."""
+    if hasattr(os, "sysconf") and count > os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"):
+        raise MemoryError
 
 
-@dataclass(frozen=True)
-class Unread:
-    """A value of an unsupported kind (text, cell array, ...)."""
-
-    kind: str
-
-
-Value: TypeAlias = "NDArray[Any] | Struct | Unread"
-
-
-@dataclass(frozen=True, eq=False)
-class Struct:
-    """A struct array: its shape, and its elements column by column, each a dict by field name."""
-
-    shape: tuple[int, ...]
-    elements: tuple[dict[str, Value], ...]
-
-
-@dataclass(frozen=True)
-class Variable:
-    """A variable of a file: its position, name, kind (`struct`, `numbers`, `text`, ...), shape and fields."""
-
-    path: Path
-    start: int
-    name: str
-    kind: str
-    shape: tuple[int, ...]
-    fields: tuple[str, ...] = ()
-
-    def __len__(self) -> int:
-        return math.prod(self.shape)
-
-
-@dataclass(frozen=True)
-class _Matrix:
-    """The header of a matrix element, and the position of its end."""
+class _Header(NamedTuple):
+    """A matrix's class, whether it is complex, its number of elements, name and fields."""
 
     kind: int
-    flags: int
-    shape: tuple[int, ...]
+    is_complex: bool
+    size: int
     name: str
-    end: int
+    fields: tuple[str, ...]
 
 
-class _Reader:
-    """Elements of a source in a byte order (`<` or `>`)."""
-
-    def __init__(self, source: Source, order: str) -> None:
-        self.source, self.order = source, order
-
-    def tag(self) -> tuple[int, int, bytes | None]:
-        """Type, number of bytes, and the content if it is inside the tag."""
-        first, second = struct.unpack(self.order + "II", raw := self.source.read(8))
-        if first >> 16:
-            return first & 0xFFFF, first >> 16, raw[4 : 4 + (first >> 16)]
-        return first, second, None
-
-    def numbers(self, *, whole: bool = False) -> NDArray[Any]:
-        """A numeric element (K,), of integers if `whole`."""
-        kind, count, content = self.tag()
-        if kind not in STORED:
-            raise DamagedError(f"an element of type {kind} is where numbers should be")
-        if content is None:
-            content = self.source.read(count)
-            self.source.skip(-count % 8)
-        dtype = np.dtype(self.order + STORED[kind])
-        if whole and dtype.kind == "f":
-            raise DamagedError("fractions are where whole numbers should be")
-        if len(content) != count or count % dtype.itemsize:
-            raise DamagedError(f"an element of {count} bytes does not hold numbers of {dtype.itemsize} bytes")
-        return np.frombuffer(content, dtype)
-
-    def header(self) -> _Matrix | None:
-        """Tag, flags, dimensions and name of a matrix element; None for the empty one of an unset field."""
-        kind, count, _ = self.tag()
-        if kind != MATRIX:
-            raise DamagedError(f"an element of type {kind} is where a matrix should be")
-        if not count:
-            return None
-        end = self.source.position + count
-        flags = self.numbers(whole=True)
-        if len(flags) != 2:
-            raise DamagedError("a matrix without flags")
-        kind = int(flags[0]) & 0xFF
-        # objects of MATLAB's newer classes have no dimensions
-        shape = () if kind == OPAQUE else tuple(int(n) for n in self.numbers(whole=True))
-        if any(n < 0 for n in shape):
-            raise DamagedError(f"a matrix of size {'x'.join(map(str, shape))}")
-        name = self.numbers().tobytes().decode("latin-1")
-        return _Matrix(kind, int(flags[0]) >> 8 & 0xFF, shape, name, end)
-
-    def fields(self) -> tuple[str, ...]:
-        """Names of a struct's fields."""
-        width = self.numbers(whole=True)
-        names = self.numbers().tobytes()
-        if len(width) != 1 or width[0] < 1 or len(names) % int(width[0]):
-            raise DamagedError("a struct whose field names cannot be told apart")
-        cut = int(width[0])
-        parts = [names[i : i + cut] for i in range(0, len(names), cut)]
-        return tuple(part.split(b"\0")[0].decode("latin-1") for part in parts)
-
-    def leave(self, matrix: _Matrix) -> None:
-        """Skip to the end of a matrix."""
-        if self.source.position > matrix.end:
-            raise DamagedError("a matrix is longer than announced")
-        self.source.skip(matrix.end - self.source.position)
-
-    def value(self) -> Value:
-        """A whole matrix."""
-        matrix = self.header()
-        if matrix is None:
-            return np.empty((0, 0))
-        result: Value
-        if matrix.kind == STRUCT:
-            result = Struct(matrix.shape, tuple(self.elements(matrix, self.fields(), None)))
-        elif matrix.kind not in NUMERIC or matrix.flags & COMPLEX:
-            result = Unread(_kind(matrix))
-        else:
-            content = self.numbers()
-            if len(content) != math.prod(matrix.shape):
-                raise DamagedError(f"{len(content)} numbers for a matrix of size {'x'.join(map(str, matrix.shape))}")
-            with np.errstate(invalid="ignore"):  # values that the class cannot hold are undefined
-                content = content.astype(NUMERIC[matrix.kind], copy=False)
-            result = content.reshape(matrix.shape, order="F")
-        self.leave(matrix)
-        return result
-
-    def elements(
-        self, matrix: _Matrix, fields: tuple[str, ...], wanted: Collection[str] | None
-    ) -> Iterator[dict[str, Value]]:
-        """Elements of a struct array after its header and field names."""
-        for _ in range(math.prod(matrix.shape) if fields else 0):
-            element: dict[str, Value] = {}
-            for name in fields:
-                if self.source.position >= matrix.end:
-                    raise DamagedError("a struct array has fewer elements than announced")
-                if wanted is None or name in wanted:
-                    element[name] = self.value()
-                else:
-                    self.source.skip(self.tag()[1])
-            yield element
+def _matrices(content: mmap.mmap, order: str) -> Iterator[tuple[_Header, bool, int, int]]:
+    """The variables: header, whether compressed, start and end."""
+    names = set()
+    for kind, start, end in _elements(content, HEADER, len(content), order):
+        if kind not in (MATRIX, COMPRESSED):
+            raise ValueError(f"an element of type {kind} is where a variable should be")
+        data, at = (content, start) if kind == MATRIX else (_unpacked(content[start : start + HEAD], HEAD), 8)
+        header = _header(data, _elements(data, at, len(data) if kind == COMPRESSED else end, order), order)
+        if header.name in names:
+            raise ValueError(f"two variables {header.name}")
+        names.add(header.name)
+        yield header, kind == COMPRESSED, start, end
 
 
-def variables(path: str | PathLike[str]) -> tuple[Variable, ...]:
-    """The variables of a file, their values unread; DataError for another kind or version of file, or a damaged one."""
-    path, found = Path(path), []
-    with open_mat(path) as (file, order):
-        size, position = os.fstat(file.fileno()).st_size, HEADER_BYTES
-        while position < size:
-            kind, count, _ = _Reader(Plain(file, position), order).tag()
-            if position + 8 + count > size:
-                raise DamagedError(f"ends early: {count} bytes are announced and {size - position - 8} are left")
-            if kind in (MATRIX, COMPRESSED):
-                reader, _ = _at(file, order, position)
-                matrix = reader.header()
-                if matrix is not None:
-                    fields = reader.fields() if matrix.kind == STRUCT else ()
-                    found.append(Variable(path, position, matrix.name, _kind(matrix), matrix.shape, fields))
-            position += 8 + count
-    return tuple(found)
+def _unpacked(content: bytes, most: int) -> bytes:
+    return zlib.decompressobj().decompress(content, most)
 
 
-def read(variable: Variable) -> Value:
-    """The value of a variable in MATLAB's class and shape; DataError if the file is damaged."""
-    with open_mat(variable.path) as (file, order):
-        reader, close = _at(file, order, variable.start)
-        value = reader.value()
-        close()
-        return value
+def _inflated(content: bytes, order: str) -> bytes:
+    """A compressed variable, which states its size."""
+    kind, count = struct.unpack_from(f"{order}II", _unpacked(content, 8))
+    _must_fit(2 * count)
+    stream = zlib.decompressobj()
+    data = stream.decompress(content, count + 9)
+    if kind != MATRIX or not stream.eof or len(data) != count + 8:
+        raise ValueError(f"ends early: a compressed variable of {count} bytes is cut off or goes on")
+    return data
 
 
-def elements(variable: Variable, wanted: Collection[str] | None = None) -> Iterator[dict[str, Value]]:
-    """Elements of a struct array in MATLAB's order, one in memory at a time, with the `wanted` fields.
-
-    Raises DataError if the variable is no struct, or the file is damaged.
-    """
-    with open_mat(variable.path) as (file, order):
-        reader, close = _at(file, order, variable.start)
-        matrix = reader.header()
-        if matrix is None or matrix.kind != STRUCT:
-            raise DataError.at(variable.path, f"{variable.name} is of kind {variable.kind}; a struct array is needed")
-        yield from reader.elements(matrix, reader.fields(), wanted)
-        close()
-
-
-def _kind(matrix: _Matrix) -> str:
-    if matrix.kind == STRUCT:
-        return "struct"
-    if matrix.kind in NUMERIC:
-        return "complex numbers" if matrix.flags & COMPLEX else "numbers"
-    return KINDS.get(matrix.kind, "object")
+def _elements(data: Bytes, at: int, end: int, order: str) -> Iterator[tuple[int, int, int]]:
+    """Type, start and end of the elements between two positions."""
+    while at < end:
+        if end - at < 8:
+            raise ValueError(f"ends early: {end - at} bytes where an element begins")
+        kind, count = struct.unpack_from(f"{order}II", data, at)
+        start, after = at + 8, at + 8 + count + (0 if kind == COMPRESSED else -count % 8)
+        if kind >> 16:
+            kind, count, start, after = kind & 0xFFFF, kind >> 16, at + 4, at + 8
+        if after > end or start + count > after:
+            raise ValueError(f"ends early: {count} bytes are announced and {end - start} are left")
+        yield kind, start, start + count
+        at = after
 
 
-def _at(file: BinaryIO, order: str, start: int) -> tuple[_Reader, Callable[[], None]]:
-    """A reader of the top-level matrix at `start`, and a function to call after reading it."""
-    plain = Plain(file, start)
-    kind, count, _ = _Reader(plain, order).tag()
-    if kind != COMPRESSED:
-        return _Reader(Plain(file, start), order), lambda: None
-    inflated = Inflated(file, count)
-    return _Reader(inflated, order), inflated.close
+def _header(data: Bytes, elements: Iterator[tuple[int, int, int]], order: str) -> _Header:
+    """Take the elements of a header."""
+
+    def integers(most: int) -> tuple[int, ...]:
+        kind, start, end = next(elements, (0, 0, 0))
+        count = (end - start) // 4
+        if kind not in (INT32, UINT32) or not 0 < count <= most or (end - start) % 4:
+            raise ValueError(f"an element of type {kind} is where integers should be")
+        return struct.unpack_from(f"{order}{count}i", data, start)
+
+    def text() -> bytes:
+        kind, start, end = next(elements, (0, 0, 0))
+        if kind not in TEXT:
+            raise ValueError(f"an element of type {kind} is where text should be")
+        return bytes(data[start:end])
+
+    flags = integers(2)
+    kind = flags[0] & 0xFF
+    # objects of MATLAB's newer classes have no dimensions
+    shape = (1,) if kind == OPAQUE else integers(32)
+    if len(flags) != 2 or min(shape) < 0:
+        raise ValueError(f"a matrix of size {'x'.join(map(str, shape))}")
+    name = text().decode("latin-1")
+    for _ in range({OBJECT: 1, OPAQUE: 2}.get(kind, 0)):
+        text()  # names of classes
+    fields: tuple[str, ...] = ()
+    if kind in (STRUCT, OBJECT):
+        (width,), names = integers(1), text()
+        if width < 1 or len(names) % width:
+            raise ValueError("a struct whose field names cannot be told apart")
+        fields = tuple(names[i : i + width].split(b"\0")[0].decode("latin-1") for i in range(0, len(names), width))
+    return _Header(kind, bool(flags[0] & COMPLEX), math.prod(shape), name, fields)
 
 
-LIMIT = 2**31 - 1
-"""Most bytes of a variable in versions 5 to 7."""
-NAME_BYTES = 32
-"""Bytes of a field name, with its closing zero."""
-VERSION = 0x0100
+def _check(data: Bytes, at: int, end: int, order: str, depth: int = 0) -> bool:
+    """Whether a matrix holds complex numbers, all the way down; ValueError unless it has the elements it announces."""
+    if at == end:  # a field that was never set
+        return False
+    elements = _elements(data, at, end, order)
+    header = _header(data, elements, order)
+    inside = list(elements)
+    if header.kind in NUMERIC or header.kind in (CHAR, SPARSE):
+        needed, kinds = (3 if header.kind == SPARSE else 1) + header.is_complex, NUMBERS
+    elif header.kind in (CELL, STRUCT, OBJECT, FUNCTION, OPAQUE):
+        needed, kinds = header.size, frozenset({MATRIX})
+        if header.kind in (STRUCT, OBJECT):
+            needed *= len(header.fields)
+    else:
+        raise ValueError(f"a matrix of class {header.kind}")
+    if depth > DEEPEST or len(inside) != needed or any(kind not in kinds for kind, *_ in inside):
+        raise ValueError(f"a matrix of class {header.kind} with {len(inside)} of {needed} elements")
+    if header.size > BLANK and (not inside or (header.kind == CHAR and header.size > inside[0][2] - inside[0][1])):
+        raise ValueError(f"a matrix of {header.size} elements that are not there")
+    is_complex = header.is_complex
+    for kind, start, stop in inside:
+        if kind == MATRIX:
+            is_complex |= _check(data, start, stop, order, depth + 1)
+    return is_complex
 
 
-def write_struct_array(
-    file: IO[bytes],
-    shown: str,
-    name: str,
-    fields: Sequence[str],
-    count: int,
-    elements: Iterable[Mapping[str, NDArray[Any]]],
-) -> None:
-    """Write a file whose one variable `name` is a struct array of 1 x `count` elements with real numeric fields.
-
-    Scalars become 1x1 and vectors rows. DataError, as soon as the size is known, if the variable exceeds 2 GiB.
-
-    Args:
-        file: a new seekable file.
-        shown: its name in messages.
-        name: of the variable.
-        fields: names, at most 31 letters.
-        count: number of elements.
-        elements: exactly that many, each with all fields.
-    """
-    file.write(b"MATLAB 5.0 MAT-file".ljust(124) + struct.pack("<H2s", VERSION, b"IM"))
-    start = file.tell() + 8
-    names = b"".join(field.encode("ascii").ljust(NAME_BYTES, b"\0") for field in fields)
-    # the number of bytes is filled in at the end
-    file.write(struct.pack("<II", MATRIX, 0) + _head(STRUCT, (1, count), name))
-    file.write(struct.pack("<HHi", INT32, 4, NAME_BYTES) + _element(INT8, names))
-    for i, element in enumerate(elements):
-        content = b"".join(_matrix(element[field]) for field in fields)
-        bytes_now = file.tell() - start
-        if (not i and bytes_now + len(content) * count > LIMIT) or bytes_now + len(content) > LIMIT:
-            total = (bytes_now + len(content) * count) / 2**30
-            raise DataError(f"{shown}: {total:.1f} GiB for {count} frames; a .mat holds 2 GiB, write npy or npz")
-        file.write(content)
-    end = file.tell()
-    file.seek(start - 4)
-    file.write(struct.pack("<I", end - start))
-    file.seek(end)
+def _of_scipy(value: Any) -> Value:
+    if not isinstance(value, np.ndarray) or not value.dtype.names:
+        return value  # type: ignore[no-any-return]
+    found = [{name: _of_scipy(item[name]) for name in value.dtype.names} for item in value.ravel(order="F")]
+    return found[0] if len(found) == 1 else found
 
 
-def _element(kind: int, content: bytes) -> bytes:
-    return struct.pack("<II", kind, len(content)) + content + bytes(-len(content) % 8)
+# Version 7.3 stores arrays with their dimensions reversed. A struct is a group with an item per field; the fields of a
+# struct array are datasets of references, one per element.
 
 
-def _head(kind: int, shape: tuple[int, ...], name: str) -> bytes:
-    """Flags, dimensions and name."""
-    return (
-        _element(UINT32, struct.pack("<II", kind, 0))
-        + _element(INT32, struct.pack(f"<{len(shape)}i", *shape))
-        + _element(INT8, name.encode("ascii"))
-    )
+@contextmanager
+def _hdf5(path: Path) -> Iterator[Any]:
+    try:
+        import h5py
+    except ImportError:
+        right = "pip install 'slamref[hdf5]', or save it with '-v7'"
+        raise DataError.at(path, f"MATLAB 7.3 (HDF5) needs the package h5py: {right}") from None
+    with h5py.File(path, "r") as file:
+        yield file
 
 
-def _matrix(value: NDArray[Any]) -> bytes:
-    """A numeric array, columns first."""
-    array = np.atleast_2d(value)
-    code = array.dtype.str[1:]
-    kind = next(k for k, stored in NUMERIC.items() if stored == code)
-    stored = next(k for k, name in STORED.items() if name == code)
-    little = array.astype(array.dtype.newbyteorder("<"), copy=False)
-    return _element(MATRIX, _head(kind, array.shape, "") + _element(stored, little.tobytes("F")))
+def _named(file: Any) -> list[tuple[str, Any]]:
+    return [(name, file[name]) for name in file if not name.startswith("#")]
+
+
+def _size_of(file: Any) -> int:
+    """Bytes of all arrays."""
+    sizes: list[int] = []
+    file.visititems(lambda _, item: sizes.append(item.nbytes if hasattr(item, "dtype") else 0))
+    return sum(sizes)
+
+
+def _class(item: Any) -> str:
+    name = item.attrs.get("MATLAB_class", b"")
+    return name.decode("latin-1") if isinstance(name, bytes) else str(name)
+
+
+def _described(item: Any) -> Variable:
+    """Raises ValueError where the fields of a struct array differ in length."""
+    if hasattr(item, "dtype"):
+        return Variable(int(item.size))
+    sizes = {int(item[name].size) for name in item if _is_listed(item[name])} or {1}
+    if len(sizes) > 1:
+        raise ValueError(f"fields of {item.name} have {sorted(sizes)} elements")
+    return Variable(sizes.pop(), tuple(item))
+
+
+def _is_listed(item: Any) -> bool:
+    """Whether a field has a reference for each element."""
+    return hasattr(item, "dtype") and item.dtype.kind == "O" and _class(item) != "cell"
+
+
+def _of_hdf5(file: Any, item: Any) -> Value:
+    if not hasattr(item, "dtype"):
+        size, fields = _described(item)
+        # elements are stored in MATLAB's order, columns first
+        columns = [
+            [_of_hdf5(file, file[reference]) for reference in item[name][()].ravel()]
+            if _is_listed(item[name])
+            else [_of_hdf5(file, item[name])]
+            for name in fields
+        ]
+        found = [dict(zip(fields, row, strict=True)) for row in zip(*columns, strict=True)]
+        return found[0] if size == 1 and found else found
+    kind, content = _class(item), item[()]
+    if item.attrs.get("MATLAB_empty", 0):
+        return np.zeros(tuple(int(n) for n in content.ravel()))
+    if kind == "char":
+        return np.array(["".join(map(chr, content.T.ravel()))])
+    if item.dtype.kind == "V":
+        return np.asarray(content["real"] + 1j * content["imag"]).T
+    return np.asarray(content).T

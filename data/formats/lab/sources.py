@@ -2,116 +2,120 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
+
+import numpy as np
 
 from data.errors import DataError
-from data.formats.lab.configuration import PARTS, Parts, parts_by_name, parts_of, struct_of
-from data.formats.lab.frames import FIELDS, LogFile, MatLog
-from data.formats.lab.hdf5 import Hdf5Log, read73, variables73
-from data.formats.lab.matlab import is_hdf5, variables
-from data.formats.lab.numpy_files import NpyLog, NpzLog, npy_fields, npy_value, npz_arrays, npz_values
-from data.formats.lab.objects import NEEDS_TRUST, ObjectLog, load_objects, log_in, named_parts
+from data.formats.lab import matlab
+from data.formats.lab.configuration import PARTS
+from data.formats.lab.records import (
+    FIELDS,
+    NEEDS_TRUST,
+    LogFile,
+    layout_of,
+    load_objects,
+    mat_log,
+    npy_log,
+    npz_log,
+    object_log,
+    reading,
+    unwrapped,
+)
+from data.formats.open_log.scans import open_archive
 
 T = TypeVar("T")
 LOG_VARIABLE = "log"
-PICKLES = frozenset({".pkl", ".pickle"})
 ALONE = frozenset({"xpos", "ypos"})
 """Fields by which an archive of a configuration's fields is known."""
-
-
-class Known(NamedTuple):
-    """A file that holds a configuration, and how to read its structs."""
-
-    path: Path
-    parts: Callable[[], Parts]
+ALL = {*PARTS, *(field for fields in PARTS.values() for field in fields)}
+Values = Mapping[str, object]
 
 
 class Sources:
-    """Files of a folder that look like a configuration or a log, and errors of those that do not open."""
+    """Files of a folder that look like a configuration or a log, and errors of those that do not open.
+
+    Attributes:
+        configurations: how to read the structs of each, or their fields alone; by the file's name.
+        logs: how to open each log.
+        untrusted: files of Python objects.
+    """
 
     def __init__(self, folder: Path, *, trust_pickle: bool = False) -> None:
         """`trust_pickle`: load Python objects, which can run code; else files that hold them are faults."""
         self._folder, self._trust = folder, trust_pickle
-        self.configurations: dict[str, Known] = {}
+        self.configurations: dict[str, Callable[[], Values]] = {}
         self.logs: dict[str, Callable[[], LogFile]] = {}
         self.untrusted: list[Path] = []
         self._faults: list[DataError] = []
         self._names: list[str] = []
+        look = {".mat": self._look_at_mat, ".npy": self._look_at_npy, ".npz": self._look_at_npz}
+        look |= dict.fromkeys((".pkl", ".pickle"), self._look_at_objects)
         for path in sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")):
             self._names.append(path.name)
             try:
-                self._look(path)
+                look.get(path.suffix.lower(), lambda _: None)(path)
             except DataError as fault:
                 self._faults.append(fault)
 
-    def _look(self, path: Path) -> None:
-        suffix = path.suffix.lower()
-        if suffix == ".mat":
-            self._look_at_hdf5(path) if is_hdf5(path) else self._look_at_mat(path)
-        elif suffix == ".npy":
-            self._look_at_npy(path)
-        elif suffix == ".npz":
-            self._look_at_npz(path)
-        elif suffix in PICKLES:
-            self._look_at_objects(path)
-
     def _look_at_mat(self, path: Path) -> None:
-        inside = variables(path)
-        if any(v.name in PARTS for v in inside):
-            self.configurations[path.name] = Known(path, lambda: parts_of(inside))
-        for variable in inside:
-            if variable.name == LOG_VARIABLE or {"rgb", "xyz"} <= set(variable.fields):
-                self.logs[f"{path.name}:{variable.name}"] = lambda variable=variable: MatLog(variable)  # type: ignore[misc]
-
-    def _look_at_hdf5(self, path: Path) -> None:
-        inside = variables73(path)
-        parts = [v for v in inside if v.name in PARTS]
-        if parts:
-            self.configurations[path.name] = Known(
-                path,
-                lambda: {v.name: struct_of(path, v.name, read73(path, v.name), v.kind, str(v.elements)) for v in parts},
-            )
-        for variable in inside:
-            if variable.name == LOG_VARIABLE or {"rgb", "xyz"} <= set(variable.fields):
-                self.logs[f"{path.name}:{variable.name}"] = lambda variable=variable: Hdf5Log(variable)  # type: ignore[misc]
+        inside = matlab.variables(path)
+        if set(inside) & set(PARTS):
+            self.configurations[path.name] = lambda: matlab.load(path, PARTS)
+        for name, variable in inside.items():
+            if name == LOG_VARIABLE or {"rgb", "xyz"} <= set(variable.fields):
+                self.logs[f"{path.name}:{name}"] = lambda n=name, v=variable: mat_log(path, n, v)  # type: ignore[misc]
 
     def _look_at_npy(self, path: Path) -> None:
-        fields = npy_fields(path)
-        if fields is None:
+        with reading(path), path.open("rb") as file:
+            dtype = layout_of(file).dtype
+        if dtype.hasobject:
             self._look_at_objects(path)
-        elif set(fields) & set(FIELDS):
-            self.logs[path.name] = lambda: NpyLog(path)
-        elif set(fields) & set(PARTS):
-            self.configurations[path.name] = Known(path, lambda: parts_by_name(named_parts(npy_value(path), fields)))
+        elif set(dtype.names or ()) & set(FIELDS):
+            self.logs[path.name] = lambda: npy_log(path)
+        elif set(dtype.names or ()) & set(PARTS):
+            self.configurations[path.name] = lambda: _named(load_plain(path))
 
     def _look_at_npz(self, path: Path) -> None:
-        inside = npz_arrays(path)
-        if set(inside) & set(FIELDS):
-            self.logs[path.name] = lambda: NpzLog(path, FIELDS, trust_pickle=self._trust)
-        if set(inside) & set(PARTS) or set(inside) >= ALONE:
-            wanted = [n for n in inside if n in PARTS or any(n in fields for fields in PARTS.values())]
-            self.configurations[path.name] = Known(
-                path, lambda: parts_by_name(npz_values(path, wanted, trust_pickle=self._trust))
-            )
+        with reading(path), open_archive(path, whole=False) as archive:
+            inside = {n.removesuffix(".npy") for n in archive.namelist() if n.endswith(".npy")}
+        if inside & set(FIELDS):
+            self.logs[path.name] = lambda: npz_log(path, trust_pickle=self._trust)
+        if inside & set(PARTS) or inside >= ALONE:
+            self.configurations[path.name] = lambda: self._values(path, inside & ALL)
+
+    def _values(self, path: Path, names: set[str]) -> Values:
+        """Arrays of an archive, unwrapped. Raises DataError if damaged, or if they are objects without trust."""
+        with reading(path), open_archive(path, whole=True) as archive:
+            for name in sorted(names):
+                with archive.open(f"{name}.npy") as member:
+                    if layout_of(member).dtype.hasobject and not self._trust:
+                        raise DataError.at(path, f"{name} {NEEDS_TRUST}")
+            with np.load(path, allow_pickle=self._trust) as arrays:
+                return {name: unwrapped(arrays[name]) for name in names}
 
     def _look_at_objects(self, path: Path) -> None:
         if not self._trust:
             self.untrusted.append(path)
             raise DataError.at(path, NEEDS_TRUST)
         held = load_objects(path)
-        parts = parts_by_name(named_parts(held, [*PARTS, *(f for fields in PARTS.values() for f in fields)]))
-        if parts:
-            self.configurations[path.name] = Known(path, lambda: parts)
-        log = log_in(held, FIELDS)
-        if log is not None or not parts:
-            self.logs[path.name] = lambda: ObjectLog(path, held if log is None else log, FIELDS)
+        values = _named(held)
+        if values:
+            self.configurations[path.name] = lambda: values
+        log: object = None
+        if isinstance(held, Mapping):
+            log = held if set(FIELDS) & set(held) else unwrapped(held.get(LOG_VARIABLE))
+        elif isinstance(held, Sequence | np.ndarray) and not isinstance(held, str | bytes):
+            log = held
+        if log is not None or not values:
+            self.logs[path.name] = lambda: object_log(path, held if log is None else log)
 
-    def the(self, what: str, candidates: Mapping[str, T], right: str) -> T:
-        """The only candidate; else DataError, with `right` as remedy."""
+    def the(self, what: str, candidates: Mapping[str, T], right: str) -> tuple[str, T]:
+        """The only candidate and its name; else DataError, with `right` as remedy."""
         if len(candidates) == 1:
-            return next(iter(candidates.values()))
+            return next(iter(candidates.items()))
         if candidates:
             raise DataError.at(self._folder, f"{', '.join(candidates)} each hold a {what}; one per folder is needed")
         # a file that does not open is the most likely reason
@@ -119,3 +123,14 @@ class Sources:
             raise self._faults[0]
         names = ", ".join(self._names) or "no files"
         raise DataError.at(self._folder, f"no {what} found (there: {names}); {right} is needed")
+
+
+def load_plain(path: Path) -> object:
+    """An array that holds no objects, unwrapped. Raises DataError if damaged."""
+    with reading(path):
+        return unwrapped(np.load(path, allow_pickle=False))
+
+
+def _named(value: object) -> Values:
+    """The structs of a configuration and their fields in a dict or record, unwrapped."""
+    return {n: unwrapped(v) for n, v in value.items() if n in ALL} if isinstance(value, Mapping) else {}

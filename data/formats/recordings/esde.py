@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
-from data.formats.lab.matlab import Value, read, variables
+from data.formats.lab.matlab import load
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances
@@ -60,8 +60,7 @@ def find_esde(folders: list[Path]) -> Path | None:
 def load_esde(path: Path) -> StoredRun:
     """Read the recording; DataError for any other file."""
     content = path.read_bytes()
-    # not by scipy, which a damaged file can make crash
-    m = {v.name: read(v) for v in variables(path) if v.name in NEEDED}
+    m = load(path, NEEDED)
     missing = [name for name in NEEDED if name not in m]
     if missing:
         raise DataError(f"{path}: variable {missing[0]} is missing; a stored run of the study has it")
@@ -93,7 +92,7 @@ def load_esde(path: Path) -> StoredRun:
     )
 
 
-def _numbers(path: Path, name: str, value: Value) -> Array:
+def _numbers(path: Path, name: str, value: object) -> Array:
     """An array of numbers; all but those of the NEES are finite and at most `LARGEST`."""
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or not value.size:
         raise DataError(f"{path}: variable {name} does not hold numbers")

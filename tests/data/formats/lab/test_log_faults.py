@@ -29,7 +29,7 @@ def put(field: str, frame: int, value: Any) -> Callable[[dict[str, Any]], None]:
     [
         (put("timestamp", 2, 10.1), r"log\(3\).timestamp: 10.1 s follows 10.1 s; it must increase"),
         (put("timestamp", 1, np.nan), r"log\(2\).timestamp: nan is not a number"),
-        (put("timestamp", 1, [1.0, 2.0]), r"log\(2\).timestamp: size 1x2; one number is needed in each frame"),
+        (put("timestamp", 1, [1.0, 2.0]), r"log\(2\).timestamp: size 1x2; one number is needed"),
         (put("commands", 3, [0.1, np.nan]), r"log\(4\).commands: nan is not a number"),
         (put("commands", 3, [0.1, 0.2, 0.3]), r"log\(4\).commands: size 1x3; 2 numbers are needed"),
         (put("commands", 0, {"v": 1.0, "w": 2.0}), r"log\(1\).commands: no field omega"),
@@ -38,7 +38,7 @@ def put(field: str, frame: int, value: Any) -> Callable[[dict[str, Any]], None]:
         (put("rgb", 1, np.zeros((H, W, 4), np.uint8)), r"log\(2\).rgb: size 12x16x4; H x W x 3 is needed"),
         (put("rgb", 1, np.zeros((0, 0))), r"log\(2\).rgb: size 0x0"),
         (put("rgb", 1, "an image"), r"log\(2\).rgb: text; numbers are needed"),
-        (put("rgb", 1, np.zeros((H, W, 3)) + 1j), r"log\(2\).rgb: complex numbers; numbers are needed"),
+        (put("rgb", 1, np.zeros((H, W, 3)) + 1j), "log holds complex numbers; real ones are needed"),
         (put("rgb", 0, np.full((H, W, 3), 300.0)), r"log\(1\).rgb: colour 300; 0 to 255 is needed"),
         (put("rgb", 0, np.full((H, W, 3), np.nan)), r"log\(1\).rgb: colour nan"),
         (put("rgb", 2, np.full((H, W, 3), -1, np.int16)), r"log\(3\).rgb: colour -1"),
@@ -79,9 +79,9 @@ def test_faults_in_arrays_are_named_as_numpy_counts(tmp_path: Path, form: str, p
 def test_a_log_that_is_no_struct_array_is_refused(tmp_path: Path) -> None:
     folder = lab(tmp_path / "lab")
     scipy.io.savemat(folder / "log.mat", {"log": as_dicts(log_arrays())})
-    refuse(folder, "log is of kind cell array; a struct array, one element per frame, is needed")
+    refuse(folder, "log is of kind cell array or objects; a struct array, one element per frame, is needed")
     scipy.io.savemat(folder / "log.mat", {"log": log_arrays()})
-    refuse(folder, r"log\(1\).timestamp: size 1x4; one number is needed in each frame")
+    refuse(folder, r"log\(1\).timestamp: size 1x4; one number is needed")
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def test_a_log_of_one_frame_is_one_dict_or_columns_of_one_row(tmp_path: Path) ->
         (lambda c: c.update(rgb=c["rgb"][:-1]), "rows: timestamp 4, commands 4, rgb 3, xyz 4; as many rows as frames"),
         (lambda c: c.update(commands=7.0), "commands: a float; an array with a row per frame"),
         (lambda c: c.pop("commands"), "the log has no commands"),
-        (lambda c: c.update(xyz=[{1}] * FRAMES), r"\['xyz'\]\[0\]: Python objects; numbers"),
+        (lambda c: c.update(xyz=[{1}] * FRAMES), r"\['xyz'\]\[0\]: cell array or objects; numbers"),
         (lambda c: c["timestamp"].__setitem__(2, 10.1), r"\['timestamp'\]\[2\]: 10.1 s follows 10.1 s"),
     ],
 )
@@ -202,6 +202,6 @@ def test_faults_of_a_numpy_configuration_are_named(tmp_path: Path) -> None:
     np.savez(folder / "config.npz", **fields)
     refuse(folder, r"config.npz: camera_to_body: no field T; R, T are needed")
     np.savez(folder / "config.npz", **(fields | {"T": "left"}))
-    refuse(folder, r"config.npz: camera_to_body.T: no array of numbers; numbers are needed")
+    refuse(folder, r"config.npz: camera_to_body.T: text; numbers are needed")
     np.savez(folder / "config.npz", **{name: alone()[name] for name in ("R", "T", "xpos", "ypos")})
     refuse(folder, r"config.npz: no struct pose_init")
