@@ -34,6 +34,7 @@ test: .venv/.installed ## style, types, import rules, tests; PYTEST_ARGS='-k jcb
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(PYTEST_ARGS)
 
 checked: .venv/.installed
+	@! git grep -nE '^(<{7}|>{7}|={7})( |$$)' || { echo 'unresolved merges in the lines above'; exit 1; }
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy

@@ -190,18 +190,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     """The command `slamref`: call a subcommand and return its exit status; 2 for an unknown one."""
     # other packages `data` or `eval`, in the working directory or on PYTHONPATH, must not hide ours
     sys.path.insert(0, str(Path(__file__).parent))
-    from data.command import completed
     from data.terminal import ended
 
     words = list(sys.argv[1:] if argv is None else argv)
-    known = commands()
-    return ended(lambda: _command(completed(words, known), known))
+    return ended(lambda: _command(words))
 
 
-def _command(words: list[str], known: dict[str, tuple[str, str]]) -> int:
+def _command(words: list[str]) -> int:
+    from data.command import completed
     from data.terminal import meant
 
-    name, *rest = words or [""]
+    known = commands()
+    name, *rest = completed(words, known) or [""]
     if name in known:
         module, _, function = known[name][0].partition(":")
         status: int = getattr(import_module(module), function)(rest, f"slamref {name}")

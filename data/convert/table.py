@@ -36,11 +36,8 @@ What a column may hold (keys of --columns; its name in the file, or its number f
                  for theta also a quaternion qx, qy, qz, qw
   observations   t (or frame: row of the odometry, from 0), and range, bearing (or one) | x, y in the sensor's frame;
                  true_id: true landmark, for the referee only; label: the sensor's landmark; -1: false alarm
-<<<<<<< HEAD
-  map            x, y, and id; sx, sy: sigma, where surveyed (blank or 0: exact)
-=======
-  map            x, y, and id; kind: a word, where not all sensors see all landmarks
->>>>>>> 3f604b16ae80fa5a3438bc8dde206863ff87321c
+  map            x, y, and id; sx, sy: sigma, where surveyed (blank or 0: exact); kind: a word, where not all sensors
+                 see all landmarks
   truth          t, x, y, theta; blank where unknown
   fixes          t (or frame), x, y and theta, blank where not measured; sx, sy, stheta: sigma; source: a name
   second-odometry    as odometry, without ticks

@@ -1,0 +1,81 @@
+"""A wing of somebody else, installed beside slamref, adds a command, a world, a kind of log; a broken one is named."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+WING = """
+from data.wing import Wing, World
+
+wing = Wing(
+    "pond",
+    commands={"ducks": ("pond.things:main", "count ducks")},
+    worlds={"pond": World("pond.things", "Pond", "pond:0")},
+    logs=("pond.things:opened",),
+)
+"""
+THINGS = '''
+from dataclasses import dataclass, replace
+from data.logs import open_log
+
+def main(argv=None, prog="slamref ducks"):
+    print(prog, "counts", *argv)
+    return 0
+
+@dataclass(frozen=True)
+class Pond:
+    """A pond."""
+    frames: int = 20
+
+def simulate(pond, seed, name=None):
+    return replace(open_log(f"arena:{seed}:frames={pond.frames}"), name=name or f"pond:{seed}")
+
+def opened(folder):
+    return simulate(Pond(), 3, folder.name) if (folder / "ducks.csv").exists() else None
+'''
+
+
+@pytest.fixture
+def installed(tmp_path):
+    """A folder on the path with the package `pond` and its entry point."""
+    package, about = tmp_path / "pond", tmp_path / "pond-1.0.dist-info"
+    package.mkdir()
+    about.mkdir()
+    (package / "__init__.py").write_text(WING)
+    (package / "things.py").write_text(THINGS)
+    (about / "METADATA").write_text("Metadata-Version: 2.1\nName: pond\nVersion: 1.0\n")
+    (about / "entry_points.txt").write_text("[slamref.wings]\npond = pond:wing\n")
+    return tmp_path
+
+
+def slamref(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    env = os.environ | {"PYTHONPATH": str(folder)}
+    command = [sys.executable, "-m", "slamref", *words]
+    return subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, check=False)
+
+
+def test_its_command_its_world_and_its_log_are_there(installed):
+    assert "  ducks      count ducks\n" in slamref(installed, "--help").stdout
+    assert slamref(installed, "ducks", "7").stdout == "slamref ducks counts 7\n"
+    named = slamref(installed, "inspect", "pond:1:frames=12")
+    assert (named.returncode, named.stderr) == (0, "")
+    assert "12" in named.stdout
+    log = installed / "mine"
+    log.mkdir()
+    (log / "log.toml").write_text("")
+    (log / "ducks.csv").write_text("")
+    assert slamref(installed, "inspect", str(log)).returncode == 0
+
+
+def test_one_that_cannot_be_imported_is_named_in_a_line(installed):
+    (installed / "pond" / "__init__.py").write_text("import no_such_module\n")
+    found = slamref(installed, "--help")
+    assert found.returncode == 2
+    assert "wing pond (pond:wing): No module named 'no_such_module'" in found.stderr
+    assert len(found.stderr.splitlines()) == 1
