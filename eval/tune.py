@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from data.command import Command
 from data.errors import DataError, UsageError
 from data.terminal import counted, ended, in_columns
+from eval.plan.flags.table import KEEP_TRUTH
 from eval.replay.flag import probability_or_auto
 from eval.replay.settings import SENSED_GATE, Setup
 
@@ -61,7 +62,7 @@ class Numbers(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Tuning:
     """A tuned log, with scores (or the reason for none) and errors by title: RMSE of position [m] and heading [deg],
-    mean pose NEES.
+    mean pose NEES, without windows of bad ground truth.
     """
 
     log: Log
@@ -92,6 +93,7 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
     )
     parser.add_argument("--fit", metavar="GROUPS", help=groups)
     parser.add_argument("--gate", default="auto", metavar="P", help=gate)
+    parser.add_argument("--keep-truth", action="store_true", help=KEEP_TRUTH)
     parser.add_argument("--use", metavar="TUNED", type=Path, help="apply the values of this tuned log, without a fit")
     return ended(lambda: _run(parser.read(argv)), "interrupted; nothing was written")
 
@@ -102,7 +104,10 @@ def _run(options: argparse.Namespace) -> None:
 
     from data.formats.open_log.writer import write_folder
     from data.logs import open_log
+    from data.questions.asked import truth_windows
+    from data.truth_windows import scored
     from eval.plan.warming import compile_if_needed
+    from eval.report.words import asked
 
     compile_if_needed()
     log = open_log(options.log)
@@ -113,9 +118,10 @@ def _run(options: argparse.Namespace) -> None:
         raise UsageError("--fit, --use: exclude each other; --use fits nothing")
     gate = Setup(gate_known=probability_or_auto("--gate", options.gate)).settled(log.labels_are_sensed).label_gate
     with threadpool_limits(1):
-        tuning = tune(log, folder, groups=options.fit, gate=gate, use=used)
+        tuning = tune(log, folder, groups=options.fit, gate=gate, use=used, keep_truth=options.keep_truth)
     write_folder(tuning.log, options.out)
-    sys.stdout.write("\n".join([*_report(log, tuning), f"written: {options.out.absolute()}", ""]))
+    questions = [asked(question) for question in truth_windows(scored(log, keep=options.keep_truth))]
+    sys.stdout.write("\n".join([*_report(log, tuning), *questions, f"written: {options.out.absolute()}", ""]))
 
 
 def tune(
@@ -125,6 +131,7 @@ def tune(
     groups: str | None = None,
     gate: float | None = None,
     use: Numbers | None = None,
+    keep_truth: bool = False,
 ) -> Tuning:
     """Fit noise and biases of a log, or apply those of another tuned log, and score both.
 
@@ -134,12 +141,14 @@ def tune(
         groups: comma list of `eval.tuning.model.GROUPS`; None: the default ones.
         gate: chi-square probability beyond which pairings are rejected, under the stated noise.
         use: values of another tuned log, instead of a fit.
+        keep_truth: score windows of bad ground truth, too.
 
     Raises:
         UsageError: no labels, several sensors, a tuned copy, or invalid options.
         DataError: no observations to fit to, or the filter fails.
     """
     from association.expectation import gate_threshold
+    from data.truth_windows import scored
     from eval.tuning.fit import Fit, fit, pairings
     from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, read_odometry, stated_groups, vector
 
@@ -158,7 +167,7 @@ def tune(
     origin: Fit | Numbers = fit(model, decisions) if use is None else use
     found, theta = (origin, origin.theta) if isinstance(origin, Fit) else (None, vector(model, origin.values))
     tuned = _tuned(log, folder, model, theta, origin)
-    scores, errors = _judge(log, tuned, model, decisions, found)
+    scores, errors = _judge(scored(log, keep=keep_truth), tuned, model, decisions, found)
     if (s := _doubtful(model, found, scores[TUNED])) is not None:
         tuned = replace(tuned, notes=(*tuned.notes, f"In this fit, {_doubt(model, s)}."))
     return Tuning(tuned, model, found, theta, scores, errors)
@@ -230,6 +239,9 @@ def _judge(
     log: Log, tuned: Log, model: Model, decisions: IntArray, found: Fit | None
 ) -> tuple[dict[str, Score | str], dict[str, tuple[float, float, float]]]:
     """Scores and errors before and after; after a fit a cross-check, too, fitted to one half, scored on the other."""
+    import numpy as np
+
+    from data.truth_windows import unscored
     from ekf.whole_run import run_filter
     from eval.referee.consistency import mean_or_nan, nees
     from eval.referee.errors import heading_rmse_deg, position_distance, rms
@@ -251,8 +263,9 @@ def _judge(
         except DataError as fault:
             scores["second half, tuned on the first"] = str(fault)
     errors = {}
-    for title, inputs, pose in (("as stated", model.inputs, log.truth.pose), (TUNED, after, tuned.truth.pose)):
-        if pose is not None:
+    for title, inputs, truth in (("as stated", model.inputs, log.truth), (TUNED, after, tuned.truth)):
+        if truth.pose is not None:
+            pose = np.where(unscored(log, inputs.time)[:, None], np.nan, truth.pose)
             run = run_filter(inputs, decisions)
             mean = mean_or_nan(nees(run.pose, run.covariance, pose, "pose"))
             errors[title] = rms(position_distance(run.pose, pose)), heading_rmse_deg(run.pose, pose), mean

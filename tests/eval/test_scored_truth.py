@@ -95,6 +95,19 @@ def test_step_ends_with_the_numbers_of_the_run(ran, capsys):
     assert numbers(capsys.readouterr().out)["position RMSE [m]"] > 1.0
 
 
+def test_tune_scores_as_the_run_and_writes_the_truth_of_the_file(ran, capsys):
+    assert slamref.main(["tune", "log", "tuned", "--fit", "sensor"]) == 0
+    out = capsys.readouterr().out
+    assert NOTICE in out
+    (stated,) = [line for line in out.splitlines() if line.startswith("RMSE as stated")]
+    assert float(stated.split("position ")[1].split()[0]) == pytest.approx(ran.row.rmse_position_m, rel=1e-3)
+    assert float(stated.split("NEES ")[1].split()[0]) == pytest.approx(ran.row.nees_pose, rel=1e-2)
+    assert Path("tuned/truth.csv").read_bytes() == Path("log/truth.csv").read_bytes()
+    assert slamref.main(["tune", "log", "tuned", "--fit", "sensor", "--keep-truth"]) == 0
+    (stated,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith("RMSE as stated")]
+    assert float(stated.split("position ")[1].split()[0]) > 1.0
+
+
 def test_play_shows_no_truth_and_no_nees_there(ran, capsys):
     assert slamref.main(["play", "log", "--estimator", "ekf", "--association", "known", "--out", "page.html"]) == 0
     assert NOTICE in capsys.readouterr().out
