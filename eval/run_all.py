@@ -174,10 +174,11 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     from eval.report.contents import write_results
     from eval.report.page.latex import check_columns
     from eval.report.sources import together_by_source
+    from eval.report.studies import declared_lines, study_lines
     from eval.report.terminal import groups_of, lines, trust_line
     from eval.report.words import asked, described, together
     from eval.studies import reproduced, store
-    from eval.studies.montecarlo import declared_line, failed_declarations, judge, study_lines, traces
+    from eval.studies.montecarlo import failed_declarations, judge, traces
 
     check_columns(options.output.columns)
     require_latex(options.drawing)
@@ -239,15 +240,8 @@ def _run(options: Options, console: Console, folder: Path, command: Sequence[str
     with progress("writing", console.quiet, check, "part") as update, figure_style(style):
         missing, answers = write_results(folder, options, outcome, scores, judged, judgements, command, update)
     failed = failed_declarations(judged)
-    for j in failed:
-        task, estimator, _, phase = j.key
-        console.say(
-            f"rejected: {estimator} ({j.scenario}, {task}, {phase}) is declared consistent, but its {j.quantity} NEES "
-            f"is {j.verdict.mean:.3g}, not {j.verdict.expected:g} ({j.verdict.word};"
-            f" {counted(j.diverged, 'run')} diverged)"
-        )
-    if not failed and (line := declared_line(judged)):
-        console.say(line)
+    for text in declared_lines(judged):
+        console.say(text)
     for text in answers:
         console.say(text)
     for why in missing:

@@ -91,6 +91,8 @@ Words = tuple[str, str, str]
 ERRORS, INNOVATIONS, WHITENESS = (
     (CONSISTENT, OVERCONFIDENT, CONSERVATIVE), (FIT, LARGE, SMALL), (WHITE, CORRELATED, ANTICORRELATED)
 )  # fmt: skip
+MARKS = {w: sign for kind in (ERRORS, INNOVATIONS, WHITENESS) for w, sign in zip(kind[1:], "+−", strict=True)}
+"""Of words that are not as expected: larger or smaller than claimed."""
 LAG1_ERRORS, LAG1_LEAST = 3.3, 0.1
 """Standard errors (0.1 % of white series) and size from which innovations of one log are correlated. A correlation of
 0.1 adds a fifth to the variance of a mean. Of 170 sound logs with labels none is beyond both."""

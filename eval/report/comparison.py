@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import pandas as pd
 
-from eval.referee.consistency import ERRORS as OF_ERRORS
-from eval.referee.consistency import INNOVATIONS, WHITENESS
+from eval.referee.consistency import MARKS
 from eval.referee.metrics import OF_DECISIONS, RUN, heads, is_share, metric
 from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.report.page.blocks import Table
@@ -207,14 +206,14 @@ def consistency_table(consistency: pd.DataFrame) -> pd.DataFrame:
 
 def _by_run(consistency: pd.DataFrame, cell: Callable[[TableRow], tuple[str, str]]) -> pd.DataFrame:
     """A row for each estimator and phase, a column for each quantity; `cell`: head and text of one of its rows."""
-    kinds = (OF_ERRORS, INNOVATIONS, WHITENESS)
-    marks = {kind[i]: mark for kind in kinds for i, mark in ((1, " (+)"), (2, " (−)"))}
     names = ("task", "estimator", "association", "phase")
     rows: dict[tuple[str, ...], TableRow] = {}
     for r in rows_of(consistency.astype(object)):
         key = tuple(str(r[c]) for c in names)
-        head, text = cell(r)
-        rows.setdefault(key, dict(zip(names, key, strict=True)))[head] = text + marks.get(str(r["verdict"]), "")
+        (head, text), word = cell(r), str(r["verdict"])
+        rows.setdefault(key, dict(zip(names, key, strict=True)))[head] = text + (
+            f" ({MARKS[word]})" if (word := str(r["verdict"])) in MARKS else ""
+        )
     made = pd.DataFrame(list(rows.values()), dtype=object)
     return made[[c for c in made.columns if c not in ("task", "association") or made[c].nunique() > 1]]
 

@@ -23,7 +23,7 @@ from eval.plan.flags.options import Options
 from eval.plan.work import Job, work
 from eval.referee import battery
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE
-from eval.referee.consistency import MIN_RUNS, share_interval
+from eval.referee.consistency import CONSISTENT, FAMILY_LEVEL, LEVEL, MIN_RUNS, share_interval
 from eval.replay.external.spec import name_of, names_of
 from eval.report import comparison
 from eval.report.page.blocks import Block, Picture, Section, Table
@@ -31,7 +31,7 @@ from eval.report.page.files import written_table
 from eval.report.words import fine_print, paragraph, say
 from eval.studies.broken import BROKEN
 from eval.studies.faults import FAULTS
-from eval.studies.montecarlo import DOF, Judged, Study, consistency_table
+from eval.studies.montecarlo import DOF, Judged, Study, consistency_table, failed_declarations, judge_estimators
 from eval.studies.published import mean_of, rms_of
 from eval.studies.reproduced import orderings, published_frame
 from eval.studies.validation import SOUND, Examined, Validation
@@ -207,6 +207,21 @@ def facts_of(study: Study) -> dict[str, Any]:
     return {"about": s.about, "seeds": study.seeds, "declared": declared, "diverged": tuple(lost)}
 
 
+def study_lines(study: Study) -> list[str]:
+    """Terminal lines: each diverged run, and for each estimator the number of implausible ones, with the first."""
+    lost = [{"task": k[0], "estimator": k[1], "association": k[2], "seed": seed, "why": why, "implausible": implausible}
+            for k, seed, why, implausible in study.failures()]  # fmt: skip
+    return say("studies#failures", name=study.scenario.name, lost=lost, runs=len(study.seeds)).splitlines()
+
+
+def declared_lines(judged: Sequence[Judged]) -> list[str]:
+    """Terminal lines on the verdicts that scenarios declare consistent: each rejected one, or how many hold."""
+    declared = [j for j in judged if j.declared and j.verdict.runs >= MIN_RUNS]
+    agreed, failed = sum(j.verdict.word == CONSISTENT for j in declared), failed_declarations(judged)
+    about = {"agreed": agreed, "declared": len(declared), "failed": failed, "level": LEVEL, "family": FAMILY_LEVEL}
+    return say("studies#verdicts", **about).splitlines()
+
+
 def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Sequence[Judged]) -> list[Section]:
     """The sections on the studies of a report; nothing where there is none."""
 
@@ -251,6 +266,7 @@ def _study(study: Study, judged: Sequence[Judged], pictures: Sequence[Picture], 
         found = consistency_table(tests)
         fine = fine_print(FINE_PRINT["-consistency"])
         blocks.append(Table(comparison.verdicts_table(found), say("studies#means", name=s.name), fine=fine))
+        blocks.append(say("studies#words", found=judge_estimators(study, judged)))
         caption = f"{heading}: verdicts."
         details.append(table(comparison.consistency_table(found), f"{name}-consistency", caption))
     if shares:

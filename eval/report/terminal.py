@@ -13,7 +13,7 @@ from eval.referee.score import Scores, Trial
 from eval.report.overview import trust_mark
 from eval.report.sources import source_facts, source_lines
 from eval.report.words import paragraph, say
-from eval.studies.montecarlo import Judged, Study
+from eval.studies.montecarlo import EstimatorJudgement, Judged, Study, judge_estimators
 
 ROWS = 10  # rows of a log that is alone; of several logs the best and the worst row of each are shown
 WIDTH = 80  # characters of a line
@@ -49,7 +49,7 @@ class Group(NamedTuple):
     task: str
     rows: tuple[MainNumbers, ...]
     more: int
-    sources: tuple[str, ...] = ()  # a line for each source of fixes or closures
+    notes: tuple[str, ...] = ()  # a line for each source of fixes or closures, and estimator with marked means
 
 
 def groups_of(
@@ -59,11 +59,15 @@ def groups_of(
     found: dict[tuple[str, str], list[MainNumbers]] = {}
     for trial, j in judgements:
         found.setdefault((trial.variant_of or j.log, j.task), []).extend(_of_log(j, trial.variant_of is not None))
-    for name, task, row in _of_studies(studies, judged):
-        found.setdefault((name, task), []).append(row)
+    marks: dict[tuple[str, str], list[str]] = {}
+    for e in (e for study in studies for e in judge_estimators(study, judged)):
+        key = (say("terminal#study", name=e.study, runs=e.runs), e.key[0])
+        found.setdefault(key, []).append(_of_study(e))
+        marks.setdefault(key, []).extend(filter(None, [paragraph("terminal#marked", e=e)]))
     found = {key: rows for key, rows in found.items() if rows}
     shown = [_shown(log, task, rows, alone=len(found) == 1) for (log, task), rows in found.items()]
-    return [g._replace(sources=tuple(source_lines(source_facts(scores, g.log, g.task)))) for g in shown]
+    lines = ((*source_lines(source_facts(scores, g.log, g.task)), *marks.get((g.log, g.task), ())) for g in shown)
+    return [g._replace(notes=tuple(notes)) for g, notes in zip(shown, lines, strict=True)]
 
 
 def _shown(log: str, task: str, rows: list[MainNumbers], alone: bool) -> Group:
@@ -94,20 +98,10 @@ def numbers_of(r: RunJudgement, rank: int) -> MainNumbers:
     return MainNumbers(*row, wrong, by_relations, r.nis_expected)
 
 
-def _of_studies(studies: Sequence[Study], judged: Sequence[Judged]) -> Iterable[tuple[str, str, MainNumbers]]:
-    for study in studies:
-        phases = {key[:3]: key for key in study.samples}
-        for key in phases.values():
-            squares = [s.squares["position"] for s in study.good(key)]
-            words = {j.quantity: j.verdict for j in judged if j.scenario == study.scenario.name and j.key == key}
-            nees, nis = words.get("pose"), words.get("nis")
-            task, estimator, association, phase = key
-            rmse = math.sqrt(sum(squares) / len(squares)) if squares else math.nan
-            mean = {name: math.nan if v is None else v.mean for name, v in (("nees", nees), ("nis", nis))}
-            rank, name = 3 if estimator == "dead-reckoning" else 0, f"{study.scenario.name} x{len(study.seeds)}"
-            verdict = "" if nees is None else nees.word
-            numbers = (rmse, mean["nees"], mean["nis"], verdict)
-            yield name, task, MainNumbers(rank, estimator, phase, association, *numbers)
+def _of_study(e: EstimatorJudgement) -> MainNumbers:
+    _, estimator, association, phase = e.key
+    rank = 3 if estimator == "dead-reckoning" else 0
+    return MainNumbers(rank, estimator, phase, association, e.rmse, e.mean("pose"), e.mean("nis"), e.word)
 
 
 def _number(value: float) -> str:
@@ -135,7 +129,7 @@ def lines(groups: Sequence[Group]) -> list[str]:
     for g in groups:
         more = f" ({say('terminal#more', rows=g.more)})" if g.more else ""
         text += ["", f"{g.log}, {TASKS[g.task]}{more}", table[0], *table[place : place + len(g.rows)]]
-        text += [f"  {line}" for line in g.sources]
+        text += [f"  {line}" for line in g.notes]
         place += len(g.rows)
     rows = [r for g in groups for r in g.rows]
     about = {"nees": "NEES" in named, "nis": nis, "wrong": "wrong" in named, "verdict": "verdict" in named}

@@ -14,10 +14,9 @@ from data.inputs import ERRORS
 from data.log import Log
 from data.result import Run, Systematics
 from data.se2 import Array
-from data.terminal import counted
 from eval.compare import compare
 from eval.referee import consistency, errors
-from eval.referee.consistency import LEVEL, QUANTITIES, Verdict, gated
+from eval.referee.consistency import QUANTITIES, Verdict, gated
 from eval.referee.plausibility import IMPLAUSIBLE
 from eval.referee.score import CONSISTENCY, frame_of
 from eval.replay.external.make import able
@@ -83,24 +82,6 @@ class Study:
             for seed, s in zip(self.seeds, samples, strict=True)
             if s.failure is not None
         ]
-
-
-def study_lines(study: Study) -> list[str]:
-    """Terminal lines: each diverged run, and for each estimator the number of implausible ones, with the first."""
-    lines, implausible_runs = list[str](), dict[Key, list[tuple[int, str]]]()
-    for key, seed, why, implausible in study.failures():
-        task, estimator, association, _ = key
-        if implausible:
-            implausible_runs.setdefault(key, []).append((seed, why))
-        else:
-            lines.append(f"{study.scenario.name}, {task}: {estimator} ({association}) diverged with seed {seed}, {why}")
-    for (task, estimator, association, _), found in implausible_runs.items():
-        who = f"{study.scenario.name}, {task}: {estimator} ({association})"
-        seed, why = found[0]
-        lines.append(
-            f"{who} is {IMPLAUSIBLE} in {len(found)} of {counted(len(study.seeds), 'run')}; with seed {seed}, {why}"
-        )
-    return lines
 
 
 def traces(study: Study) -> list[str]:
@@ -211,6 +192,81 @@ class Judged:
     declared: bool = False
 
 
+@dataclass(frozen=True)
+class EstimatorJudgement:
+    """An estimator of a study in one phase: its verdicts, and the word that follows from their marks.
+
+    Attributes:
+        study, runs: name of the scenario, and its number of runs; `diverged`: of these, failed or implausible.
+        judged: a verdict for each quantity.
+        rmse: of the position [m], over all complete runs.
+        outside: share of the instants whose NEES, averaged over the runs, is outside its 95 % band.
+    """
+
+    study: str
+    runs: int
+    key: Key
+    judged: tuple[Judged, ...]
+    diverged: int
+    rmse: float
+    outside: float
+
+    @property
+    def marks(self) -> dict[str, str]:
+        """Of the means that are not as claimed, + or −, by quantity."""
+        own = (j for j in self.judged if not j.quantity.startswith("coverage"))
+        return {j.quantity: consistency.MARKS[j.verdict.word] for j in own if j.verdict.word in consistency.MARKS}
+
+    @property
+    def word(self) -> str:
+        """The first of `WORDS` among the marked means; else `UNEVEN`, or `consistent`."""
+        words = {j.verdict.word for j in self.judged if j.quantity in self.marks}
+        if words:
+            return next(word for word in WORDS if word in words)
+        if not self.judged or any(j.verdict.word == consistency.TOO_FEW for j in self.judged):
+            return consistency.TOO_FEW if self.judged else ""
+        return UNEVEN if self.outside > OUTSIDE else consistency.CONSISTENT
+
+    def mean(self, quantity: str) -> float:
+        """The mean of a quantity over the runs; NaN without one."""
+        return next((j.verdict.mean for j in self.judged if j.quantity == quantity), math.nan)
+
+
+UNEVEN = "uneven over time"
+"""The mean fits, but the covariance is too small at some instants and too large at others."""
+OUTSIDE = 0.3
+"""Share of instants outside the band of the average NEES from which it is `UNEVEN`. Errors are correlated along a run,
+so a consistent estimator has more than 0.05 of them outside: up to 0.09 (docs/notes/verdicts.md)."""
+WORDS = (
+    consistency.OVERCONFIDENT, consistency.LARGE, consistency.CORRELATED, consistency.CONSERVATIVE, consistency.SMALL,
+    consistency.ANTICORRELATED,
+)  # fmt: skip
+"""Words on marked means, the strongest first."""
+
+
+def judge_estimators(study: Study, judged: Sequence[Judged]) -> list[EstimatorJudgement]:
+    """Each estimator of a study in its last phase; `judged` may be of several studies."""
+    found = []
+    for key in {k[:3]: k for k in study.samples}.values():
+        good = study.good(key)
+        own = tuple(j for j in judged if j.scenario == study.scenario.name and j.key == key)
+        squares = [s.squares["position"] for s in good]
+        rmse = math.sqrt(sum(squares) / len(squares)) if squares else math.nan
+        missing = len(study.samples[key]) - len(good)
+        found.append(EstimatorJudgement(study.scenario.name, len(study.seeds), key, own, missing, rmse, _outside(good)))
+    return found
+
+
+def _outside(good: Sequence[Sample]) -> float:
+    """Share of the instants whose NEES averaged over runs is outside its band; NaN: logs of unequal length."""
+    if len({len(s.nees_pose) for s in good}) != 1:
+        return math.nan
+    average = np.mean([s.nees_pose for s in good], axis=0)
+    known = average[np.isfinite(average)]
+    lower, upper = consistency.anees_band(DOF["pose"], len(good))
+    return float(np.mean((known < lower) | (known > upper))) if len(known) else math.nan
+
+
 def judge(study: Study) -> list[Judged]:
     """Every verdict of a study. Failed and implausible runs are counted, never averaged."""
     result = []
@@ -266,15 +322,3 @@ def failed_declarations(judged: Sequence[Judged]) -> list[Judged]:
     rejected = consistency.holm_rejected([j.verdict.p_value for j in tested])
     bad = [j for j, r in zip(tested, rejected, strict=True) if r]
     return bad + [j for j in declared if j.diverged and j not in bad]
-
-
-def declared_line(judged: Sequence[Judged]) -> str:
-    """How many declared verdicts hold individually, if none is rejected family-wise; empty without any."""
-    declared = [j for j in judged if j.declared and j.verdict.runs >= consistency.MIN_RUNS]
-    if not declared:
-        return ""
-    agreed = sum(j.verdict.word == consistency.CONSISTENT for j in declared)
-    return (
-        f"{agreed} of {len(declared)} declared verdicts are consistent, each at {100 * LEVEL:g} %; none is"
-        f" rejected over all of them together at {100 * consistency.FAMILY_LEVEL:g} %, which decides the exit status"
-    )

@@ -11,16 +11,15 @@ from scipy import stats
 from data.notice import stopped
 from data.result import Failure
 from eval.replay.run import compare
+from eval.report.studies import declared_lines, study_lines
 from eval.studies.montecarlo import (
     QUANTITIES,
     Sample,
     consistency_table,
-    declared_line,
     failed_declarations,
     judge,
     one_run,
     sample,
-    study_lines,
     study_of,
 )
 from eval.studies.scenario import load_scenario
@@ -61,7 +60,9 @@ def test_a_consistent_study_passes():
 
 def test_the_terminal_counts_verdicts_as_the_report_does():
     """Seen: "every estimator that is declared consistent passed" beside a report in which 1 of 3 was."""
-    assert declared_line(judge(made_study(honest))).startswith("3 of 3 declared verdicts are consistent, each at 95 %")
+    assert declared_lines(judge(made_study(honest)))[0].startswith(
+        "3 of 3 declared verdicts are consistent, each at 95 %"
+    )
 
     def a_little_boastful(quantile, dof):
         return honest(quantile, dof) * (1.07 if dof > 1 else 1.0)
@@ -70,8 +71,8 @@ def test_the_terminal_counts_verdicts_as_the_report_does():
     assert failed_declarations(judged) == []
     agreed = sum(j.verdict.word == "consistent" for j in judged)
     assert 0 < agreed < 3
-    assert declared_line(judged).startswith(f"{agreed} of 3 declared verdicts are consistent, each at 95 %")
-    assert declared_line(judge(made_study(honest, runs=10))) == ""
+    assert declared_lines(judged)[0].startswith(f"{agreed} of 3 declared verdicts are consistent, each at 95 %")
+    assert declared_lines(judge(made_study(honest, runs=10))) == []
 
 
 def test_an_overconfident_declared_estimator_fails_the_command():
