@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from importlib import import_module
 from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from data.columns.arrays import parts_of_arrays
 from data.inputs import UNLABELLED, Inputs, IntArray, LabelledObservations
 from data.notice import Notice
 from data.pictures import Evidence
@@ -129,11 +129,8 @@ class Log:
             >>> len(log.recorded)
             2
         """
-        # the format builds on this module, so it is found by its name
-        made: Log = import_module("data.formats.open_log.arrays").log_of_arrays(
-            name, prior, sensor, observations, **more
-        )
-        return made
+        parts = parts_of_arrays(name, prior, sensor, observations, **more)
+        return Log(name, **parts._asdict())
 
     def _facts(self) -> list[tuple[str, str]]:
         r, truth = self.recorded, self.truth

@@ -226,8 +226,8 @@ def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fi
 
 def _truth_at(folder: Path, time: Array) -> Array:
     """Poses (N, 3) of truth.csv at other times (N,) [s]."""
-    from data.formats.csv_table import read_table
-    from data.formats.open_log.fixes import POSE
+    from data.columns.fixes import POSE
+    from data.csv_table import read_table
     from data.formats.open_log.reader import TRUTH
     from data.timeline import truth_at
 
@@ -274,8 +274,7 @@ def _judge(
 
 def _require_free(out: Path, folder: Path | None) -> None:
     """Raise unless OUT is missing, empty, or an earlier tuned log."""
-    from data.formats.open_log.header import read_header
-    from data.formats.open_log.reader import HEADER
+    from data.columns.header import HEADER, read_header
 
     if folder is not None and os.path.realpath(out) == os.path.realpath(folder):
         raise UsageError(f"OUT {out}: is LOG itself; choose another name")

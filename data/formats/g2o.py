@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
+from data.columns.named import definite
 from data.digest import source_file
 from data.errors import LARGEST, DataError
 from data.formats.bearings import PARALLAX, triangulate
@@ -39,7 +40,6 @@ from data.formats.graph_file import (
     Edge,
     read_graph_file,
 )
-from data.formats.open_log.named import definite
 from data.formats.recordings.laser import FLOOR
 from data.inputs import Increments, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import Log

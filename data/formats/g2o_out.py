@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
+from data.csv_table import read_table
 from data.errors import DataError, UsageError
-from data.formats.csv_table import read_table
 from data.formats.g2o import BEARING, FIX, MOTION, OBSERVATION, POINT, POSE, POSITION, PRIOR
 from data.inputs import Inputs, IntArray
 from data.log import Log

@@ -30,8 +30,8 @@ from pathlib import Path
 
 import numpy as np
 
+from data.csv_table import bytes_of, is_number
 from data.errors import LARGEST, DataError
-from data.formats.csv_table import bytes_of, is_number
 from data.se2 import Array, compose, inverse
 
 POSE2, POSE3, POINT2, POINT3 = "pose2", "pose3", "point2", "point3"

@@ -22,10 +22,10 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
+from data.columns.header import HEADER, read_header
+from data.csv_table import read_table
 from data.errors import DataError, UsageError, unknown
-from data.formats.csv_table import read_table
-from data.formats.open_log.header import read_header
-from data.formats.open_log.reader import HEADER, ODOMETRY
+from data.formats.open_log.reader import ODOMETRY
 from data.inputs import Increments, Inputs, LabelledObservations
 from data.motion.velocity import MAX_HOLD, WITH_ALPHAS, VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.se2 import Array

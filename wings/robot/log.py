@@ -15,9 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from data.columns.scans import scans_content
 from data.errors import DataError
 from data.formats.open_log.reader import SCANS
-from data.formats.open_log.scans import scans_content
 from data.formats.open_log.writer import contents
 from data.inputs import Frame, FrameObservations, Increment, Increments, Inputs, LandmarkMap, Observations, Prior, Scans
 from data.log import Log

@@ -28,8 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from data.csv_table import bytes_of
 from data.errors import DataError, UsageError
-from data.formats.csv_table import bytes_of
 from data.formats.lab.configuration import PARTS, REFERENCES, configuration, read_configuration
 from data.formats.lab.matlab import LIMIT, save
 from data.formats.lab.records import FIELDS, LogFile, Place, size_of, unwrapped

@@ -17,9 +17,9 @@ from typing import IO, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from data.columns.scans import BROKEN, open_archive
 from data.errors import LARGEST, DataError
 from data.formats.lab import matlab
-from data.formats.open_log.scans import BROKEN, open_archive
 from data.se2 import Array
 
 FIELDS = ("timestamp", "commands", "rgb", "xyz")

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from data.columns.scans import open_archive
 from data.errors import DataError
 from data.formats.lab import matlab
 from data.formats.lab.configuration import PARTS
@@ -24,7 +25,6 @@ from data.formats.lab.records import (
     reading,
     unwrapped,
 )
-from data.formats.open_log.scans import open_archive
 
 T = TypeVar("T")
 LOG_VARIABLE = "log"

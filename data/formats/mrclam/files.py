@@ -22,9 +22,9 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from data.columns.scans import open_archive
+from data.csv_table import Table, bytes_of, cut_off, lines_of, number_rows
 from data.errors import DataError
-from data.formats.csv_table import Table, bytes_of, cut_off, lines_of, number_rows
-from data.formats.open_log.scans import open_archive
 from data.inputs import IntArray, LandmarkMap
 from data.se2 import Array
 

@@ -13,33 +13,31 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomli_w
 
+from data.columns import appearance as looks
+from data.columns import closures as closures_file
+from data.columns import fixes as fixes_file
+from data.columns import sensors as sensors_file
+from data.columns.fixes import POSE
+from data.columns.header import FORMAT, HEADER, LATEST
+from data.columns.landmarks import SIGMAS, TRUE_PLACE
+from data.columns.named import COVARIANCE
+from data.columns.parts import MEAN, STAMP
+from data.columns.scans import scans_content
 from data.errors import DataError
-from data.formats.open_log import appearance as looks
-from data.formats.open_log import closures as closures_file
-from data.formats.open_log import fixes as fixes_file
-from data.formats.open_log import sensors as sensors_file
-from data.formats.open_log.fixes import POSE
-from data.formats.open_log.header import FORMAT, LATEST
-from data.formats.open_log.landmarks import SIGMAS, TRUE_PLACE
-from data.formats.open_log.named import COVARIANCE
 from data.formats.open_log.reader import (
     CLOSURES,
     FILES,
     FIXES,
     FRAMES,
-    HEADER,
     LANDMARKS,
-    MEAN,
     OBSERVATIONS,
     ODOMETRY,
     RELATIONS,
     SCANS,
-    STAMP,
     TRUTH,
     load_folder,
     relations_columns,
 )
-from data.formats.open_log.scans import scans_content
 from data.inputs import UNLABELLED, IntArray, LandmarkMap
 from data.log import Log
 from data.motion.velocity import WITH_ALPHAS, VelocityModel

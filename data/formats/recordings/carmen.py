@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
+from data.columns.scans import with_returns
 from data.digest import file_sha256
 from data.errors import DataError
 from data.formats.open_log.reader import read_relations
-from data.formats.open_log.scans import with_returns
 from data.formats.recordings.carmen_lines import (
     HEAD,
     SCANS,

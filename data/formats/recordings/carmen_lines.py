@@ -29,9 +29,9 @@ from typing import IO
 
 import numpy as np
 
+from data.columns.scans import DENSEST, LARGE
+from data.csv_table import Table, number_rows, shown
 from data.errors import LARGEST, DataError
-from data.formats.csv_table import Table, number_rows, shown
-from data.formats.open_log.scans import DENSEST, LARGE
 from data.formats.recordings.beams import on_one_set
 from data.inputs import IntArray
 from data.se2 import Array

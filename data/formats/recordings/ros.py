@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from data.columns.scans import with_returns
 from data.digest import source_file
 from data.errors import DataError, UsageError, did_you_mean
-from data.formats.open_log.scans import with_returns
 from data.formats.recordings.beams import on_one_set
 from data.formats.recordings.laser import laser_inputs, without_odometry
 from data.formats.recordings.mending import AS_STATED, Mending, beam_angles, piled_up, require_metres

@@ -34,8 +34,8 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from data.columns.scans import DENSEST, LARGE
 from data.errors import UsageError
-from data.formats.open_log.scans import DENSEST, LARGE
 
 lz4: Any = import_module("lz4.frame")
 zstd: Any = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")

@@ -18,8 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
+from data.csv_table import bytes_of, is_number, symmetric
 from data.errors import LARGEST, DataError
-from data.formats.csv_table import bytes_of, is_number, symmetric
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from data.csv_table import is_number, symmetric
 from data.errors import DataError
-from data.formats.csv_table import is_number, symmetric
 from data.formats.results.clock import DIGITS
 from data.formats.results.matrices import full, known_only
 from data.formats.results.path import LOCAL, MIXED, WORLD, GivenPath, Manner, Stated, in_order

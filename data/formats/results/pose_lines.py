@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from data.csv_table import symmetric
 from data.errors import DataError, UsageError
-from data.formats.csv_table import symmetric
 from data.formats.results.clock import ROWS, STATED, Clock, clock_of, seconds
 from data.formats.results.matrices import full, known_only, translation_first
 from data.formats.results.path import LOCAL, MIXED, ROTATION, SILENT, GivenPath, Manner, Spatial, Stated

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+from data.csv_table import is_number
 from data.errors import DataError, UsageError
-from data.formats.csv_table import is_number
 from data.formats.results import pose_lines, tables
 from data.formats.results.bags import is_bag, read_bag
 from data.formats.results.columns import header_names, read_named

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
+from data.csv_table import FIRST_ROW, is_number, read_table, symmetric
 from data.errors import LARGEST, DataError
-from data.formats.csv_table import FIRST_ROW, is_number, read_table, symmetric
 from data.formats.results.matrices import known_only
 from data.formats.results.path import WORLD, GivenPath, Manner, in_order
 from data.formats.results.pose_lines import path_of, times_of

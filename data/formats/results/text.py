@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from data.csv_table import cut_off, is_number
 from data.errors import LARGEST, DataError
-from data.formats.csv_table import cut_off, is_number
 from data.se2 import Array
 
 

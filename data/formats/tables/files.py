@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
+from data.csv_table import Table, cut_off
 from data.errors import DataError, UsageError, did_you_mean, unknown
-from data.formats.csv_table import Table, cut_off
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from data import se2
+from data.columns.appearance import of_landmarks, together
+from data.columns.named import is_name
+from data.csv_table import Table
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
-from data.formats.csv_table import Table
-from data.formats.open_log.appearance import of_landmarks, together
-from data.formats.open_log.named import is_name
 from data.formats.open_log.writer import Recording, Samples
 from data.formats.recordings.laser import FLOOR
 from data.formats.second_odometry import together as together_closures

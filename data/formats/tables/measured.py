@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
+from data.csv_table import Table
 from data.errors import DataError, UsageError
-from data.formats.csv_table import Table
 from data.formats.tables.files import TextTable, headings
 from data.formats.tables.flags import Wanted
 from data.formats.tables.motion import Odometry, pose_columns

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data import se2
+from data.csv_table import Table
 from data.errors import DataError, UsageError
-from data.formats.csv_table import Table
 from data.formats.recordings.laser import TravelNoise, increments_of
 from data.formats.tables.files import QUATERNION, Columns, TextTable, headings
 from data.inputs import Increments

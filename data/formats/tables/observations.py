@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from data import se2
+from data.columns import appearance
+from data.columns.appearance import CLASS, DESCRIPTOR, of_observations
+from data.csv_table import Table
 from data.errors import DataError
-from data.formats.csv_table import Table
-from data.formats.open_log import appearance
-from data.formats.open_log.appearance import CLASS, DESCRIPTOR, of_observations
 from data.formats.tables.files import TextTable, shared
 from data.formats.tables.flags import Wanted
 from data.formats.tables.motion import Odometry

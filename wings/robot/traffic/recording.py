@@ -22,9 +22,9 @@ from typing import NamedTuple
 
 import tomli_w
 
+from data.columns.header import FORMAT
+from data.csv_table import bytes_of
 from data.errors import DataError, UsageError
-from data.formats.csv_table import bytes_of
-from data.formats.open_log.header import FORMAT
 from data.toml_table import load_toml
 from wings.robot.walls import FITS, USUAL_FIT
 

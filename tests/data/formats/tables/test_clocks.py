@@ -9,7 +9,7 @@ import pytest
 
 from data import se2
 from data.convert.__main__ import main
-from data.formats.csv_table import read_table
+from data.csv_table import read_table
 from data.formats.open_log.reader import load_folder
 from data.se2 import inverse
 from eval.tune import tune

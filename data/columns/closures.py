@@ -21,8 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from data.formats.csv_table import Table, read_table
-from data.formats.open_log.named import (
+from data.columns.named import (
     COVARIANCE,
     INLIER,
     SOURCE,
@@ -32,6 +31,7 @@ from data.formats.open_log.named import (
     shown_inliers,
     source_rows,
 )
+from data.csv_table import Table, read_table
 from data.inputs import IntArray
 from data.pose_measurements import Closures
 from data.se2 import Array

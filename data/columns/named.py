@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from data.csv_table import Table
 from data.errors import unknown
-from data.formats.csv_table import Table
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from data.toml_table import TomlTable

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import numpy as np
 
-from data.formats.csv_table import Table, read_table
-from data.formats.open_log import appearance as looks
-from data.formats.open_log.header import Header
-from data.formats.open_log.named import is_name
+from data.columns import appearance as looks
+from data.columns.header import Header
+from data.columns.named import is_name
+from data.csv_table import Table, read_table
 from data.inputs import LandmarkMap
 
 FILE = "landmarks.csv"

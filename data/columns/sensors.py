@@ -21,12 +21,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from data.columns import appearance as looks
+from data.columns.appearance import Noise
+from data.columns.named import column, is_name, names_of, source_rows
+from data.columns.scans import mounting
+from data.csv_table import Table
 from data.errors import DataError
-from data.formats.csv_table import Table
-from data.formats.open_log import appearance as looks
-from data.formats.open_log.appearance import Noise
-from data.formats.open_log.named import column, is_name, names_of, source_rows
-from data.formats.open_log.scans import mounting
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from data.sensors import Bearing, Line, Range, RangeBearing, RelativePoint, Sensor

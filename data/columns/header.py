@@ -46,15 +46,16 @@ from typing import Any
 
 import numpy as np
 
+from data.columns import closures, fixes, sensors
+from data.columns.scans import KEYS, read_scanner
 from data.errors import DataError
-from data.formats.open_log import closures, fixes, sensors
-from data.formats.open_log.scans import KEYS, read_scanner
 from data.inputs import Prior, Scanner
 from data.motion.motion_prior import PRIORS, MotionPrior
 from data.motion.velocity import MODELS, NOISES, WITH_ALPHAS, VelocityModel, VelocityNoise
 from data.sensors import RangeBearing
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 
+HEADER = "log.toml"
 FORMAT, LATEST = 1, 2
 """A log without parts of format 2 is written as format 1."""
 LATER = (fixes.TABLE, closures.TABLE)

@@ -22,9 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from data.errors import unknown
-from data.formats.csv_table import Table, read_table
-from data.formats.open_log.named import (
+from data.columns.named import (
     COVARIANCE,
     INLIER,
     SOURCE,
@@ -35,6 +33,8 @@ from data.formats.open_log.named import (
     shown_inliers,
     source_rows,
 )
+from data.csv_table import Table, read_table
+from data.errors import unknown
 from data.inputs import IntArray
 from data.pose_measurements import MEASURED, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from data.appearance import UNREAD, Appearance, joined
-from data.formats.csv_table import Table
-from data.formats.open_log.named import column, is_name
+from data.columns.named import column, is_name
+from data.csv_table import Table
 from data.inputs import IntArray
 from data.se2 import Array
 from data.toml_table import TomlTable, positive

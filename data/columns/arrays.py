@@ -4,22 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from data.errors import DataError, unknown
-from data.formats.csv_table import Table
-from data.formats.open_log import appearance as looks
-from data.formats.open_log import closures as closures_file
-from data.formats.open_log import fixes as fixes_file
-from data.formats.open_log.closures import closures_of
-from data.formats.open_log.fixes import POSE, fixes_of
-from data.formats.open_log.header import FORMAT, LATEST, header_of
-from data.formats.open_log.landmarks import KIND, SIGMAS, landmarks_of, usable_sigmas
-from data.formats.open_log.named import COVARIANCE, INLIER, SOURCE
-from data.formats.open_log.reader import (
+from data.columns import appearance as looks
+from data.columns import closures as closures_file
+from data.columns import fixes as fixes_file
+from data.columns.closures import closures_of
+from data.columns.fixes import POSE, fixes_of
+from data.columns.header import FORMAT, LATEST, header_of
+from data.columns.landmarks import KIND, SIGMAS, landmarks_of, usable_sigmas
+from data.columns.named import COVARIANCE, INLIER, SOURCE
+from data.columns.parts import (
     IDS,
     MEAN,
     Measured,
@@ -33,9 +31,11 @@ from data.formats.open_log.reader import (
     truth_per_frame,
     with_measured,
 )
-from data.formats.open_log.sensors import FIRST, NOISE
-from data.formats.open_log.sensors import TABLE as SENSOR
-from data.log import Log
+from data.columns.sensors import FIRST, NOISE
+from data.columns.sensors import TABLE as SENSOR
+from data.csv_table import Table
+from data.errors import DataError, unknown
+from data.inputs import Inputs, IntArray
 from data.se2 import Array
 from data.truth import Truth
 
@@ -44,7 +44,17 @@ SOURCES = "sources"
 """Key of fixes and closures: the tables [[fix]], [[closure]] of log.toml."""
 
 
-def log_of_arrays(
+class Parts(NamedTuple):
+    """Inputs, truth, labels (M,) or None, and notes of a log."""
+
+    recorded: Inputs
+    truth: Truth
+    label: IntArray | None
+    labels_are_sensed: bool
+    notes: tuple[str, ...]
+
+
+def parts_of_arrays(
     name: str,
     prior: tuple[ArrayLike, ArrayLike],
     sensor: Mapping[str, Any] | Sequence[Mapping[str, Any]],
@@ -69,8 +79,8 @@ def log_of_arrays(
     landmark_classes: ArrayLike | None = None,
     fixes: Mapping[str, Any] | None = None,
     closures: Mapping[str, Any] | None = None,
-) -> Log:
-    """See `Log.from_arrays`."""
+) -> Parts:
+    """See `data.log.Log.from_arrays`."""
 
     def fault(what: str) -> DataError:
         return DataError(f"{name}: {what}")
@@ -169,14 +179,8 @@ def log_of_arrays(
         known = landmarks_of(places)[0]
         known, notes = usable_sigmas(known, header)
     recorded, inliers = with_measured(inputs_of(header, moved, frame, found, known), measured, key)
-    return Log(
-        name=name,
-        recorded=recorded,
-        truth=Truth(pose, recorded.map, found.true_id, fix_inlier=inliers[0], closure_inlier=inliers[1]),
-        label=found.label,
-        labels_are_sensed=labels_are_sensed,
-        notes=tuple(notes),
-    )
+    reference = Truth(pose, recorded.map, found.true_id, fix_inlier=inliers[0], closure_inlier=inliers[1])
+    return Parts(recorded, reference, found.label, labels_are_sensed, tuple(notes))
 
 
 def _plain(table: Mapping[str, Any]) -> dict[str, Any]:
