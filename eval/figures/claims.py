@@ -35,7 +35,7 @@ from eval.figures.paper import page_width
 from eval.figures.style import BAND, DASHED, LONG_HANDLE, SOLID, TRUTH_COLOUR, Line, Style, drawing, series, style_of
 from eval.referee.consistency import anees_band, mean_or_nan, nees, nis_bounds
 from eval.referee.given.runs import log_of
-from eval.referee.trust import Difference, difference
+from eval.referee.truth_free import Difference, difference
 
 WINDOWS = 40  # stretches that a log is cut into for its NIS; each has the same number of degrees of freedom, or nearly
 LEAST = 20  # degrees of freedom of a stretch: fewer have bounds so wide that nothing is ever outside

@@ -14,7 +14,7 @@ from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTH
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
 from eval.replay.settings import ESTIMATORS, FILTERS
-from eval.studies.trusted import Trust
+from eval.studies.diagnosis import Trust
 
 STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates
 SHARE, ANGLE, CURVATURE = ("%", 100.0), ("°", 180.0 / math.pi), ("rad/m", 1.0)

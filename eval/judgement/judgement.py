@@ -39,7 +39,7 @@ from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.referee.score import Scores, Trial, score
 from eval.referee.sources.scored import has_sources
 from eval.replay.settings import INCREMENTAL
-from eval.studies.trusted import Trust
+from eval.studies.diagnosis import Trust
 
 CHANCE = 0.05
 """A larger p is called chance, and so is a difference whose interval holds zero: near the edge the two may differ."""

@@ -23,7 +23,7 @@ from eval.referee.consistency import (
 )
 from eval.referee.result_files import Row, is_blank, value_of
 from eval.replay.settings import ASSOCIATIONS, BATCH, ESTIMATORS, FILTERS, INCREMENTAL
-from eval.studies.trusted import Trust
+from eval.studies.diagnosis import Trust
 
 NEES_MARGIN = 1.25
 """Times the expectation, below which the lower bound of one log's interval is no objection: 95 % intervals of one log

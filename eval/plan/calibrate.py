@@ -37,8 +37,8 @@ from eval.referee.residuals import Used
 from eval.referee.score import Trial
 from eval.replay.external.spec import name_of
 from eval.replay.settings import Setup
+from eval.studies.diagnosis import FEWEST, Trust, judged
 from eval.studies.sampled import Sample, sample_of, smoother_of, twin_sample
-from eval.studies.trusted import FEWEST, Trust, judged
 from eval.studies.twins import Source, inputs_of, source_of, twin
 
 WANDERS = 3.0  # standard errors of the correlation of neighbouring stretches; 1 in 700 logs without drift exceeds it

@@ -13,23 +13,23 @@ from data.log import Log
 from data.notice import Notice
 from data.result import Run
 from eval.plan.calibrate import Calibration, examine, settle, with_systematic
+from eval.plan.diagnoses import trusted
 from eval.plan.experiment import Experiment, Work
 from eval.plan.experiments import Plan
 from eval.plan.flags.table import Execution, Options
 from eval.plan.flags.variant import Variant
 from eval.plan.progress import say_kept
 from eval.plan.results import with_results
-from eval.plan.trust import trusted
 from eval.plan.tutorials import ABOUT, tutorial_run, variant_log
 from eval.plan.unfinished import MISSING_RUN, Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.validation import validated
 from eval.plan.work import Job, work
 from eval.referee.score import Trial
 from eval.studies import store
+from eval.studies.diagnosis import Trust
 from eval.studies.montecarlo import Study, one_run, study_of
 from eval.studies.reproduced import published_rows, replay_stored
 from eval.studies.scenario import Scenario
-from eval.studies.trusted import Trust
 from eval.studies.validation import Examined, Validation, cases
 
 

@@ -30,9 +30,9 @@ from eval.plan.variants import has_depth_noise, maintained, sparser, with_depth_
 from eval.replay.estimators import FOR_SEVERAL, FOR_WALLS, NO_HINDSIGHT_OF_SEVERAL, NO_HINDSIGHT_OF_WALLS
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import HINDSIGHT
+from eval.studies.diagnosis import FEWEST
 from eval.studies.scenario import Scenario, load_scenario
 from eval.studies.shipped import scenarios
-from eval.studies.trusted import FEWEST
 from eval.studies.validation import Validation, load_validation
 
 DEFAULT_RUNS = 50

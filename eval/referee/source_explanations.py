@@ -2,7 +2,7 @@
 
 Of each source: another sigma, outliers, and errors that are correlated from one measurement to the next. Systematic
 errors of sources are among the columns of `explanations`. Which measurements are outliers is not told at a smoothed
-path that bends to them, so `left_out` is found by a robust smoother (`eval.studies.trusted`).
+path that bends to them, so `left_out` is found by a robust smoother (`eval.studies.diagnosis`).
 """
 
 from __future__ import annotations

@@ -15,10 +15,10 @@ from data.errors import UsageError
 from data.log import Log
 from eval.compare import compare
 from eval.judgement.causes import Terms, terms_of
+from eval.plan.diagnoses import trusted
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.table import TWINS, Execution, Options, Output, Scoring
 from eval.plan.flags.table import Study as Simulated
-from eval.plan.trust import trusted
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import Job, work
 from eval.referee.score import Trial
@@ -26,12 +26,12 @@ from eval.replay.external.load import Loaded, Thing, adopt, load, objects, text_
 from eval.replay.external.spec import introduce, is_foreign, name_of
 from eval.replay.flag import read_values, rows
 from eval.replay.settings import Setup
+from eval.report.diagnosis import first_words
 from eval.report.results import scored, scores
-from eval.report.trust import first_words
 from eval.studies import montecarlo
+from eval.studies.diagnosis import Trust, trust_table
 from eval.studies.montecarlo import DOF, Result, consistency_table, judge, one_run, study_of
 from eval.studies.scenario import OWN, Member, Scenario
-from eval.studies.trusted import Trust, trust_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

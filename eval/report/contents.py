@@ -39,9 +39,9 @@ from eval.report.studies import study_sections
 from eval.report.tutorials import tutorial_sections
 from eval.report.visual import visual_sections
 from eval.report.words import described, paragraph, questions, say, whose
+from eval.studies.diagnosis import trust_table
 from eval.studies.montecarlo import Judged, consistency_table
 from eval.studies.reproduced import published_frame
-from eval.studies.trusted import trust_table
 
 FEW = 3  # warnings in front of the folded ones
 TITLE = "Filter or smoother: which estimate can be trusted?"

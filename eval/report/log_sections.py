@@ -26,6 +26,7 @@ from eval.report.comparison import (
     parts,
     summary_table,
 )
+from eval.report.diagnosis import first_page_words, trust_section
 from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, against_relations
 from eval.report.overview import gauge_statement, in_short
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
@@ -36,10 +37,9 @@ from eval.report.results import aligned_statement, results_statement, space_tabl
 from eval.report.rows import SYSTEMATIC, stem, variants
 from eval.report.sources import source_section
 from eval.report.systematic import systematic_section
-from eval.report.trust import first_page_words, trust_section
 from eval.report.tutorials import variant_note
 from eval.report.words import fine_print, of_runs, paragraph, say
-from eval.studies.trusted import Trust
+from eval.studies.diagnosis import Trust
 
 IN_FULL, WHY_MISSING = "The comparison in words", "Why intervals are missing"
 IN_SUMMARY = {"errors": "rmse_position_m", "nees": "nees_pose", "nis": "nis", "decided": "fp"}

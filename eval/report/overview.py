@@ -16,12 +16,12 @@ from eval.judgement.judgement import Comparison, Judgement, conclusion
 from eval.judgement.runs import Objection, RunJudgement
 from eval.referee.consistency import FIT, LARGE, OVERCONFIDENT
 from eval.referee.score import Trial
+from eval.report.diagnosis import HEADING, first_words
 from eval.report.page.blocks import Block, Cell, Mark, Overview, OverviewRow, Section, Sketch, Value, anchor, folded
 from eval.report.page.tables import number
 from eval.report.rows import stem
-from eval.report.trust import HEADING, first_words
 from eval.report.words import paragraph
-from eval.studies.trusted import Trust
+from eval.studies.diagnosis import Trust
 
 ATTRIBUTION = HEADING
 HEADS = (

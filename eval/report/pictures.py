@@ -22,7 +22,7 @@ from eval.figures.space import space_figure
 from eval.figures.style import save
 from eval.referee.given.runs import GivenRun
 from eval.referee.score import Trial, confusion_of
-from eval.referee.trust import SHARE
+from eval.referee.truth_free import SHARE
 from eval.report import shown_runs
 from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, laser_kinds, laser_picture
 from eval.report.page.blocks import Picture

@@ -18,11 +18,11 @@ from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.replay.external.spec import name_of
 from eval.replay.settings import BATCH
+from eval.report.diagnosis import TrustFacts, facts_of
 from eval.report.page.blocks import Block, FinePrint, Picture, Section
 from eval.report.page.files import written_table
 from eval.report.page.tables import number
 from eval.report.rows import SYSTEMATIC, stem
-from eval.report.trust import TrustFacts, facts_of
 from eval.report.words import plus_minus, say
 
 UNTOLD = 0.9

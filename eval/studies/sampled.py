@@ -16,10 +16,10 @@ from data.log import Log
 from data.result import Run
 from data.whole import whole_file
 from eval.compare import compare
-from eval.referee import consistency, errors, trust
+from eval.referee import consistency, errors, truth_free
 from eval.referee.plausibility import with_plausibility
 from eval.referee.score import confusion_of
-from eval.referee.trust import Key, Measured
+from eval.referee.truth_free import Key, Measured
 from eval.replay.batch import batch
 from eval.replay.settings import FILTERS, steps
 from eval.studies.twins import Source, inputs_of, twin
@@ -33,7 +33,7 @@ class Sample:
     """Truth-free consistency statistics of one log, and of a twin the errors of its estimators.
 
     Attributes:
-        typical: of the smoother's residuals, see `trust.Smoothed`.
+        typical: of the smoother's residuals, see `truth_free.Smoothed`.
         apart: RMS [m] between an online path and the batch smoother's, by estimator.
         nees: mean pose NEES by estimator and phase (of a twin).
         counts: tp, tn, fp, fn of the final decisions by estimator (of a twin).
@@ -73,11 +73,11 @@ def sample_of(
     association: str,
     runs: Sequence[Run],
     smoother: Run | None,
-    smoothed: trust.Smoothed | None = None,
+    smoothed: truth_free.Smoothed | None = None,
 ) -> Sample:
     """Statistics of a log from its runs with one association method.
 
-    `smoother`: see `smoother_of`; `smoothed`: result of `trust.of_smoother`, if known already.
+    `smoother`: see `smoother_of`; `smoothed`: result of `truth_free.of_smoother`, if known already.
     """
     inputs = inputs_of(log, task, association)
     measured: dict[Key, Measured] = {}
@@ -91,7 +91,7 @@ def sample_of(
             continue
         own = None if smoother is None else same_decisions(run, [*runs, smoother], inputs)
         own = own if own is not None and own.flaw is None else None
-        found = trust.of_online(run, own, inputs)
+        found = truth_free.of_online(run, own, inputs)
         measured |= {(run.estimator, name): m for name, m in found.items()}
         if own is not None and own.final is not None and run.online is not None:
             apart[run.estimator] = errors.rms(errors.position_distance(run.online.pose, own.final.pose))
@@ -100,7 +100,7 @@ def sample_of(
     if smoother is None or smoother.flaw is not None:
         return Sample(measured, failures, apart=apart)
     if smoothed is None:
-        smoothed = trust.of_smoother(smoother, inputs)
+        smoothed = truth_free.of_smoother(smoother, inputs)
     measured |= {(smoother.estimator, name): m for name, m in smoothed.statistics.items()}
     return Sample(measured, failures, smoothed.typical, apart)
 
@@ -115,7 +115,7 @@ def one_twin(source: Source, seed: int) -> Sample:
 
 
 def twin_sample(
-    source: Source, log: Log, runs: Sequence[Run], smoother: Run | None, smoothed: trust.Smoothed | None = None
+    source: Source, log: Log, runs: Sequence[Run], smoother: Run | None, smoothed: truth_free.Smoothed | None = None
 ) -> Sample:
     """Statistics of a twin, and the errors of its runs; arguments as of `sample_of`."""
     sample = sample_of(log, source.task, source.association, runs, smoother, smoothed)

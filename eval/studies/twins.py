@@ -34,7 +34,7 @@ from data.se2 import Array
 from data.sensors import RELATIVE_POINT
 from data.truth import Truth
 from eval.compare import compare
-from eval.referee import attribution, effects, residuals, trust
+from eval.referee import attribution, effects, residuals, truth_free
 from eval.referee.plausibility import with_plausibility
 from eval.replay.batch import batch
 from eval.replay.external.load import digests
@@ -289,11 +289,11 @@ def calibrated(
     return corrected_log(log, inputs), done
 
 
-def smoothed_twin(source: Source, seed: int) -> trust.Smoothed | None:
+def smoothed_twin(source: Source, seed: int) -> truth_free.Smoothed | None:
     """Statistics of the smoother on a twin, with the twin's own pairings; None where it failed."""
     inputs = inputs_of(twin(source, seed), source.task, "known")
     (smoother,) = compare(inputs, source.task, ("batch",), "known", source.setup)
-    return None if smoother.flaw is not None else trust.of_smoother(smoother, inputs)
+    return None if smoother.flaw is not None else truth_free.of_smoother(smoother, inputs)
 
 
 def corrected_log(log: Log, inputs: Inputs) -> Log:

@@ -27,17 +27,17 @@ from data.whole import whole_file
 from data.worlds import registry
 from data.worlds.registry import SIMULATORS
 from eval.compare import compare
-from eval.referee import trust
+from eval.referee import truth_free
 from eval.referee.attribution import ESTIMATOR, NOTHING
 from eval.referee.consistency import gated, nis_bounds
 from eval.referee.score import nis_of
 from eval.replay.settings import TASKS, Setup
 from eval.studies.broken import BROKEN
+from eval.studies.diagnosis import FEWEST, judged
 from eval.studies.faults import FAULTS
 from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of, twin_sample
 from eval.studies.scenario import paragraph, parameters, parameters_of_kind
 from eval.studies.shipped import path_of
-from eval.studies.trusted import FEWEST, judged
 from eval.studies.twins import Source, inputs_of, source_of, twin
 
 STREAM = 0xFA017  # separates the faults' random numbers from those of logs and twins of the same seed
@@ -190,7 +190,7 @@ def _broken_on(
         return None, None, []
     if source is None:
         source = source_of(log, smoother, study.estimators, study.setup)
-    smoothed = trust.of_smoother(smoother, inputs)
+    smoothed = truth_free.of_smoother(smoother, inputs)
     result = []
     for name, size in case.broken:
         runs = [BROKEN[name].run(inputs, task, size), smoother]

@@ -9,7 +9,7 @@ from data.truth import Truth
 from eval.judgement.judgement import Judgement, judgement_of
 from eval.judgement.runs import RunJudgement, judged_runs
 from eval.referee.score import Trial
-from eval.studies.trusted import Trust
+from eval.studies.diagnosis import Trust
 from tests.eval.handmade import circle_log
 
 LOG = circle_log(name="home")

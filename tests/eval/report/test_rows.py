@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from eval.judgement.runs import judged_runs
-from eval.referee.trust import Measured
+from eval.referee.truth_free import Measured
 from eval.report.answer import answer
 from eval.report.terminal import Group, MainNumbers, lines
+from eval.studies.diagnosis import Trust
 from eval.studies.sampled import Sample
-from eval.studies.trusted import Trust
 from tests.eval.judged import judgement, run_of
 from tests.eval.report.test_answer import FILTER, SMOOTHER
 

@@ -15,7 +15,7 @@ from eval.referee.explanations import Evidence
 from eval.referee.sources import residuals as source_residuals
 from eval.referee.sources.residuals import source_in
 from eval.replay.settings import Setup
-from eval.studies.trusted import _best, with_all_sources
+from eval.studies.diagnosis import _best, with_all_sources
 from eval.studies.twins import digest_of, inputs_of, smoothed_twin, source_of, twin
 
 NAME = "mixed:{}:frames=60+landmarks=12+closure_gap=10+radius=3+swing=0+closure_radius=1.5+closure_period=1+side=14"

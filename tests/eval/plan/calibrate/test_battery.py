@@ -8,7 +8,7 @@ import pytest
 from data.motion.priors import systematic
 from data.worlds.registry import named_log
 from eval.plan.calibrate import with_systematic
-from eval.referee.trust import of_smoother
+from eval.referee.truth_free import of_smoother
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.twins import inputs_of, source_of, twin

@@ -11,8 +11,8 @@ from scipy import stats
 
 from data.result import Trajectory
 from data.worlds.linear import LinearWorld, simulate
-from eval.referee import residuals, trust
-from eval.referee.trust import difference, filter_smoother, regular
+from eval.referee import residuals, truth_free
+from eval.referee.truth_free import difference, filter_smoother, regular
 from eval.replay.run import compare
 
 I3 = np.eye(3)
@@ -95,9 +95,9 @@ def test_a_singular_filter_is_not_compared_even_where_its_variances_are_positive
 def test_an_online_estimator_is_measured_against_the_smoother_and_against_its_own_end(linear):
     inputs, ekf, isam2, batch = linear
     assert ekf.final is None
-    found = trust.of_online(ekf, batch, inputs)
+    found = truth_free.of_online(ekf, batch, inputs)
     assert not any(name.startswith("own_smoother") for name in found)
-    both = trust.of_online(isam2, batch, inputs)
+    both = truth_free.of_online(isam2, batch, inputs)
     own = {k: v for k, v in both.items() if k.startswith("own_smoother_")}
     assert own["own_smoother_mean"].value == pytest.approx(
         filter_smoother(difference(isam2.online, isam2.final))["filter_smoother_mean"].value
@@ -109,28 +109,28 @@ def test_an_online_estimator_is_measured_against_the_smoother_and_against_its_ow
 
 def test_without_a_smoother_or_innovations_their_statistics_are_missing(linear):
     inputs, ekf, _, batch = linear
-    alone = trust.of_online(ekf, None, inputs)
+    alone = truth_free.of_online(ekf, None, inputs)
     assert set(alone) == {"nis", "innovation_lag1"}
-    assert set(trust.of_online(ekf, replace(batch, final=None), inputs)) == set(alone)
-    silent = trust.of_online(replace(ekf, innovations=None), batch, inputs)
+    assert set(truth_free.of_online(ekf, replace(batch, final=None), inputs)) == set(alone)
+    silent = truth_free.of_online(replace(ekf, innovations=None), batch, inputs)
     assert not {"nis", "innovation_lag1"} & set(silent)
-    assert trust.of_online(replace(ekf, innovations=None, online=None), batch, inputs) == {}
+    assert truth_free.of_online(replace(ekf, innovations=None, online=None), batch, inputs) == {}
 
 
 def test_nis_is_that_per_degree_of_freedom_and_is_expected_to_be_what_passes_the_gates(linear):
     inputs, ekf, _, batch = linear
-    nis = trust.of_online(ekf, batch, inputs)["nis"]
+    nis = truth_free.of_online(ekf, batch, inputs)["nis"]
     known = ekf.innovations.dof > 0
     assert nis.value == pytest.approx(ekf.innovations.nis[known].sum() / ekf.innovations.dof.sum())
     assert nis.expected == ekf.gated[0]
-    lag = trust.of_online(ekf, batch, inputs)["innovation_lag1"]
+    lag = truth_free.of_online(ekf, batch, inputs)["innovation_lag1"]
     assert lag.expected == 0.0
     assert 0.0 < lag.se < 1.0
 
 
 def test_a_smoother_says_its_cost_its_residuals_and_their_slopes_with_what_is_expected(linear):
     inputs, _, _, batch = linear
-    found = trust.of_smoother(batch, inputs)
+    found = truth_free.of_smoother(batch, inputs)
     for name, m in found.statistics.items():
         if name.endswith("_mean") or name.startswith("slope_"):
             assert m.expected == 0.0, name

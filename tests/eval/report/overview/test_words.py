@@ -14,11 +14,11 @@ from eval.judgement.judgement import Gauge, Online, Verdict, conclusion
 from eval.judgement.methods import MethodOutcome, Methods
 from eval.judgement.runs import Counts, RunJudgement
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
-from eval.referee.trust import Measured
+from eval.referee.truth_free import Measured
 from eval.report.overview import associations, claims, drawn, gauge_statement, introduction, trust_mark
 from eval.report.page.blocks import Value
+from eval.studies.diagnosis import Blame, Trust
 from eval.studies.sampled import Sample
-from eval.studies.trusted import Blame, Trust
 from tests.eval.judged import BLIND, LOG, judgement
 
 EKF = {"estimator": "ekf", "association": "known", "phase": "online", "status": "ok", "nis": 1.0, "nis_lower": 0.9,

@@ -19,7 +19,7 @@ from eval.replay.run import compare
 from eval.report.publish import write_run
 from eval.report.systematic import best, determined, errors_table, estimated
 from eval.report.words import plus_minus, say
-from tests.eval.report.trust.said_by_hand import TURN, blamed, said
+from tests.eval.report.diagnosis.said_by_hand import TURN, blamed, said
 
 ERRORS = Systematic(("scale", "curvature"), np.array([0.1, 0.05]))
 

@@ -38,7 +38,7 @@ from eval.report.page.tables import drop_blank_columns, number
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.rows import stem
 from eval.report.words import plus_minus, say
-from eval.studies.trusted import Blame, Row, Trust
+from eval.studies.diagnosis import Blame, Row, Trust
 
 MOST = 18  # rows of a table; trust.csv has all
 LAG1 = "innovation_lag1"
@@ -61,7 +61,7 @@ MORE = "More of the diagnosis"
 
 def first_words(trust: Trust, *, terms: Terms, measured: bool = False) -> str:
     """Two to four sentences, two if errors against the truth are known (`measured`); empty without a diagnosis."""
-    return say("trust#first", trust=facts_of(trust, terms), measured=measured)
+    return say("diagnosis#first", trust=facts_of(trust, terms), measured=measured)
 
 
 def statistic_words(name: str, terms: Terms) -> tuple[str, float]:
@@ -159,10 +159,10 @@ def trust_section(
     for trust, own in zip(trusts, facts, strict=True):
         if len(trusts) > 1 or len(associations(trial.runs)) > 1:
             blocks.append(f"With association `{trust.association}`:")
-        front, *more = folded(say("trust#paragraphs", trust=own), MORE) or ("",)
+        front, *more = folded(say("diagnosis#paragraphs", trust=own), MORE) or ("",)
         blocks += [front] if front else []
         if shown(trust):
-            caption, name = say("trust#caption", trust=trust), stem(trial, f"trust-{trust.association}")
+            caption, name = say("diagnosis#caption", trust=trust), stem(trial, f"trust-{trust.association}")
             blocks.append(written_table(trust_frame(trust, terms=terms), folder, name, caption, wanted, fine=FINE))
         blocks += more
     blocks += [p for p in pictures if p.stem == stem(trial, FILTER_SMOOTHER)]

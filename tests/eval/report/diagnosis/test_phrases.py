@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from eval.referee.effects import effects
 from eval.referee.residuals import Used
-from eval.report.trust import Explanation, Terms, terms_of
+from eval.report.diagnosis import Explanation, Terms, terms_of
 from eval.report.words import say, sized
 from tests.eval.handmade import LANDMARKS, circle_log, true_path
 

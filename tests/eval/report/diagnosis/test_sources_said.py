@@ -6,8 +6,8 @@ from dataclasses import replace
 import pytest
 
 from eval.referee.attribution import NOISE, Finding
+from eval.report.diagnosis import Step, Terms, advice, explanations, statistic_words
 from eval.report.sources import SourceFacts, main_sources, source_lines
-from eval.report.trust import Step, Terms, advice, explanations, statistic_words
 from eval.report.words import say
 
 TERMS = Terms()
@@ -38,7 +38,7 @@ def test_every_statistic_of_a_source_has_words_and_a_unit(name, words, factor):
 ])  # fmt: skip
 def test_every_finding_about_a_source_names_it(finding, words):
     (shown,) = explanations([finding], TERMS)
-    text = " ".join(say("trust#finding", f=shown, terms=TERMS).split())
+    text = " ".join(say("diagnosis#finding", f=shown, terms=TERMS).split())
     assert words in text
     todo = advice([finding], labels=True)
     assert Step.SOURCE in todo.steps

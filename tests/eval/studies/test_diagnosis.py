@@ -18,12 +18,12 @@ from eval.referee.attribution import (
     estimator_errors,
     innovation_errors,
 )
-from eval.referee.trust import Measured
+from eval.referee.truth_free import Measured
 from eval.replay.run import compare
 from eval.replay.settings import Setup
+from eval.studies.diagnosis import SHARES, _estimators, judged
 from eval.studies.faults import FAULTS
 from eval.studies.sampled import one_twin, sample_of, smoother_of
-from eval.studies.trusted import SHARES, _estimators, judged
 from eval.studies.twins import inputs_of, source_of
 from eval.studies.validation import World
 

@@ -6,9 +6,9 @@ import math
 from dataclasses import replace
 
 from eval.referee.attribution import NOISE, NOTHING, Finding
-from eval.referee.trust import Measured
+from eval.referee.truth_free import Measured
+from eval.studies.diagnosis import Blame, Row, Trust
 from eval.studies.sampled import Sample
-from eval.studies.trusted import Blame, Row, Trust
 
 MEASURED = {
     ("ekf", "nis"): Measured(0.91, 1.0),

@@ -20,8 +20,8 @@ from eval.referee.score import Trial
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.settings import FILTERS, Setup, steps
 from eval.studies import sampled, store
+from eval.studies.diagnosis import FEWEST, Trust, judged
 from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of
-from eval.studies.trusted import FEWEST, Trust, judged
 from eval.studies.twins import Source, calibrated, digest_of, inputs_of, source_of
 
 AFTERWARDS = 39  # most twins of a log after its trial calibration; the family-wise p value can then reach 2.5 %

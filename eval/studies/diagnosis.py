@@ -18,7 +18,7 @@ from data.notice import Code, Notice, notice
 from data.result import Run
 from data.se2 import Array, BoolArray
 from ekf.whole_run import run_filter
-from eval.referee import attribution, battery, effects, residuals, trust
+from eval.referee import attribution, battery, effects, residuals, truth_free
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.consistency import NEES_LIMIT
 from eval.referee.explanations import CORRELATION, MODELLED, UNINFORMATIVE, Evidence, corrected, explanations, mirrored
@@ -29,7 +29,7 @@ from eval.referee.score import frame_of
 from eval.referee.source_explanations import left_out, of_outliers, outlying, source_corrected, source_explanations
 from eval.referee.sources.residuals import of_sources
 from eval.referee.sources.scored import has_sources
-from eval.referee.trust import Key, Measured
+from eval.referee.truth_free import Key, Measured
 from eval.replay.batch import batch
 from eval.replay.settings import Setup
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
@@ -88,7 +88,7 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     values = np.array([real.measured[k].value for k in keys])
     drawn = np.array([[_value(s, k) for k in keys] for s in twins]).reshape(len(twins), len(keys))
     z = np.array([_in_errors(real.measured[k]) for k in keys])
-    theory = np.array([name.startswith(("slope_", trust.LARGEST)) for _, name in keys], bool) & np.isfinite(z)
+    theory = np.array([name.startswith(("slope_", truth_free.LARGEST)) for _, name in keys], bool) & np.isfinite(z)
     compared = np.array([not name.endswith(SHARES) for _, name in keys], bool)
     family = np.full(len(keys), np.nan)
     correlation = _correlation(keys, inputs_of(log, task, association), smoother) if theory.any() else np.eye(len(keys))
@@ -135,7 +135,7 @@ def _correlation(keys: Sequence[Key], inputs: Inputs, smoother: Run | None) -> A
 
 def is_exact(covariance: Array) -> bool:
     """Whether a covariance (3, 3) is singular."""
-    return not trust.regular(covariance[None])[0]
+    return not truth_free.regular(covariance[None])[0]
 
 
 def _value(sample: Sample, key: Key) -> float:
@@ -246,7 +246,7 @@ def _explained(log: Log, made: Trust, inputs: Inputs, smoother: Run) -> tuple[li
         usual, typical = _usual([_statistics_of(s) for s in again]), _usual([s.typical for s in again])
     if findings and findings[-1].kind == CORRELATION:
         return findings, True
-    after = _furthest(_statistics_of(trust.of_smoother(smoother, inputs)), usual, spread)
+    after = _furthest(_statistics_of(truth_free.of_smoother(smoother, inputs)), usual, spread)
     return findings, after < max(REMOVED * before, STANDS_OUT)
 
 
@@ -408,7 +408,7 @@ def _again(inputs: Inputs, smoother: Run, finding: Finding) -> tuple[Inputs, Fin
     return without, replace(finding, size=finding.size + more, error=error)
 
 
-def _replicated(log: Log, task: str, inputs: Inputs, smoother: Run) -> list[trust.Smoothed]:
+def _replicated(log: Log, task: str, inputs: Inputs, smoother: Run) -> list[truth_free.Smoothed]:
     """Statistics of the smoother on replicates of a corrected log."""
     made = corrected_log(log, inputs)
     source = source_of(replace(made, recorded=replace(made.recorded, systematic=None)), smoother, (), Setup())
@@ -421,7 +421,7 @@ def _statistics(measured: Mapping[Key, Measured]) -> dict[str, float]:
     return _plain({name: m for (estimator, name), m in measured.items() if estimator == PLAIN})
 
 
-def _statistics_of(smoothed: trust.Smoothed) -> dict[str, float]:
+def _statistics_of(smoothed: truth_free.Smoothed) -> dict[str, float]:
     return _plain(smoothed.statistics)
 
 

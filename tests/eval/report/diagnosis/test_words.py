@@ -10,9 +10,9 @@ import pytest
 
 from data.notice import Code, notice
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, Finding
-from eval.report.trust import Step, Terms, advice, explanations, facts_of, first_words, groups_of
+from eval.report.diagnosis import Step, Terms, advice, explanations, facts_of, first_words, groups_of
 from eval.report.words import say
-from tests.eval.report.trust.said_by_hand import TURN, blamed, said
+from tests.eval.report.diagnosis.said_by_hand import TURN, blamed, said
 
 POLAR, POINTS = Terms(), Terms(polar=False)
 SIGMA = Finding(NOISE, "sigma", "z2", 0.2, gain=1000.0)
@@ -22,7 +22,7 @@ LINEAR = Finding(ESTIMATOR, "linearization", "ekf", 1.3, 0.02)
 
 
 def text_of(trust, *, terms=POLAR, labels=True) -> str:
-    return say("trust#paragraphs", trust=facts_of(trust, terms, labels=labels))
+    return say("diagnosis#paragraphs", trust=facts_of(trust, terms, labels=labels))
 
 
 def sentence_count(text: str) -> int:
@@ -81,7 +81,7 @@ def test_each_kind_of_finding_has_its_words():
         (replace(LINEAR, size=0.5), "its covariance is too large"),
         (alike, "(or, not distinguishable on this log, a drift of the odometry's heading)"),
     ):
-        assert text in say("trust#finding", f=explanations([f], POLAR)[0], terms=POLAR)
+        assert text in say("diagnosis#finding", f=explanations([f], POLAR)[0], terms=POLAR)
 
 
 def test_phases_of_an_estimator_share_the_finding_that_is_furthest_off():
@@ -110,17 +110,17 @@ def test_what_runs_already_is_never_advised():
     decisions = Finding(ASSOCIATIONS, "decisions", "ekf", 0.034)
     for labels in (True, False):
         todo = advice([PAIRINGS, decisions], labels=labels, association="jcbb-hindsight")
-        assert "jcbb-hindsight" not in say("trust#advice", todo=todo, terms=POLAR)
+        assert "jcbb-hindsight" not in say("diagnosis#advice", todo=todo, terms=POLAR)
         assert bool(todo.steps) == labels
     todo = advice([replace(LINEAR, name="ekf-iterated")], labels=True)
-    assert "ekf-iterated" not in say("trust#advice", todo=todo, terms=POLAR)
+    assert "ekf-iterated" not in say("diagnosis#advice", todo=todo, terms=POLAR)
 
 
 @pytest.mark.parametrize("step", Step)
 @pytest.mark.parametrize("labels", [True, False])
 def test_every_step_has_a_sentence_and_no_gate_is_advised_without_labels(step, labels):
     todo = replace(advice([TURN, LINEAR], labels=labels), steps=(step,))
-    text = say("trust#advice", todo=todo, terms=POLAR)
+    text = say("diagnosis#advice", todo=todo, terms=POLAR)
     assert text.endswith(".")
     assert labels or "--gate-known" not in text
 

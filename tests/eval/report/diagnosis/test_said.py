@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import pytest
 
-from eval.referee.trust import Measured
-from eval.report.trust import Decided, Terms, facts_of
+from eval.referee.truth_free import Measured
+from eval.report.diagnosis import Decided, Terms, facts_of
 from eval.report.words import distance
-from tests.eval.report.trust.said_by_hand import blamed, said
+from tests.eval.report.diagnosis.said_by_hand import blamed, said
 
 POLAR, POINTS = Terms(), Terms(polar=False)
 

@@ -13,8 +13,8 @@ from scipy import stats
 
 from data.result import Trajectory
 from data.worlds.linear import LinearWorld, simulate
-from eval.referee import trust
-from eval.referee.trust import difference, filter_smoother
+from eval.referee import truth_free
+from eval.referee.truth_free import difference, filter_smoother
 from eval.replay.run import compare
 
 I3 = np.eye(3)
@@ -38,7 +38,7 @@ def test_headings_are_subtracted_the_short_way_round():
 
 
 def test_a_direction_without_later_information_is_not_compared():
-    nearly = np.diag([1.0, 1.0, 1.0 - 0.5 * trust.SHARE])
+    nearly = np.diag([1.0, 1.0, 1.0 - 0.5 * truth_free.SHARE])
     found = difference(path([1.0, 0.0, 5.0], covariance=np.diag([2.0, 2.0, 1.0])), path([0, 0, 0], covariance=nearly))
     assert found.dof.tolist() == [2]
     assert found.square == pytest.approx([1.0])
@@ -54,9 +54,9 @@ def test_directions_are_those_of_the_covariances_and_not_of_the_axes():
 
 
 def test_a_filter_that_claims_to_know_more_than_the_smoother_is_not_semidefinite():
-    sure = np.diag([1.0, 1.0, 1.0 - 2 * trust.TOLERANCE])
+    sure = np.diag([1.0, 1.0, 1.0 - 2 * truth_free.TOLERANCE])
     assert difference(path([0, 0, 0], covariance=sure), path([0, 0, 0])).semidefinite.tolist() == [False]
-    rounded = np.diag([1.0, 1.0, 1.0 - 0.5 * trust.TOLERANCE])
+    rounded = np.diag([1.0, 1.0, 1.0 - 0.5 * truth_free.TOLERANCE])
     assert difference(path([0, 0, 0], covariance=rounded), path([0, 0, 0])).semidefinite.tolist() == [True]
 
 
@@ -81,9 +81,9 @@ def test_units_do_not_matter(seed):
 
 
 def test_the_expected_median_is_that_of_the_frames_degrees_of_freedom_mixed():
-    assert trust._median(np.full(4, 3.0)) == pytest.approx(2.36597, abs=1e-4)
+    assert truth_free._median(np.full(4, 3.0)) == pytest.approx(2.36597, abs=1e-4)
     draws = np.concatenate([stats.chi2(k).rvs(200_000, random_state=k) for k in (1, 3)])
-    assert trust._median(np.array([1.0, 3.0])) == pytest.approx(np.median(draws), abs=0.01)
+    assert truth_free._median(np.array([1.0, 3.0])) == pytest.approx(np.median(draws), abs=0.01)
 
 
 def test_the_largest_excursion_comes_with_its_frame_and_the_share_inside_three_sigma():
@@ -126,13 +126,13 @@ def test_the_size_of_the_filter_smoother_test_is_exact_in_a_linear_world():
 
 def test_statistics_of_both_kinds_of_estimator_have_the_names_that_files_use():
     inputs, (ekf, batch) = next(drives(1))
-    online = trust.of_online(ekf, batch, inputs)
+    online = truth_free.of_online(ekf, batch, inputs)
     assert {
         "nis",
         "innovation_lag1",
         *(f"filter_smoother_{n}" for n in ("mean", "median", "semidefinite", "rms_x")),
     } <= set(online)
-    said = trust.of_smoother(batch, inputs).statistics
+    said = truth_free.of_smoother(batch, inputs).statistics
     parts = ("odometry_x", "odometry_y", "odometry_theta", "z1", "z2")
     assert {f"residual_{p}_{s}" for p in parts for s in ("mean", "spread", "lag1", "largest")} <= set(said)
     assert {"slope_odometry_theta_distance", "slope_odometry_x_distance", "slope_z1_range"} <= set(said)

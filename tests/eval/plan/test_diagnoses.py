@@ -18,8 +18,8 @@ from eval.plan.execute import execute
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.referee.attribution import NOISE
+from eval.studies.diagnosis import FEWEST, trust_table
 from eval.studies.faults import FAULTS
-from eval.studies.trusted import FEWEST, trust_table
 
 
 def run(folder, out, *arguments, told=lambda done, total: None):
@@ -67,7 +67,7 @@ def test_a_log_that_nobody_measured_names_its_fault_and_what_putting_it_right_br
 @pytest.mark.slow
 def test_what_is_kept_is_not_done_again_and_the_numbers_are_the_same(outcome, unmeasured, monkeypatch):
     out, done = outcome
-    monkeypatch.setattr("eval.plan.trust.one_twin", None)
+    monkeypatch.setattr("eval.plan.diagnoses.one_twin", None)
     again = run(unmeasured, out, "--estimator", "ekf,isam2,batch", "--twins", "19")
     assert trust_table(again.trust).to_csv() == trust_table(done.trust).to_csv()
 

@@ -11,12 +11,12 @@ from data.result import Trajectory
 from eval.plan.flags.table import Output
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
-from eval.referee.trust import Measured
+from eval.referee.truth_free import Measured
+from eval.report.diagnosis import MOST, Terms, first_page_words, of_trial, statistic_words, trust_frame, trust_section
 from eval.report.page.blocks import Folded, Table
 from eval.report.pictures import FILTER_SMOOTHER, draw, kinds
-from eval.report.trust import MOST, Terms, first_page_words, of_trial, statistic_words, trust_frame, trust_section
 from tests.eval.handmade import SIGMA, circle_log, run_with_error
-from tests.eval.report.trust.said_by_hand import MEASURED, TURN, blamed, said
+from tests.eval.report.diagnosis.said_by_hand import MEASURED, TURN, blamed, said
 
 POLAR = Terms()
 ZERO = np.zeros(3)
