@@ -6,7 +6,7 @@ are interpolated. The body is the odometry's child frame; tf places cameras and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,20 +15,108 @@ import numpy as np
 from data import se2
 from data.digest import source_file
 from data.errors import DataError, UsageError
-from data.formats.bags.geodesy import east_north
 from data.formats.bags.reading import Collected, Pose
-from data.formats.bags.second import second_closures
 from data.formats.bags.topics import FIXES, Role, Topic
 from data.formats.recordings.laser import FLOOR, TravelNoise, increments_of
 from data.formats.recordings.ros import ODOM_FRAME, TF, log_of, read_bag
+from data.formats.second_odometry import closures_between, covered, of_twists, own_name
 from data.inputs import UNLABELLED, Inputs, IntArray, Observations, Prior, Scans
 from data.log import Log
-from data.pose_measurements import Fixes, FixKind, FixSource
+from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array
 from data.sensors import Bearing, RangeBearing, RelativePoint, Sensor
 from data.terminal import counted
 from data.timeline import frame_times, truth_at
 from data.truth import Truth
+
+# A second odometry topic of a ROS bag (`--second-odom`): closures between successive frames.
+
+STATED = "the twist covariances of its messages, whose errors are taken as independent of each other"
+
+
+def second_closures(
+    topic: Topic,
+    name: str,
+    found: Collected,
+    noise: TravelNoise | None,
+    robot: str,
+    time: Array,
+    taken: Collection[str],
+) -> tuple[Closures, str]:  # fmt: skip
+    """Closures between successive frames at `time` (N,) that the topic covers, of source `name`, and a sentence.
+
+    `noise`: as stated; None: that of the twists in the messages. `robot`: the frame of the other odometry, on which tf
+    mounts that of this one; `taken`: names of other sources.
+
+    Raises:
+        DataError: no message, or fewer than two frames covered, or a frame that tf does not mount.
+        UsageError: noise that is stated nowhere.
+    """
+    rows = sorted(found.poses.get(topic.name, []), key=lambda r: r.stamp)
+    if not rows:
+        raise DataError(f"{topic.name}: no message; some are needed")
+    stamp, first = np.unique([r.stamp for r in rows], return_index=True)
+    pose, C = (np.array([r[k] for r in rows])[first] for k in (1, 2))
+    body = found.frames[topic.name][1]
+    if body and body != robot:
+        placed = found.tree.between(body, robot, np.zeros(1))
+        if placed is None:
+            raise DataError(f"{topic.name}: poses of {body!r}, which tf does not mount on {robot!r}; one is needed")
+        R, t = placed[0][0], placed[1][0]
+        mounted = np.array([t[0], t[1], np.arctan2(R[1, 0], R[0, 0])])
+        pose, C = se2.compose(pose, mounted), _moved(C, mounted)
+    frames = np.flatnonzero(covered(stamp, time))
+    if len(frames) < 2:
+        what = f"its messages at {stamp[0]:.3f} to {stamp[-1]:.3f} s cover {len(frames)} of {len(time)} frames"
+        raise DataError(f"{topic.name}: {what}; two are needed")
+    at = time[frames]
+    if noise is not None:
+        motion, how = increments_of(se2.interpolate(stamp, pose, at), noise)[0], "--second-odom-sigma"
+    elif not (np.isfinite(C).all() and (np.linalg.eigvalsh(np.where(np.isfinite(C), C, 0.0)) > 0.0).all()):
+        what = "messages whose twist has no positive definite covariance of vx, vy and the turn"
+        raise UsageError(f"{topic.name}: {what}; --second-odom-sigma S,S,S,S is needed")
+    else:
+        motion, how = of_twists(stamp, pose, C, at), STATED
+    closures = closures_between(frames, motion, own_name(name, taken))
+    pairs = f"{len(closures)} of {len(time) - 1} pairs of successive frames"
+    return closures, f"{topic.name} is a second odometry: closures between {pairs}; noise by {how}."
+
+
+def _moved(C: Array, mounted: Array) -> Array:
+    """Covariances (K, 3, 3) of the velocity of a body as those of another one, at a pose (3,) in its frame."""
+    x, y, theta = mounted.tolist()
+    c, s = np.cos(theta), np.sin(theta)
+    J = np.array([[c, s, -y * c + x * s], [-s, c, y * s + x * c], [0.0, 0.0, 1.0]])
+    return np.asarray(J @ C @ J.T)
+
+
+# Latitude and longitude (WGS 84) as metres east and north of a place.
+#
+# A tangent plane: within 10 km of its origin distances are true to 1e-6 of themselves (Groves 2013, section 2.4).
+
+RADIUS, ECCENTRICITY_SQUARED = 6378137.0, 6.69437999014e-3
+"""m, 1; of the ellipsoid."""
+
+
+def centred(place: Array) -> Array:
+    """Cartesian coordinates (..., 3) [m], with the origin at the Earth's centre, of latitude, longitude [deg], height
+    [m] (..., 3).
+    """
+    latitude, longitude, height = np.radians(place[..., 0]), np.radians(place[..., 1]), place[..., 2]
+    normal = RADIUS / np.sqrt(1.0 - ECCENTRICITY_SQUARED * np.sin(latitude) ** 2)
+    level = (normal + height) * np.cos(latitude)
+    up = ((1.0 - ECCENTRICITY_SQUARED) * normal + height) * np.sin(latitude)
+    return np.stack([level * np.cos(longitude), level * np.sin(longitude), up], axis=-1)
+
+
+def east_north(place: Array, origin: Array) -> Array:
+    """Metres east and north (N, 2) of an origin (3,), both as latitude, longitude [deg], height [m]; places (N, 3)."""
+    off = centred(place) - centred(origin)
+    (s_lat, c_lat), (s_lon, c_lon) = ((np.sin(a), np.cos(a)) for a in np.radians(origin[:2]))
+    east = np.array([-s_lon, c_lon, 0.0])
+    north = np.array([-s_lat * c_lon, -s_lat * s_lon, c_lat])
+    return np.asarray(np.stack([off @ east, off @ north], axis=-1))
+
 
 EVERY = 1.0
 """s between headings that are used: those of one second have one common error, of the magnetic field and the filter."""

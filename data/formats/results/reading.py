@@ -2,18 +2,343 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from data.csv_table import is_number
+import numpy as np
+
+from data.csv_table import is_number, symmetric
 from data.errors import DataError, UsageError
 from data.formats.results import pose_lines, tables
 from data.formats.results.bags import is_bag, read_bag
-from data.formats.results.columns import header_names, read_named
-from data.formats.results.path import GivenPath, Manner
+from data.formats.results.clock import DIGITS
+from data.formats.results.matrices import full, known_only
+from data.formats.results.path import LOCAL, MIXED, WORLD, GivenPath, Manner, Stated, in_order
+from data.formats.results.pose_lines import BLOCKS, TRIANGLE, of_blocks, path_of, times_of
+from data.formats.results.space import from_angles, require_covariances
 from data.formats.results.square import POSE, header_of
-from data.formats.results.text import Text, read_text
+from data.formats.results.text import Text, numbers, read_text, split
+from data.se2 import Array, wrap_angle
+from data.terminal import counted
+
+# Headers of trajectories that name their columns: in the first line, or in a comment above the data.
+#
+# A header is obeyed: order of position and quaternion, units in brackets or at the end of a name, covariances. What it
+# names and is not read is stated; a header without stamp, position or orientation is refused.
+
+STAMP = frozenset(("t", "time", "times", "timestamp", "timestamps", "stamp", "sec", "secs", "second", "seconds"))
+PLACE = frozenset(("p", "pos", "position", "t", "trans", "translation", "transl", "loc", "location"))
+TURN = frozenset(("q", "quat", "quaternion", "rot", "rotation", "orientation", "ori", "att", "attitude"))
+AROUND = frozenset(("pose", "field", "gt", "true", "truth", "groundtruth", "est", "estimate", "estimated", "ref"))
+AROUND |= frozenset(("reference", "world", "map", "odom", "rs", "r", "header", "elapsed", "sim", "ros", "unix", "utc"))
+"""Words that may stand around the name of a column."""
+NANOSECONDS = frozenset(("nsecs", "nsec", "nanosec", "nanosecs", "nanoseconds"))
+"""Beside whole seconds; alone they are the stamp."""
+YAW = frozenset(("theta", "yaw", "heading", "psi", "th"))
+ANGLES = {"roll": "roll", "pitch": "pitch", **dict.fromkeys(YAW, "yaw")}
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "km": 1e3}
+TURNS = {"rad": 1.0, "deg": np.pi / 180.0}
+ALIAS = (
+    {"sec": "s", "secs": "s", "seconds": "s", "second": "s", "msec": "ms", "milliseconds": "ms", "usec": "us"}
+    | {"µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"}
+    | {"degree": "deg", "degrees": "deg", "°": "deg", "radian": "rad", "radians": "rad", "meters": "m", "meter": "m"}
+)
+KNOWN_UNITS = {*DIGITS, *LENGTHS, *TURNS}
+GROUPS = {"p": ("x", "y", "z"), "q": ("qx", "qy", "qz", "qw"), "v": ("vx", "vy", "vz")}
+"""Names of several columns each, as in `# timestamp(s) q p v bg ba` of OpenVINS' states."""
+SHOWN = 6
+"""Most names in a note."""
+WELL_KNOWN: dict[tuple[str, ...], str] = {POSE: "TUM", ("t", "x", "y", "z", "qw", "qx", "qy", "qz"): "EuRoC CSV"}
+PLANAR = ("xx", "xy", "xt", "yy", "yt", "tt")
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Place and unit of each column by its role, names that are not read, and line of the header."""
+
+    place: dict[str, int]
+    unit: dict[str, str]
+    unread: tuple[str, ...]
+    named: int
+    line: int
+    in_data: bool
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """The roles from left to right."""
+        return tuple(sorted(self.place, key=lambda role: self.place[role]))
+
+
+def header_names(text: Text) -> Columns | None:
+    """The columns that a file names; None without a header.
+
+    A comment is a header if it names a column of each field, or mostly columns. DataError if it contradicts the data.
+    """
+    first = text.fields[0]
+    if 2 * sum(is_number(f) for f in first) < len(first):
+        return _columns(text, first, text.line[0], in_data=True)
+    width, separators = len(first), (",", ";") if text.commas else (None, ",")
+    for line, comment in reversed([c for c in text.comments if c[0] < text.line[0] and not c[1].startswith("#%")]):
+        for separator in separators:
+            names = split(comment.lstrip("#% "), separator)
+            names = _glued(names) if separator is None else names
+            if len(names) < 3 or any(set(n) <= {"."} for n in names):
+                continue
+            found = _columns(text, _expanded(names), line, in_data=False)
+            roles = len(found.place)
+            if not {"x", "qx", "qw"} & set(found.place):
+                continue
+            if (found.named == width and roles >= 3) or (roles >= 4 and roles >= 0.6 * found.named):
+                if found.named > width:
+                    what = f"the header names {counted(found.named, 'column')}, the lines have {width}"
+                    raise DataError.at(text.path, f"{what}; a name each is needed", line=line)
+                return found
+    return None
+
+
+def _glued(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names with the units behind them: `tx [m]` is one name."""
+    made: list[str] = []
+    for name in names:
+        if made and re.fullmatch(r"[\[(].*[\])]", name):
+            made[-1] += name
+        else:
+            made.append(name)
+    return tuple(made)
+
+
+def _expanded(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names with groups spelled out, where there are groups of both position and orientation."""
+    if not {"p", "q"} <= set(names):
+        return names
+    cut = next((i for i, n in enumerate(names[1:], 1) if n not in GROUPS), len(names))
+    return tuple(part for n in names[:cut] for part in GROUPS.get(n, (n,)))
+
+
+def _columns(text: Text, names: tuple[str, ...], line: int, *, in_data: bool) -> Columns:
+    place: dict[str, int] = {}
+    unit: dict[str, str] = {}
+    unread = []
+    for j, name in enumerate(names):
+        role, its = role_of(name)
+        if role == "t" and "t" in place and "stamp" in name.lower():  # beside the time of recording
+            unread.append(names[place.pop("t")])
+            unit.pop("t", None)
+        elif role == "t" and "t" in place:
+            role = ""
+        if role in place:
+            what = f"{names[place[role]]!r} and {name!r} both name {role}; one of them is needed"
+            raise DataError.at(text.path, what, line=line)
+        if role:
+            place[role] = j
+            if its:
+                unit[role] = its
+        elif name:
+            unread.append(name)
+    if "nanoseconds" in place and "t" not in place:
+        place["t"], unit["t"] = place.pop("nanoseconds"), "ns"
+    return Columns(place, unit, tuple(unread), len(names), line, in_data)
+
+
+def role_of(name: str) -> tuple[str, str]:
+    """Role of a column by its name, and its unit; empty where unknown."""
+    bare = name.strip().strip("\"'").lstrip("#%").strip()
+    if found := re.fullmatch(r"([cC]ov(?:ariance)?|.*\.covariance|.*_covariance)[\[_.]?(\d+)\]?", bare):
+        return f"f{int(found[2])}", ""
+    if re.fullmatch(r"P[rt][1-3][1-3]", bare):
+        return bare, ""
+    unit = ""
+    if found := re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]", bare):
+        bare, unit = found[1], _unit(found[2]) or found[2].strip()
+    words = [w for w in re.split(r"[^a-z0-9µ°]+", re.sub(r"(?<=[a-z])(?=[A-Z])", "_", bare).lower()) if w]
+    if len(words) > 1 and words[-1] not in STAMP | set("xyzwt") and _unit(words[-1]):
+        unit = unit or _unit(words.pop())
+    if words and words[-1] in NANOSECONDS and set(words[:-1]) - AROUND <= STAMP:
+        return "nanoseconds", ""
+    if len(words) > 1 and words[-1] in ("s", "ms", "us", "ns") and words[-2] in STAMP:
+        unit = unit or words.pop()
+    if not words:
+        return "", ""
+    last, rest = words[-1], words[:-1]
+    around = set(rest) - AROUND
+    if last in STAMP and around <= STAMP:
+        return "t", unit
+    if last in ANGLES and around <= TURN | {"euler", "angle"}:
+        return ANGLES[last], unit
+    if found := re.fullmatch(r"(?:c|cov)(x|y|t|theta|yaw|heading)(x|y|t|theta|yaw|heading)", "".join(words)):
+        pair = [c if c in "xy" else "t" for c in found.groups()]
+        return f"c_{''.join(sorted(pair, key='xyt'.index))}", ""
+    if found := re.fullmatch(r"(?:c|p|cov)([1-6])([1-6])", "".join(words)):
+        return f"c{found[1]}{found[2]}", ""
+    if last in tuple("wxyz") and around & TURN and around <= TURN | PLACE:
+        return f"q{last}", ""
+    if (found := re.fullmatch(r"(?:q|quat)([wxyz])", last)) and around <= TURN:
+        return f"q{found[1]}", ""
+    if last in tuple("xyz") and around <= PLACE:
+        return last, unit
+    if (found := re.fullmatch(r"(?:t|p|pos)([xyz])", last)) and not around:
+        return found[1], unit
+    return "", ""
+
+
+def _unit(word: str) -> str:
+    low = word.strip().lower()
+    low = ALIAS.get(low, low)
+    return low if low in KNOWN_UNITS else ""
+
+
+def read_named(text: Text, manner: Manner, columns: Columns) -> GivenPath:
+    """The trajectory of named columns, in space if there is a z or more than a heading, else in the plane."""
+    place = columns.place
+    body = text.without_header() if columns.in_data else text
+    if not body.fields:
+        raise DataError.at(text.path, "a header and no pose; at least one is needed")
+    quaternion = [q for q in POSE[4:] if q in place]
+    for role in ("t", "x", "y", *(POSE[4:] if quaternion else ())):
+        if role not in place:
+            what = f"the header names no column {role}: {', '.join(columns.order) or 'none'} are known"
+            raise DataError.at(text.path, f"{what}; docs/results-files.md lists the names", line=columns.line)
+    if not quaternion and "yaw" not in place:
+        what = "the header names no orientation; qx, qy, qz, qw or yaw is needed"
+        raise DataError.at(text.path, what, line=columns.line)
+    names = [f"column {j + 1}" for j in range(columns.named)]
+    for role, j in place.items():
+        names[j] = role
+    rows = _values(body, names, columns)
+    value = {role: rows[:, j] for role, j in place.items()}
+    for role, lengths in (
+        ("x", LENGTHS),
+        ("y", LENGTHS),
+        ("z", LENGTHS),
+        *((a, TURNS) for a in ("roll", "pitch", "yaw")),
+    ):
+        if role in value:
+            usual = "m" if lengths is LENGTHS else manner.angles or "rad"
+            unit = columns.unit.get(role, usual)
+            if unit not in lengths:
+                what = f"unit {unit!r} of {role}; one of {', '.join(lengths)} is needed"
+                raise DataError.at(text.path, what, line=columns.line)
+            value[role] = value[role] * lengths[unit]
+    if "nanoseconds" in value:
+        value["t"] = value["t"] + 1e-9 * value["nanoseconds"]
+    unread = [*columns.unread[:SHOWN], *(["..."] if len(columns.unread) > SHOWN else [])]
+    notes = (f"columns not read: {', '.join(unread)}",) if unread else ()
+    unit_of_time = "s" if "nanoseconds" in value else columns.unit.get("t")
+    if unit_of_time is not None and unit_of_time not in DIGITS:
+        raise DataError.at(
+            text.path, f"unit {unit_of_time!r} of t; one of {', '.join(DIGITS)} is needed", line=columns.line
+        )
+    if quaternion or "z" in place or "roll" in place or "pitch" in place:
+        return _spatial(body, columns, value, rows, manner, notes, unit_of_time)
+    return _planar(body, columns, value, manner, notes, unit_of_time)
+
+
+def _values(body: Text, names: list[str], columns: Columns) -> Array:
+    """Numbers of the columns that are read; the others may hold anything."""
+    wanted = sorted(columns.place.values())
+    rest = tuple(range(columns.named, columns.named + len(TRIANGLE)))
+    wide = len(body.fields[0]) == columns.named + len(TRIANGLE) and not columns.in_data
+    for line, fields in zip(body.line, body.fields, strict=True):
+        if len(fields) < columns.named or (columns.in_data and len(fields) != columns.named):
+            what = f"{len(fields)} fields where the header names {columns.named}"
+            raise DataError.at(body.path, what, line=line)
+    chosen = [*wanted, *(rest if wide else ())]
+    part = Text(
+        body.path,
+        tuple(tuple(f[j] if j < len(f) else "" for j in chosen) for f in body.fields),
+        body.line,
+        (),
+        body.commas,
+    )
+    labels = [*(names[j] for j in wanted), *(TRIANGLE if wide else ())]
+    found = numbers(part, labels, blank=True, huge=("t",))
+    rows = np.full((len(found), max(len(body.fields[0]), columns.named)), np.nan)
+    rows[:, chosen] = found
+    return rows
+
+
+def _spatial(
+    body: Text,
+    columns: Columns,
+    value: dict[str, Array],
+    rows: Array,
+    manner: Manner,
+    notes: tuple[str, ...],
+    unit: str | None,
+) -> GivenPath:
+    zero = np.zeros(len(rows))
+    if "qw" in value:
+        q = np.column_stack([value[name] for name in POSE[4:]])
+    else:
+        R = from_angles(value.get("roll", zero), value.get("pitch", zero), value["yaw"])
+        q = _quaternions(R)
+    pose = np.column_stack([value["t"], value["x"], value["y"], value.get("z", zero), q])
+    C: Array | None = None
+    frame, stated = LOCAL, Stated()
+    if all(b in value for b in BLOCKS):
+        C = of_blocks(*(np.column_stack([value[b] for b in half]) for half in (BLOCKS[:6], BLOCKS[6:])))
+        frame, stated = MIXED, Stated(convention=True, order=True)
+    elif all(f"f{k}" in value for k in range(36)):
+        C, more = full(np.column_stack([value[f"f{k}"] for k in range(36)]), body.place)
+        frame, stated, notes = WORLD, Stated(order=True), notes + more
+    elif all(c in value for c in TRIANGLE):
+        C = symmetric(np.column_stack([value[c] for c in TRIANGLE]), lower=True)
+    elif all(f"{c[0]}{c[2]}{c[1]}" in value for c in TRIANGLE):
+        C = symmetric(np.column_stack([value[f"{c[0]}{c[2]}{c[1]}"] for c in TRIANGLE]), lower=True)
+    elif rows.shape[1] == columns.named + len(TRIANGLE) and not columns.in_data:
+        C = symmetric(rows[:, columns.named :], lower=True)
+    kind = WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}")
+    t = columns.place["t"]
+    path = path_of(body, kind, pose, C, manner, frame=frame, stated=stated, unit=unit, column=t, notes=notes)
+    if "qw" in value or "yaw" in columns.unit or manner.angles is not None:
+        return path
+    time, _ = times_of(body, value["t"], manner, unit=unit, column=t)
+    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    rows_kept = known[np.searchsorted(time[known], path.time, side="right") - 1]
+    return replace(path, headings=value["yaw"][rows_kept])
+
+
+def _quaternions(R: Array) -> Array:
+    """Quaternions x, y, z, w (n, 4) of rotation matrices (n, 3, 3); NaN for NaN."""
+    from data.se3 import log_rotation
+
+    phi = log_rotation(np.where(np.isfinite(R), R, np.eye(3)))
+    half = 0.5 * np.linalg.norm(phi, axis=1, keepdims=True)
+    q = np.column_stack([0.5 * phi * np.sinc(half / np.pi), np.cos(half)])
+    q[~np.isfinite(R).all(axis=(1, 2))] = np.nan
+    return q
+
+
+def _planar(
+    body: Text, columns: Columns, value: dict[str, Array], manner: Manner, notes: tuple[str, ...], unit: str | None
+) -> GivenPath:
+    time, clock = times_of(body, value["t"], manner, unit=unit, column=columns.place["t"])
+    rows = np.column_stack([value["x"], value["y"], wrap_angle(value["yaw"])])
+    scale = {"cm": 1e-2, "mm": 1e-3}.get(manner.lengths or "m", 1.0)
+    rows[:, :2] *= scale
+    known = np.isfinite(rows).all(axis=1) & np.isfinite(time)
+    if not known.any():
+        raise DataError.at(body.path, f"each of {len(rows)} poses has a NaN; at least one without is needed")
+    if not known.all():
+        notes += (f"{int((~known).sum())} of {len(rows)} poses have a NaN and are left out",)
+    P = None
+    if all(f"c_{c}" in value for c in PLANAR):
+        P, more = known_only(symmetric(np.column_stack([value[f"c_{c}"] for c in PLANAR])))
+        notes += more
+    keep = np.flatnonzero(known)
+    keep = keep[in_order(time[keep])]
+    if P is not None:
+        turn = TURNS[columns.unit.get("yaw", manner.angles or "rad")]
+        P = P[keep] * np.outer([scale, scale, turn], [scale, scale, turn])
+        require_covariances(P, lambda k: body.place(int(keep[k])))
+    kind = f"columns {', '.join(columns.order)}, {clock.words}"
+    frame = "" if P is None else WORLD
+    raw = None if "yaw" in columns.unit or manner.angles is not None else value["yaw"][keep]
+    return GivenPath(str(body.path), kind, time[keep], rows[keep], P, frame, notes=notes, clock=clock, headings=raw)
+
 
 PLAIN = Manner()
 ACCEPTED = (

@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.convert.__main__ import main, parser
-from data.convert.again import flags_of, mended
+from data.convert.__main__ import flags_of, main, mended, parser
 from data.convert.mrclam import CALIBRATION
 from data.errors import DataError
 from data.formats.mrclam.calibration import FROZEN, Calibration

@@ -9,8 +9,7 @@ import slamref
 from data import se2
 from data.convert.__main__ import main
 from data.errors import DataError
-from data.formats.bearings import triangulate
-from data.formats.g2o import log_of, read_graph
+from data.formats.g2o import log_of, read_graph, triangulate
 from eval.replay.settings import Setup
 from eval.studies.twins import source_of, twin
 

@@ -10,9 +10,8 @@ import numpy as np
 import pytest
 
 from data.convert import recordings
+from data.convert.__main__ import again, parser
 from data.convert.__main__ import main as convert
-from data.convert.__main__ import parser
-from data.convert.again import again
 from data.errors import DataError, UsageError
 from data.formats.recordings.beams import on_one_set
 from data.formats.recordings.carmen import largest_range, load_carmen
