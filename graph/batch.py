@@ -47,19 +47,20 @@ def smooth(
     *,
     loss: str = "gaussian",
     rejected: Rejected = NONE_REJECTED,
+    with_shares: bool = False,
 ) -> Smoothed:
     """Maximum a posteriori path (and map): a minimum reached from `start`.
 
     Inputs with a map: localization, decisions (M,) are map ids or `DISCARD`; landmarks of an uncertain map are
     estimated. Without: SLAM, decisions are landmark
     numbers, `NEW` or `DISCARD`, and `created` (M,) is the number of the landmark an observation initialized (-1: none).
-    `loss`: gaussian, huber or cauchy, on measurements only; fixes and closures are such. Raises `UnderConstrained`
-    (`NotConvergedError` if no minimum was reached), and DataError for a singular covariance.
+    `loss`: gaussian, huber or cauchy, on measurements only; fixes and closures are such. `with_shares`: see `optimize`.
+    Raises `UnderConstrained` (`NotConvergedError` if no minimum was reached), and DataError for a singular covariance.
     """
     if loss not in LOSSES:
         raise ValueError(f"loss {loss!r}; known: {', '.join(LOSSES)}")
     problem = build(inputs, decisions, created, loss, rejected)
-    return optimize(problem, start_values(problem, start), loss=loss)
+    return optimize(problem, start_values(problem, start), loss=loss, with_shares=with_shares)
 
 
 def landmark_starts(known: LandmarkMap | None) -> Array:

@@ -1,4 +1,4 @@
-"""Innovations of fixes and closures after all data: each against what all others say together.
+"""Innovations of fixes and closures after all data: each against what all others say together; what observations leave.
 
 The innovation of a measurement against the estimate without it follows from its residual at the optimum. With whitened
 Jacobian A, residual e and covariance P of the estimate, M = A P A' is the share of the measurement in its own fit; the
@@ -66,6 +66,23 @@ def innovations(
     white[~checked] = np.nan
     fixes = [i for i, p in enumerate(factors) if not p.closure]
     return _of(factors, fixes, white), _of(factors, two, white)
+
+
+def left_by(A: Array, covariance: Array, pairs: IntArray, across: Array) -> Array:
+    """Eigenvalues (m, 2), ascending, of I - M for observations of both coordinates: variances of their residuals at the
+    optimum, over those of their noise. Constant systematic errors count as known.
+
+    Args:
+        A: (m, 3, 6) of pose and landmark, whitened.
+        covariance: (V, 3, 3) of all variables; of the first as of `Linearizer`.
+        pairs: (m, 2) the variables; a known landmark is -1.
+        across: (m, 3, 3) between them.
+    """
+    P = np.zeros((len(A), 6, 6))
+    P[:, :3, :3], P[:, :3, 3:], P[:, 3:, :3] = covariance[pairs[:, 0]], across, across.transpose(0, 2, 1)
+    P[:, 3:, 3:] = np.where((pairs[:, 1] >= 0)[:, None, None], covariance[pairs[:, 1]], 0.0)
+    M = A[:, :2] @ P @ A[:, :2].transpose(0, 2, 1)
+    return np.asarray(np.clip(np.linalg.eigvalsh(np.eye(2) - 0.5 * (M + M.transpose(0, 2, 1))), 0.0, 1.0))
 
 
 def _of(factors: Sequence[PoseFactor], some: Sequence[int], white: Array) -> PoseInnovations | None:

@@ -21,7 +21,7 @@ from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array, covariances_in_world
 from graph.anderson import extended, mixture
 from graph.factors import UnderConstrained, pose_array
-from graph.leave_one_out import innovations, pairs_of
+from graph.leave_one_out import innovations, left_by, pairs_of
 from graph.problem import Problem
 from graph.qr.calibrated import results_in_world
 from graph.qr.elimination import Rows, Triangle, eliminate
@@ -67,6 +67,8 @@ class Smoothed:
     fixes: PoseInnovations | None = None  # of each by itself, against all other data; None: there are none
     closures: PoseInnovations | None = None
     gated: tuple[float, float] | None = None  # mean and variance of chi-square per dof, if measurements were truncated
+    # (m, 2) variances of the residuals of observations over those of their noise, principal ones; None: see `optimize`
+    residual_share: Array | None = None
 
     @property
     def total_nis(self) -> tuple[float, int] | None:
@@ -89,10 +91,11 @@ def _suspect(error: float, problem: Problem) -> bool:
     return 2.0 * error > SUSPECT * max(problem.dof, 1)
 
 
-def optimize(problem: Problem, start: gtsam.Values, *, loss: str = "gaussian") -> Smoothed:
+def optimize(problem: Problem, start: gtsam.Values, *, loss: str = "gaussian", with_shares: bool = False) -> Smoothed:
     """Minimize from `start`; if that fails, also by way of looser increments, and take the lowest minimum.
 
-    `loss` names the loss of the problem's factors.
+    `loss` names the loss of the problem's factors; `with_shares`: of points observed in both coordinates, the shares of
+    their noise that residuals keep.
 
     Raises:
         UnderConstrained: naming a variable that the data do not determine.
@@ -119,7 +122,7 @@ def optimize(problem: Problem, start: gtsam.Values, *, loss: str = "gaussian") -
                 best = other
             if best.solution.length < short:
                 break
-    return _smoothed(problem, linearizer, best, iterations, loss)
+    return _smoothed(problem, linearizer, best, iterations, loss, with_shares=with_shares)
 
 
 def _descend(linearizer: Linearizer, values: gtsam.Values, *, enough: float = STEP) -> _Found:
@@ -203,11 +206,18 @@ def _searched(problem: Problem, values: gtsam.Values, optimizer: Any, parameters
     return found
 
 
-def _smoothed(problem: Problem, linearizer: Linearizer, found: _Found, iterations: int, loss: str) -> Smoothed:
+def _smoothed(
+    problem: Problem, linearizer: Linearizer, found: _Found, iterations: int, loss: str, *, with_shares: bool
+) -> Smoothed:
     """The end of a search with covariances. Raises `NotConvergedError` if it is no optimum."""
     n = linearizer.frames
     ties = pairs_of(problem.pose_factors)
-    covariance, across = covariances(found.rows, linearizer.structure, found.triangle, found.solution, ties)
+    blocks = n + np.arange(len(problem.observations) if with_shares else 0)
+    seen = found.rows.variable[blocks, :2]
+    pairs = np.concatenate([ties, seen])
+    covariance, across = covariances(found.rows, linearizer.structure, found.triangle, found.solution, pairs)
+    kept = left_by(found.rows.A[blocks, :, :6], covariance, seen, across[len(ties) :]) if with_shares else None
+    across = across[: len(ties)]
     fixes, closures = innovations(problem.pose_factors, found.rows, linearizer.of_poses, covariance, across, loss)
     root = linearizer.first(found.values)[2]
     covariance[0] = root @ covariance[0] @ root.T
@@ -239,7 +249,9 @@ def _smoothed(problem: Problem, linearizer: Linearizer, found: _Found, iteration
     else:
         path, state, systematic = results_in_world(c, c.errors(found.values), found.solution, pose, covariance, state)
     effort = iterations, last_step, _suspect(found.error, problem), loss != "gaussian"
-    return Smoothed(path, state, 2.0 * found.error, problem.dof, *effort, systematic, fixes, closures)
+    return Smoothed(
+        path, state, 2.0 * found.error, problem.dof, *effort, systematic, fixes, closures, residual_share=kept
+    )
 
 
 def _on_the_robot(problem: Problem, values: gtsam.Values) -> str:

@@ -10,14 +10,19 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
-from association.appearance import Looks
+from association.appearance import Evidence, Looks
 from association.expectation import Expectation, gate_threshold
 from association.methods import gnn
+from association.truncated import NOTHING, of_places
 from data.inputs import IntArray, LandmarkMap, Observations
+from data.result import CHI_SQUARE
 from data.se2 import Array, BoolArray
 from data.sensors import Sensor
 from eval.replay.hindsight import constants
+
+ANGLES = 16  # directions of a residual over which its tails are averaged
 
 
 class Reassociation(NamedTuple):
@@ -40,6 +45,45 @@ def noise_share(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observati
     d2 = _distances(sensor, pose, known, seen, number, rows)
     share = float(np.quantile(d2, constants.REASSOCIATION_QUANTILE)) / gate_threshold(constants.REASSOCIATION_QUANTILE)
     return max(share, constants.LEAST_SCALE)
+
+
+def nis_left(
+    residual_share: Array, number: IntArray, dof: int, gate: float | None, right: Evidence = NOTHING
+) -> tuple[float, float]:
+    """Mean and variance per degree of freedom of a smoother's chi-square, of observations that passed two gates.
+
+    The final gate g is a multiple of `noise_share`, the size that residuals have, so it is as wide in their sigmas
+    whatever the noise. Let x, chi-square with 2 dof, be what leaving an observation out takes from the cost, and l the
+    principal shares of the noise in its residual. At an angle f its residual has the square x (l1 cos^2 f + l2 sin^2 f)
+    if it is used, and x (cos^2 f / l1 + sin^2 f / l2) if it is not (Cook and Weisberg 1982, section 2.2). What was used
+    stays, and what the online gate c refused returns, if this is below g. If innovations online and in the end are the
+    same, the limit of x is c, but between these two. They are not quite, so a little less is left out.
+
+    Args:
+        residual_share: (m, 2) principal l of the observations used, as of `graph.optimum.Smoothed`.
+        number: landmark (M,) of every observation, of which m have one.
+        dof: of the smoother.
+        gate: probability of the online gate, None for none.
+        right: what appearance adds to the test of a right pairing.
+    """
+    times = np.bincount(number[number >= 0], minlength=1)
+    angle = np.pi * (np.arange(ANGLES) + 0.5) / ANGLES
+    axes, least = np.stack([np.cos(angle) ** 2, np.sin(angle) ** 2]), np.maximum(residual_share, constants.LEAST_SCALE)
+    share, refused = least @ axes, (1.0 / least) @ axes
+    often = share[times[number[number >= 0]] >= constants.REASSOCIATION_OBSERVATIONS]
+    if not len(often) or dof <= 0:
+        return CHI_SQUARE
+    beyond = 1.0 - constants.REASSOCIATION_QUANTILE
+    top = gate_threshold(constants.REASSOCIATION_QUANTILE)
+    quantile = scipy.optimize.brentq(lambda q: np.exp(-0.5 * q / often).mean() - beyond, 0.0, top * (1.0 + 1e-9))
+    final = quantile / top * of_places(constants.REASSOCIATION_GATE, 2, right=right)
+    limit = np.clip(of_places(gate, 2, right=right), final / refused, final / share)
+    out = np.exp(-0.5 * limit)
+    inside = 1.0 - out.mean(axis=1)
+    mean = (2.0 - ((limit + 2.0) * out).mean(axis=1)) / inside
+    variance = (8.0 - ((limit**2 + 4.0 * limit + 8.0) * out).mean(axis=1)) / inside - mean**2
+    checked = residual_share[:, 1] > constants.LEAST_SCALE  # what nothing else says leaves no residual
+    return 1.0 - float((2.0 - mean)[checked].sum()) / dof, 2.0 - float((4.0 - variance)[checked].sum()) / dof
 
 
 def squares(sensor: Sensor, pose: Array, known: LandmarkMap, seen: Observations, number: IntArray) -> float:

@@ -45,7 +45,7 @@ class Smoothed(NamedTuple):
     sensor: without its systematic errors; pose (N, 3), known: path and map; seen: observations (M) with the noise as
     stated or estimated before the log; found: final decisions; share: variance of observations over that noise;
     motion: chi-square of prior and odometry; opportunities: of each landmark, by number; start: all estimates, to
-    smooth again from.
+    smooth again from; gated: mean and variance of NIS per degree of freedom to expect (`final_association.nis_left`).
     """
 
     sensor: Sensor
@@ -57,6 +57,7 @@ class Smoothed(NamedTuple):
     motion: float
     opportunities: dict[int, bytes]
     start: Start
+    gated: tuple[float, float]
 
     @property
     def times(self) -> tuple[IntArray, IntArray]:

@@ -91,7 +91,7 @@ class HindsightMapper:
         self.lost = Lost(self.ledger)  # plausibility of the map; decides nothing
         self.folded: list[int] = []  # frames in which landmarks of a folded map were last seen
         self.poses = PoseMeasurements(given, self.filters, self.filters, setup.gate_poses)
-        self.whole = WholeLog(given)  # the log, for the final re-association
+        self.whole = WholeLog(given, setup.gate)  # the log, for the final re-association
 
     @property
     def filter(self) -> EkfSlam:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from association.appearance import evidence
-from association.truncated import Acceptance, of_places, truncated_square
+from association.truncated import Acceptance, of_places
 from data.errors import UsageError
 from data.inputs import Frame, IntArray
 from data.notice import Notice
@@ -88,8 +88,8 @@ class MappingFrontEnd(FrontEnd):
         if self.mapper.whole.settled is not None:
             if self.can.amendable is not None:
                 self.can.amendable.amend(*self.mapper.whole.settled)
-            mean, variance = truncated_square(self.mapper.whole.gate)
-            self.gated_final = 0.5 * mean, 0.5 * variance
+            if self.mapper.whole.smoothed is not None:
+                self.gated_final = self.mapper.whole.smoothed.gated
 
     def _retract(self, numbers: IntArray) -> None:
         if len(numbers):

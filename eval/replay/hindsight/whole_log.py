@@ -12,7 +12,6 @@ import numpy as np
 from association.appearance import Looks, evidence
 from association.candidates import narrower
 from association.expectation import SingularInnovationError, gate_threshold
-from association.truncated import of_places
 from data.appearance import joined
 from data.errors import DataError
 from data.inputs import Frame, FrameObservations, Increments, Inputs, IntArray, LandmarkMap, Observations, Systematic
@@ -23,7 +22,7 @@ from data.se2 import Array
 from data.sensors import Sensor
 from ekf.filter import FilterDivergedError
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.final_association import Reassociation, noise_share, reassociate, squares
+from eval.replay.hindsight.final_association import Reassociation, nis_left, noise_share, reassociate, squares
 from eval.replay.hindsight.floor import Smoothed, likelier, observed_again, plain, renumbered
 from eval.replay.hindsight.noise import Restated, with_shares
 from eval.replay.hindsight.opportunities import recounted
@@ -38,16 +37,16 @@ from graph.factors import UnderConstrained
 class WholeLog:
     """All frames of a log with their online poses."""
 
-    def __init__(self, given: Given) -> None:
+    def __init__(self, given: Given, gate: float | None) -> None:
+        """`gate`: of the online decisions."""
         self.managed = False  # landmarks left the map by rules of the setup, so their observations are unknown
         self.failed: Notice | None = None  # why nothing was re-associated
         # frames (m,), observations, landmarks (m,)
         self.settled: tuple[IntArray, FrameObservations, IntArray] | None = None
-        self.gate = math.inf  # squared distance under the noise as `restated` beyond which nothing was re-associated
         self.smoothed: Smoothed | None = None  # the final decisions
         self.odds = -math.inf  # log odds of the decisions of `jcbb` against those in hindsight
         self.poses = PoseRecords(given.fixes, given.closures)  # which of them the mapper's filter used
-        self._given, self._view = given, given.sensor
+        self._given, self._view, self._gate = given, given.sensor, gate
         self._frames: list[Frame] = []
         self._loosened: dict[int, Array] = {}
         self._path: list[Array] = []
@@ -88,7 +87,7 @@ class WholeLog:
         except (DataError, UnderConstrained) as stop:  # what a filter can use may be singular for a smoother
             self.failed = notice(Code.NO_REASSOCIATION, text=str(stop))
             return None
-        return self._settled_gate(self.smoothed)
+        return self.smoothed.found
 
     def plain(self, setup: Setup, most: int, restated: Restated, systematic: Systematic | None) -> Reassociation | None:
         """The decisions of `jcbb` with the numbers of recorded landmarks, where these are likelier.
@@ -113,7 +112,7 @@ class WholeLog:
         if self.odds < constants.PLAIN_ODDS:
             return None
         named = renumbered(other.found, self.smoothed.found.number)
-        return self._settled_gate(self._renamed(other, named))
+        return self._renamed(other, named).found
 
     def _renamed(self, s: Smoothed, named: Reassociation) -> Smoothed:
         """With the landmarks' new numbers; those without are no part of the map."""
@@ -124,10 +123,6 @@ class WholeLog:
         known = LandmarkMap(number, s.known.positions(former))
         self.smoothed = s._replace(known=known, found=named, opportunities=looks)
         return self.smoothed
-
-    def _settled_gate(self, s: Smoothed) -> Reassociation:
-        self.gate = s.share * of_places(constants.REASSOCIATION_GATE, 2, right=evidence(s.seen.appearance))
-        return s.found
 
     def _smooth(
         self, number: IntArray, path: Array, known: LandmarkMap, restated: Restated, systematic: Systematic | None
@@ -165,8 +160,9 @@ class WholeLog:
         """Smooth and re-associate, with the landmarks as they are."""
         log = self._inputs(restated, systematic)
         out = Rejected(self.poses.fixes.rejected, self.poses.closures.rejected)
-        found = smooth(log, number, np.full(len(number), -1), start, rejected=out)
+        found = smooth(log, number, np.full(len(number), -1), start, rejected=out, with_shares=True)
         assert found.map is not None
+        assert found.residual_share is not None
         places = start.landmark.copy()
         places[found.map.number] = found.map.xy
         again = Start(found.trajectory.pose, places, None if found.systematic is None else found.systematic.mean)
@@ -181,7 +177,8 @@ class WholeLog:
         scaled = Observations(seen.frame, seen.z, share * seen.R, appearance=seen.appearance)
         paired = reassociate(sensor, pose, known, scaled, _looks(seen, number))
         looks = recounted(narrower(sensor, self._view), pose, known, scaled, paired.number)
-        return Smoothed(sensor, pose, known, seen, paired, share, motion, looks, again)
+        gated = nis_left(found.residual_share, number, found.dof, self._gate, evidence(seen.appearance))
+        return Smoothed(sensor, pose, known, seen, paired, share, motion, looks, again, gated)
 
     @property
     def opportunities(self) -> dict[int, bytes]:

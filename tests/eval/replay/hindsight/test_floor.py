@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 from data.inputs import LandmarkMap, Observations
 from data.notice import Code
-from data.result import DISCARD
+from data.result import CHI_SQUARE, DISCARD
 from data.sensors import RelativePoint
 from data.worlds.registry import named_log
 from eval.referee.confusion import confuse
@@ -45,6 +45,7 @@ def decided(number, z, xy, looks=None, motion=0.0, share=1.0):
         motion,
         looks or dict.fromkeys(ids.tolist(), SEEN),
         Start(np.zeros((m, 3)), known.xy),
+        CHI_SQUARE,
     )
 
 
