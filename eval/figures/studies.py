@@ -197,52 +197,6 @@ def _scale(ax: Axes, values: Array) -> None:
         ax.yaxis.set_major_locator(ticks(5))
 
 
-COLOURS = ("#0072B2", "#D55E00")
-"""Of the test and of the other one (Okabe and Ito)."""
-COLUMNS = 4
-
-
-@dataclass(frozen=True)
-class FaultPower:
-    """One fault: its sizes in words from small to large, and the shares [%] of logs in which each test sees it."""
-
-    fault: str
-    sizes: tuple[str, ...]
-    share: tuple[float, ...]
-    error: tuple[float, ...]
-    other: tuple[float, ...]
-
-
-@drawing()
-def power_figure(faults: Sequence[FaultPower], tests: tuple[str, str], level: float, title: str) -> Figure:
-    """A panel for each fault: share [%] of the logs in which each test sees it, against its size, not to scale.
-
-    `level`: share [%] of the first test on logs without a fault, as it should be.
-    """
-    most = across(COLUMNS)
-    rows = max(-(-len(faults) // most), 1)
-    fig = Figure(figsize=(page_width(), 0.7 + 1.35 * rows))
-    axes = fig.subplots(rows, most, sharey=True, squeeze=False).ravel()
-    for ax, f in zip(axes, faults, strict=False):
-        place = range(len(f.sizes))
-        ax.axhline(level, color="#505050", linewidth=0.6, linestyle="--", zorder=1.5)
-        own, other = ({"color": c, "marker": m, "label": t} for c, m, t in zip(COLOURS, "os", tests, strict=True))
-        ax.errorbar(place, f.share, f.error, markersize=3.5, elinewidth=0.8, **own)
-        ax.plot(place, f.other, markersize=3.5, markerfacecolor="white", zorder=1.8, **other)
-        ax.set_xticks(place, f.sizes)
-        ax.set_xlim(-0.4, len(f.sizes) - 0.6)
-        ax.set_ylim(-6.0, 106.0)
-        ax.set_title(f.fault, loc="left")
-    for ax in axes[len(faults) :]:
-        ax.set_visible(False)
-    for ax in axes[::most]:
-        ax.set_ylabel("logs [%]")
-    fig.suptitle(title, x=0.01, ha="left")
-    handles, labels = axes[0].get_legend_handles_labels()
-    fig.legend(handles, labels, loc="outside lower center", ncols=2)
-    return fig
-
-
 SHADE = "#F2F2F2"
 
 

@@ -22,7 +22,6 @@ from eval.plan.progress import say_kept
 from eval.plan.results import with_results
 from eval.plan.tutorials import ABOUT, tutorial_run, variant_log
 from eval.plan.unfinished import MISSING_RUN, Unfinished, estimate, estimate_one, incomplete, wanted
-from eval.plan.validation import validated
 from eval.plan.work import Job, work
 from eval.referee.score import Trial
 from eval.studies import store
@@ -30,7 +29,6 @@ from eval.studies.diagnosis import Trust
 from eval.studies.montecarlo import Study, one_run, study_of
 from eval.studies.reproduced import published_rows, replay_stored
 from eval.studies.scenario import Scenario
-from eval.studies.validation import Examined, Validation, cases
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,6 @@ class Outcome:
         published: rows of published.csv.
         skipped: messages about work that could not be done.
         trust: consistency of each log without ground truth, per association method.
-        validations: studies of the battery, with their results.
         calibrations: logs with estimated systematic errors.
         missing: results missing for lack of memory.
     """
@@ -85,7 +82,6 @@ class Outcome:
     published: tuple[Mapping[str, object], ...] = ()
     skipped: tuple[str, ...] = ()
     trust: tuple[Trust, ...] = ()
-    validations: tuple[tuple[Validation, tuple[Examined, ...]], ...] = ()
     calibrations: tuple[Calibration, ...] = ()
     missing: tuple[Notice, ...] = ()
 
@@ -113,13 +109,12 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         *(Job(Seeded(*key), one_run, (s, key[1])) for key, s in seeds.items() if Seeded(*key) not in done),
     ]
     say_kept(len(done), len(seeds), execution.quiet)
-    later = sum(len(cases(study, options.study.seed)) for study in plan.validations)
-    progress(0, len(jobs) + later)
+    progress(0, len(jobs))
     for count, (owner, result) in enumerate(_finished(jobs, execution, lost), start=1):
         done[owner] = result
         if isinstance(owner, Seeded):
             store.save(folders[owner.study], owner.seed, result)
-        progress(count, len(jobs) + later)
+        progress(count, len(jobs))
     trials = _trials(experiments, done, execution, lost, watched=watched)
     calibrations = examine(calibrations, experiments, trials, execution, lost)
 
@@ -127,7 +122,6 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         progress(len(jobs) + count, len(jobs) + of)
 
     trust = trusted(experiments, trials, options, lost, more)
-    tested = validated(plan.validations, options, lost, more)
     for missing, why in lost.jobs.items():
         match missing:
             case Seeded(i, seed):
@@ -152,7 +146,6 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         ),
         skipped=plan.skipped,
         trust=trust,
-        validations=tested,
         calibrations=calibrations,
         missing=tuple(lost.messages),
     )

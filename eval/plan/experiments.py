@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from association.decide import METHODS
@@ -30,10 +30,8 @@ from eval.plan.variants import has_depth_noise, maintained, sparser, with_depth_
 from eval.replay.estimators import FOR_SEVERAL, FOR_WALLS, NO_HINDSIGHT_OF_SEVERAL, NO_HINDSIGHT_OF_WALLS
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import HINDSIGHT
-from eval.studies.diagnosis import FEWEST
 from eval.studies.scenario import Scenario, load_scenario
 from eval.studies.shipped import scenarios
-from eval.studies.validation import Validation, load_validation
 
 DEFAULT_RUNS = 50
 QUICK_FRAMES = 1000  # of each log, in a quick report
@@ -47,7 +45,6 @@ class Plan:
         studies: scenarios to simulate, with their numbers of runs.
         stored: scenarios that replay a recording, with their files.
         skipped: messages about work that cannot be done.
-        validations: studies of the battery.
         given: results of other programs and their truth.
     """
 
@@ -55,7 +52,6 @@ class Plan:
     studies: tuple[tuple[Scenario, int], ...]
     stored: tuple[tuple[Scenario, Path], ...] = ()
     skipped: tuple[str, ...] = ()
-    validations: tuple[Validation, ...] = ()
     given: Asked = NOTHING
 
 
@@ -134,13 +130,9 @@ def _scenarios(options: Options) -> Plan:
     if options.study.runs == 0:
         raise UsageError("--runs 0: a scenario needs at least one run")
     studies: list[tuple[Scenario, int]] = []
-    stored, skipped, validations = [], [], []
+    stored, skipped = [], []
     names = scenarios() if "all" in asked.scenario else list(asked.scenario)
     for name in names:
-        validation = load_validation(name)
-        if validation is not None:
-            validations.append(_asked(validation, options))
-            continue
         scenario = load_scenario(name)
         if estimators != ALL:
             scenario = scenario.only(estimators)
@@ -154,24 +146,12 @@ def _scenarios(options: Options) -> Plan:
         else:
             runs = options.study.runs or (QUICK_RUNS if options.output.quick else scenario.runs)
             studies += [(part, runs) for part in scenario.parts()]
-    every = [*(s.name for s, _ in [*studies, *stored]), *(v.name for v in validations)]
+    every = [s.name for s, _ in [*studies, *stored]]
     for name in every:
         if [folder_name(n) for n in every].count(folder_name(name)) > 1:
             raise UsageError(f"two scenarios are named {name!r}; rename one (the name stands in its file)")
     introduce_all([text for s, _ in [*studies, *stored] for text in (*(m.name for m in s.members), *s.association)])
-    return Plan((), tuple(studies), tuple(stored), tuple(skipped), tuple(validations))
-
-
-def _asked(study: Validation, options: Options) -> Validation:
-    """A study of the battery with the given number of logs; `--quick`: few logs and twins, the largest faults."""
-    quick = options.output.quick
-    if options.selection.estimator != ALL:
-        raise UsageError(f"--estimator: scenario {study.name} states its own")
-    runs = options.study.runs or (QUICK_RUNS if quick else study.runs)
-    study = replace(study, runs=runs, power_runs=min(runs, study.power_runs))
-    if quick:
-        study = replace(study, power_runs=min(1, study.power_runs), twins=FEWEST, largest=True)
-    return study
+    return Plan((), tuple(studies), tuple(stored), tuple(skipped))
 
 
 def _tasks(log: Log, asked: Selection) -> Sequence[str]:

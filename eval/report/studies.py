@@ -16,167 +16,23 @@ from scipy import special
 from data.log import folder_name
 from data.terminal import counted
 from eval.figures.claims import anees_figure
-from eval.figures.studies import FaultPower, coverage_figure, outlier_figure, power_figure, run_end_figure
+from eval.figures.studies import coverage_figure, outlier_figure, run_end_figure
 from eval.figures.style import save
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.work import Job, work
-from eval.referee import battery
-from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE
-from eval.referee.consistency import CONSISTENT, FAMILY_LEVEL, LEVEL, MIN_RUNS, share_interval
+from eval.referee.consistency import CONSISTENT, FAMILY_LEVEL, LEVEL, MIN_RUNS
 from eval.replay.external.spec import name_of, names_of
 from eval.report import comparison
 from eval.report.page.blocks import Block, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.words import fine_print, paragraph, say
-from eval.studies.broken import BROKEN
-from eval.studies.faults import FAULTS
 from eval.studies.montecarlo import DOF, Judged, Study, consistency_table, failed_declarations, judge_estimators
 from eval.studies.published import mean_of, rms_of
 from eval.studies.reproduced import orderings, published_frame
-from eval.studies.validation import SOUND, Examined, Validation
 
 TableWriter = Callable[[pd.DataFrame, str, str], Table]
 """(frame, name, caption): writes a table in the formats asked for and hands it to the report."""
-CAUSES = (NOISE, ASSOCIATIONS, ESTIMATOR)
-SHARES = ("objected [%]", "95 % interval", "NIS alone [%]", *(f"{cause} [%]" for cause in CAUSES))
-SIZE = ("world", "task", "logs", *SHARES, "failed")
-POWER = ("fault", "size", "logs", "detected [%]", "±", "NIS alone [%]", "right cause [%]", "taken for", "failed")
-TESTS = ("battery", "NIS alone")
-SURE = 0.9
-"""Detected in at least this share of the logs, a fault should be put down to the right cause in `GOAL` of them."""
-GOAL = 0.8
-
-
-def validation_facts(study: Validation, found: Sequence[Examined]) -> dict[str, object]:
-    """The facts of a study of the battery."""
-    sound = [e for e in found if e.fault == SOUND and not e.failure]
-    sure, met = _goal(found)
-    return {
-        "about": study.about,
-        "runs": study.runs,
-        "twins": study.twins,
-        "level": battery.LEVEL,  # family-wise
-        "sound": len(sound),  # logs that are right
-        "objected": sum(e.objected for e in sound),
-        "power": study.power,  # the world with faults
-        "sure": sure,  # faults detected in a share of `detected_in` of the logs
-        "met": met,  # of these, put down to the right cause in a share of `right_in`
-        "detected_in": SURE,
-        "right_in": GOAL,
-    }
-
-
-def validation_section(
-    study: Validation, found: Sequence[Examined], table: TableWriter, figures: Path | None = None
-) -> Section:
-    """Both tables, with what they say in a line each; a figure of the power where `figures` is a folder."""
-    size, power, facts = size_table(study, found), power_table(study, found), validation_facts(study, found)
-    blocks: list[Block] = [say("studies#validation", v=facts), say("studies#sound", v=facts)]
-    blocks.append(table(size, f"{study.name}_size", say("studies#size_caption")))
-    if len(power) > 1:
-        blocks.append(say("studies#goal", v=facts))
-        blocks.append(table(power, f"{study.name}_power", say("studies#power_caption")))
-        if figures is not None:
-            blocks.append(_validation_picture(figures, study, power))
-    heading = f"Scenario {study.name}: what a log says about itself, tested"
-    return Section(heading, tuple(blocks), facts=facts)
-
-
-def _validation_picture(folder: Path, study: Validation, power: pd.DataFrame) -> Picture:
-    stem = f"{study.name}_power"
-    faults = []
-    for name, own in power[power["size"] != ""].groupby("fault", sort=False):
-        shares = (tuple(own[column]) for column in ("detected [%]", "±", "NIS alone [%]"))
-        unit = FAULTS[str(name)].unit if name in FAULTS else ""
-        called = f"{name} [{unit}]" if unit else str(name)
-        faults.append(FaultPower(called, tuple(size.split()[0] for size in own["size"]), *shares))
-    title = f"{study.name}: {study.power_runs} logs of {study.power} for each fault and size"
-    save(power_figure(faults, TESTS, 100.0 * battery.LEVEL, title), folder, stem)
-    alt = "Power of the battery and of NIS against the size of each fault"
-    return Picture(stem, say("studies#power_picture", title=title), alt)
-
-
-def size_table(study: Validation, found: Sequence[Examined]) -> pd.DataFrame:
-    """A row for each world, and one for all."""
-    rows: list[list[object]] = []
-    sound = [e for e in found if e.fault == SOUND]
-    for world in study.worlds:
-        rows.append([world.name, world.task, *_size([e for e in sound if e.world == world.name])])
-    if len(study.worlds) > 1:
-        rows.append(["all", "", *_size(sound)])
-    return pd.DataFrame(rows, columns=list(SIZE))
-
-
-def _size(found: Sequence[Examined]) -> list[object]:
-    good = [e for e in found if not e.failure]
-    n, objected = len(good), sum(e.objected for e in good)
-    lower, upper = share_interval(objected, n)
-    causes = [_percent(sum(e.cause == c for e in good), n) for c in CAUSES]
-    interval = f"{100 * lower:.1f}…{100 * upper:.1f}" if n else ""
-    nis = _percent(sum(e.nis for e in good), n)
-    return [n, _percent(objected, n), interval, nis, *causes, len(found) - n]
-
-
-def power_table(study: Validation, found: Sequence[Examined]) -> pd.DataFrame:
-    """A row for each fault and size, first for logs without any; broken filters last."""
-    rows = [_power("none", "", [e for e in found if e.fault == SOUND and e.world == study.power])]
-    for (fault, size), own in _groups(found).items():
-        unit = FAULTS[fault].unit if fault in FAULTS else ""
-        called = fault if fault in FAULTS else f"filter: {fault}"
-        rows.append(_power(called, f"{size:g} {unit}".rstrip(), own))
-    return pd.DataFrame(rows, columns=list(POWER))
-
-
-def _groups(found: Sequence[Examined]) -> dict[tuple[str, float], list[Examined]]:
-    """Logs by fault and size, in the order of the lists of faults."""
-    every = [(name, size) for faults in (FAULTS, BROKEN) for name, f in faults.items() for size in f.sizes]
-    groups = {key: [e for e in found if (e.fault, e.size) == key] for key in every}
-    return {key: own for key, own in groups.items() if own}
-
-
-def detected(e: Examined) -> bool:
-    """Whether a fault shows: the battery rejects, or the NEES on replicates is off for a broken filter."""
-    return e.objected or (e.convicted and e.fault in BROKEN)
-
-
-def right_cause(fault: str) -> str:
-    """What a fault must be put down to."""
-    return FAULTS[fault].cause if fault in FAULTS else ESTIMATOR
-
-
-def _power(called: str, size: str, found: Sequence[Examined]) -> list[object]:
-    good = [e for e in found if not e.failure]
-    seen = [e for e in good if detected(e)]
-    n = len(good)
-    share = len(seen) / n if n else math.nan
-    error = math.sqrt(share * (1.0 - share) / n) if n else math.nan
-    nis = _percent(sum(e.nis for e in good), n)
-    right, other = math.nan, ""
-    if seen and seen[0].fault != SOUND:
-        cause = right_cause(seen[0].fault)
-        wrong = [e.cause for e in seen if e.cause != cause]
-        right = _percent(len(seen) - len(wrong), len(seen))
-        other = max(sorted(set(wrong)), key=wrong.count) if wrong else ""
-    return [called, size, n, 100.0 * share, 100.0 * error, nis, right, other, len(found) - n]
-
-
-def _goal(found: Sequence[Examined]) -> tuple[int, int]:
-    """Faults that are surely detected, and how many of them are put down to the right cause often enough."""
-    sure, met = 0, 0
-    for (fault, _), own in _groups(found).items():
-        good = [e for e in own if not e.failure]
-        seen = [e for e in good if detected(e)]
-        if seen and len(seen) >= SURE * len(good):
-            sure += 1
-            met += sum(e.cause == right_cause(fault) for e in seen) >= GOAL * len(seen)
-    return sure, met
-
-
-def _percent(hits: int, n: int) -> float:
-    return 100.0 * hits / n if n else math.nan
-
-
 INTERVALS = ("rmse_position_m", "rmse_lower", "rmse_upper", "nees_pose", "nees_lower", "nees_upper")
 OUTLIERS = ("task", "estimator", "rate", *INTERVALS, "runs", "diverged")
 FINE_PRINT = {"-consistency": "Consistency over simulated runs", "-coverage": "Coverage"}
@@ -231,8 +87,7 @@ def study_sections(folder: Path, options: Options, outcome: Outcome, judged: Seq
         return written_table(frame, folder, name, caption, options.output, fine=fine)
 
     plots = None if options.output.no_plots or options.output.quick else folder / "figures"
-    sections = [validation_section(study, found, table, plots) for study, found in outcome.validations]
-    sections += _published(outcome, table)
+    sections = _published(outcome, table)
     if outcome.studies:
         few = any(len(s.seeds) < MIN_RUNS for s in outcome.studies)
         texts = (say("studies#reading"), *([say("studies#few", least=MIN_RUNS)] if few else []))

@@ -33,7 +33,7 @@ from eval.replay.external.spec import (
 from eval.replay.flag import read_values, rows
 from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
 from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
-from eval.studies.shipped import offered, path_of, scenarios
+from eval.studies.shipped import path_of, scenarios
 
 RECORDED = "esde"  # a stored run of others, found through `--data`
 OWN = "own"  # a function of the user's makes the logs
@@ -173,7 +173,9 @@ def load_scenario(name: str) -> Scenario:
     """A shipped scenario by name or any by file. Raises UsageError for an error in it."""
     path = path_of(name)
     if not path.is_file():
-        raise UsageError(f"--scenario {name}: no such file{did_you_mean(name, scenarios())}; shipped: {offered()}")
+        known = scenarios()
+        names = ", ".join((*known, "or all"))
+        raise UsageError(f"--scenario {name}: no such file{did_you_mean(name, known)}; shipped: {names}")
 
     def fault(what: str) -> UsageError:
         return UsageError(f"--scenario {name}: {what}")

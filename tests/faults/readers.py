@@ -25,7 +25,6 @@ from eval.plan.flags.options import read_options
 from eval.plan.flags.table import CONFIGS
 from eval.studies.scenario import load_scenario
 from eval.studies.shipped import path_of
-from eval.studies.validation import load_validation
 from tests.data.conftest import small_files
 from tests.data.formats.lab.handmade import lab
 from tests.data.formats.mrclam import world
@@ -282,11 +281,6 @@ READERS = {
     ),
     "stored run of a study": Reader(
         stored_runs, lambda folder: esde.log_of(esde.load_esde(folder / "results.mat"), "run"), assert_sound
-    ),
-    "TOML of a validation": Reader(
-        lambda: [{"trust.toml": path_of("trust").read_bytes()}],
-        lambda folder: load_validation(str(folder / "trust.toml")),
-        nothing,
     ),
     "TOML of a run": Reader(
         lambda: [{"config.toml": (CONFIGS / "tutorial-step1.toml").read_bytes()}], read_config, nothing

@@ -1,4 +1,4 @@
-"""`python -m tests.research variety|hiding|sensitivity|foreign|audit OUT`: studies too long for the suite.
+"""`python -m tests.research variety|hiding|sensitivity|foreign|diagnosis|audit OUT`: studies too long for the suite.
 
 `variety`, `hiding` and `sensitivity` are those that `jcbb-hindsight` was made with; `foreign` judges headlines and
 causes on worlds of another kind. All write a row a run to a CSV file in OUT; an interrupted study goes on with it.
@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -80,6 +81,14 @@ def parser() -> argparse.ArgumentParser:
         action="store_true",
         help="only the logs with nothing changed: which constants they read, and what the study would cost",
     )
+    diagnosis = studies.add_parser(
+        "diagnosis", help="size and power of the diagnosis without ground truth, to OUT/STUDY_size.csv, STUDY_power.csv"
+    )
+    diagnosis.add_argument("out", metavar="OUT", type=Path)
+    diagnosis.add_argument("--study", choices=("trust", "short"), default="trust", dest="which", help="its worlds")
+    diagnosis.add_argument("--runs", type=int, metavar="N", help="logs of each world, and at most of each fault's size")
+    diagnosis.add_argument("--seed", type=int, metavar="N", default=1000, help="of the first log (default: 1000)")
+    diagnosis.add_argument("--jobs", type=int, metavar="N", default=1, help="logs at a time (default: 1)")
     _foreign_flags(studies.add_parser("foreign", help="headlines and causes on worlds of another kind than our own"))
     return p
 
@@ -107,6 +116,8 @@ def _study(argv: Sequence[str] | None) -> None:
         _hiding(args.out, args.half, args.worlds)
     elif args.study == "foreign":
         _foreign(args)
+    elif args.study == "diagnosis":
+        _diagnosis(args)
     elif args.study == "audit":
         from tests.research import audit
 
@@ -160,6 +171,26 @@ def _foreign(args: argparse.Namespace) -> None:
     faults, shapes = args.fault or list(FAULTS), args.shape or list(SHAPES)
     wanted = causes.cases(faults, shapes, args.each, args.sound, args.association, args.first)
     causes.study(args.out, wanted, args.twins, args.jobs)
+
+
+def _diagnosis(args: argparse.Namespace) -> None:
+    """Judge every log that is not kept in OUT yet; then both tables, and what they say in a line."""
+    from tests.research.diagnosis import tables
+    from tests.research.diagnosis.study import STUDIES, results
+
+    study = STUDIES[args.which]
+    if args.runs is not None:
+        study = replace(study, runs=args.runs, power_runs=min(args.runs, study.power_runs))
+    found = results(study, args.out, args.seed, args.jobs)
+    made = {"size": tables.size_table(study, found)}
+    if study.power_runs:
+        made["power"] = tables.power_table(study, found)
+    for name, table in made.items():
+        table.to_csv(args.out / f"{study.name}_{name}.csv", index=False)
+        print(table.to_string(index=False), flush=True)
+    sure, met = tables.goal(found)
+    seen, right = f"{tables.SURE:.0%}", f"{tables.GOAL:.0%}"
+    print(f"{sure} faults are detected in {seen} of the logs or more; {met} have the right cause in {right} or more")
 
 
 def _sensitivity(args: argparse.Namespace) -> None:

@@ -36,7 +36,7 @@ from eval.replay.flag import (
     whole,
 )
 from eval.replay.settings import ASSOCIATIONS, ESTIMATORS, TASKS, Setup
-from eval.studies.shipped import VALIDATIONS, scenarios
+from eval.studies.shipped import scenarios
 
 FORMATS = ("csv", "md", "tex")
 KNOWN_FORMATS = (*FORMATS, "pdf")
@@ -119,8 +119,7 @@ class Selection:
     )
     scenario: tuple[str, ...] = several(
         "NAME|FILE|all",
-        f"Monte Carlo study: {', '.join(scenarios())}, a TOML file, or all of these; {', '.join(VALIDATIONS)}: "
-        "validation of the tests without ground truth (repeatable)",
+        f"Monte Carlo study: {', '.join(scenarios())}, a TOML file, or all of these (repeatable)",
     )
     task: tuple[str, ...] = row(
         (), names(TASKS), "LIST", "localization, slam or both (default: localization where there is a map, else slam)"

@@ -21,7 +21,7 @@ from eval.figures.growth import growth_figure
 from eval.figures.laser import loop_picture
 from eval.figures.log import log_figure, loop_state_figure
 from eval.figures.map import map_figure
-from eval.figures.studies import FaultPower, coverage_figure, outlier_figure, power_figure, run_end_figure
+from eval.figures.studies import coverage_figure, outlier_figure, run_end_figure
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 
 OFF = np.array([0.1, -0.1, 0.02])
@@ -58,9 +58,6 @@ FIGURES = {
     "filter and smoother": lambda: filter_smoother_figure(circle_log(), [ONLINE], SURE),
     "average nees": lambda: anees_figure(np.arange(20.0), {"ekf": np.full(20, 3.0)}, 3, 50),
     "growth": lambda: growth_figure(circle_log(), [ONLINE]),
-    "power": lambda: power_figure(
-        [FaultPower("scale", ("1 %", "2 %"), (10.0, 90.0), (3.0, 3.0), (5.0, 60.0))], ("A", "B"), 5.0, "Power"
-    ),
     "log": lambda: log_figure(circle_log()),
     "run end": lambda: run_end_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),
     "coverage": lambda: coverage_figure({"ekf": np.linspace(0.1, 9.0, 30)}, 3, "circle"),
@@ -237,16 +234,3 @@ def test_bars_of_coverage_stand_inside_the_level_that_they_are_of():
     assert ax.get_ylim()[1] == 102.0
     shown = next(h for h in fig.legends[0].legend_handles if h.get_linestyle() == "-")
     assert shown.get_linewidth() == levels.get_linewidth()[0]
-
-
-def test_a_power_figure_shows_all_of_a_share_with_room_at_either_end():
-    ax = drawn_once("power").axes[0]
-    assert ax.get_ylim() == (-6.0, 106.0)
-    assert ax.get_xlim() == pytest.approx((-0.4, 1.4))
-    level, *_, other = ax.lines
-    assert level.get_zorder() < other.get_zorder()
-    assert level.get_linewidth() < other.get_linewidth()
-    assert level.get_ydata()[0] == 5.0
-    bars = [c for c in ax.collections if hasattr(c, "get_segments")]
-    assert [c.get_segments()[0][:, 1].tolist() for c in bars] == [[7.0, 13.0]]
-    assert bars[0].get_linewidth()[0] < 1.2

@@ -11,7 +11,7 @@ import pytest
 from scipy import stats
 
 from eval.figures.claims import anees_figure
-from eval.figures.studies import FaultPower, coverage_figure, outlier_figure, power_figure, run_end_figure
+from eval.figures.studies import coverage_figure, outlier_figure, run_end_figure
 from eval.figures.style import STYLES, save
 from tests.eval.figures.looks import within
 from tests.quick import slow
@@ -164,18 +164,3 @@ def test_what_was_not_measured_is_a_gap_and_a_missing_interval_no_bar():
     line, _, (bars,) = fig.axes[0].containers[0].lines
     assert np.isnan(line.get_ydata()).tolist() == [False, False, True, False, False]
     assert np.ptp(bars.get_segments()[3][:, 1]) == 0.0
-
-
-def test_each_fault_has_a_panel_in_which_both_tests_stand_where_the_table_has_them():
-    faults = [
-        FaultPower(f"fault {i}", ("1", "2", "5"), (5.0, 50.0, 100.0), (2.0, 10.0, 0.0), (0.0, 10.0, 20.0))
-        for i in range(5)
-    ]
-    fig = power_figure(faults, ("battery", "NIS alone"), 5.0, "what was studied")
-    shown = [ax for ax in fig.axes if ax.get_visible()]
-    assert [ax.get_title("left") for ax in shown] == [f.fault for f in faults]
-    for ax in shown:
-        drawn = {tuple(line.get_ydata()) for line in ax.get_lines()}
-        assert {(5.0, 50.0, 100.0), (0.0, 10.0, 20.0), (5.0, 5.0)} <= drawn
-        assert [t.get_text() for t in ax.get_xticklabels()] == ["1", "2", "5"]
-    assert sorted(t.get_text() for t in fig.legends[0].get_texts()) == ["NIS alone", "battery"]

@@ -22,6 +22,7 @@ from eval.referee.consistency import (
     innovations_word,
     lag1,
     nees,
+    share_interval,
     squared_distance,
     verdict,
     whiteness,
@@ -307,3 +308,16 @@ def test_a_correlated_sequence_gives_its_correlation():
     r, error = lag1(w, np.arange(len(w)), np.zeros(len(w), int))
     assert r == pytest.approx(0.3, abs=0.02)
     assert error == pytest.approx(1 / math.sqrt(2 * len(w)), rel=0.2)
+
+
+def test_without_a_hit_the_exact_interval_is_the_rule_of_three():
+    lower, upper = share_interval(0, 100)
+    assert lower == 0.0
+    assert (1.0 - upper) ** 100 == pytest.approx(0.025)
+    assert share_interval(100, 100) == pytest.approx((1.0 - upper, 1.0))
+
+
+def test_an_exact_interval_leaves_a_fortieth_on_each_side():
+    lower, upper = share_interval(1, 2)
+    assert 1.0 - (1.0 - lower) ** 2 == pytest.approx(0.025)  # one or more of two
+    assert 1.0 - upper**2 == pytest.approx(0.025)  # one or fewer of two

@@ -13,8 +13,8 @@ from eval.compare import compare
 from eval.referee import residuals
 from eval.referee.explanations import ALIKE, Evidence, corrected, explanations
 from eval.replay.settings import Setup
-from eval.studies.faults import FAULTS
 from eval.studies.twins import inputs_of, smoothed_twin, source_of
+from tests.research.diagnosis.faults import FAULTS
 
 COMPONENTS = residuals.COMPONENTS
 

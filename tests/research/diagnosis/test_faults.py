@@ -17,7 +17,7 @@ from data.worlds.arena import Arena
 from data.worlds.circle import Circle
 from data.worlds.corridor import Corridor
 from data.worlds.registry import simulate
-from eval.studies.faults import ASSOCIATIONS, FAULTS, NEAREST
+from tests.research.diagnosis.faults import ASSOCIATIONS, FAULTS, NEAREST
 
 WORLDS = {
     "arena": ("arena", Arena(frames=60, clutter=0.5)),

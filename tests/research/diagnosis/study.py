@@ -1,13 +1,13 @@
-"""Validation of the test battery: rejection rate on sound logs, detection and attribution of faults.
+"""Validation of the diagnosis without ground truth: rejection rate on sound logs, detection and causes of faults.
 
 A log is simulated, a fault injected (or a broken filter run), twins are drawn, and the log is judged as any other; its
-truth is not used. Every log's twins have random numbers of their own, so logs are independent.
-
-Studies are TOML files with `study = "validation"` at the top and checked keys.
+truth is not used. Every log's twins have random numbers of their own, so logs are independent. `python -m
+tests.research diagnosis OUT` judges what is not kept in OUT, and writes the tables of `tables.py`.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import zlib
@@ -21,24 +21,25 @@ from threadpoolctl import threadpool_limits
 
 from data.errors import UsageError
 from data.log import Log
+from data.notice import Notice
 from data.result import Run
-from data.toml_table import TomlTable, load_toml
 from data.whole import whole_file
+from data.words import sentence
 from data.worlds import registry
-from data.worlds.registry import SIMULATORS
 from eval.compare import compare
+from eval.plan.flags.table import Execution
+from eval.plan.work import Job, cached
 from eval.referee import truth_free
 from eval.referee.attribution import ESTIMATOR, NOTHING
 from eval.referee.consistency import gated, nis_bounds
 from eval.referee.score import nis_of
-from eval.replay.settings import TASKS, Setup
-from eval.studies.broken import BROKEN
-from eval.studies.diagnosis import FEWEST, judged
-from eval.studies.faults import FAULTS
+from eval.replay.settings import Setup
+from eval.studies import store
+from eval.studies.diagnosis import judged
 from eval.studies.sampled import Sample, one_twin, sample_of, smoother_of, twin_sample
-from eval.studies.scenario import paragraph, parameters, parameters_of_kind
-from eval.studies.shipped import path_of
 from eval.studies.twins import Source, inputs_of, source_of, twin
+from tests.research.diagnosis.broken import BROKEN
+from tests.research.diagnosis.faults import FAULTS
 
 STREAM = 0xFA017  # separates the faults' random numbers from those of logs and twins of the same seed
 SOUND = ""  # the fault of a sound log
@@ -67,9 +68,7 @@ class World:
 class Validation:
     """One study."""
 
-    name: str  # in the tables; `source`: a shipped name or a file; `about`: one paragraph
-    source: str
-    about: str
+    name: str  # of the tables
     worlds: tuple[World, ...]  # for the false-rejection rate, `runs` logs each
     runs: int
     twins: int  # of each log
@@ -79,7 +78,33 @@ class Validation:
     broken: tuple[str, ...] = tuple(BROKEN)  # broken filters
     estimators: tuple[str, ...] = ("ekf",)  # on logs and twins, in addition to batch
     setup: Setup = field(default_factory=Setup)
-    largest: bool = False  # only the largest size of each fault
+
+
+TRUST = Validation(
+    "trust",
+    (
+        World("arena", "arena", "slam"),
+        World("corridor", "corridor", "slam"),
+        World("circle", "circle", "slam", (("frames", 400),)),  # of 2500, so that the study takes no more than an hour
+    ),
+    200,
+    39,
+    "arena",
+    20,
+)
+SHORT = Validation(
+    "short",
+    (
+        World("arena-slam", "arena", "slam", (("frames", 80),)),
+        World("arena-localization", "arena", "localization", (("frames", 80),)),
+        World("circle-slam", "circle", "slam", (("frames", 120),)),
+    ),
+    200,
+    39,
+    "arena-slam",
+    0,
+)
+STUDIES = {study.name: study for study in (TRUST, SHORT)}
 
 
 @dataclass(frozen=True)
@@ -116,15 +141,11 @@ def cases(study: Validation, first: int) -> list[Case]:
     world = next(w for w in study.worlds if w.name == study.power)
     for i in range(study.power_runs):
         for name in study.faults:
-            result += [Case(world, first + i, name, size) for size in _sizes(FAULTS[name].sizes, study.largest)]
+            result += [Case(world, first + i, name, size) for size in FAULTS[name].sizes]
         if study.broken:
-            each = [(n, s) for n in study.broken for s in _sizes(BROKEN[n].sizes, study.largest)]
+            each = [(n, s) for n in study.broken for s in BROKEN[n].sizes]
             result.append(Case(world, first + i, broken=tuple(each)))
     return result
-
-
-def _sizes(sizes: Sequence[float], largest: bool) -> Sequence[float]:
-    return sizes[-1:] if largest else sizes
 
 
 def examined(study: Validation, case: Case) -> tuple[Examined, ...]:
@@ -246,66 +267,25 @@ def load(path: Path) -> tuple[Examined, ...] | None:
         return None
 
 
-VALIDATION = "validation"
-VALIDATION_KEYS = {
-    "": ("study", "name", "about", "runs", "twins", "worlds", "power"),
-    "power": ("world", "runs", "faults", "broken"),
-}
-"""Keys of each table; those of a world are `kind`, `name`, `task` and the parameters of its kind."""
+def results(study: Validation, out: Path, seed: int, jobs: int) -> list[Examined]:
+    """The judgements of all logs, in the order of `cases`; what is kept in `out` is not done again.
 
-
-def load_validation(name: str) -> Validation | None:
-    """A validation study, shipped or by file; None if the file is missing or of another kind of study.
-
-    Raises UsageError for an error in it.
+    Raises UsageError if a log runs out of memory.
     """
 
-    def fault(what: str) -> UsageError:
-        return UsageError(f"--scenario {name}: {what}")
+    def lost(case: Case, why: Notice) -> None:
+        raise UsageError(f"{case}: {sentence(why)}")
 
-    path = path_of(name)
-    table = load_toml(path, fault) if path.is_file() else {}
-    if table.get("study") is None:
-        return None
-    top = TomlTable(fault, table, VALIDATION_KEYS)
-    top.one_of("study", (VALIDATION,))
-    worlds = tuple(_world(t) for t in top.tables_of("worlds"))
-    names = [w.name for w in worlds]
-    if not worlds or len(set(names)) < len(names):
-        raise fault("[[worlds]]: at least one is needed, and none of the same name")
-    power = top.optional_table("power")
-    if power is None:
-        power = TomlTable(fault, {"runs": 0}, {})
-    try:
-        for world in worlds:
-            world.parameters()
-    except UsageError as wrong:  # the simulator's own checks, before anything runs
-        raise fault(str(wrong)) from None
-    where = power.one_of("world", names, names[0])
-    task = worlds[names.index(where)].task
-    fitting = tuple(name for name, broken in BROKEN.items() if task in broken.tasks)
-    return Validation(
-        name=top.text("name", path.stem),
-        source=name,
-        about=paragraph(top.text("about")),
-        worlds=worlds,
-        runs=top.whole("runs", 200, least=1),
-        twins=top.whole("twins", 39, least=FEWEST),
-        power=where,
-        power_runs=power.whole("runs", 20, least=0),
-        faults=power.names("faults", tuple(FAULTS), tuple(FAULTS)),
-        broken=power.names("broken", fitting, fitting),
-    )
+    texts = [(Path(__file__).parent / name).read_bytes() for name in ("study.py", "faults.py", "broken.py")]
+    content = hashlib.sha256(repr((study.twins, study.estimators, study.setup, texts)).encode()).hexdigest()
+    folder, every = store.kept_folder(out, study.name, content), cases(study, seed)
+    work = [(Job(case, examined, (study, case)), folder / file_of(case)) for case in every]
+    kept = cached(work, load, save, Execution(jobs=jobs), lost, lambda i, n: print(f"{i} of {n} logs", flush=True))
+    return [e for case in every for e in kept[case]]
 
 
-def _world(table: TomlTable) -> World:
-    kind = table.one_of("kind", tuple(SIMULATORS))
-    own = ("kind", "name", "task")
-    checked = TomlTable(table.fault, table.table, {"worlds": (*own, *parameters_of_kind(kind))}, "worlds")
-    values = {key: value for key, value in checked.table.items() if key not in own}
-    return World(
-        name=checked.text("name", kind),
-        kind=kind,
-        task=checked.one_of("task", TASKS, "slam"),
-        values=parameters(TomlTable(table.fault, values, {}, "worlds"), kind),
-    )
+def file_of(case: Case) -> str:
+    """File name of a case: world, fault, digest of its other settings, and seed."""
+    what = "broken" if case.broken else case.fault or "sound"
+    digest = hashlib.sha256(repr((case.world, case.size, case.broken)).encode()).hexdigest()[: store.DIGITS]
+    return f"{case.world.name}-{what}-{digest}-{case.seed}.json"

@@ -17,8 +17,8 @@ from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
 from eval.referee.consistency import nees
 from eval.replay.run import filter_known
-from eval.studies import broken
-from eval.studies.broken import BROKEN, for_task
+from tests.research.diagnosis import broken
+from tests.research.diagnosis.broken import BROKEN, for_task
 
 CASES = [(name, task) for name, b in BROKEN.items() for task in b.tasks]
 RUNS = 30
