@@ -85,7 +85,6 @@ class Code(StrEnum):
     DOUBLED_WALLS = "doubled-walls", WARNING
     BEYOND_CLAIMS = "beyond-claims", WARNING
     SIZES_DISAGREE = "sizes-disagree", WARNING
-    TOO_MANY_KEYS = "too-many-keys", ERROR
     CLOSURES_GATED = "closures-gated", INFO
     CLOSURES_REJECTED = "closures-rejected", INFO
     CLOSURES_LOST = "closures-lost", INFO

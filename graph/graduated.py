@@ -2,7 +2,7 @@
 
 Yang, Antonante, Tzoumas and Carlone, "Graduated Non-Convexity for Robust Spatial Perception", IEEE RA-L 5(2), 2020,
 with truncated least squares. gtsam's optimizer of that name cannot evaluate factors in Python, and optimizes to the end
-in every round; here a round is one Gauss-Newton step by sparse QR, as on pose graphs (`graph.poses.robust`).
+in every round; here a round is one Gauss-Newton step by sparse QR.
 """
 
 from __future__ import annotations

@@ -16,9 +16,10 @@ from data.se2 import Array, world_from_body, wrap_angle
 from eval.checks import worlds
 from eval.checks.finding import FailedError, Finding, check, graded
 from eval.referee.errors import named
+from eval.replay.estimators import dead_reckoning
 from eval.replay.external.guard import ForeignError
 from eval.replay.frontend import FrontEnd
-from eval.replay.run import dead_reckoning, front_end, step_by_step
+from eval.replay.run import front_end, step_by_step
 from eval.replay.settings import Beginning, Setup
 
 SETUP = Setup()

@@ -327,9 +327,9 @@ KEPT = 0.05  # weight below which a loop closure is rejected: Cauchy's at 4.4 si
 
 
 def paths_of(run: Run) -> dict[str, Array]:
-    """Path (N, 3) by phase; for a filter over key poses `final` is the path of its last state."""
+    """Path (N, 3) by phase; a final one with the frames between scans at their places."""
     found = {phase: run.trajectory(phase).pose for phase in run.phases}
-    if isinstance(run, LaserRun) and run.last is not None:
+    if isinstance(run, LaserRun) and run.last is not None and run.final is not None:
         found["final"] = run.last
     return found
 

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from association.expectation import Expectation
 from data.errors import UsageError, did_you_mean
-from data.inputs import FrameObservations, Increment, IntArray
+from data.inputs import FrameObservations, Increment, Inputs, IntArray
 from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
-from data.result import Finished, MapState, PoseEstimate, Updated
+from data.result import DISCARD, Finished, MapState, PoseEstimate, Run, Trajectory, Updated
 from data.se2 import Array
 from data.sensors import Sensor
 from ekf.filter import DEFAULT, FilterOptions, lack
 from ekf.localizer import EkfLocalizer
 from ekf.slam import EkfSlam
+from ekf.whole_run import run_filter
 from eval.replay.external.adapter import Adapter
 from eval.replay.external.guard import call
 from eval.replay.external.make import CannotError
@@ -333,3 +336,14 @@ def lack_with_sensor(
         return NO_HINDSIGHT_OF_WALLS
     own = options or OPTIONS.get(name)
     return None if own is None else lack(own, given.systematic, slam=task == "slam")
+
+
+def dead_reckoning(inputs: Inputs, task: str) -> Run:
+    """Prediction alone: the path composed from the increments."""
+    begin = time.perf_counter()
+    nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
+    run = run_filter(inputs if inputs.systematic is None else replace(inputs, systematic=None), nothing)
+    return Run(
+        "dead-reckoning", "none", task, Trajectory(run.pose, run.covariance), None, None, nothing, nothing,
+        np.full(len(nothing), -1, np.int64), state_size=run.state_size, seconds=time.perf_counter() - begin,
+    )  # fmt: skip

@@ -27,7 +27,7 @@ from ekf.filter import FilterDivergedError, FilterOptions
 from ekf.slam import EkfSlam
 from ekf.whole_run import FilterRun, run_filter
 from eval.replay.batch import batch
-from eval.replay.estimators import OPTIONS, lack_with_sensor
+from eval.replay.estimators import OPTIONS, dead_reckoning, lack_with_sensor
 from eval.replay.external.guard import ForeignError
 from eval.replay.external.load import Thing, in_one_line, text_of
 from eval.replay.external.make import CannotError, require
@@ -77,17 +77,6 @@ def one_thread() -> AbstractContextManager[object]:
         _found = modules, ThreadpoolController()
     limited: AbstractContextManager[object] = _found[1].limit(limits=1)
     return limited
-
-
-def dead_reckoning(inputs: Inputs, task: str) -> Run:
-    """Prediction alone: the path composed from the increments."""
-    begin = time.perf_counter()
-    nothing = np.full(len(inputs.observations.frame), DISCARD, np.int64)
-    run = run_filter(inputs if inputs.systematic is None else replace(inputs, systematic=None), nothing)
-    return Run(
-        "dead-reckoning", "none", task, Trajectory(run.pose, run.covariance), None, None, nothing, nothing,
-        np.full(len(nothing), -1, np.int64), state_size=run.state_size, seconds=time.perf_counter() - begin,
-    )  # fmt: skip
 
 
 def filter_known(
@@ -263,12 +252,17 @@ def compare(
     names, association = [text_of(e, "estimator") for e in estimators], text_of(association, "association")
     with one_thread():
         if association == SCAN:
-            return judge(compare_laser(inputs, names, setup), inputs)
+            return judge(compare_laser(inputs, names, setup, _over_key_poses), inputs)
         if inputs.scans is not None and not len(inputs.observations.frame):
             log = corner_log(inputs, setup)
             runs = judge(_compare(log.inputs, task, names, association, setup), log.inputs)
             return [at_all_frames(run, log, len(inputs)) for run in runs]
         return judge(_compare(inputs, task, names, association, setup, watch), inputs)
+
+
+def _over_key_poses(name: str, inputs: Inputs, setup: Setup) -> Run:
+    """A step-by-step estimator over a log without observations, from its closures."""
+    return step_by_step(name, inputs, "slam", "jcbb", setup)
 
 
 def _compare(

@@ -80,7 +80,7 @@ def mapping_run(trial: Trial) -> LaserRun | None:
 
 def phase_of(run: LaserRun) -> str:
     """Phase that its last path belongs to, in words."""
-    return "final" if run.final is not None else "last state"
+    return "final" if run.final is not None else "online"
 
 
 def grid_of(trial: Trial, run: LaserRun) -> Grid:
@@ -176,8 +176,7 @@ RELATIONS_FINE = FinePrint(
     "Reference relations",
     "A relation is tied to frames by its *row* in"
     " the log, or by its *time* stamp, which in bursts of stamps is another frame; *exact*: relations whose frames are"
-    " sure. Errors are (a⁻¹b)·rel⁻¹; the last column has rel⁻¹·(a⁻¹b) instead (all, by row). Of the filter, *final* is"
-    " the path of its last state, in which every key pose stayed.",
+    " sure. Errors are (a⁻¹b)·rel⁻¹; the last column has rel⁻¹·(a⁻¹b) instead (all, by row).",
 )
 GATED = ("ekf, gate 0.999", "ekf, gate 0.999, covariances as claimed")
 INTEL_RELATIONS = 2984  # relations of the Intel log, by whose number it is recognized
@@ -226,8 +225,7 @@ def against(trial: Trial) -> list[dict[str, object]]:
             continue
         e = laser.relation_errors(path, relations, trial.log.recorded.time)
         if e is not None:
-            what = "last state" if (name, phase) == ("ekf", "final") else phase
-            found.append({"estimator": name, "phase": what, "mean": e.trans_mean_m, "std": e.trans_std_m})
+            found.append({"estimator": name, "phase": phase, "mean": e.trans_mean_m, "std": e.trans_std_m})
             found[-1]["heading"] = e.rot_mean_deg
     return found
 
@@ -315,7 +313,7 @@ def _gate(gated: LaserRun, log: Log) -> dict[str, object] | None:
 
 
 def _off(run: LaserRun, log: Log) -> dict[str, object]:
-    """Error of a last state [m]: mean and standard deviation against the relations, or RMSE against the truth."""
+    """Error of a filter [m]: mean and standard deviation against the relations, or RMSE against the truth."""
     off: dict[str, object] = {"relations": None, "rmse": None}
     if run.last is not None and log.truth.relations is not None:
         e = laser.relation_errors(run.last, log.truth.relations, log.recorded.time, order=laser.CARTOGRAPHER)

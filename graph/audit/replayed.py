@@ -13,7 +13,6 @@ from graph.audit.audit import Statistics, statistics
 from graph.audit.kinds import LOOP, ODOMETRY, PRIOR, Kinds
 from graph.audit.linear import Group, System
 from graph.batch import NONE_REJECTED, Rejected, Start, build, start_values
-from graph.poses.batch import PoseProblem
 from graph.qr.elimination import Rows
 from graph.qr.rows import Linearizer
 
@@ -45,9 +44,15 @@ class Replayed:
 
 
 def of_landmarks(
-    inputs: Inputs, decisions: IntArray, initialized: IntArray, end: Start, rejected: Rejected = NONE_REJECTED
+    inputs: Inputs,
+    decisions: IntArray,
+    initialized: IntArray,
+    end: Start,
+    rejected: Rejected = NONE_REJECTED,
+    *,
+    scans: bool = False,
 ) -> Replayed:
-    """The graph of `graph.batch.smooth` at its end; arguments as there."""
+    """The graph of `graph.batch.smooth` at its end; arguments as there. `scans`: motion is of scan matching."""
     problem = build(inputs, decisions, initialized, rejected=rejected)
     problem = replace(problem, pose_factors=[p for p in problem.pose_factors if p.used])
     values = start_values(problem, end)
@@ -62,25 +67,12 @@ def of_landmarks(
     observation[n : n + m] = used
     for row, p in enumerate(problem.pose_factors, n + m):
         frame[row], observation[row] = max(p.frames), p.row
-    names = [PRIOR, ODOMETRY, OBSERVATIONS, FIXES, LOOP, MAP, DRIFT, ERRORS]
+    names = [PRIOR, SCANS if scans else ODOMETRY, OBSERVATIONS, FIXES, LOOP, MAP, DRIFT, ERRORS]
     places = len(problem.priors)
     drifts = blocks - n - m - fixes - loops - places
     of = np.repeat(np.arange(8), [1, n - 1, m, fixes, loops, places, drifts, int(len(errors) > 0)])
-    axes = [(), _axes_of_odometry(inputs), _axes_of_observations(inputs, used), (), (), (), (), ()]
+    axes = [(), () if scans else _axes_of_odometry(inputs), _axes_of_observations(inputs, used), (), (), (), (), ()]
     return _replayed(rows, errors, of, names, axes, frame, observation)
-
-
-def of_poses(problem: PoseProblem, pose: Array, closure: IntArray) -> Replayed:
-    """The graph of `graph.poses.batch.smooth_poses` at its key poses (K, 3).
-
-    `closure` (L,): row of each loop closure.
-    """
-    rows = problem.step(pose, np.ones(problem.loops)).rows
-    n = problem.keys
-    frame = np.concatenate([[-1], np.arange(1, n), problem.key2[n - 1 :]])
-    observation = np.concatenate([np.full(n, -1), closure])
-    of = np.repeat(np.arange(3), [1, n - 1, problem.loops])
-    return _replayed(rows, np.zeros(0), of, [PRIOR, SCANS, LOOP], [()] * 3, frame, observation)
 
 
 def _replayed(

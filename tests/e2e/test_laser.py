@@ -47,7 +47,7 @@ def test_relations_are_scored_by_row_and_by_time_for_every_phase(results):
         for r in rows(results / "relations.csv")
         if r["log"] == "plan"
     }
-    assert len(found) == (1 + 2 + 2) * 4
+    assert len(found) == (1 + 1 + 2) * 4
     best = found["isam2", "final", "row", "all"]
     assert float(best["trans_mean_m"]) < 0.1 < float(found["dead-reckoning", "online", "row", "all"]["trans_mean_m"])
     assert int(best["relations"]) == 34

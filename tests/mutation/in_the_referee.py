@@ -11,7 +11,8 @@ from data.result import Trajectory
 from eval.referee import consistency
 from eval.referee.consistency import chi2_bounds
 from eval.referee.score import confusion_of, metrics_row
-from eval.replay.run import compare, dead_reckoning
+from eval.replay.estimators import dead_reckoning
+from eval.replay.run import compare
 from tests.mutation.faults import Check, Fault, replaced
 from tests.mutation.verdicts import arena, corridor
 

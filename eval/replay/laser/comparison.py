@@ -1,4 +1,4 @@
-"""Back ends compared on one laser log: the front end once, then every estimator on its constraints.
+"""Estimators compared on one laser log: the front end once, then each on its constraints.
 
 In the end frames without a scan get the odometry between two scans, adjusted to connect them.
 """
@@ -18,7 +18,7 @@ from data.inputs import Inputs
 from data.notice import Code, Notice, notice
 from data.result import Run
 from data.se2 import Array, between, compose, dead_reckoned, transform_points
-from eval.replay.laser.backends import NAMES, Solved, backend
+from eval.replay.laser.backends import NAMES, Solved, Stepping, estimated, key_inputs, smoothed
 from eval.replay.laser.front_end import FrontEndResult, Repeated
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.scale import scaled, scaled_front_end
@@ -53,30 +53,30 @@ def between_scans(inputs: Inputs, pose: Array) -> Array:
 CONTRAST = 0.999  # gate of the filter shown for comparison with the ungated one
 
 
-def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> list[LaserRun]:
+def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup, stepping: Stepping) -> list[LaserRun]:
     """The estimators on the same key poses and loop closures, in the order asked for; dead reckoning uses the wheels.
 
     Scan-matching covariances are scaled by one factor, so that the loop closures fit the graph; this changes the
     claimed covariance, not the optimum. The filter's gate on loop closures is `setup.gate_known`. Seconds include the
-    front end. Raises UsageError for an estimator that is no back end of scan matching.
+    front end. `stepping` runs the step-by-step ones. Raises UsageError for one that estimates nothing from closures.
     """
     for name in estimators:
         if name not in NAMES:
             raise UsageError(f"{name} with association {SCAN}: of laser logs there are {', '.join(NAMES)}")
     parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
-    found = scaled_front_end(inputs, parameters, setup)
+    found = scaled_front_end(inputs, parameters)
     front, repeated = found.front, found.repeated
     if setup.least_information is not None:
         front = _thinned(inputs, front, setup.least_information, parameters)
     gate = setup.settled(False).label_gate
     runs = []
     for name in estimators:
-        run = _run(inputs, front, backend(name, inputs, front.chain, front.loops, setup, gate=gate))
+        run = _run(inputs, front, estimated(name, inputs, front.chain, front.loops, stepping, setup, gate=gate))
         if found.error is not None and run.chain is not None:
             run = replace(run, scale=(found.claimed, found.error))
         if name == "ekf" and gate is None and run.failure is None:
             honest, unscaled = (
-                _run(inputs, given, backend(name, inputs, given.chain, given.loops, setup, gate=CONTRAST))
+                _run(inputs, given, estimated(name, inputs, given.chain, given.loops, stepping, setup, gate=CONTRAST))
                 for given in (front, scaled(front, 1.0 / found.claimed))
             )
             run = replace(run, with_gate=(honest, unscaled))
@@ -96,15 +96,15 @@ def _thinned(inputs: Inputs, front: FrontEndResult, least: float, parameters: La
 
     They are chosen from the whole log, so online estimates lack them, too.
     """
-    solved = backend("batch", inputs, front.chain, front.loops)
-    if solved.run.failure is not None or inputs.scans is None:
+    solved = smoothed("batch", key_inputs(inputs, front.chain, front.loops))
+    if solved.failure is not None or solved.final is None or inputs.scans is None:
         return front
     scans, nothing = inputs.scans, np.zeros((0, 2))
     beams = beams_of(scans.scanner, scans.ranges.shape[1])
     row = dict(zip(scans.frame.tolist(), scans.ranges, strict=True))
     ends = [
         transform_points(pose, scan_points(row[frame], beams, parameters.max_range).xy) if frame in row else nothing
-        for pose, frame in zip(solved.final_keys, front.chain.frame.tolist(), strict=True)
+        for pose, frame in zip(solved.final.pose, front.chain.frame.tolist(), strict=True)
     ]
     chain, loops = without(front.chain, front.loops, redundant(ends, least))
     return replace(front, chain=chain, loops=loops)

@@ -76,7 +76,7 @@ def key_log(
     if scans is None or motion not in MOTIONS or (also is not None and motion != ODOMETRY):
         raise ValueError("a log with scans, a motion, and other frames with odometry alone are needed")
     parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
-    found = scaled_front_end(inputs, parameters, setup)
+    found = scaled_front_end(inputs, parameters)
     chain, tested = found.front.chain, found.front.loops
     frame = chain.frame if also is None else np.union1d(chain.frame, also)
     at = np.searchsorted(frame, chain.frame)  # of each key pose

@@ -12,7 +12,7 @@ from association.scans.corners import corners
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, Observations, Scans
 from data.motion.velocity import floor_covariances
 from data.notice import Code, notice
-from data.result import Failure, Innovations, Run
+from data.result import Run
 from data.se2 import Array, transform_points
 from data.sensors import RelativePoint
 from eval.replay.laser.backends import over_frames
@@ -98,28 +98,10 @@ def at_all_frames(run: Run, corners: CornerLog, frames: int) -> LaserRun:
 
     Dead reckoning here is that of scan matching.
     """
-    chain, of = corners.chain, corners.chain.frame
-    paths = {p: over_frames(chain, t.pose, t.covariance) for p in run.phases if (t := run.trajectory(p)) is not None}
-    none = np.empty(0, np.int64)
-    given = {f.name: getattr(run, f.name) for f in fields(Run)}
-    given |= {
-        "online": paths.get("online"), "final": paths.get("final"), "decisions": none, "final_decisions": none,
-        "created": none, "begun": None, "removed": None, "events": (), "seconds": run.seconds + corners.seconds,
-        "state_size": None if run.state_size is None else run.state_size[chain.key],
-        "failure": _at(run.failure, corners), "implausible": _at(run.implausible, corners),
-    }  # fmt: skip
-    if run.innovations is not None:
-        nis, dof = np.full(frames, np.nan), np.zeros(frames, np.int64)
-        likelihood = np.full(frames, np.nan)
-        nis[of], dof[of], likelihood[of] = run.innovations.nis, run.innovations.dof, run.innovations.log_likelihood
-        given["innovations"] = Innovations(nis, dof, likelihood, np.empty((0, 2)))
-    if run.map is not None:
-        given["map"] = replace(run.map, first_frame=of[np.maximum(run.map.first_frame, 0)])
+    of, whole = corners.chain.frame, over_frames(run, corners.chain, frames)
     seen = len(corners.inputs.observations.frame)
-    given["notes"] = (*run.notes, notice(Code.CORNERS, corners=seen, scans=len(of)))
-    return LaserRun(**given)
-
-
-def _at(failure: Failure | None, corners: CornerLog) -> Failure | None:
-    """The same failure at the frame of its key pose."""
-    return None if failure is None else failure._replace(frame=int(corners.chain.frame[failure.frame]))
+    notes = (*run.notes, notice(Code.CORNERS, corners=seen, scans=len(of)))
+    if run.map is not None:
+        whole = replace(whole, map=replace(run.map, first_frame=of[np.maximum(run.map.first_frame, 0)]))
+    whole = replace(whole, seconds=run.seconds + corners.seconds, notes=notes)
+    return LaserRun(**{f.name: getattr(whole, f.name) for f in fields(Run)})

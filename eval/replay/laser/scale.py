@@ -9,10 +9,9 @@ import numpy as np
 
 from association.scans.uncertainty import learned_scale, residuals, spanned
 from data.inputs import Inputs
-from eval.replay.laser.backends import backend
+from eval.replay.laser.backends import key_inputs, smoothed
 from eval.replay.laser.front_end import FrontEndResult, Repeated, consistent_front_end
 from eval.replay.laser.parameters import LaserParameters
-from eval.replay.settings import Setup
 
 FEWEST = 20  # loop closures needed to learn a scale, which then is known to a quarter or better
 
@@ -31,10 +30,10 @@ class Scaled(NamedTuple):
     error: float | None
 
 
-def scaled_front_end(inputs: Inputs, parameters: LaserParameters, setup: Setup) -> Scaled:
+def scaled_front_end(inputs: Inputs, parameters: LaserParameters) -> Scaled:
     """The front end over a laser log; the scale follows from the whole log, and leaves the optimum where it is."""
     front, repeated = consistent_front_end(inputs, parameters)
-    learned = _learned(inputs, front, setup)
+    learned = _learned(inputs, front)
     factor, error = learned or (1.0, 0.0)
     claimed = parameters.variance_scale * factor
     return Scaled(
@@ -49,19 +48,19 @@ def scaled(front: FrontEndResult, factor: float) -> FrontEndResult:
     return replace(front, chain=chain, loops=replace(o, covariance=factor * o.covariance))
 
 
-def _learned(inputs: Inputs, front: FrontEndResult, setup: Setup) -> tuple[float, float] | None:
+def _learned(inputs: Inputs, front: FrontEndResult) -> tuple[float, float] | None:
     """Factor on the front end's covariances and its standard error; None with too few loop closures."""
     chain, loops = front.chain, front.loops
     believed = np.flatnonzero(loops.believed >= 0)
     if len(believed) < FEWEST:
         return None
-    solved = backend("batch", inputs, chain, loops, setup)
-    if solved.run.failure is not None:
+    solved = smoothed("batch", key_inputs(inputs, chain, loops))
+    if solved.failure is not None or solved.final is None:
         return None
     key1, key2 = loops.key1[believed], loops.key2[believed]
     step = 1 + np.flatnonzero(spanned(len(chain.frame), key1, key2))
     d2 = residuals(
-        solved.final_keys, np.concatenate([step - 1, key1]), np.concatenate([step, key2]),
+        solved.final.pose, np.concatenate([step - 1, key1]), np.concatenate([step, key2]),
         np.concatenate([chain.motion[step], loops.relative[believed]]),
         np.concatenate([chain.covariance[step], loops.covariance[believed]]),
     )  # fmt: skip

@@ -14,6 +14,7 @@ from association.scans.constraints import LaserRun
 from data.result import Run
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
+from eval.replay.laser.backends import key_inputs
 from eval.report.audit.audit import TEN, tables
 from eval.report.page.blocks import Block, FinePrint, Section
 from eval.report.page.files import written_table
@@ -22,9 +23,8 @@ from eval.report.rows import stem
 from eval.report.words import say
 from graph.audit.audit import FAMILY
 from graph.audit.kinds import LOOP
-from graph.audit.replayed import FIXES, Replayed, of_landmarks, of_poses
+from graph.audit.replayed import FIXES, Replayed, of_landmarks
 from graph.batch import Rejected, Start
-from graph.poses.batch import pose_problem
 
 HEADING = "Factors of the smoother"
 FINE = FinePrint(
@@ -77,13 +77,11 @@ def graph_at_end(trial: Trial, run: Run) -> Replayed:
         assert chain is not None
         assert loops is not None
         assert pose is not None
-        order = np.argsort(loops.believed, kind="stable")
-        b = order[loops.believed[order] >= 0].astype(np.int64)
-        problem = pose_problem(
-            inputs.prior, chain.motion, chain.covariance, loops.key1[b], loops.key2[b], loops.relative[b],
-            loops.covariance[b],
-        )  # fmt: skip
-        return of_poses(problem, pose, b)
+        given = key_inputs(inputs, chain, loops)
+        none = np.empty(0, np.int64)
+        found = of_landmarks(given.inputs, none, none, Start(pose, np.zeros((0, 2))), scans=True)
+        rows = np.append(given.believed, -1)[found.observation]
+        return replace(found, observation=rows)
 
 
 def runs_of(trial: Trial) -> list[Run]:

@@ -14,7 +14,8 @@ from association.scans.constraints import Chain, Loops
 from association.scans.redundant import CELL, MOST_IN_A_ROW, cells_of, least_informative, redundant, without
 from data.inputs import Prior
 from data.se2 import between, compose, dead_reckoned, inverse, pose_error
-from graph.poses.batch import pose_problem, smooth_poses
+from graph.batch import Start, smooth
+from tests.graph.poses.worlds import NONE, World
 
 PRIOR = Prior(np.array([1.0, -2.0, 0.4]), np.diag([1e-2, 1e-2, 1e-3]))
 
@@ -113,9 +114,11 @@ def gone_of(seed, keys):
 
 
 def solved(chain, loops):
-    o = loops
-    problem = pose_problem(PRIOR, chain.motion, chain.covariance, o.key1, o.key2, o.relative, o.covariance)
-    return smooth_poses(problem, dead_reckoned(PRIOR.mean, chain.motion))
+    world = World(np.zeros((len(chain.motion), 3)), chain.motion, chain.covariance, *(
+        getattr(loops, name) for name in ("key1", "key2", "relative", "covariance")
+    ))  # fmt: skip
+    inputs = replace(world.inputs(), prior=PRIOR)
+    return smooth(inputs, NONE, NONE, Start(dead_reckoned(PRIOR.mean, chain.motion), np.zeros((0, 2)))).trajectory
 
 
 @given(st.integers(0, 10**6), st.integers(4, 15), st.integers(0, 12))

@@ -9,7 +9,6 @@ from data.errors import DataError
 from data.inputs import Prior
 from data.se2 import compose, dead_reckoned, pose_error
 from graph.poses import online
-from graph.poses.batch import smooth_poses
 from graph.poses.online import FixedLagPoseGraph, PoseGraph
 from tests.graph.poses.worlds import corridors
 
@@ -48,7 +47,7 @@ def test_the_graph_ends_at_the_batch_optimum_of_the_same_constraints(prior, thre
     graph.add_loops(*world[3:])
     graph.update()
     graph.refine()
-    best = smooth_poses(world.problem(prior), graph.poses())
+    best = world.optimum(graph.poses(), prior).trajectory
     assert sigmas_between(graph.poses(), best.pose, best.covariance)[1:].max() < sigmas
     assert correlation_change(graph.covariances()[1:], best.covariance[1:]).max() < 0.03
 
@@ -60,7 +59,7 @@ def test_online_the_newest_pose_is_that_of_a_batch_over_what_was_known_then():
         known = world.key2 <= k
         past = world._replace(**{n: getattr(world, n)[: k + 1] for n in ("truth", "motion", "covariance")})
         past = past._replace(**{n: getattr(world, n)[known] for n in world._fields[3:]})
-        best = smooth_poses(past.problem(), world.truth[: k + 1])
+        best = past.optimum(world.truth[: k + 1]).trajectory
         assert sigmas_between(pose[k : k + 1], best.pose[k:], best.covariance[k:]).max() < 0.1
         assert correlation_change(covariance[k : k + 1], best.covariance[k:]).max() < 0.03
 

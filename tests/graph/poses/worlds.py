@@ -6,13 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from data.inputs import Prior
+from data.inputs import Increments, Inputs, Observations, Prior
+from data.pose_measurements import Closures
 from data.se2 import between, compose, wrap_angle
-from graph.poses.batch import pose_problem
+from data.sensors import RangeBearing
+from graph.batch import Start, smooth
+from graph.robust import gnc
 
 SIGMA_CHAIN = np.array([0.02, 0.02, 0.004])
 SIGMA_LOOP = np.array([0.03, 0.03, 0.006])
 EXACT = np.zeros((3, 3))
+NONE = np.empty(0, np.int64)
 WAY = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 
 
@@ -30,8 +34,30 @@ class World(NamedTuple):
     def prior(self, covariance=EXACT):
         return Prior(self.truth[0], covariance)
 
-    def problem(self, covariance=EXACT):
-        return pose_problem(self.prior(covariance), *self[1:])
+    def inputs(self, covariance=EXACT):
+        """Key poses as frames without observations, loops as closures by their later key pose."""
+        order = np.argsort(np.maximum(self.key1, self.key2), kind="stable")
+        ends = self.key1[order].astype(np.int64), self.key2[order].astype(np.int64)
+        loops = Closures(
+            *ends, self.relative[order], self.loop_covariance[order], np.zeros(len(order), np.int64), ("loop",)
+        )
+        nothing = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
+        steps = Increments(self.motion, self.covariance)
+        time = np.arange(float(len(self.truth)))
+        return Inputs(
+            self.prior(covariance), time, steps, nothing, RangeBearing(), closures=loops if len(order) else None
+        )
+
+    def optimum(self, start, covariance=EXACT, loss="gaussian"):
+        """The optimum of all constraints from poses `start` (K, 3)."""
+        return smooth(self.inputs(covariance), NONE, NONE, Start(start, np.zeros((0, 2))), loss=loss)
+
+    def graduated(self, start, covariance=EXACT):
+        """The same by graduated non-convexity, and which loops it uses, in their order here."""
+        found, _ = gnc(self.inputs(covariance), NONE, NONE, Start(start, np.zeros((0, 2))))
+        used = np.empty(len(self.key1), bool)
+        used[np.argsort(np.maximum(self.key1, self.key2), kind="stable")] = found.closures.used
+        return found, used
 
     def of(self, key):
         """The loops that come with a key pose, as `add_loops` takes them."""

@@ -12,7 +12,6 @@ EQUIVALENT = {
     # a fixed point is iterated on to the last round instead of to its last digit
     ("association/scans/uncertainty.py", "new - scale", "(new + scale)"),
     # room that grows when it is full
-    ("ekf/pose_chain.py", "64", "65"),
     # one stream of random numbers is as good as another
     ("eval/studies/twins.py", "0x7A17", "31256"),
     # the last statement of a function

@@ -16,14 +16,13 @@ from eval.judgement.judgement import Verdict, judge
 from eval.judgement.runs import Objection
 from eval.referee import laser_faults
 from eval.referee.score import Trial, score
-from eval.replay.laser.comparison import compare_laser
-from eval.replay.settings import Setup
+from eval.replay.run import compare
 
 
 @pytest.fixture(scope="module")
 def trial():
     log = named_log("floorplan:0:frames=1500+beams=90")
-    runs = compare_laser(log.recorded, ["isam2"], Setup())
+    runs = compare(log.recorded, "slam", ["isam2"], "scan")
     return Trial(log, "slam", tuple(runs))
 
 

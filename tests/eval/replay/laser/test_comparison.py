@@ -14,7 +14,7 @@ from data.worlds.registry import named_log
 from eval.referee.laser import closure_counts, kept, paths_of, relation_rows
 from eval.referee.score import Trial, score
 from eval.replay.laser import scale
-from eval.replay.laser.backends import backend
+from eval.replay.laser.backends import key_inputs, smoothed
 from eval.replay.laser.comparison import between_scans
 from eval.replay.laser.front_end import FrontEndResult, run_front_end
 from eval.replay.laser.parameters import LaserParameters
@@ -48,8 +48,8 @@ def test_what_all_back_ends_share_cannot_be_changed(runs):
             shared.covariance[0] = 0.0
 
 
-def test_filter_and_smoothers_end_at_the_same_key_poses_where_nothing_is_wrong(runs):
-    for name in ("ekf", "isam2", "gnc"):
+def test_smoothers_end_at_the_same_key_poses_where_nothing_is_wrong(runs):
+    for name in ("isam2", "gnc"):
         off = pose_error(runs[name].key_pose, runs["batch"].key_pose)
         assert np.abs(off).max() < 0.01, name
     np.testing.assert_array_equal(runs["gnc"].weight[runs["gnc"].loops.believed >= 0], 1.0)
@@ -98,8 +98,8 @@ def test_variances_are_scaled_by_what_loop_closures_tell_and_no_pose_moves_by_it
     assert 0.2 < factor < 1.5
     assert 0.0 < error < 0.3 * factor
     np.testing.assert_allclose(run.chain.covariance[1:], factor * claimed, rtol=1e-9)
-    unscaled = backend("batch", longer, front.chain, front.loops)
-    np.testing.assert_allclose(run.key_pose, unscaled.final_keys, atol=1e-6)
+    unscaled = smoothed("batch", key_inputs(longer, front.chain, front.loops))
+    np.testing.assert_allclose(run.key_pose, unscaled.final.pose, atol=1e-6)
 
 
 def test_with_enough_loop_closures_every_estimator_gets_the_scale_and_no_pose_moves(log, runs, monkeypatch):
@@ -127,8 +127,8 @@ def test_with_few_loop_closures_no_scale_is_learned(runs):
     assert runs["batch"].scale is None
 
 
-def test_the_last_state_of_the_filter_is_scored_as_its_final_path(runs):
-    assert set(paths_of(runs["ekf"])) == {"online", "final"}
+def test_the_filter_has_its_online_path_alone(runs):
+    assert set(paths_of(runs["ekf"])) == {"online"}
     assert runs["ekf"].phases == ("online",)
     assert relation_rows(runs["ekf"], named_log("arena:0")) == []
 

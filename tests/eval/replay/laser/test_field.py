@@ -19,10 +19,9 @@ from eval.referee import laser_faults
 from eval.referee.errors import aligned_rmse
 from eval.referee.laser import closure_errors, relation_errors, right_closures
 from eval.referee.score import Trial
-from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.front_end import run_front_end
 from eval.replay.laser.parameters import LaserParameters
-from eval.replay.settings import Setup
+from eval.replay.run import compare
 from tests.eval.replay.laser.field import halls, reporting_forward, ring, slipping_at_rest, symmetric_room
 
 GIVEN = next((p / "shared" / "data" / "laser_field" for p in Path(__file__).parents if (p / "shared").is_dir()), None)
@@ -72,7 +71,7 @@ def test_a_robot_that_backs_while_it_reports_forward_is_followed_where_more_than
 @pytest.mark.parametrize("panes", [0.0, 0.5])
 def test_in_halls_of_equal_rows_no_loop_closure_is_wrong(panes):
     log = halls(0, panes=panes)
-    (run,) = compare_laser(log.recorded, ["isam2"], Setup())
+    (run,) = compare(log.recorded, "slam", ["isam2"], "scan")
     believed = run.loops.believed >= 0
     assert believed.sum() > 100
     assert right_closures(run.loops, log.truth.pose[run.chain.frame])[believed].all()
@@ -84,7 +83,7 @@ def test_in_halls_of_equal_rows_no_loop_closure_is_wrong(panes):
 def test_where_a_short_reach_between_equal_rows_leads_astray_the_walls_are_doubled():
     """4 m, half of the walls of glass, odometry that turns: nothing contradicts the wheels, the map does."""
     log = halls(0, panes=0.5, reach=4.0, thin=5, bias=0.1)
-    (run,) = compare_laser(log.recorded, ["isam2"], Setup())
+    (run,) = compare(log.recorded, "slam", ["isam2"], "scan")
     assert aligned_rmse(run.last, log.truth.pose) > 1.0
     assert Code.DOUBLED_WALLS in {n.code for n in laser_faults.of_run(run, Trial(log, "slam", (run,)))}
 
@@ -95,7 +94,7 @@ def test_loop_closures_that_a_wrong_path_believes_and_the_map_does_not_are_not_b
     log = ring(0, scale=0.08)
     first = run_front_end(log.recorded, LaserParameters())
     assert not right_closures(first.loops, log.truth.pose[first.chain.frame])[first.loops.believed >= 0].any()
-    (run,) = compare_laser(log.recorded, ["isam2"], Setup())
+    (run,) = compare(log.recorded, "slam", ["isam2"], "scan")
     believed = run.loops.believed >= 0
     assert believed.sum() > 100
     error = closure_errors(run.loops, log.truth.pose[run.chain.frame])[believed]
@@ -111,7 +110,7 @@ def test_scans_alone_tell_the_motion(thin):
     log = named_log("floorplan:0")
     scans = log.recorded.scans
     few = replace(scans, frame=scans.frame[::thin], ranges=scans.ranges[::thin])
-    (run,) = compare_laser(without_odometry(replace(log.recorded, scans=few)), ["isam2"], Setup())
+    (run,) = compare(without_odometry(replace(log.recorded, scans=few)), "slam", ["isam2"], "scan")
     assert aligned_rmse(run.last, log.truth.pose) < 0.03
 
 
@@ -120,7 +119,7 @@ def test_scans_alone_tell_the_motion(thin):
 def test_scans_of_the_intel_lab_alone_are_worth_three_centimetres():
     """With wheels 0.0167 m. With a search only where no match fits, and frames by their stamps, 0.088 m."""
     log = open_log(INTEL, Reading(no_odometry=True))
-    (run,) = compare_laser(log.recorded, ["isam2"], Setup())
+    (run,) = compare(log.recorded, "slam", ["isam2"], "scan")
     assert relation_errors(run.last, log.truth.relations, log.recorded.time).trans_mean_m < 0.03
 
 
