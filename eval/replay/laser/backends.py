@@ -96,6 +96,8 @@ def estimated(
         run = _fixed_lag(given.inputs, setup.lag)
     elif name in NAMES[1:3]:
         run = stepping(name, given.inputs, replace(setup, gate_poses=gate if name == "ekf" else None))
+        if name == "isam2":  # it keeps every key pose
+            run = replace(run, state_size=3 * np.arange(1, len(given.inputs) + 1))
     else:
         run = smoothed(name, given)
     keys = run.final if run.final is not None else run.online
