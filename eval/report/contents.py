@@ -102,7 +102,7 @@ def write_results(
         sections += association_sections(folder, output, trials, scores)
         sections += revision_section(folder, output, trials)
         sections += lab_sections(trials, scores, answered_above=bool(answers))
-    sections += _failure_section(trials, facts, found, lost.messages)
+    sections += _failure_section(trials, found, lost.messages)
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
     declared = _declared(judged)
     blocks: list[Block] = [introduction(facts)]
@@ -145,9 +145,7 @@ def flaws_of(trials: Sequence[Trial]) -> dict[tuple[str, str, str, str], Failure
     return {(t.log.name, t.task, r.estimator, r.association): r.flaw for t, r in runs if r.flaw is not None}
 
 
-def _failure_section(
-    trials: Sequence[Trial], facts: Sequence[Judgement], found: Sequence[Notice], missing: Sequence[Notice]
-) -> list[Section]:
+def _failure_section(trials: Sequence[Trial], found: Sequence[Notice], missing: Sequence[Notice]) -> list[Section]:
     """All errors: runs that stopped, are implausible or lost, and what is missing; nothing where there are none."""
     origins, flaws = {n.run: n for n in found if n.code is Code.ORIGIN}, flaws_of(trials)
     failed: list[dict[str, object]] = [
@@ -155,14 +153,14 @@ def _failure_section(
         | {"status": flaw.status, "frame": flaw.frame, "why": flaw.notice, "origin": origins.get(run)}
         for run, flaw in flaws.items()
     ]
-    lost = sum(len(j.unusable) for j in facts) - len(flaws_of([t for t in trials if t.variant_of is None]))
-    of_lost = together(n for n in found if status_of(n, flaws) == LOST)
-    if not (failed or lost or of_lost or missing):
+    of_lost = [n for n in found if status_of(n, flaws) == LOST]
+    lost = len({n.run for n in found if n in of_lost or n.code is Code.UNUSED} - flaws.keys())
+    if not (failed or of_lost or lost or missing):
         return []
     of = sum(len(t.runs) for t in trials)
     blocks: list[Block] = [paragraph("failures#count", runs=failed, lost=lost, of=of)] if failed or lost else []
     which = [say("failures#stopped", runs=failed)] if failed else []
-    which += [say("failures#lost", texts=[described(n) for n in of_lost])] if of_lost else []
+    which += [say("failures#lost", texts=[described(n) for n in together(of_lost)])] if of_lost else []
     blocks += [Folded("Which, and why", tuple(which))] if which else []
     blocks += [say("failures#missing", texts=[described(n) for n in missing])] if missing else []
     return [Section("Failures", tuple(blocks), facts=failed)]
