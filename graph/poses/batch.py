@@ -81,7 +81,7 @@ class PoseProblem:
         triangle = eliminate(rows, self.structure)
         delta = means(rows, self.structure, triangle)[:, :, 0]
         delta[0] = start + U @ delta[0]
-        return Newton(delta, float(np.sqrt(np.einsum("vic,vic->", triangle.d, triangle.d))), rows, triangle, U)
+        return Newton(delta, float(np.linalg.norm(triangle.d)), rows, triangle, U)
 
     def covariances(self, newton: Newton) -> Array:
         """Marginal covariances (K, 3, 3), world frame, additive, at the poses of that step."""
@@ -127,7 +127,8 @@ def pose_problem(
     roots = np.concatenate([chain, loops])
     variable = _variables(first, second)
     # no variable counts as a pose of a bare chain, whose order would be another one
-    return PoseProblem(prior, first, second, edges, roots, len(key1), structure(variable, ordering(variable, 0, n)))
+    s = structure(variable, np.full(n, 3), ordering(variable, 0, n))
+    return PoseProblem(prior, first, second, edges, roots, len(key1), s)
 
 
 def _variables(key1: IntArray, key2: IntArray) -> IntArray:
