@@ -16,7 +16,6 @@ from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.lab_settings import settings_by_log
 from eval.plan.provenance import command_of, provenance
-from eval.plan.tutorials import is_tutorial
 from eval.plan.unfinished import Unfinished
 from eval.referee import result_files
 from eval.referee.consistency import CONSISTENT, MIN_RUNS
@@ -37,7 +36,6 @@ from eval.report.render import write_report
 from eval.report.results import space_rows
 from eval.report.revisions import revision_section
 from eval.report.studies import study_sections
-from eval.report.tutorials import tutorial_sections
 from eval.report.visual import visual_sections
 from eval.report.words import LOST, described, paragraph, say, status_of, together, whose
 from eval.studies.diagnosis import trust_table
@@ -96,7 +94,6 @@ def write_results(
     )
     sections += laser_sections(folder, output, trials, published)
     sections += visual_sections(folder, output, trials, in_lab=in_lab, factor=factor)
-    sections += tutorial_sections(folder, output, trials, scores)
     sections += study_sections(folder, options, outcome, judged)
     if trials:
         sections += association_sections(folder, output, trials, scores)
@@ -188,12 +185,11 @@ SIZES = {
 
 def _source_section(trials: Sequence[Trial], setup: Setup) -> Section:
     """Size, sensor and labels of each log, and the gate of observations paired by label."""
-    tutorials = {t.log.name for t in trials if is_tutorial(t)}  # these gate nothing
     sources: list[dict[str, Any]] = []
     gates: dict[str, list[str]] = {}
     for log in {t.log.name: t.log for t in trials}.values():
-        r, gated = log.recorded, log.has_labels and log.name not in tutorials
-        gate = gate_sentence(setup, sensed=log.labels_are_sensed) if gated else ""
+        r = log.recorded
+        gate = gate_sentence(setup, sensed=log.labels_are_sensed) if log.has_labels else ""
         if gate:
             gates.setdefault(gate, []).append(log.name)
         sources.append(

@@ -36,7 +36,6 @@ from eval.report.results import aligned_statement, results_statement, space_tabl
 from eval.report.rows import SYSTEMATIC, stem, variants
 from eval.report.sources import source_section
 from eval.report.systematic import systematic_section
-from eval.report.tutorials import variant_note
 from eval.report.words import fine_print, of_runs, paragraph, say
 from eval.studies.diagnosis import Trust
 
@@ -93,7 +92,7 @@ def trial_sections(
         sections += systematic_section(folder, output, trial, pictures, calibrations)
         details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
         details += [p for p, kind in kinds.items() if kind not in (*IN_FRONT, *ELSEWHERE)]
-        about = tuple(variant_note(t, of_trial(scores.metrics, t)) for t in group[1:])
+        about = tuple(paragraph("comparison#variant", name=t.log.name, about=t.about) for t in group[1:])
         details += [Folded(VARIANTS, about)] if about else []
         notes = of_runs(n for n in about_log if n.severity is Severity.INFO)
         details += [Folded(NOTES, ("\n".join(f"* {n}" for n in notes),))] if notes else []
