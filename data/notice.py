@@ -5,7 +5,7 @@ A notice holds no sentence; `data.words` renders it for terminal, Markdown and H
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
 
@@ -195,6 +195,11 @@ class Notice:
         """Values by name."""
         return dict(self.values)
 
+    @property
+    def run(self) -> tuple[str, str, str, str]:
+        """Log, task, estimator and association."""
+        return self.log, self.task, self.estimator, self.association
+
     def about(
         self,
         *,
@@ -207,6 +212,11 @@ class Notice:
         """The same about a named log, task or run, or from a frame on; None keeps the value."""
         given = {"log": log, "task": task, "estimator": estimator, "association": association, "frame": frame}
         return replace(self, **{name: value for name, value in given.items() if value is not None})  # type: ignore[arg-type]
+
+
+def ordered(found: Iterable[Notice]) -> list[Notice]:
+    """Each notice once: errors, warnings, facts; otherwise as they come."""
+    return sorted(dict.fromkeys(found), key=lambda n: list(Severity).index(n.severity), reverse=True)
 
 
 def notice(code: Code, frame: int | None = None, **values: Value) -> Notice:

@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from data.inputs import IntArray
     from data.log import Log
     from data.se2 import Array
-    from eval.tuning.fit import Fit, Score
-    from eval.tuning.model import Model
+    from eval.tuning import Fit, Model, Score
 
 PROG = "python -m eval.tune"
 TUNED = "tuned"  # title of the scores and errors after the fit
@@ -138,7 +137,7 @@ def tune(
     Args:
         log: with labels.
         folder: of the log, for its odometry.csv.
-        groups: comma list of `eval.tuning.model.GROUPS`; None: the default ones.
+        groups: comma list of `eval.tuning.GROUPS`; None: the default ones.
         gate: chi-square probability beyond which pairings are rejected, under the stated noise.
         use: values of another tuned log, instead of a fit.
         keep_truth: score windows of bad ground truth, too.
@@ -149,8 +148,7 @@ def tune(
     """
     from association.expectation import gate_threshold
     from data.truth_windows import scored
-    from eval.tuning.fit import Fit, fit, pairings
-    from eval.tuning.model import DEFAULT_GROUPS, GROUPS, make_model, read_odometry, stated_groups, vector
+    from eval.tuning import DEFAULT_GROUPS, GROUPS, Fit, fit, make_model, pairings, read_odometry, stated_groups, vector
 
     if not log.has_labels:
         raise UsageError(f"log {log.name!r} has no labels; a fit needs them (label in observations.csv)")
@@ -180,7 +178,7 @@ def _doubt(model: Model, s: Score) -> str:
 
 def _doubtful(model: Model, found: Fit | None, after: Score | str | None) -> Score | None:
     from eval.referee.consistency import correlated
-    from eval.tuning.fit import HELD
+    from eval.tuning import HELD
 
     if found is None or after is None or isinstance(after, str):
         return None
@@ -191,8 +189,7 @@ def _doubtful(model: Model, found: Fit | None, after: Score | str | None) -> Sco
 
 def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fit | Numbers) -> Log:
     """The copy: fitted values, truth at the (perhaps shifted) frames, and a record of the fit."""
-    from eval.tuning.fit import HELD, Fit
-    from eval.tuning.model import apply
+    from eval.tuning import HELD, Fit, apply
 
     inputs = apply(model, theta, floor=True)
     truth = log.truth
@@ -245,8 +242,7 @@ def _judge(
     from ekf.whole_run import run_filter
     from eval.referee.consistency import mean_or_nan, nees
     from eval.referee.errors import heading_rmse_deg, position_distance, rms
-    from eval.tuning.fit import fit, middle, score
-    from eval.tuning.model import apply
+    from eval.tuning import apply, fit, middle, score
 
     after = tuned.inputs(labels=True)
     scores: dict[str, Score | str] = {"as stated": score(model.inputs, decisions)}

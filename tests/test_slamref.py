@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 import slamref
+from eval.studies.shipped import scenarios
 
 ROOT = Path(__file__).parents[1]
 NAMES = [
@@ -143,7 +144,7 @@ def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_
         held = set(archive.namelist())
         archive.extractall(tmp_path / "unpacked")
     code = {p.relative_to(ROOT).as_posix() for p in ROOT.glob("[adeg]*/**/*.py") if p.parts[-1] != "__pycache__"}
-    tables = {p.relative_to(ROOT).as_posix() for f in ("configs", "scenarios") for p in (ROOT / "eval" / f).iterdir()}
+    tables = {p.relative_to(ROOT).as_posix() for p in (ROOT / "eval/scenarios").iterdir()}
     packages = ("association/", "data/", "ekf/", "eval/", "graph/")
     assert {name for name in code if name.startswith(packages)} | tables | {"slamref.py"} <= held
     assert {f"{package}py.typed" for package in packages} <= held
@@ -151,12 +152,12 @@ def test_the_wheel_holds_the_face_the_command_and_the_files_beside_the_code(tmp_
     assert set(re.findall(r"(\w+) as \1\b", stub)) == set(NAMES) - {"__version__"}
     (entry,) = (name for name in held if name.endswith("entry_points.txt"))
     assert "slamref = slamref:main" in (tmp_path / "unpacked" / entry).read_text()
-    asked = "import slamref; from eval.plan.flags.table import shipped; print(slamref.__file__, len(shipped()))"
+    asked = "import slamref; from eval.studies.shipped import scenarios; print(slamref.__file__, len(scenarios()))"
     done = subprocess.run(
         [sys.executable, "-c", asked], cwd=tmp_path, check=True, capture_output=True, text=True,
         env={**os.environ, "PYTHONPATH": str(tmp_path / "unpacked")},
     )  # fmt: skip
-    assert done.stdout == f"{tmp_path / 'unpacked' / 'slamref.py'} 4\n"
+    assert done.stdout == f"{tmp_path / 'unpacked' / 'slamref.py'} {len(scenarios())}\n"
 
 
 @pytest.mark.slow

@@ -1,10 +1,9 @@
-"""Figures of studies: what runs end with, rates of wrong associations, the power of a test, knowledge taken away."""
+"""Figures of studies: what runs end with, rates of wrong associations."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator, StrMethodFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from data.se2 import Array
 from data.terminal import counted
@@ -195,73 +194,3 @@ def _scale(ax: Axes, values: Array) -> None:
     else:
         ax.set_ylim(0.0, None)
         ax.yaxis.set_major_locator(ticks(5))
-
-
-SHADE = "#F2F2F2"
-
-
-@dataclass(frozen=True)
-class Known:
-    """A run on a recording of which some knowledge is given."""
-
-    label: str  # what it is called
-    given: str  # what it knows
-    estimator: str  # whose colour it has
-    tutorial: bool  # whether it is a tutorial's treatment
-    rmse: float | None  # position RMSE [m], None where it has none
-    original: float | None  # that of the tutorial's own program, if known
-    wrong: float | None  # share of wrong decisions, None where none was made
-
-
-@drawing()
-def knowledge_figure(title: str, rows: Sequence[Known]) -> Figure:
-    """A row per run, in groups of what is given: position RMSE, logarithmic, and the share of wrong decisions."""
-    groups = list(dict.fromkeys(r.given for r in rows))
-    place = np.array([i + 1.1 * (groups.index(r.given) + 1) for i, r in enumerate(rows)])
-    fig = Figure(figsize=(page_width(), 1.1 + 0.19 * (float(place[-1]) + 1.0)))
-    error, wrong = fig.subplots(1, 2, sharey=True, width_ratios=(2.0, 1.0))
-    for row, y in zip(rows, place.tolist(), strict=True):
-        style = style_of(row.estimator)
-        if row.rmse is not None:
-            error.plot(row.rmse, y, "s" if row.tutorial else style.marker, color=style.colour, linestyle="none")
-        if row.original is not None:
-            error.plot(row.original, y, "s", markersize=points(7.0), markerfacecolor="none", color="#000000")
-        if row.wrong is not None:
-            look = dict[str, Any](color=style.colour, edgecolor="#FFFFFF", linewidth=0.0)
-            wrong.barh(y, 100.0 * row.wrong, height=0.7, hatch="////" if row.tutorial else "", **look)
-    error.set_xscale("log")
-    error.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    error.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
-    error.xaxis.set_minor_locator(NullLocator())
-    error.set_xlabel("position RMSE [m]")
-    wrong.set_xlabel("wrong decisions, FP and FN [%]")
-    wrong.set_xlim(0.0, max(100.0 * max((r.wrong or 0.0 for r in rows), default=0.0) * 1.05, 1.0))
-    error.set_yticks(place, [r.label for r in rows])
-    error.set_ylim(float(place[-1]) + 0.8, -0.4)
-    for ax in (error, wrong):
-        ax.grid(axis="y", visible=False)
-        ax.tick_params(axis="y", length=0)
-    for i, given in enumerate(groups):
-        inside = place[[r.given == given for r in rows]]
-        low, high = float(inside.min()), float(inside.max())
-        for ax in (error, wrong)[: 2 * (i % 2)]:
-            ax.axhspan(low - 1.5, high + 0.6, color=SHADE, zorder=0, linewidth=0.0)
-        look = dict[str, Any](va="center", weight="bold", fontsize=points(7.0))
-        error.text(0.01, low - 0.95, f"given: {given}", transform=error.get_yaxis_transform(), **look)
-    error.set_title(title, loc="left")
-    fig.legend(handles=_handles(rows), loc="outside lower center", ncols=4)
-    return fig
-
-
-def _handles(rows: Sequence[Known]) -> list[Line2D]:
-    found = []
-    for name in dict.fromkeys(r.estimator for r in rows if not r.tutorial):
-        style = style_of(name)
-        found.append(Line2D([], [], color=style.colour, marker=style.marker, linestyle="none", label=style.label))
-    if any(r.tutorial for r in rows):
-        colour, label = style_of("ekf").colour, "a tutorial's treatment, run here"
-        found.append(Line2D([], [], color=colour, marker="s", linestyle="none", label=label))
-    if any(r.original is not None for r in rows):
-        look = dict[str, Any](color="#000000", marker="s", markersize=points(7.0), markerfacecolor="none")
-        found.append(Line2D([], [], linestyle="none", label="the tutorial's own program", **look))
-    return found

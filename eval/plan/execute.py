@@ -6,21 +6,18 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
-from pathlib import Path
 from typing import Any
 
 from data.log import Log
 from data.notice import Notice
 from data.result import Run
-from eval.plan.calibrate import Calibration, examine, settle, with_systematic
+from eval.plan.calibrate import Calibration, examine, settle
 from eval.plan.diagnoses import trusted
 from eval.plan.experiment import Experiment, Work
 from eval.plan.experiments import Plan
 from eval.plan.flags.table import Execution, Options
-from eval.plan.flags.variant import Variant
 from eval.plan.progress import say_kept
 from eval.plan.results import with_results
-from eval.plan.tutorials import ABOUT, tutorial_run, variant_log
 from eval.plan.unfinished import MISSING_RUN, Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.work import Job, work
 from eval.referee.score import Trial
@@ -40,13 +37,6 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Tutorial:
-    """Owner of a job: the pair of log and published tutorial with this number."""
-
-    number: int
-
-
-@dataclass(frozen=True)
 class Recorded:
     """Owner of a job: the scenario of a recording, with this number."""
 
@@ -61,7 +51,7 @@ class Seeded:
     seed: int
 
 
-Owner = Part | Tutorial | Recorded | Seeded
+Owner = Part | Recorded | Seeded
 
 
 @dataclass(frozen=True)
@@ -92,19 +82,16 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     Runs of studies are cached on disk. Jobs that run out of memory are repeated one estimator at a time; if that fails,
     too, their results are missing.
     """
-    execution, given, watched = options.execution, options.selection, not options.output.no_plots
+    execution, watched = options.execution, not options.output.no_plots
     lost = Unfinished(execution.jobs)
     experiments, calibrations = settle(plan.experiments, execution, lost)
-    variants = [(e, v) for e in experiments for v in options.variants if e.task == v.task and e.variant_of is None]
     seeds = {(i, options.study.seed + k): s for i, (s, runs) in enumerate(plan.studies) for k in range(runs)}
     folders = [store.folder_of(options.output.kept, scenario) for scenario, _ in plan.studies]
     done: dict[Owner, Any] = {
         Seeded(i, seed): found for i, seed in seeds if (found := store.load(folders[i], seed)) is not None
     }
-    places = tuple(dict.fromkeys([*(Path(p) for p in given.data), *(Path(p).absolute().parent for p in given.log)]))
     jobs: list[Job[Owner]] = [
         *_estimations(experiments, watched=watched),
-        *(Job(Tutorial(i), _tutorial, (e.log, v, places)) for i, (e, v) in enumerate(variants)),
         *(Job(Recorded(i), replay_stored, asked) for i, asked in enumerate(plan.stored)),
         *(Job(Seeded(*key), one_run, (s, key[1])) for key, s in seeds.items() if Seeded(*key) not in done),
     ]
@@ -126,9 +113,6 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
         match missing:
             case Seeded(i, seed):
                 lost.say("study", why, name=plan.studies[i][0].name, seed=seed)
-            case Tutorial(i):
-                e, v = variants[i]
-                lost.say("run", why, MISSING_RUN.about(log=e.log.name, task=v.task, estimator=v.name))
             case Recorded(i):
                 lost.say("study", why, name=plan.stored[i][0].name)
     replayed = [done[Recorded(i)] for i in range(len(plan.stored)) if Recorded(i) in done]
@@ -136,7 +120,6 @@ def execute(plan: Plan, options: Options, progress: Callable[[int, int], None]) 
     return Outcome(
         trials=(
             *with_results(trials, plan.given),
-            *(done[Tutorial(i)] for i in range(len(variants)) if Tutorial(i) in done),
             *(trial for trial, _ in replayed),
         ),
         studies=studies,
@@ -170,11 +153,6 @@ def seconds_of(log: Log, work: Work) -> float:
         return math.inf
     each = 2e-4 if work.association == "known" else 2e-3
     return each * len(log.recorded.observations.frame) * len(work.estimators)
-
-
-def _tutorial(log: Log, variant: Variant, places: Sequence[Path]) -> Trial:
-    changed = variant_log(with_systematic(log, None), variant, places)
-    return Trial(changed, variant.task, (tutorial_run(changed, variant),), log.name, ABOUT)
 
 
 def _finished(jobs: Sequence[Job[Owner]], execution: Execution, lost: Unfinished) -> Iterator[tuple[Owner, Any]]:

@@ -84,7 +84,7 @@ def is_small(options: Options) -> bool:
     """Whether all logs are small, by their names and files, and nothing else is to be done."""
     chosen, study = options.selection, options.study
     more = chosen.data or chosen.scenario or chosen.lab or study.twins or study.runs or study.full
-    if not chosen.log or more or options.variants or options.setup.calibrate or options.results.result:
+    if not chosen.log or more or options.setup.calibrate or options.results.result:
         return False
     each = len(chosen.estimator) * max(len(chosen.association), 1) * max(len(chosen.task), 1)
     return sum(observations(name) for name in chosen.log) * each <= SMALL

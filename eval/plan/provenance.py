@@ -30,10 +30,7 @@ def command_of(options: Options) -> str:
 
 
 def words_of(options: Options) -> list[str]:
-    """The words of that command, with its paths.
-
-    A config file that must be read again is followed by all its keys, so that flags override it as before.
-    """
+    """The words of that command, with its paths; flags from a config file are spelled out."""
     selection = options.selection
     command, positional = ("lab", "lab") if selection.lab is not None else ("study", "scenario")
     if selection.lab is None and not selection.scenario:
@@ -43,7 +40,7 @@ def words_of(options: Options) -> list[str]:
         value = row.of(options)
         in_lab = row.name == "new_gate" and selection.lab is not None
         default = options.setup.gate if in_lab else row.default  # a lab has one gate unless two are stated
-        if row.numbers and (value != default or row.name in options.stated):
+        if row.numbers and value != default:
             if row.name in ("estimator", "association"):
                 value = tuple(shown(text) for text in value)
             found = row.words(value)

@@ -1,4 +1,4 @@
-"""Diagnostics of completed runs, as notices; truth is used for the true ids of landmarks alone.
+"""Diagnostics of completed runs, as one list of notices; truth is used for the true ids of landmarks alone.
 
 Unused observations, too many landmarks, ambiguous landmarks, two minima of one least-squares problem, landmarks with
 the true id of a neighbour, and the first misfit of an implausible run.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -18,8 +18,9 @@ import scipy
 
 from data import se2
 from data.inputs import Inputs, IntArray
+from data.log import Log
 from data.motion.systematic import corrected_inputs
-from data.notice import Code, Notice, Value, notice
+from data.notice import Code, Notice, Value, notice, ordered
 from data.questions.asked import ask
 from data.result import Run
 from data.se2 import Array
@@ -142,8 +143,8 @@ DISPUTABLE = 0.02
 of `tests.research.foreign` with noise as stated, and in 11 % on the other, where `jcbb` makes 15 % wrong pairings."""
 
 
-def disputed(trial: Trial) -> list[Notice]:
-    """Pairs of methods without labels that made one estimator's pairings otherwise; truth is not used."""
+def disputed(trial: Trial, scores: Scores) -> list[Notice]:
+    """Pairs of methods without labels that made one estimator's pairings otherwise, with FP of both if scored."""
     kept: dict[str, dict[str, Run]] = {}
     for r in trial.runs:
         if r.decides and r.association not in ("known", "none") and r.failure is None and len(r.final_decisions):
@@ -153,7 +154,11 @@ def disputed(trial: Trial) -> list[Notice]:
         for pair in combinations(runs, 2):
             share = differing(observed(runs[pair[0]]), observed(runs[pair[1]]))
             if pair not in found and share > DISPUTABLE:
-                found[pair] = notice(Code.DISPUTED, methods=pair, share=share).about(estimator=estimator)
+                fp = tuple(
+                    n for m in pair for n in _numbers(scores.association, _row(runs[m], trial.log.name), ("fp",))
+                )
+                known = fp if np.isfinite(fp).all() else None
+                found[pair] = notice(Code.DISPUTED, methods=pair, share=share, fp=known).about(estimator=estimator)
     return list(found.values())
 
 
@@ -175,8 +180,7 @@ OTHER = 0.05  # least relative difference of the landmark RMSE with true ids by 
 
 def naming(run: Run, scores: Scores, log: str) -> Notice | None:
     """A notice where true ids by majority change the counts of a run or its landmark RMSE."""
-    phase = run.phases[-1] if run.phases else ""
-    key = (log, run.task, run.estimator, run.association, phase)
+    key = _row(run, log)
     tp, fp, agree = _numbers(scores.association, key, ("tp", "fp", "majority_agreement"))
     stated, by_majority = _numbers(scores.metrics, key, ("rmse_landmark_m", "rmse_landmark_majority_m"))
     wrong = agree > AGREE and fp > WRONG * (tp + fp)
@@ -185,6 +189,11 @@ def naming(run: Run, scores: Scores, log: str) -> Notice | None:
         return None
     shares: dict[str, Value] = {"false_share": fp / (tp + fp) if wrong else None, "agree": agree if wrong else None}
     return _of(run, Code.NAMING, **shares, rmse=stated if off else None, rmse_majority=by_majority if off else None)
+
+
+def _row(run: Run, log: str) -> tuple[str, ...]:
+    """Names of a run's row of its last phase."""
+    return log, run.task, run.estimator, run.association, run.phases[-1] if run.phases else ""
 
 
 def _numbers(table: pd.DataFrame, key: tuple[str, ...], columns: Sequence[str]) -> list[float]:
@@ -297,29 +306,37 @@ def _near_ranges(trial: Trial, rows: IntArray) -> tuple[float, ...]:
     return tuple(o.z[rows[o.z[rows, 0] < NEAR * np.sqrt(o.R[rows, 0, 0])], 0].tolist())
 
 
-def notices(trials: Sequence[Trial], scores: Scores | None = None) -> list[Notice]:
-    """All notices about logs and runs: questions, failures, implausible values, lost runs, notes.
+def of_logs(logs: Iterable[Log]) -> Iterator[Notice]:
+    """Notes and questions about each log, which need no run."""
+    for log in {log.name: log for log in logs}.values():
+        yield from (notice(Code.NOTE, text=text).about(log=log.name) for text in log.notes)
+        yield from ask(log)
+
+
+def notices(
+    trials: Sequence[Trial], scores: Scores | None = None, known: Iterable[Notice] | None = None
+) -> list[Notice]:
+    """All notices about logs and runs, each once: errors (stopped, implausible, lost), warnings, facts.
 
     Args:
         trials: of one or several logs.
         scores: of these trials, if they are known already.
+        known: notices found before, those about the logs among them; None: the logs are asked.
 
     Example:
         >>> [(n.estimator, n.code) for n in slamref.notices([trial])]
     """
     scores = scores or score(trials)
-    found: list[Notice] = []
-    for log in {t.log.name: t.log for t in trials if t.variant_of is None}.values():
-        found += [notice(Code.NOTE, text=text).about(log=log.name) for text in log.notes]
-        found += ask(log)
+    found = list(of_logs(t.log for t in trials if t.variant_of is None) if known is None else known)
     for trial in trials:
         own = [
             n.about(estimator=r.estimator, association=r.association)
             for r in trial.runs
             for n in _all(r, trial, scores)
         ]
-        found += [n.about(log=trial.log.name, task=trial.task) for n in (*own, *minima(trial), *disputed(trial))]
-    return [*found, *laser_faults.sizes_disagree(trials)]
+        of_pairs = (*minima(trial), *disputed(trial, scores))
+        found += [n.about(log=trial.log.name, task=trial.task) for n in (*own, *of_pairs)]
+    return ordered([*found, *laser_faults.sizes_disagree(trials)])
 
 
 def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:

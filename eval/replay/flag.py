@@ -63,7 +63,7 @@ class Flag:
 
 
 def row(default: Any, read: Read, metavar: str = "", help: str = "", **more: Any) -> Any:
-    """A field of a table with its default (MISSING: a value is needed); see `Flag`."""
+    """A field of a table with its default; see `Flag`."""
     return field(default=default, metadata={"flag": Flag(read, metavar, help, **more)})
 
 
@@ -155,17 +155,6 @@ def positive(label: str, value: object) -> float:
 def positive_or_none(label: str, value: object) -> float | None:
     """A positive number, or `none`."""
     return None if value == "none" else positive(label, value)
-
-
-def numbers(length: int) -> Read:
-    """A list of `length` numbers."""
-
-    def read(label: str, value: object) -> tuple[float, ...]:
-        if not isinstance(value, (list, tuple)) or len(value) != length:
-            raise UsageError(f"{label} {value!r}: a list of {length} numbers is needed")
-        return tuple(number(label, v) for v in value)
-
-    return read
 
 
 def whole(least: int, otherwise: str) -> Read:

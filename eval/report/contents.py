@@ -8,18 +8,18 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-from data.notice import Notice
+from data.notice import Code, Notice, Severity
+from data.result import Failure
 from data.words import sentence, title
 from eval.judgement.judgement import Judgement, conclusion
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
 from eval.plan.lab_settings import settings_by_log
 from eval.plan.provenance import command_of, provenance
-from eval.plan.tutorials import is_tutorial
 from eval.plan.unfinished import Unfinished
 from eval.referee import result_files
 from eval.referee.consistency import CONSISTENT, MIN_RUNS
-from eval.referee.diagnostics import notices, notices_table, origin
+from eval.referee.diagnostics import notices_table
 from eval.referee.given.runs import GivenRun
 from eval.referee.score import Scores, Trial
 from eval.replay.settings import Setup
@@ -36,9 +36,8 @@ from eval.report.render import write_report
 from eval.report.results import space_rows
 from eval.report.revisions import revision_section
 from eval.report.studies import study_sections
-from eval.report.tutorials import tutorial_sections
 from eval.report.visual import visual_sections
-from eval.report.words import described, paragraph, questions, say, whose
+from eval.report.words import LOST, described, paragraph, say, status_of, together, whose
 from eval.studies.diagnosis import trust_table
 from eval.studies.montecarlo import Judged, consistency_table
 from eval.studies.reproduced import published_frame
@@ -61,14 +60,13 @@ def write_results(
     scores: Scores,
     judged: Sequence[Judged],
     judgements: Sequence[tuple[Trial, Judgement]],
+    found: Sequence[Notice],
     command: Sequence[str],
     progress: Callable[[int, int], None],
 ) -> Written:
-    """Fill the result folder."""
+    """Fill the result folder; `found` are all notices but those about what is missing for lack of memory."""
     trials, output = outcome.trials, options.output
     lost = Unfinished(options.execution.jobs, messages=list(outcome.missing))
-    found = notices(trials, scores)
-    found += [n.about(log=t.log, task=t.task, association=t.association) for t in outcome.trust for n in t.notices]
     result_files.METRICS.write(scores.metrics, folder)
     result_files.DECISION_COUNTS.write(scores.association, folder)
     result_files.TIMING.write(scores.timing, folder)
@@ -91,16 +89,17 @@ def write_results(
     first = [*answers, *attribution_sections(main, outcome.trust)]
     sections = warnings_section(found)
     in_lab, factor = options.selection.lab is not None, output.ellipse_factor
-    sections += trial_sections(folder, output, trials, facts, scores, published, outcome.trust, outcome.calibrations)
+    sections += trial_sections(
+        folder, output, trials, facts, scores, published, found, outcome.trust, outcome.calibrations
+    )
     sections += laser_sections(folder, output, trials, published)
     sections += visual_sections(folder, output, trials, in_lab=in_lab, factor=factor)
-    sections += tutorial_sections(folder, output, trials, scores)
     sections += study_sections(folder, options, outcome, judged)
     if trials:
         sections += association_sections(folder, output, trials, scores)
         sections += revision_section(folder, output, trials)
         sections += lab_sections(trials, scores, answered_above=bool(answers))
-    sections += _failure_section(trials, facts, lost.messages)
+    sections += _failure_section(trials, found, lost.messages)
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
     declared = _declared(judged)
     blocks: list[Block] = [introduction(facts)]
@@ -128,8 +127,8 @@ def write_results(
 
 
 def warnings_section(found: Sequence[Notice]) -> list[Section]:
-    """A section with all questions, a few of them in front; none where there is nothing to ask."""
-    asking = [(title(n), whose(n), sentence(n)) for n in questions(found)]
+    """A section with all warnings, a few of them in front; none where there are none."""
+    asking = [(title(n), whose(n), sentence(n)) for n in together(found) if n.severity is Severity.WARNING]
     if not asking:
         return []
     shown, more = (say("questions#asked", asking=part) for part in (asking[:FEW], asking[FEW:]))
@@ -137,23 +136,29 @@ def warnings_section(found: Sequence[Notice]) -> list[Section]:
     return [Section("Warnings", (say("questions#about"), shown, *folded))]
 
 
-def _failure_section(trials: Sequence[Trial], facts: Sequence[Judgement], missing: Sequence[Notice]) -> list[Section]:
-    """The runs that stopped early or are implausible, and what is missing; nothing where there are none."""
-    failed = [
-        {"log": t.log.name, "task": t.task, "estimator": r.estimator, "association": r.association, "status": r.status}
-        | {"frame": r.flaw.frame, "why": r.flaw.notice, "origin": origin(r, t)}
-        for t in trials
-        for r in t.runs
-        if r.flaw is not None
+def flaws_of(trials: Sequence[Trial]) -> dict[tuple[str, str, str, str], Failure]:
+    """Why runs stopped or are implausible, by log, task, estimator and association."""
+    runs = ((t, r) for t in trials for r in t.runs)
+    return {(t.log.name, t.task, r.estimator, r.association): r.flaw for t, r in runs if r.flaw is not None}
+
+
+def _failure_section(trials: Sequence[Trial], found: Sequence[Notice], missing: Sequence[Notice]) -> list[Section]:
+    """All errors: runs that stopped, are implausible or lost, and what is missing; nothing where there are none."""
+    origins, flaws = {n.run: n for n in found if n.code is Code.ORIGIN}, flaws_of(trials)
+    failed: list[dict[str, object]] = [
+        dict(zip(("log", "task", "estimator", "association"), run, strict=True))
+        | {"status": flaw.status, "frame": flaw.frame, "why": flaw.notice, "origin": origins.get(run)}
+        for run, flaw in flaws.items()
     ]
-    lost = sum(len(j.unusable) for j in facts) - sum(
-        r.flaw is not None for t in trials if t.variant_of is None for r in t.runs
-    )
-    if not (failed or lost or missing):
+    of_lost = [n for n in found if status_of(n, flaws) == LOST]
+    lost = len({n.run for n in found if n in of_lost or n.code is Code.UNUSED} - flaws.keys())
+    if not (failed or of_lost or lost or missing):
         return []
     of = sum(len(t.runs) for t in trials)
     blocks: list[Block] = [paragraph("failures#count", runs=failed, lost=lost, of=of)] if failed or lost else []
-    blocks += [Folded("Which, and why", (say("failures#stopped", runs=failed),))] if failed else []
+    which = [say("failures#stopped", runs=failed)] if failed else []
+    which += [say("failures#lost", texts=[described(n) for n in together(of_lost)])] if of_lost else []
+    blocks += [Folded("Which, and why", tuple(which))] if which else []
     blocks += [say("failures#missing", texts=[described(n) for n in missing])] if missing else []
     return [Section("Failures", tuple(blocks), facts=failed)]
 
@@ -180,12 +185,11 @@ SIZES = {
 
 def _source_section(trials: Sequence[Trial], setup: Setup) -> Section:
     """Size, sensor and labels of each log, and the gate of observations paired by label."""
-    tutorials = {t.log.name for t in trials if is_tutorial(t)}  # these gate nothing
     sources: list[dict[str, Any]] = []
     gates: dict[str, list[str]] = {}
     for log in {t.log.name: t.log for t in trials}.values():
-        r, gated = log.recorded, log.has_labels and log.name not in tutorials
-        gate = gate_sentence(setup, sensed=log.labels_are_sensed) if gated else ""
+        r = log.recorded
+        gate = gate_sentence(setup, sensed=log.labels_are_sensed) if log.has_labels else ""
         if gate:
             gates.setdefault(gate, []).append(log.name)
         sources.append(

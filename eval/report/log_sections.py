@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pandas as pd
 
-from data.words import sentence
+from data.notice import Code, Notice, Severity
 from eval.judgement.judgement import Judgement
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
-from eval.referee.diagnostics import ambiguity_of, disputed, minima, naming, unused
 from eval.referee.given.runs import is_truth_alone
 from eval.referee.metrics import heads
 from eval.referee.result_files import rows_of
@@ -37,7 +36,6 @@ from eval.report.results import aligned_statement, results_statement, space_tabl
 from eval.report.rows import SYSTEMATIC, stem, variants
 from eval.report.sources import source_section
 from eval.report.systematic import systematic_section
-from eval.report.tutorials import variant_note
 from eval.report.words import fine_print, of_runs, paragraph, say
 from eval.studies.diagnosis import Trust
 
@@ -69,6 +67,7 @@ def trial_sections(
     judgements: Sequence[Judgement],
     scores: Scores,
     published: Sequence[Sequence[Picture]],
+    found: Sequence[Notice] = (),
     trust: Sequence[Trust] = (),
     calibrations: Sequence[Calibration] = (),
 ) -> list[Section]:
@@ -81,20 +80,21 @@ def trial_sections(
         j = next(own)
         kinds = {p: p.stem.removeprefix(f"{stem(trial)}-") for p in pictures}
         wide = _comparison(folder, output, trial, group, scores)
-        blocks = _front(trial, j, scores, first_page_words(trial, trust))
+        about_log = [n for n in found if n.log == trial.log.name and n.task in ("", trial.task)]
+        blocks = _front(trial, j, about_log, scores, first_page_words(trial, trust))
         blocks.append(_summary(trial, group, scores, wide))
         blocks += space_tables(folder, output, trial)
         blocks += [p for p, kind in kinds.items() if kind in IN_FRONT]
         blocks += [film for t in group for film in films_of(folder, t)] if output.animate else []
         blocks.append(paragraph("comparison#details", page=stem(trial)))
         sections.append(Section(_where(trial), tuple(blocks), facts=j))
-        sections += source_section(folder, output, trial, scores)
+        sections += source_section(folder, output, trial, scores, about_log)
         sections += systematic_section(folder, output, trial, pictures, calibrations)
         details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
         details += [p for p, kind in kinds.items() if kind not in (*IN_FRONT, *ELSEWHERE)]
-        about = tuple(variant_note(t, of_trial(scores.metrics, t)) for t in group[1:])
+        about = tuple(paragraph("comparison#variant", name=t.log.name, about=t.about) for t in group[1:])
         details += [Folded(VARIANTS, about)] if about else []
-        notes = _notes(trial)
+        notes = of_runs(n for n in about_log if n.severity is Severity.INFO)
         details += [Folded(NOTES, ("\n".join(f"* {n}" for n in notes),))] if notes else []
         sections.append(Section(f"{_where(trial)}: details", tuple(details), page=stem(trial)))
         sections += trust_section(folder, output, trial, pictures, trust)
@@ -126,12 +126,12 @@ def _summary(trial: Trial, group: Sequence[Trial], scores: Scores, wide: Table) 
     return Table(frame, caption + aligned_statement(trial), fine=wide.fine, apart=wide.apart)
 
 
-def _front(trial: Trial, j: Judgement, scores: Scores, trust: str) -> list[Block]:
+def _front(trial: Trial, j: Judgement, found: Sequence[Notice], scores: Scores, trust: str) -> list[Block]:
     """Filter and smoother on one log and task: at most three lines in front, the rest folded."""
     theirs = results_statement(trial, rows_of(of_trial(scores.metrics, trial)))
     whole = "" if theirs and is_truth_alone(trial.log) else answer(j, trust if j.measured else "")
     text = "\n\n".join(s for s in (against_relations(trial), whole, theirs) if s)
-    nothing = " ".join(of_runs(unused(r, trial.log.recorded) for r in trial.runs))
+    nothing = " ".join(of_runs(n for n in found if n.code is Code.UNUSED))
     front = " ".join(s for s in (in_short(j), nothing or gauge_statement(j)) if s)
     return [front, Folded(IN_FULL, (text,))] if text else [front]
 
@@ -144,14 +144,6 @@ def _differences(folder: Path, output: Output, trial: Trial, rows: pd.DataFrame)
     table = written_table(differences_table(rows), folder, stem(trial, "differences"), caption, output, fine=fine)
     missing = missing_intervals(rows)
     return [table, Folded(WHY_MISSING, (say("comparison#missing", intervals=missing),))] if missing else [table]
-
-
-def _notes(trial: Trial) -> list[str]:
-    notes = [*trial.log.notes, *(f"{r.estimator}: {sentence(n)}." for r in trial.runs for n in r.notes)]
-    notes += of_runs(
-        [*minima(trial), *disputed(trial), *(n for run in trial.runs for n in ambiguity_of(run, trial.log.recorded))]
-    )
-    return list(dict.fromkeys(notes))
 
 
 def _decided(folder: Path, output: Output, rows: pd.DataFrame, name: str, where: str) -> Table:
@@ -168,8 +160,6 @@ def _decisions(
         return []
     name = stem(trial, "association")
     blocks: list[Block] = [_decided(folder, output, rows, name, _where(trial))]
-    named = of_runs(naming(run, scores, trial.log.name) for run in trial.runs)
-    blocks += ["\n".join(f"* {n}" for n in named)] if named else []
     blocks += [p for p in pictures if p.stem == name]
     return [Section(f"Decisions: {_where(trial)}", tuple(blocks), level=3, page=stem(trial))]
 

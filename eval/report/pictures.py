@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +77,11 @@ def _claiming(trial: Trial) -> list[Run]:
     return [r for r in shown_runs.finished(trial) if shown_runs.has_covariance(r)]
 
 
+def _unclaimed(run: Run) -> str:
+    """Why one that reached its end is not shown among estimates that say how certain they are."""
+    return "room" if shown_runs.has_covariance(run) else "covariance"
+
+
 def has_outcomes(trial: Trial, variants: Variants = ()) -> bool:
     """Whether decisions were made (not only labels read) that can be scored."""
     return any(
@@ -96,7 +101,7 @@ def _map(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
 
 def _error(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = shown_runs.for_panels(shown_runs.finished(trial))
-    return error_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
+    return error_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown_runs.side_by_side(shown))}
 
 
 def _spatial(trial: Trial) -> list[Run]:
@@ -110,7 +115,7 @@ def _space(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
 
 def _nees(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = shown_runs.for_panels(_claiming(trial))
-    return nees_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
+    return nees_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown, _unclaimed)}
 
 
 def _has_difference(trial: Trial, _: Variants) -> bool:
@@ -129,12 +134,12 @@ def _difference(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
 
 def _claims(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = shown_runs.for_panels(_claiming(trial))
-    return claims_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
+    return claims_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown, _unclaimed)}
 
 
 def _loop_state(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     shown = shown_runs.for_loop_states(trial)
-    return loop_state_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown)}
+    return loop_state_figure(trial.log, shown), {"others": shown_runs.left_out(trial, shown, lambda run: "method")}
 
 
 def _filter_smoother(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
@@ -180,7 +185,9 @@ def _growing(trial: Trial, run: Run) -> dict[str, object]:
 def _growth(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     runs = shown_runs.for_growth(trial)
     grown = [_growing(trial, r) for r in runs]
-    return growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown}
+    alike = replace(trial, runs=tuple(r for r in trial.runs if r.association == runs[0].association))
+    others = shown_runs.left_out(alike, runs, lambda run: "online" if run.online is None or run.map is None else "room")
+    return growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown, "others": others}
 
 
 def _association(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from data.result import Run
-from eval.figures.error import MOST_PANELS
+from eval.figures.error import MOST_PANELS, panels
+from eval.figures.paper import across
 from eval.judgement.runs import associations
 from eval.referee.errors import position_distance, rms
 from eval.referee.given.runs import log_of
@@ -16,6 +17,7 @@ from eval.referee.score import Trial
 from eval.replay.settings import ESTIMATORS, FILTERS, HINDSIGHT
 from eval.report.words import paragraph
 
+FEW = 3  # missing runs that a caption names
 MOST_PATHS = 6  # paths in one map, the dead-reckoned one included
 
 
@@ -127,6 +129,12 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
     return _in_order(chosen)
 
 
+def side_by_side(runs: Sequence[Run]) -> list[Run]:
+    """Of runs chosen `for_panels`, those that have a panel of their own beside the others."""
+    kept = panels(runs, across(MOST_PANELS))[0]
+    return [r for r in runs if any(s.run is r for s in kept)]
+
+
 def for_loop_states(trial: Trial) -> list[Run]:
     """For each association method the last smoother, else the filter: decisions in hindsight first, labels last."""
     deciding = [
@@ -165,10 +173,20 @@ def for_filter_smoother(trial: Trial) -> tuple[list[Run], Run] | None:
     return None
 
 
-def left_out(trial: Trial, shown: Sequence[Run]) -> str:
-    """A sentence for the caption that names who is shown, if not all are; empty if all are."""
-    named = [r for r in shown if r.estimator != "dead-reckoning"]
-    names = [r.estimator + f" with {r.association}" * (r.association != "none") for r in named]
-    if len(names) == len(finished(trial)):
+def left_out(trial: Trial, shown: Sequence[Run], why: Callable[[Run], str] = lambda run: "room") -> str:
+    """Sentences for the caption: which runs are not shown, and why; of many who are shown; empty if all are.
+
+    `why`: of a run that reached its end, a key of `reasons` in the templates.
+    """
+    missing: dict[str, list[str]] = {}
+    for run in (r for r in trial.runs if not any(same(r, s) for s in shown)):
+        missing.setdefault("stopped" if run.failure is not None else why(run), []).extend(_names([run]))
+    if not any(missing.values()):
         return ""
-    return f" {paragraph('pictures#shown', names=names)}"
+    few = sum(map(len, missing.values())) <= FEW
+    return f" {paragraph('pictures#shown', names=_names(shown), missing=missing if few else {})}"
+
+
+def _names(runs: Sequence[Run]) -> list[str]:
+    named = [r for r in runs if r.estimator != "dead-reckoning"]
+    return [r.estimator + f" with {r.association}" * (r.association != "none") for r in named]

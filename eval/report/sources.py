@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +13,6 @@ from data.notice import Notice
 from eval.plan.flags.table import Output
 from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.referee.score import Scores, Trial
-from eval.referee.sources.scored import source_notices
 from eval.replay.settings import FILTERS
 from eval.report.page.blocks import Section
 from eval.report.page.files import written_table
@@ -100,8 +99,10 @@ def source_lines(found: Sequence[SourceFacts]) -> list[str]:
     return [paragraph("sources#line", s=s) for s in main_sources(found)]
 
 
-def source_section(folder: Path, output: Output, trial: Trial, scores: Scores) -> list[Section]:
-    """Words and table on the sources of a log and task; none where it has none."""
+def source_section(
+    folder: Path, output: Output, trial: Trial, scores: Scores, found: Sequence[Notice]
+) -> list[Section]:
+    """Words and table on the sources of a log and task, with the notices about them; none where it has none."""
     facts = source_facts(scores, trial.log.name, trial.task)
     if not facts:
         return []
@@ -110,19 +111,8 @@ def source_section(folder: Path, output: Output, trial: Trial, scores: Scores) -
     bounds = [interval(s.low, s.high) if math.isfinite(s.low) else None for s in facts]
     made = table.astype(object).assign(bounds=pd.Series(bounds, index=table.index, dtype=object))
     shown = drop_blank_columns(made[list(HEADS)].rename(columns=HEADS))
-    asking = of_runs(together_by_source(n for run in trial.runs for n in source_notices(run, trial.log.recorded)))
+    asking = of_runs(n for n in found if "source" in n.named)
     words = say("sources#about", sources=main_sources(facts), asking=asking)
     caption = paragraph("sources#caption", where=where, truth=any(s.outcomes is not None for s in facts))
     blocks = (words, written_table(shown.reset_index(drop=True), folder, stem(trial, "sources"), caption, output))
     return [Section(f"Fixes and closures: {where}", blocks, 3, tuple(facts))]
-
-
-def together_by_source(found: Iterable[Notice]) -> list[Notice]:
-    """Each kind of notice once a source, with the numbers of the first estimator that has it, and the names of all."""
-    first: dict[tuple[object, ...], Notice] = {}
-    names: dict[tuple[object, ...], list[str]] = {}
-    for n in found:
-        key = n.code, n.log, n.task, n.association, n.named["source"], n.named["kind"]
-        first.setdefault(key, n)
-        names.setdefault(key, []).append(n.estimator)
-    return [n.about(estimator=", ".join(dict.fromkeys(names[key]))) for key, n in first.items()]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
@@ -13,6 +13,7 @@ from jinja2 import Environment
 
 from data import words
 from data.notice import Notice, Severity
+from data.result import Failure
 from data.words import number, sentence, title
 from eval.figures.paper import tex_escape
 from eval.report.page.blocks import FinePrint
@@ -110,16 +111,32 @@ def fine_print(title: str) -> FinePrint:
 
 
 def together(found: Iterable[Notice]) -> list[Notice]:
-    """Each notice once: estimators of one log, task and association that have it are named together."""
-    names: dict[Notice, list[str]] = {}
-    for notice in found:
-        names.setdefault(notice.about(estimator=""), []).append(notice.estimator)
-    return [notice.about(estimator=", ".join(dict.fromkeys(who))) for notice, who in names.items()]
+    """Each notice once: estimators of one log, task and association that have it are named together.
+
+    Numbers about a source of fixes or closures are those of the first estimator.
+    """
+    first: dict[Hashable, Notice] = {}
+    names: dict[Hashable, list[str]] = {}
+    for n in found:
+        of = n.named
+        about_source = (n.code, n.log, n.task, n.association, of["source"], of["kind"]) if "source" in of else None
+        key = about_source or n.about(estimator="")
+        first.setdefault(key, n)
+        names.setdefault(key, []).append(n.estimator)
+    return [n.about(estimator=", ".join(dict.fromkeys(names[key]))) for key, n in first.items()]
 
 
-def questions(found: Iterable[Notice]) -> list[Notice]:
-    """The warnings among them."""
-    return together(n for n in found if n.severity is Severity.WARNING)
+Flaws = Mapping[tuple[str, str, str, str], Failure]
+"""Why runs, named by log, task, estimator and association, stopped or are implausible."""
+LOST = "lost"
+
+
+def status_of(notice: Notice, flaws: Flaws) -> str:
+    """What an error says of its run: the status of its flaw, or `LOST`; empty for other notices."""
+    if notice.severity is not Severity.ERROR:
+        return ""
+    flaw = flaws.get(notice.run)
+    return LOST if flaw is None or flaw.notice.code is not notice.code else flaw.status
 
 
 def whose(notice: Notice) -> str:
@@ -133,12 +150,18 @@ def described(notice: Notice) -> str:
     return ": ".join(filter(None, (whose(notice), sentence(notice))))
 
 
-def asked(question: Notice) -> str:
-    """A warning as the terminal shows it."""
-    return f"warning: {sentence(question)} ({whose(question).replace(': ', ', ')}, {title(question)})"
+def asked(notice: Notice, status: str = "") -> str:
+    """A warning or an error as the terminal shows it; `status` of a run that stopped, is implausible or lost."""
+    if status:
+        since = "from" if status in ("implausible", LOST) else "at"
+        return f"{whose(notice)} {status} {since} frame {notice.frame}: {sentence(notice)}"
+    return f"{notice.severity}: {sentence(notice)} ({whose(notice).replace(': ', ', ')}, {title(notice)})"
 
 
-def of_runs(found: Iterable[Notice | None]) -> list[str]:
+def of_runs(found: Iterable[Notice]) -> list[str]:
     """A sentence for each, with the runs of one log in front that it is about."""
-    each = [(n, f"{n.estimator} ({n.association}): " if n.estimator else "") for n in together(filter(None, found))]
-    return [f"{who}{sentence(n)}." for n, who in each]
+    said = []
+    for n in together(found):
+        method = f" ({n.association})" if n.association else ""
+        said.append(f"{n.estimator}{method}: {sentence(n)}" if n.estimator else sentence(n))
+    return [text if text.endswith((".", "?", "!")) else f"{text}." for text in said]

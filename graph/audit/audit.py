@@ -15,6 +15,7 @@ from graph.audit.clusters import Cluster, beside, clusters
 from graph.audit.components import Components, Estimator
 from graph.audit.condition import Condition, condition, curvature
 from graph.audit.draws import family, independent, smallest_p
+from graph.audit.factored import Factored, factorize, ordering
 from graph.audit.factors import (
     BRIEF,
     INEXACT,
@@ -27,7 +28,6 @@ from graph.audit.factors import (
     row_redundancies,
 )
 from graph.audit.files import moved
-from graph.audit.fronts import Factored, factorize, ordering
 from graph.audit.kinds import Grouping, Kinds, kinds, positions_of
 from graph.audit.linear import IGNORED, System, linearize
 from graph.audit.simulated import smallest_p_optimized

@@ -9,8 +9,8 @@ from scipy.stats import chi2
 
 from data.se2 import Array
 from graph.audit.components import residuals, weighted_rows
+from graph.audit.factored import PART, Factored
 from graph.audit.factors import Directions
-from graph.audit.fronts import PART, Factored
 
 
 def smallest_p(f: Factored, seen: Sequence[Directions], count: int, rng: np.random.Generator) -> Array:

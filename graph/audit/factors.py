@@ -23,7 +23,7 @@ from scipy.stats import chi2, ncx2
 
 from data.inputs import IntArray
 from data.se2 import Array
-from graph.audit.fronts import PART, Factored, forward, joint_covariances, solved, step
+from graph.audit.factored import PART, Factored, forward, joint_covariances, solved, step
 
 UNSEEN = 1e-6  # redundancy of a direction below which an error in it is not seen; leverages are accurate to 1e-9
 UNCHECKED = 0.05  # share of its dimension below which the redundancy of a factor checks nothing
@@ -112,7 +112,7 @@ def directions(f: Factored, inexact: float = INEXACT) -> list[Directions]:
            for g, C in zip(f.system.groups, joint, strict=True)]  # fmt: skip
     total = sum(float(np.sum(1.0 - each.weight[:, None] * each.h)) for each in out)
     freedom = f.system.rows - f.rank
-    quick = inexact == INEXACT and len(f.fronts) * f.system.rows < QUICK
+    quick = inexact == INEXACT and len(f.structure.parent) * f.system.rows < QUICK
     if quick or abs(total - freedom) > inexact * max(1, freedom):
         out = [_by_rows(f, k, each) for k, each in enumerate(out)]
     return out
@@ -248,7 +248,7 @@ def _influence(f: Factored, seen: Sequence[Directions], metres: Sequence[IntArra
     for g, s, b in zip(f.system.groups, seen, right, strict=True):
         out.moved[g.factor] = _own(f, g.variables, np.einsum("ncx,nx->nc", s.joint, b), metres)
         out.exact[g.factor] = 0.0
-    size = sum(front.R.size + front.S.size for front in f.fronts)
+    size = len(f.triangle.R) + len(f.triangle.S)
     ranked = np.argsort(-np.nan_to_num(out.moved), kind="stable")
     chosen = np.zeros(f.system.size, bool)
     chosen[np.lexsort((-np.nan_to_num(out.deleted), np.nan_to_num(out.p, nan=1.0)))[:LEAST]] = True

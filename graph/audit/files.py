@@ -20,7 +20,7 @@ from data.formats.graph_file import POINT2, POINT3, POSE2, POSE3, Edge, GraphFil
 from data.inputs import IntArray
 from data.se2 import Array
 from graph.audit.chordal import chordal_start
-from graph.audit.fronts import factorize, ordering, step
+from graph.audit.factored import factorize, ordering, step
 from graph.audit.linear import System, linearize
 
 N = gtsam.noiseModel

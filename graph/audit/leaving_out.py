@@ -12,9 +12,9 @@ import gtsam
 import numpy as np
 
 from graph.audit.audit import Audit, places
+from graph.audit.factored import solved
 from graph.audit.factors import UNSEEN
 from graph.audit.files import moved, optimized
-from graph.audit.fronts import solved
 from graph.audit.linear import Graph, Values
 
 STEPS, CLOSE = 12, 1e-2  # steps; length in sigmas of one that ends them

@@ -12,9 +12,9 @@ import gtsam
 import numpy as np
 
 from data.se2 import Array
+from graph.audit.factored import factorize, ordering
 from graph.audit.factors import directions, p_values
 from graph.audit.files import optimized
-from graph.audit.fronts import factorize, ordering
 from graph.audit.linear import linearize
 
 BETWEEN = (gtsam.BetweenFactorPose2, gtsam.BetweenFactorPose3)

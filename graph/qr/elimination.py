@@ -1,19 +1,20 @@
-"""Sparse QR of a smoothing problem: elimination of poses and landmarks, with recovery of the covariances.
+"""Sparse QR of linearized problems: elimination of their variables, with recovery of the covariances.
 
 Each variable is eliminated from a small dense front by Householder reflections (multifrontal QR, Davis, "Direct methods
 for sparse linear systems", chapters 4 and 5; Dellaert and Kaess, "Factor graphs for robot perception", chapter 3),
-which leaves  R x_v + S x_sep = d + N(0, I)  with the separator `sep` inside the parent's clique. From the root back,
+which leaves  R x_v + S x_sep = d + N(0, I)  with the separator `sep` inside the parent's front. From the root back,
 
     cov(x_v, x_sep) = -R^-1 S cov(x_sep),    cov(x_v) = R^-1 R^-T + R^-1 S cov(x_sep) S' R^-T,
 
 so every marginal follows from the parent's by sums of squares. No information matrix is formed or inverted, which
 allows increments known a hundred thousand times better in one direction than in another. Time and memory grow with the
-sum of the squared clique sizes, for a path with loops nearly with its length. The order of elimination is along the
-path without landmarks, COLAMD otherwise.
+sum of the squared front sizes, for a path with loops nearly with its length. The order of elimination is along the path
+without landmarks, COLAMD otherwise.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import gtsam
@@ -25,20 +26,29 @@ from data.se2 import Array
 
 
 class Structure(NamedTuple):
-    """The sparsity of an elimination; positions in the order of elimination (a postorder)."""
+    """The sparsity of an elimination: positions in its order, a postorder, and their columns."""
 
     variable: IntArray  # (V,) eliminated at each position
+    column: IntArray  # (V + 1,) first column of each position
     parent: IntArray  # (V,) position, -1 for a root
     children: IntArray  # (V,) their number
-    start: IntArray  # (V + 1,) first index of each position in `separator`
-    separator: IntArray  # positions of each separator, ascending
+    start: IntArray  # (V + 1,) first index of each position in `after`
+    after: IntArray  # columns of each separator, ascending
     first: IntArray  # (V + 1,) first index of each position in `block`
-    block: IntArray  # (B,) rows of `Rows` by position
+    block: IntArray  # (B,) blocks of rows by position
+
+    @property
+    def at(self) -> IntArray:
+        """First column (V,) of each variable."""
+        out = np.empty_like(self.variable)
+        out[self.variable] = self.column[:-1]
+        return out
 
 
-def structure(variable: IntArray, order: IntArray) -> Structure:
-    """Symbolic elimination, in the order (V,), of blocks of the variables (B, 2) or (B, 3), as of `Rows`. The order is
-    rearranged to a postorder of the elimination tree, which changes nothing else.
+def structure(variable: IntArray, dim: IntArray, order: IntArray) -> Structure:
+    """Symbolic elimination of blocks of the variables (B, k), -1 for none, of dimensions (V,), in the order (V,).
+
+    The order is rearranged to a postorder of the elimination tree, which changes nothing else.
     """
     position = np.empty(len(order), np.int64)
     position[order] = np.arange(len(order))
@@ -49,14 +59,18 @@ def structure(variable: IntArray, order: IntArray) -> Structure:
     new = np.empty_like(post)
     new[post] = np.arange(len(post))
     parent = np.where(parent[post] >= 0, new[parent[post]], -1)
-    length = np.diff(start)[post]
-    moved = np.concatenate([[0], np.cumsum(length)])
+    moved = np.append(0, np.cumsum(np.diff(start)[post]))
     separator = _moved(separator, start, post, new, moved)
+    size = dim[order[post]]
+    column = np.append(0, np.cumsum(size))
+    many = size[separator]
+    ahead = np.append(0, np.cumsum(many))
+    after = np.repeat(column[separator] - ahead[:-1], many) + np.arange(ahead[-1])
     owner = new[ends[:, 0]]
     block = np.argsort(owner, kind="stable")
     first = np.searchsorted(owner[block], np.arange(len(order) + 1))
     children = np.bincount(parent[parent >= 0], minlength=len(order))
-    return Structure(order[post], parent, children, moved, separator, first, block)
+    return Structure(order[post], column, parent, children, ahead[moved], after, first, block)
 
 
 @numba.njit(cache=True)
@@ -161,6 +175,7 @@ def _moved(separator: IntArray, start: IntArray, post: IntArray, new: IntArray, 
 SLACK = 1.25  # A front with more than this many times the rows that its columns can need is made triangular first
 SINGULAR = 1e-12  # A diagonal of R below this share of its column is rounding, not information
 SMALLEST = 1e-150  # least diagonal of R whose square has an inverse
+NOTHING = 1e-60  # coefficients below are zero: rounding of rounding ends in slow subnormal numbers
 
 
 class Rows(NamedTuple):
@@ -173,173 +188,198 @@ class Rows(NamedTuple):
     dim: IntArray  # (V,) 1 to 3 columns in use
 
 
+class Blocks(NamedTuple):
+    """Whitened rows in B blocks of any size, one after the other."""
+
+    A: Array  # coefficients, row by row
+    at_A: IntArray  # (B,) first one of each block
+    columns: IntArray  # of the coefficients of a row of each block, -1 for none
+    at_columns: IntArray  # (B + 1,)
+    b: Array  # (rows, c) right-hand sides
+    at_b: IntArray  # (B,)
+    height: IntArray  # (B,) rows in use
+
+
 class Triangle(NamedTuple):
-    """The eliminated problem: R, S and d of all positions, row-major, concatenated."""
+    """The eliminated problem: R, S and d of all positions, row-major, concatenated; R is 0 in a column left out."""
 
     R: Array
     S: Array
-    d: Array
-    at_S: IntArray  # offsets of the positions in S
-    free: int  # the first variable that the rows do not determine, -1: none
+    d: Array  # (N, c)
+    at_R: IntArray  # (V + 1,) offsets of the positions
+    at_S: IntArray
+    diagonal: Array  # (N,) of R
     left: Array  # (c, c) squares and products of the residuals of the right-hand sides
+    free: int  # the first variable that the rows do not determine, -1: none
+
+
+def columns_of(s: Structure, variable: IntArray, dim: IntArray) -> IntArray:
+    """Columns (..., 3) of variables of up to three dimensions, -1 for none."""
+    within = np.arange(3)
+    used = (variable[..., None] >= 0) & (within < dim[variable][..., None])
+    return np.where(used, s.at[variable][..., None] + within, -1)
 
 
 def eliminate(rows: Rows, s: Structure) -> Triangle:
     """QR of all rows, variable by variable."""
-    dim = rows.dim[s.variable]
-    width = _widths(dim, s.start, s.separator)
-    at_S = np.concatenate([[0], np.cumsum(dim * width)])
-    R, S, d, left, free = _eliminate(rows, s, dim, width, at_S)
-    return Triangle(R, S, d, at_S, int(s.variable[free]) if free >= 0 else -1, left)
+    B, _, wide = rows.A.shape
+    column = columns_of(s, rows.variable, rows.dim).reshape(B, -1)[:, :wide].ravel()
+    at, right = np.arange(B + 1), rows.b.reshape(-1, rows.b.shape[2])
+    blocks = Blocks(rows.A.ravel(), 3 * wide * at[:-1], column, wide * at, right, 3 * at[:-1], rows.height)
+    return triangular(blocks, s, SINGULAR, np.full(s.column[-1], SMALLEST))
+
+
+def triangular(blocks: Blocks, s: Structure, share: float, least: Array) -> Triangle:
+    """QR of all rows. A column is left out whose diagonal of R is below a share of it in its front, or `least` (N,)."""
+    p, w = np.diff(s.column), np.diff(s.start)
+    at_R, at_S = np.append(0, np.cumsum(p * p)), np.append(0, np.cumsum(p * w))
+    R, S, d, left = _eliminate(blocks, s, share, least, at_R, at_S)
+    diagonal = R[
+        np.repeat(at_R[:-1], p) + (np.arange(s.column[-1]) - np.repeat(s.column[:-1], p)) * np.repeat(p + 1, p)
+    ]
+    dropped = np.flatnonzero(diagonal == 0.0)
+    free = int(s.variable[np.searchsorted(s.column, dropped[0], side="right") - 1]) if len(dropped) else -1
+    return Triangle(R, S, d, at_R, at_S, diagonal, left, free)
 
 
 @numba.njit(cache=True)
-def _widths(dim: IntArray, start: IntArray, separator: IntArray) -> IntArray:
-    """Columns of each separator."""
-    width = np.zeros(len(dim), np.int64)
-    for v in range(len(dim)):
-        for i in range(start[v], start[v + 1]):
-            width[v] += dim[separator[i]]
-    return width
+def reflect(F: Array, bound: Array) -> IntArray:
+    """Householder reflections that make the first columns of F (m, n) upper triangular, in place.
 
-
-@numba.njit(cache=True)
-def reflect(F: Array, columns: int) -> None:
-    """Householder reflections that make the first columns of F (m, n) upper triangular, in place."""
+    A column whose remainder is within its `bound` (k,) is left out: returns the row of each, -1 if so.
+    """
     m, n = F.shape
-    w = np.empty(n)
-    for k in range(min(columns, m)):
+    row, w, r = np.full(len(bound), -1), np.empty(n), 0
+    for k in range(len(bound)):
+        if r >= m:
+            break
         total = 0.0
-        for i in range(k + 1, m):
+        for i in range(r + 1, m):
             total += F[i, k] * F[i, k]
-        if total == 0.0:
+        norm = np.sqrt(F[r, k] * F[r, k] + total)
+        if not norm > bound[k]:
             continue
-        norm = np.sqrt(F[k, k] * F[k, k] + total)
-        if F[k, k] > 0.0:
-            norm = -norm
-        head = F[k, k] - norm
-        scale = -1.0 / (norm * head)  # of (head, F[k+1:, k]): 2 / its square
-        for j in range(k + 1, n):
-            w[j] = head * F[k, j]
-        for i in range(k + 1, m):
-            f = F[i, k]
-            if f != 0.0:
-                for j in range(k + 1, n):
-                    w[j] += f * F[i, j]
-        for j in range(k + 1, n):
-            w[j] *= scale
-            F[k, j] -= head * w[j]
-        for i in range(k + 1, m):
-            f = F[i, k]
-            if f != 0.0:
-                for j in range(k + 1, n):
-                    F[i, j] -= f * w[j]
-            F[i, k] = 0.0
-        F[k, k] = norm
+        row[k] = r
+        if total > 0.0:
+            if F[r, k] > 0.0:
+                norm = -norm
+            head = F[r, k] - norm
+            scale = -1.0 / (norm * head)  # of (head, F[r+1:, k]): 2 / its square
+            for j in range(k + 1, n):
+                w[j] = head * F[r, j]
+            for i in range(r + 1, m):
+                f = F[i, k]
+                if f != 0.0:
+                    for j in range(k + 1, n):
+                        w[j] += f * F[i, j]
+            for j in range(k + 1, n):
+                w[j] *= scale
+                F[r, j] -= head * w[j]
+            for i in range(r + 1, m):
+                f = F[i, k]
+                if f != 0.0:
+                    for j in range(k + 1, n):
+                        F[i, j] -= f * w[j]
+                F[i, k] = 0.0
+            F[r, k] = norm
+        r += 1
+    return row
+
+
+@numba.njit(cache=True)
+def put_places(s: Structure, v: int, place: IntArray) -> int:
+    """Number the columns of a front in `place` (N,): its own, then those of its separator; returns how many."""
+    own = s.column[v + 1] - s.column[v]
+    side: int = own + s.start[v + 1] - s.start[v]
+    for j in range(own):
+        place[s.column[v] + j] = j
+    for j in range(own, side):
+        place[s.after[s.start[v] + j - own]] = j
+    return side
 
 
 @numba.njit(cache=True)
 def _eliminate(
-    rows: Rows, s: Structure, dim: IntArray, width: IntArray, at_S: IntArray
-) -> tuple[Array, Array, Array, Array, int]:
-    variables, A, b, height, _ = rows
-    variable, parent, children, start, separator, first, block = s
-    c, size = b.shape[2], len(variable)
-    R, S, d = np.zeros((size, 3, 3)), np.empty(at_S[-1]), np.zeros((size, 3, c))
-    place, column = np.empty(size, np.int64), np.empty(size, np.int64)
-    for v in range(size):
-        place[variable[v]] = v
+    blocks: Blocks, s: Structure, share: float, least: Array, at_R: IntArray, at_S: IntArray
+) -> tuple[Array, Array, Array, Array]:
+    A, at_A, columns, at_columns, b, at_b, height = blocks
+    _, column, parent, children, start, after, first, block = s
+    c, size = b.shape[1], len(parent)
+    R, S, d = np.zeros(at_R[-1]), np.zeros(at_S[-1]), np.zeros((column[-1], c))
+    place = np.empty(column[-1], np.int64)
     # stack of rows for parents, child by child; the last `children` entries are for this variable
     waiting, used = np.empty(1024), 0
     kept, depth = np.empty((size, 2), np.int64), 0
     left = np.zeros((c, c))
     for v in range(size):
-        n = width[v] + c
-        m = 0
+        pivot, p, w = column[v], column[v + 1] - column[v], start[v + 1] - start[v]
+        n, m = w + c, 0
         for i in range(first[v], first[v + 1]):
             m += height[block[i]]
         for q in range(depth - children[v], depth):
             m += kept[q, 1]
-        F = np.zeros((max(m, dim[v]), dim[v] + n))
-        column[v] = 0
-        at = dim[v]
-        for i in range(start[v], start[v + 1]):
-            column[separator[i]] = at
-            at += dim[separator[i]]
-        r = 0
+            used -= kept[q, 1] * (start[kept[q, 0] + 1] - start[kept[q, 0]] + c)
+        F, r, source = np.zeros((m, p + n)), 0, used
+        put_places(s, v, place)
         for i in range(first[v], first[v + 1]):
             k = block[i]
-            for q in range(variables.shape[1]):
-                if variables[k, q] >= 0:
-                    to = place[variables[k, q]]
-                    for row in range(height[k]):
-                        for j in range(dim[to]):
-                            F[r + row, column[to] + j] = A[k, row, 3 * q + j]
+            begin, wide = at_columns[k], at_columns[k + 1] - at_columns[k]
             for row in range(height[k]):
-                for j in range(c):
-                    F[r + row, at + j] = b[k, row, j]
-            r += height[k]
-        for q in range(depth - children[v], depth):
-            child = kept[q, 0]
-            wide = width[child] + c
-            begin = used
-            for other in range(q, depth):
-                begin -= kept[other, 1] * (width[kept[other, 0]] + c)
-            for row in range(kept[q, 1]):
-                source = begin + row * wide
-                for i in range(start[child], start[child + 1]):
-                    to = separator[i]
-                    for j in range(dim[to]):
-                        F[r, column[to] + j] = waiting[source]
-                        source += 1
-                for j in range(c):
-                    F[r, at + j] = waiting[source + j]
+                for j in range(wide):
+                    if columns[begin + j] >= 0:
+                        F[r, place[columns[begin + j]]] = A[at_A[k] + row * wide + j]
+                F[r, p + w :] = b[at_b[k] + row]
                 r += 1
         for q in range(depth - children[v], depth):
-            used -= kept[q, 1] * (width[kept[q, 0]] + c)
+            begin, end = start[kept[q, 0]], start[kept[q, 0] + 1]
+            for _ in range(kept[q, 1]):
+                for i in range(begin, end):
+                    F[r, place[after[i]]] = waiting[source]
+                    source += 1
+                for j in range(c):
+                    F[r, p + w + j] = waiting[source + j]
+                source += c
+                r += 1
         depth -= children[v]
-        norm = np.zeros(dim[v])
+        bound = np.zeros(p)
         for i in range(m):
-            for j in range(dim[v]):
-                norm[j] += F[i, j] * F[i, j]
-        reflect(F, dim[v])
-        for j in range(dim[v]):
-            if not abs(F[j, j]) > max(SINGULAR * np.sqrt(norm[j]), SMALLEST):
-                return R, S, d, left, v
-        for i in range(dim[v]):
-            for j in range(dim[v]):
-                R[v, i, j] = F[i, j]
-            for j in range(width[v]):
-                S[at_S[v] + i * width[v] + j] = F[i, dim[v] + j]
-            for j in range(c):
-                d[v, i, j] = F[i, at + j]
-        # the rest of the rows begins in F at (corner, corner)
-        corner, remain = dim[v], max(m - dim[v], 0)
-        if remain > SLACK * n:
-            rest = np.empty((remain, n))
-            for i in range(remain):
-                for j in range(n):
-                    rest[i, j] = F[corner + i, corner + j]
-            reflect(rest, n)
-            F, corner, remain = rest, 0, n
+            for j in range(p):
+                bound[j] += F[i, j] * F[i, j]
+        for j in range(p):
+            bound[j] = max(share * np.sqrt(bound[j]), least[pivot + j])
+        row_of, corner = reflect(F, bound), 0
+        for j in range(p):
+            if row_of[j] >= 0:
+                corner = row_of[j] + 1
+                for i in range(j, p):
+                    if row_of[i] >= 0:
+                        R[at_R[v] + j * p + i] = F[row_of[j], i]
+                for i in range(w):
+                    S[at_S[v] + j * w + i] = F[row_of[j], p + i]
+                d[pivot + j] = F[row_of[j], p + w :]
+        rest = F[corner:, p:]
+        if len(rest) > SLACK * n:
+            full = rest.copy()
+            reflect(full, np.full(n, -1.0))
+            rest = full[:n]
+        remain = len(rest)
         if parent[v] < 0:
             for i in range(remain):
                 for j in range(c):
                     for q in range(c):
-                        left[j, q] += F[corner + i, corner + j] * F[corner + i, corner + q]
+                        left[j, q] += rest[i, j] * rest[i, q]
             continue
         if used + remain * n > len(waiting):
             more = np.empty(2 * (used + remain * n))
-            for i in range(used):
-                more[i] = waiting[i]
+            more[:used] = waiting[:used]
             waiting = more
         for i in range(remain):
             for j in range(n):
-                waiting[used] = F[corner + i, corner + j]
+                waiting[used] = rest[i, j] if abs(rest[i, j]) > NOTHING else 0.0
                 used += 1
         kept[depth, 0], kept[depth, 1] = v, remain
         depth += 1
-    return R, S, d, left, -1
+    return R, S, d, left
 
 
 NO_DRIFT = np.empty(0, np.int64)
@@ -354,8 +394,17 @@ def ordering(variable: IntArray, poses: int, size: int, drift: IntArray = NO_DRI
     if poses + len(drift) == size:
         along = np.concatenate([np.arange(poses), drift - 0.5])
         return np.argsort(along, kind="stable")[::-1].astype(np.int64)
+    blocks = np.unique(np.sort(variable, axis=1), axis=0).tolist()
+    return colamd([v for v in block if v >= 0] for block in blocks)
+
+
+def colamd(blocks: Iterable[Sequence[int]], last: Sequence[int] = ()) -> IntArray:
+    """Order (V,) with little fill-in of variables that share blocks; the variables `last` at the end."""
     pattern = gtsam.SymbolicFactorGraph()
-    for block in np.unique(np.sort(variable, axis=1), axis=0).tolist():
-        pattern.push_factor(*(v for v in block if v >= 0))
-    found = gtsam.Ordering.ColamdSymbolicFactorGraph(pattern)
+    for block in blocks:
+        pattern.push_factor(*block)
+    if len(last):
+        found = gtsam.Ordering.ColamdConstrainedLastSymbolicFactorGraph(pattern, [int(v) for v in last], False)
+    else:
+        found = gtsam.Ordering.ColamdSymbolicFactorGraph(pattern)
     return np.array([found.at(i) for i in range(found.size())], np.int64)

@@ -80,7 +80,9 @@ class Linearizer:
         drift = NO_DRIFT if self.calibrated is None else self.calibrated.first_of
         # with closures no variable counts as a pose of a bare chain, whose order would fill in
         chain = 0 if any(p.closure for p in of_poses) else n
-        self.structure: Structure = structure(self._variable, ordering(self._variable, chain, len(self._dim), drift))
+        self.structure: Structure = structure(
+            self._variable, self._dim, ordering(self._variable, chain, len(self._dim), drift)
+        )
 
     def _observations(
         self, measured: Sequence[Sequence[gtsam.NonlinearFactor]]

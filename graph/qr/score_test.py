@@ -171,14 +171,14 @@ def evidence(inputs: Inputs, number: IntArray, path: Array, landmarks: Array, of
     """
     nothing = np.zeros((len(path), 3, 0)), np.zeros((len(inputs.observations.frame), 2, 0))
     triangle, left = _eliminated(_linearized(inputs, number, path, landmarks, *nothing, None, of_poses))
-    diagonal = np.abs(np.einsum("vii->vi", triangle.R))
+    diagonal = np.abs(triangle.diagonal)
     noises = [inputs.increments.covariance[1:], inputs.observations.R[number >= 0]]
     if inputs.fixes is not None:
         noises.append(inputs.fixes.covariance[of_poses.fixes])
     if inputs.closures is not None:
         noises.append(inputs.closures.covariance[of_poses.closures])
     stated = sum(_log_determinants(each) for each in noises)
-    return -0.5 * float(left[0, 0]) - float(np.log(diagonal[diagonal > 0.0]).sum()) - 0.5 * stated
+    return -0.5 * float(left[0, 0]) - float(np.log(diagonal).sum()) - 0.5 * stated
 
 
 def _log_determinants(covariance: Array) -> float:
@@ -201,7 +201,7 @@ class _Problem(NamedTuple):
 def _eliminated(problem: _Problem) -> tuple[Triangle, Array]:
     """Triangle, and products of residuals and columns that are left, without estimated errors."""
     rows, n = problem.whole, problem.frames
-    triangle = eliminate(rows, structure(rows.variable, problem.order))
+    triangle = eliminate(rows, structure(rows.variable, rows.dim, problem.order))
     if triangle.free >= 0:
         free = triangle.free
         name = f"pose of frame {free}" if free < n else f"landmark in row {problem.seen[free - n]}"

@@ -7,21 +7,22 @@ the solutions of the right-hand sides, so that cov(x) = cov(x | c) + X cov(c) X'
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numba
 import numpy as np
 
 from data.inputs import IntArray
-from data.se2 import Array
-from graph.qr.elimination import Rows, Structure, Triangle
+from data.se2 import Array, BoolArray
+from graph.qr.elimination import Rows, Structure, Triangle, columns_of, put_places
 
 
 def means(rows: Rows, s: Structure, t: Triangle) -> Array:
     """Solution (V, 3, c) of the least-squares problem, for each right-hand side; beyond a variable's dimension 0."""
-    x = np.zeros((len(rows.dim), 3, t.d.shape[2]))
-    _substitute(s, t, rows.dim[s.variable], x)
-    return x
+    x = backward(s, t, t.d)
+    columns = columns_of(s, np.arange(len(rows.dim)), rows.dim)
+    return np.where(columns[:, :, None] >= 0, x[columns], 0.0)
 
 
 def marginals(rows: Rows, s: Structure, t: Triangle) -> Array:
@@ -31,111 +32,152 @@ def marginals(rows: Rows, s: Structure, t: Triangle) -> Array:
 
 def _joint(rows: Rows, s: Structure, t: Triangle, pairs: IntArray) -> tuple[Array, Array]:
     """`marginals`, and covariances (Q, 3, 3) between the variables of pairs (Q, 2), which share a block each."""
-    position = np.empty_like(s.variable)
-    position[s.variable] = np.arange(len(position))
-    at = np.sort(position[pairs], axis=1)
-    order = np.argsort(at[:, 0], kind="stable")
-    first = np.searchsorted(at[order, 0], np.arange(len(position) + 1))
-    covariance, across = np.zeros((len(rows.dim), 3, 3)), np.zeros((len(pairs), 3, 3))
-    found = across[order]
-    _covariances(s, t, rows.dim[s.variable], covariance, first, at[order, 1], found)
-    across[order] = found
-    swapped = position[pairs[:, 0]] != at[:, 0]
-    across[swapped] = across[swapped].transpose(0, 2, 1)
-    return covariance, across
+    columns = columns_of(s, np.arange(len(rows.dim)), rows.dim)
+    own, across = joint_covariances(s, t, [columns, columns[pairs].reshape(-1, 6)])
+    return own, across[:, :3, 3:]
+
+
+def joint_covariances(s: Structure, t: Triangle, sets: Sequence[IntArray]) -> list[Array]:
+    """Joint covariances (n, k, k) of sets (n, k) of columns that share a block, -1: none, by one pass from the roots.
+
+    Takahashi, Fagan and Chin, "Formation of a sparse bus impedance matrix", PICA 1973, by fronts. Directions that are
+    not determined have zero variance.
+    """
+    size, wide = np.array([len(each) for each in sets]), np.array([each.shape[1] for each in sets])
+    column, width = np.concatenate([each.ravel() for each in sets]), np.repeat(wide, size)
+    least = [np.where(each >= 0, each, t.d.shape[0]).min(axis=1, initial=t.d.shape[0]) for each in sets]
+    home = np.searchsorted(s.column, np.concatenate(least), side="right") - 1
+    order = np.argsort(home, kind="stable")
+    first = np.searchsorted(home[order], np.arange(len(s.parent) + 1))
+    at, at_out = np.append(0, np.cumsum(width)), np.append(0, np.cumsum(width**2))
+    out = np.zeros(at_out[-1])
+    _covariances(s, t, first, order, column, at, out, at_out)
+    ends = np.cumsum(size * wide**2)
+    return [out[e - n * k * k : e].reshape(n, k, k) for e, n, k in zip(ends, size, wide, strict=True)]
 
 
 @numba.njit(cache=True)
-def _substitute(s: Structure, t: Triangle, dim: IntArray, x: Array) -> None:
-    variable, start, separator = s.variable, s.start, s.separator
-    R, S, d, at_S = t.R, t.S, t.d, t.at_S
-    c = x.shape[2]
-    total = np.empty((3, c))
-    for v in range(len(variable) - 1, -1, -1):
-        n = dim[v]
-        for r in range(n):
-            for q in range(c):
-                total[r, q] = d[v, r, q]
-        width = (at_S[v + 1] - at_S[v]) // n
-        for r in range(n):
-            at = at_S[v] + r * width
-            for i in range(start[v], start[v + 1]):
-                u = separator[i]
-                for j in range(dim[u]):
-                    for q in range(c):
-                        total[r, q] -= S[at] * x[variable[u], j, q]
-                    at += 1
-        for r in range(n - 1, -1, -1):
-            for q in range(c):
-                for j in range(r + 1, n):
-                    total[r, q] -= R[v, r, j] * x[variable[v], j, q]
-                x[variable[v], r, q] = total[r, q] / R[v, r, r]
+def forward(s: Structure, t: Triangle, right: Array, some: BoolArray) -> Array:
+    """Solution (N, c) of  R' y = right, which is overwritten; products of its columns are those of `right` with the
+    covariance between. `some` (V,): positions at which `right` is not zero; those above them are added.
+    """
+    y = np.zeros_like(right)
+    first_of, parent, start, after = s.column, s.parent, s.start, s.after
+    R, S, at_R, at_S = t.R, t.S, t.at_R, t.at_S
+    c = right.shape[1]
+    for v in range(len(parent)):
+        if not some[v]:
+            continue
+        p, w = first_of[v + 1] - first_of[v], start[v + 1] - start[v]
+        z = right[first_of[v] : first_of[v + 1]].copy()
+        for j in range(p):
+            diagonal = R[at_R[v] + j * p + j]
+            if diagonal == 0.0:
+                z[j] = 0.0
+                continue
+            for i in range(j):
+                a = R[at_R[v] + i * p + j]
+                for q in range(c):
+                    z[j, q] -= a * z[i, q]
+            z[j] /= diagonal
+        y[first_of[v] : first_of[v + 1]] = z
+        if parent[v] < 0:
+            continue
+        some[parent[v]] = True
+        for i in range(w):
+            u = after[start[v] + i]
+            for j in range(p):
+                a = S[at_S[v] + j * w + i]
+                for q in range(c):
+                    right[u, q] -= a * z[j, q]
+    return y
+
+
+@numba.njit(cache=True)
+def backward(s: Structure, t: Triangle, right: Array) -> Array:
+    """Solution (N, c) of  R x = right, zero in columns left out."""
+    first_of, start, after = s.column, s.start, s.after
+    R, S, at_R, at_S = t.R, t.S, t.at_R, t.at_S
+    c = right.shape[1]
+    x = np.zeros(right.shape)
+    for v in range(len(s.parent) - 1, -1, -1):
+        p, w = first_of[v + 1] - first_of[v], start[v + 1] - start[v]
+        total = right[first_of[v] : first_of[v + 1]].copy()
+        for r in range(p):
+            for i in range(w):
+                u, a = after[start[v] + i], S[at_S[v] + r * w + i]
+                for q in range(c):
+                    total[r, q] -= a * x[u, q]
+        for r in range(p - 1, -1, -1):
+            diagonal = R[at_R[v] + r * p + r]
+            if diagonal == 0.0:
+                continue
+            for j in range(r + 1, p):
+                a = R[at_R[v] + r * p + j]
+                for q in range(c):
+                    total[r, q] -= a * x[first_of[v] + j, q]
+            x[first_of[v] + r] = total[r] / diagonal
+    return x
+
+
+@numba.njit(cache=True)
+def _product(A: Array, B: Array) -> Array:
+    out = np.zeros((len(A), B.shape[1]))
+    for r in range(len(A)):
+        for i in range(len(B)):
+            a = A[r, i]
+            for j in range(B.shape[1]):
+                out[r, j] += a * B[i, j]
+    return out
 
 
 @numba.njit(cache=True)
 def _covariances(
-    s: Structure, t: Triangle, dim: IntArray, out: Array, first: IntArray, other: IntArray, across: Array
+    s: Structure,
+    t: Triangle,
+    first: IntArray,
+    sets: IntArray,
+    column: IntArray,
+    at: IntArray,
+    out: Array,
+    at_out: IntArray,
 ) -> None:
-    """Marginals by clique: the covariance of a clique is kept until its last child is done.
+    """Joint covariances by front: the covariance of its columns is kept until its last child is done.
 
-    `first` (V + 1,), `other` (Q,): of each position, those positions in its separator that it is asked with.
-    """
-    variable, parent, children, start, separator = s.variable, s.parent, s.children, s.start, s.separator
-    R, S, at_S = t.R, t.S, t.at_S
-    size = len(variable)
-    cliques, used = np.empty(1024), 0
-    begin, open_children = np.empty(size, np.int64), np.empty(size, np.int64)
-    for v in range(size):
-        open_children[v] = children[v]
-    within = np.empty(size, np.int64)
-    for v in range(size - 1, -1, -1):
-        n = dim[v]
-        w = (at_S[v + 1] - at_S[v]) // n
-        p = parent[v]
-        # covariance of the separator from the parent's clique
+    `first` (V + 1,), `sets` (Q,): sets by front; `column`, `at` (Q + 1,): columns of each; `out`, `at_out`: results.
+    """  # fmt: skip
+    first_of, parent, children, start, after = s.column, s.parent, s.children.copy(), s.start, s.after
+    R, S, at_R, at_S = t.R, t.S, t.at_R, t.at_S
+    fronts, used = np.empty(1024), 0
+    begin, place = np.empty(len(parent), np.int64), np.empty(first_of[-1], np.int64)
+    for v in range(len(parent) - 1, -1, -1):
+        n, w, u = first_of[v + 1] - first_of[v], start[v + 1] - start[v], parent[v]
+        # covariance of the separator from the parent's front
         below = np.empty((w, w))
-        if p >= 0:
-            side = dim[p] + (at_S[p + 1] - at_S[p]) // dim[p]
-            within[p] = 0
-            at = dim[p]
-            for i in range(start[p], start[p + 1]):
-                within[separator[i]] = at
-                at += dim[separator[i]]
-            index = np.empty(w, np.int64)
-            at = 0
-            for i in range(start[v], start[v + 1]):
-                u = separator[i]
-                for j in range(dim[u]):
-                    index[at] = within[u] + j
-                    at += 1
+        if u >= 0:
+            side = put_places(s, u, place)
+            at_below = place[after[start[v] : start[v + 1]]]
             for i in range(w):
-                row = begin[p] + index[i] * side
                 for j in range(w):
-                    below[i, j] = cliques[row + index[j]]
-            open_children[p] -= 1
-            if open_children[p] == 0:
-                used = begin[p]  # top of the stack: the subtrees of its other children are done
+                    below[i, j] = fronts[begin[u] + at_below[i] * side + at_below[j]]
+            children[u] -= 1
+            if children[u] == 0:
+                used = begin[u]  # top of the stack: the subtrees of its other children are done
         inverse = np.zeros((n, n))
         for j in range(n):
-            inverse[j, j] = 1.0 / R[v, j, j]
+            if R[at_R[v] + j * n + j] == 0.0:
+                continue
+            inverse[j, j] = 1.0 / R[at_R[v] + j * n + j]
             for i in range(j - 1, -1, -1):
-                total = 0.0
-                for q in range(i + 1, j + 1):
-                    total += R[v, i, q] * inverse[q, j]
-                inverse[i, j] = -total / R[v, i, i]
-        G = np.zeros((n, w))
-        for r in range(n):
-            for q in range(r, n):
-                at = at_S[v] + q * w
-                for j in range(w):
-                    G[r, j] -= inverse[r, q] * S[at + j]
-        cross = np.zeros((n, w))
-        for r in range(n):
-            for i in range(w):
-                g = G[r, i]
-                for j in range(w):
-                    cross[r, j] += g * below[i, j]
-        own = np.zeros((n, n))
+                if R[at_R[v] + i * n + i] != 0.0:
+                    total = 0.0
+                    for q in range(i + 1, j + 1):
+                        total += R[at_R[v] + i * n + q] * inverse[q, j]
+                    inverse[i, j] = -total / R[at_R[v] + i * n + i]
+        G = -_product(inverse, S[at_S[v] : at_S[v + 1]].reshape(n, w))
+        cross, side = _product(G, below), put_places(s, v, place)
+        C = np.empty((side, side))
+        C[:n, n:], C[n:, :n], C[n:, n:] = cross, cross.T, below
         for r in range(n):
             for q in range(r + 1):
                 total = 0.0
@@ -143,40 +185,22 @@ def _covariances(
                     total += 0.5 * (cross[r, j] * G[q, j] + cross[q, j] * G[r, j])
                 for j in range(r, n):
                     total += inverse[r, j] * inverse[q, j]
-                own[r, q], own[q, r] = total, total
-        for r in range(n):
-            for q in range(n):
-                out[variable[v], r, q] = own[r, q]
-        for k in range(first[v], first[v + 1]):
-            at = 0
-            for i in range(start[v], start[v + 1]):
-                u = separator[i]
-                if u == other[k]:
-                    for r in range(n):
-                        for j in range(dim[u]):
-                            across[k, r, j] = cross[r, at + j]
-                at += dim[u]
+                C[r, q] = C[q, r] = total
+        for i in range(first[v], first[v + 1]):
+            k = sets[i]
+            some = column[at[k] : at[k + 1]]
+            for r in range(len(some)):
+                for q in range(len(some)):
+                    if some[r] >= 0 and some[q] >= 0:
+                        out[at_out[k] + r * len(some) + q] = C[place[some[r]], place[some[q]]]
         if children[v] == 0:
             continue
-        side = n + w
-        if used + side * side > len(cliques):
+        if used + side * side > len(fronts):
             more = np.empty(2 * (used + side * side))
-            for i in range(used):
-                more[i] = cliques[i]
-            cliques = more
+            more[:used] = fronts[:used]
+            fronts = more
         begin[v] = used
-        for r in range(n):
-            at = used + r * side
-            for q in range(n):
-                cliques[at + q] = own[r, q]
-            for i in range(w):
-                cliques[at + n + i] = cross[r, i]
-        for i in range(w):
-            at = used + (n + i) * side
-            for r in range(n):
-                cliques[at + r] = cross[r, i]
-            for j in range(w):
-                cliques[at + n + j] = below[i, j]
+        fronts[used : used + side * side] = C.ravel()
         used += side * side
 
 
@@ -192,8 +216,7 @@ class Solution(NamedTuple):
 
 def solve(rows: Rows, s: Structure, t: Triangle, now: Array) -> Solution:
     """The step, from errors that are `now` (q,) sigmas from their prior means."""
-    x, d = means(rows, s, t), t.d[:, :, :1]
-    square = float(np.einsum("vic,vic->", d, d))
+    x, square = means(rows, s, t), float(t.d[:, 0] @ t.d[:, 0])
     if not len(now):
         return Solution(x[:, :, 0], now, float(np.sqrt(square)), x[:, :, 1:], np.empty((0, 0)))
     slope = t.left[1:, 0] - now

@@ -176,7 +176,6 @@ def test_same_inputs_and_seed_give_the_same_bytes_with_any_number_of_processes_a
     (["--log", "arena:0", "--task", "localization", "--maintain"], "for slam"),
     (["--log", "."], "log.toml"),
     (["--data", "no_such_folder"], "no such folder"),
-    (["--log", "arena:0", "--config", "tutorial-step1"], "does not come from a UTIAS MRCLAM recording"),
 ])  # fmt: skip
 def test_bad_input_is_one_line_and_exit_2_and_leaves_nothing(arguments, words, tmp_path, capfd):
     assert main([*arguments, "--out", str(tmp_path / "r"), "--runs", "0", "--jobs", "1"]) == 2

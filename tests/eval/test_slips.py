@@ -55,7 +55,6 @@ def said(tmp_path, monkeypatch, capsys):
     ("run arena:0 --estimator ekf,BATCH", "did you mean batch?"),
     ("run arena:0 --association JCBB", "did you mean jcbb?"),
     ("run arena:0 --task SLAM", "did you mean slam?"),
-    ("run arena:0 --config tutorial-stpe1", "did you mean tutorial-step1?"),
     ("run arena:0 --calibrate scal", "did you mean scale?"),
     ("run arena:0 --estimators ekf", "did you mean --estimator?"),
     ("run arena:0 --out-put r", "did you mean --out?"),

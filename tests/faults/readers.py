@@ -22,7 +22,6 @@ from data.formats.results.reading import read_path
 from data.formats.results.tables import companions
 from data.logs import open_log
 from eval.plan.flags.options import read_options
-from eval.plan.flags.table import CONFIGS
 from eval.studies.scenario import load_scenario
 from eval.studies.shipped import path_of
 from tests.data.conftest import small_files
@@ -38,6 +37,19 @@ from tests.wings.robot.line import linked
 from wings.robot.packets import command_of
 from wings.robot.simulated.lidar import Lidar
 from wings.robot.traffic.recording import Recording
+
+CONFIG = """
+log = ["arena:0"]
+task = "slam"
+estimator = ["ekf", "batch"]
+gate = 0.95
+forget-after = 30
+maintain = true
+[corridor]
+seed = 4
+people = true
+range = 8
+"""
 
 
 def faults_of(name: str) -> list[Fault]:
@@ -282,9 +294,7 @@ READERS = {
     "stored run of a study": Reader(
         stored_runs, lambda folder: esde.log_of(esde.load_esde(folder / "results.mat"), "run"), assert_sound
     ),
-    "TOML of a run": Reader(
-        lambda: [{"config.toml": (CONFIGS / "tutorial-step1.toml").read_bytes()}], read_config, nothing
-    ),
+    "TOML of a run": Reader(lambda: [{"config.toml": CONFIG.encode()}], read_config, nothing),
     "g2o": Reader(
         lambda: [{"graph.g2o": text.encode()} for text in (G2O, LOOP)],
         lambda folder: log_of("graph", read_graph(folder / "graph.g2o")),

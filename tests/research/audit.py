@@ -201,7 +201,7 @@ def speed(out: Path, scale: float = 1.0) -> pd.DataFrame:
     from threadpoolctl import threadpool_limits
 
     from graph.audit.audit import firsts
-    from graph.audit.fronts import factorize, joint_covariances, ordering
+    from graph.audit.factored import factorize, joint_covariances, ordering
     from graph.audit.linear import linearize
 
     rows = []

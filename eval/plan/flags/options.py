@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING
 from pathlib import Path
 
 from data.errors import UsageError, did_you_mean
 from eval.plan.flags.help import PROG
-from eval.plan.flags.table import CONFIGS, Options, parser, shipped
-from eval.plan.flags.variant import Variant
+from eval.plan.flags.table import Options, parser
 from eval.replay.external.spec import names_of
 from eval.replay.flag import Flag, filled, read_values, rows
 from eval.replay.settings import Setup, check_gates
@@ -42,22 +40,16 @@ def options_of(given: Mapping[str, object]) -> Options:
     """Options from values by name; UsageError for invalid ones."""
     configs = TABLE["config"].read("--config", given.get("config", []))
     merged: dict[str, object] = {}
-    variants: list[Variant] = []
     for name in configs:
         keys = _read_config(name)
         if "corridor" in keys:
             keys["log"] = [*_names(keys.get("log")), _corridor(name, keys.pop("corridor"))]
-        if "variant" in keys:
-            variants.append(_variant(name, keys.pop("variant")))
         merged.update(keys)
-    again = {"config": configs, "stated": tuple(merged)} if variants else {}
     merged.update((key, value) for key, value in given.items() if key != "config")
     if merged.get("lab") and "new_gate" not in merged:
         merged["new_gate"] = merged.get("gate", TABLE["gate"].default)  # the lab has one gate
     values = {"jobs": os.cpu_count() or 1} | read_values(Options, merged, _label)
-    if variants and not values.get("task"):
-        values["task"] = tuple(dict.fromkeys(v.task for v in variants))
-    options: Options = filled(Options, {**values, **again, "variants": tuple(variants)})
+    options: Options = filled(Options, values)
     _check(options)
     return options
 
@@ -70,17 +62,11 @@ def _label(row: Flag) -> str:
 def _read_config(name: str) -> dict[str, object]:
     from data.toml_table import load_toml
 
-    path = Path(name)
-    if not path.exists() and (CONFIGS / f"{name}.toml").exists():
-        path = CONFIGS / f"{name}.toml"
-
     def fault(what: str) -> UsageError:
         return UsageError(f"--config {name}: {what}")
 
-    there = shipped()
-    content = load_toml(path, fault, f"no such file{did_you_mean(name, there)}; shipped: {', '.join(there)}")
-    keys = {k.replace("-", "_"): v for k, v in content.items()}
-    known = TABLE.keys() - {"config"} | {"variant", "corridor"}
+    keys = {k.replace("-", "_"): v for k, v in load_toml(Path(name), fault).items()}
+    known = TABLE.keys() - {"config"} | {"corridor"}
     strange = sorted(set(keys) - known)
     if strange:
         hint = did_you_mean(strange[0], known)
@@ -100,22 +86,6 @@ def _corridor(name: str, table: object) -> str:
     seed = constants.pop("seed", 0)
     parts = "+".join(f"{k}={v}" for k, v in constants.items())
     return f"corridor:{seed}" + (f":{parts}" if parts else "")
-
-
-def _variant(name: str, table: object) -> Variant:
-    known = rows(Variant)
-    if not isinstance(table, dict):
-        raise UsageError(f"--config {name}: [variant] is a table with the keys {', '.join(sorted(known))}")
-    for key in table:
-        if key not in known:
-            keys = ", ".join(sorted(known))
-            raise UsageError(f"--config {name}: [variant] {key}{did_you_mean(key, known)}: it takes the keys {keys}")
-    for row in known.values():
-        if row.default is MISSING and row.name not in table:
-            raise UsageError(f"--config {name}: [variant] {row.name} is missing")
-    variant = Variant(**read_values(Variant, table, lambda row: f"--config {name}: [variant] {row.name} ="))
-    check_gates(variant.gate, variant.new_gate, ("gate =", f"--config {name}: [variant] new_gate ="))
-    return variant
 
 
 def _check(options: Options) -> None:
@@ -158,6 +128,5 @@ def _check(options: Options) -> None:
 
 
 def _stated(options: Options, names: Sequence[str]) -> str:
-    """The first given flag of these, or `--config` for a config file with a variant; empty: none."""
-    stated = [TABLE[name].option for name in names if TABLE[name].of(options)]
-    return next(iter([*stated, *(["--config"] if options.variants else [])]), "")
+    """The first given flag of these; empty: none."""
+    return next((TABLE[name].option for name in names if TABLE[name].of(options)), "")

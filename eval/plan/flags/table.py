@@ -18,7 +18,6 @@ from typing import Any
 from data.command import Command
 from data.errors import UsageError
 from eval.plan.flags.help import ABOUT, EXAMPLES, GROUPS, PROG, show_everyday
-from eval.plan.flags.variant import Variant
 from eval.replay.external.spec import FORM, own_or_foreign
 from eval.replay.flag import (
     Flag,
@@ -51,15 +50,9 @@ QUICK_RUNS = 2
 TWINS = 99  # replicates of a log: a share of the level of 5 % still leaves ranks to those statistics that need them
 NOT_NEGATIVE = whole(0, "must not be negative")
 FIRST_FRAMES = whole(1, "a whole number from 1 up is needed")  # `--frames` of step and play
-CONFIGS = Path(__file__).parents[2] / "configs"
 INCH = {"in": 1.0, "cm": 1.0 / 2.54, "mm": 1.0 / 25.4, "pt": 1.0 / 72.27}  # [in] of each unit; pt of TeX
 SMALLEST, LARGEST = 1.5, 20.0  # [in] width of a figure whose axes and labels have room
 TYPE = (4.0, 24.0)  # [pt] smallest and largest type
-
-
-def shipped() -> list[str]:
-    """Names of the configurations in the package."""
-    return sorted(f.stem for f in CONFIGS.glob("*.toml"))
 
 
 def inches(length: str) -> float:
@@ -365,10 +358,7 @@ class Execution:
 class Options:
     """All flags, in parts by their readers; field names are the keys of config files (with `-` for `_`).
 
-    Attributes:
-        config: files to read again for the same numbers: all, if one of them holds a variant, else none.
-        stated: the other keys of these files.
-        variants: their tables [variant].
+    `config` is empty: what the files hold is in the other fields.
     """
 
     selection: Selection = Selection()
@@ -379,11 +369,7 @@ class Options:
     output: Output = Output()
     drawing: Drawing = Drawing()
     execution: Execution = Execution()
-    config: tuple[str, ...] = several(
-        "FILE|NAME", f"TOML file of flags, or a shipped one: {', '.join(shipped())} (repeatable)"
-    )
-    stated: tuple[str, ...] = ()
-    variants: tuple[Variant, ...] = ()
+    config: tuple[str, ...] = several("FILE", "TOML file of flags (repeatable)", numbers=False)
 
 
 def parser(prog: str = PROG, positional: str = "log") -> Command:

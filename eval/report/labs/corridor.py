@@ -15,6 +15,8 @@ from data.inputs import CLUTTER
 from data.log import Log
 from data.result import NEW, Run
 from data.se2 import Array, between, compose, wrap_angle
+from data.truth_windows import unscored
+from eval.judgement.judgement import judge
 from eval.plan.lab import switched_on
 from eval.referee.confusion import OUTCOMES
 from eval.referee.errors import landmark_true_ids, position_distance, rms
@@ -106,6 +108,7 @@ class Judged:
     estimator: str
     association: str
     status: str
+    usable: bool  # see `Judge.usable`
     people: bool  # with odometry and maintained: its condition
     odometry: bool
     maintained: bool
@@ -147,10 +150,15 @@ Runs = Mapping[str, Judged]  # by association, those of one condition
 
 
 def is_corridor(trial: Trial, *, named: bool = True) -> bool:
-    """Whether a trial is SLAM on a log with true poses and ids, and (`named`) the log says it is the corridor's."""
+    """Whether a trial is SLAM on a log with true poses, in all frames but what is not scored, and true ids, and
+    (`named`) the log says it is the corridor's.
+    """
     t = trial.log.truth
     named = not named or trial.log.source.get("kind") == "corridor" or trial.log.name.startswith("corridor")
-    return named and trial.task == "slam" and t.landmark_of is not None and t.known_poses == len(trial.log.recorded)
+    if not named or trial.task != "slam" or t.landmark_of is None or t.pose is None:
+        return False
+    known = np.isfinite(t.pose).all(axis=1) | unscored(trial.log, trial.log.recorded.time)
+    return bool(known.any() and known.all())
 
 
 def has_prior(log: Log) -> bool:
@@ -261,8 +269,9 @@ def predicted(log: Log, path: Array) -> Array:
 
 
 def reach(path: Array) -> float:
-    """Largest distance [m] of a path (N, 3) from its first position."""
-    return float(np.nanmax(np.hypot(*(path[:, :2] - path[0, :2]).T)))
+    """Largest distance [m] of a path (N, 3) from its first known position."""
+    xy = path[np.isfinite(path).all(axis=1), :2]
+    return float(np.max(np.hypot(*(xy - xy[:1]).T)))
 
 
 @dataclass(frozen=True)
@@ -285,10 +294,12 @@ class Motion:
 def true_against_stated(log: Log) -> Motion:
     """How far the motions that happened are from those that the inputs state, measured by the covariances stated."""
     assert log.truth.pose is not None
-    if len(log.recorded) < 2:
-        return Motion(*4 * (math.nan,), 0, 0)
     happened = between(log.truth.pose[:-1], log.truth.pose[1:])
-    stated, Q = log.recorded.increments.mean[1:], log.recorded.increments.covariance[1:]
+    known = np.isfinite(happened).all(axis=1)
+    happened, stated = happened[known], log.recorded.increments.mean[1:][known]
+    Q = log.recorded.increments.covariance[1:][known]
+    if not len(happened):
+        return Motion(*4 * (math.nan,), 0, 0)
     off = happened - stated
     off[:, 2] = wrap_angle(off[:, 2])
     distance = np.sqrt(np.einsum("ni,ni->n", off, np.linalg.solve(Q, off[:, :, None])[:, :, 0]))
@@ -308,6 +319,7 @@ class Judge:
     """Looks at runs with the referee's rows at hand."""
 
     def __init__(self, scores: Scores) -> None:
+        self._scores, self._unusable = scores, dict[int, set[tuple[str, str, str]]]()
         self._rows: dict[tuple[object, ...], Row] = {
             tuple(r[c] for c in ("log", "task", "estimator", "association", "phase")): r
             for r in rows_of(scores.metrics)
@@ -329,6 +341,7 @@ class Judge:
             run.estimator,
             run.association,
             run.status,
+            self.usable(trial, run),
             people,
             odometry,
             maintained=trial.variant_of is not None,
@@ -337,7 +350,7 @@ class Judge:
             inside=value_of(rows[p], "inside_3sigma"),
             nees=value_of(rows[p], "nees_pose"),
             largest=float(np.nanmax(off)),
-            last=float(off[-1]),
+            last=float(off[np.isfinite(off)][-1]),
             reach=reach(path),
             pairings=look(run, log) if p == "online" else None,
             landmarks=0 if run.map is None else len(run.map),
@@ -347,6 +360,13 @@ class Judge:
             entries=float((size**2).sum()) if len(size) else math.nan,
             revised=revised if revised != counts else {},
         )
+
+    def usable(self, trial: Trial, run: Run) -> bool:
+        """Whether the judgement of the log calls a run, in its first phase, usable."""
+        if id(trial) not in self._unusable:
+            judged = judge(trial, self._scores).runs
+            self._unusable[id(trial)] = {(r.estimator, r.association, r.phase) for r in judged if not r.usable}
+        return (run.estimator, run.association, run.phases[0]) not in self._unusable[id(trial)]
 
     def runs(self, trial: Trial | None) -> Runs:
         """By association the run whose decisions answer: the filter's, or else iSAM2's."""

@@ -218,7 +218,7 @@ def _draw_map(ax: Axes, s: Shown, *, left: bool, size: float = 3.0) -> None:
     ax.plot(*at.T, "x", color="#808080", markersize=1.2 * size, markeredgewidth=0.7, zorder=3.5)
     scene = [p for p in (None if known is None else known.xy, None if truth is None else truth[:, :2]) if p is not None]
     points = np.concatenate(scene)
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     middle, half = 0.5 * (low + high), 0.6 * float((high - low).max())
     ax.set(
         xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half], xlabel="x [m]", ylabel="y [m]" if left else ""

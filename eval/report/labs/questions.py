@@ -32,7 +32,6 @@ from eval.report.labs.corridor import (
 from eval.report.labs.seeds import OverSeeds
 
 WORSE = 1.5  # an error this many times another one is called worse, below it comparable
-USABLE = 0.5  # m. A path with a larger RMSE is lost in the corridor
 
 
 @dataclass(frozen=True)
@@ -146,7 +145,7 @@ class Blind:
     @property
     def usable(self) -> tuple[str, ...]:
         """Association methods with a usable path."""
-        return tuple(r.association for r in self.runs if r.rmse < USABLE)
+        return tuple(r.association for r in self.runs if r.usable)
 
     @property
     def best(self) -> Judged | None:
@@ -162,7 +161,7 @@ class Blind:
     def suffices(self) -> bool:
         """Whether a smoother's path is usable where the filter with the same pairings is worse."""
         a, b = self.known, self.smoother
-        return a is not None and b is not None and b.errors["final"] < a.rmse / WORSE
+        return a is not None and b is not None and b.usable and b.errors["final"] < a.rmse / WORSE
 
 
 @dataclass(frozen=True)
@@ -314,7 +313,8 @@ def straight_pairs(log: Log) -> list[Pair]:
     found = []
     for k, move in enumerate(between(truth[:-1], truth[1:]), 1):
         readings = int(start[k + 1] - start[k])
-        if abs(move[2]) > TURN or abs(move[0]) < 4.0 * NEAR or not readings or start[k] == start[k - 1]:
+        straight = abs(move[2]) <= TURN and abs(move[0]) >= 4.0 * NEAR  # neither where the truth is not scored
+        if not straight or not readings or start[k] == start[k - 1]:
             continue
         peaks = []
         for multiple in STEPS:
@@ -409,7 +409,7 @@ def primed(lab: Lab, scores: Scores) -> Primed | None:
             without = None if bare is None else bare.find(run.estimator, run.association)
             kept = judge.look(bare, without) if bare and without and without.failure is None else None
             rows.append((judge.look(trial, run), kept))
-    fine = {r.estimator: r for r, _ in rows if r.association == "known" and r.status == "ok"}
+    fine = {r.estimator: r for r, _ in rows if r.association == "known" and r.usable}
     factor = math.nan
     if {"ekf", "ekf-iterated"} <= set(fine):
         factor = fine["ekf"].rmse / fine["ekf-iterated"].rmse

@@ -15,6 +15,7 @@ from eval.plan.flags.table import Output
 from eval.plan.unfinished import Unfinished
 from eval.plan.work import Job, work
 from eval.referee.confusion import OUTCOMES
+from eval.referee.consistency import ASTRAY_NEES
 from eval.referee.score import Scores, Trial
 from eval.report.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Lab, find_lab
 from eval.report.labs.pictures import NEEDED, UPDATE_TIME, draw
@@ -55,7 +56,9 @@ QUESTIONS = (
 )
 HEADS = (
     "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: frames [%] with the position error"
-    " inside 3σ (98.9 expected); landmarks: at the end; state: mean number of state entries. "
+    " inside 3σ (98.9 expected); landmarks: at the end; state: mean number of state entries; usable: no, if the run is"
+    " implausible, lost, or mean pose NEES is above "
+    f"{ASTRAY_NEES:g}. "
 )
 LOST = "A run that this question needs stopped before the end; see Failures."
 NAMES_OF_METHODS = (
@@ -128,6 +131,7 @@ def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
                 "in 3σ [%]": 100.0 * r.inside,
                 "landmarks": r.landmarks,
                 "state": None if math.isnan(r.state) else round(r.state),
+                "usable": "yes" if r.usable else "no",
             }
         )
         if question.name == "jcbb" and r.revised:

@@ -21,7 +21,6 @@ TITLES = {
     "differences": "Filters against smoothers", "consistency": "Consistency over simulated runs",
     "coverage": "Coverage of the last positions [%]", "relations": "Errors against reference relations",
     "graph-sizes": "Sizes of the pose graph", "revisions": "Revised decisions",
-    "knowledge": "Ablation of labels and map",
     "kinds": "Noise by kind of factor", "worst": "Worst factors",
     "published": "Ours beside published numbers", "trust": "Consistency without ground truth",
 }  # fmt: skip

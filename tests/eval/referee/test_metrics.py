@@ -8,7 +8,6 @@ from eval.referee.confusion import OUTCOMES
 from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES, heads, is_share, metric
 from eval.referee.score import ASSOCIATION, COUNTED, METRICS, frame_of
 from eval.report.comparison import COMPARISON
-from eval.report.tutorials import COUNTS, HEADS
 from eval.stepping.text import STATISTICS
 
 UNITS = {"_m": "m", "_deg": "deg", "_m2": "m²", "_rad": "rad"}
@@ -66,8 +65,8 @@ def test_a_name_says_unit_and_expected_value_in_tables_and_in_lines():
 
 def test_a_metric_is_called_the_same_wherever_it_is_shown():
     for m in OF_ESTIMATES:
-        assert COMPARISON.get(m.column, m.head) == HEADS.get(m.column, m.head) == m.head
-    assert list(COUNTS.values()) == ["TP", "TN", "FP", "FN"]
+        assert COMPARISON.get(m.column, m.head) == m.head
+    assert list(heads(OUTCOMES).values()) == ["TP", "TN", "FP", "FN"]
     assert all(metric(column).line for column in STATISTICS)
 
 

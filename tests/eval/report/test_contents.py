@@ -20,7 +20,7 @@ def test_decisions_and_questions_follow_the_logs(report):
     text = (report / "report.md").read_text()
     heads = [line for line in text.splitlines() if line.startswith("#")]
     assert heads == [
-        "# Filter or smoother: which estimate can be trusted?",
+        "# Filter or smoother: which estimate can be trusted?", "## Warnings",
         "## arena:0, slam", "## arena:0, slam: details", "### Decisions: arena:0, slam",
         "## corridor:0, slam", "## corridor:0, slam: details", "### Decisions: corridor:0, slam",
         "## corridor:0:people, slam", "## corridor:0:people, slam: details", "### Decisions: corridor:0:people, slam",

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from data.notice import stopped
 from data.result import Failure
+from eval.figures.figure_style import FigureStyle, figure_style
 from eval.referee.score import Trial
+from eval.report.pictures import KINDS
 from eval.report.shown_runs import associations, for_growth, for_map, for_panels, left_out, worst
 from tests.eval.handmade import circle_log, run_with_error
 
@@ -85,6 +89,31 @@ def test_growth_is_shown_of_filter_and_incremental_smoother_under_known_associat
 
 def test_a_caption_names_the_shown_only_if_others_are_not():
     assert left_out(LAB, LAB.runs) == ""
+    halted = run("ekf", "ml", 9.0, failure=Failure("diverged", 3, stopped("lost")))
+    few = Trial(LAB.log, "slam", (DEAD, *KNOWN, halted))
+    assert left_out(few, KNOWN[:2]) == (
+        " Not shown, for want of room: batch with known. Not shown, stopped before the end: ekf with ml."
+    )
+    assert "without covariances: batch with known" in left_out(few, KNOWN[:2], lambda run: "covariance")
     assert left_out(LAB, [KNOWN[0], JCBB[2]]) == (
         " Shown: ekf with known, batch with jcbb; files of all runs: `runs/`."
     )
+
+
+def test_a_narrow_figure_of_errors_names_in_its_caption_what_it_has_no_room_for():
+    mine = replace(run("isam2", "known"), estimator="MySlam")
+    trial = Trial(circle_log(), "slam", (DEAD, KNOWN[0], KNOWN[2], mine))
+    _, wide = KINDS["error"].drawn(trial, ())
+    with figure_style(FigureStyle(width=3.4)):
+        drawn, narrow = KINDS["error"].drawn(trial, ())
+    assert wide["others"] == ""
+    missing = [r.estimator for r in trial.runs[1:] if f"{r.estimator} with known" in narrow["others"]]
+    assert len(missing) == 1
+    assert len(drawn.axes) == 3 * 2
+    assert "for want of room" in narrow["others"]
+
+
+def test_growth_says_who_has_no_map_online():
+    trial = Trial(circle_log(), "slam", (KNOWN[0], KNOWN[2]))
+    _, facts = KINDS["growth"].drawn(trial, ())
+    assert "Not shown, without a map online: batch with known." in facts["others"]

@@ -11,8 +11,7 @@ from threadpoolctl import threadpool_limits
 from data.formats.open_log.reader import load_folder
 from data.inputs import Increments, Observations
 from data.worlds.arena import Arena, simulate
-from eval.tuning.fit import fit, pairings
-from eval.tuning.model import make_model, read_odometry
+from eval.tuning import fit, make_model, pairings, read_odometry
 from tests.eval.tuning.stamped import Stamped, stamped_folder
 
 LOGS = 200
@@ -54,7 +53,7 @@ def test_95_percent_intervals_cover_the_truth_in_90_to_100_percent_of_logs(tmp_p
 
     200 logs, because the share of 100 has itself a standard error of 2 to 3 %: in the first 100 odometry_v is covered
     in 87 %, in the second in 95 %. Motion noise is found a little small, as variances are by maximum likelihood;
-    odometry scales are shrunk, as `eval.tuning.model` says.
+    odometry scales are shrunk, as `eval.tuning` says.
     """
     with threadpool_limits(1):
         logs = [deviations(tmp_path / str(seed), varied(seed)) for seed in range(LOGS)]

@@ -10,8 +10,20 @@ import pytest
 from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from data.worlds.arena import simulate
-from eval.tuning.fit import AT_BOUND, FITTED, HELD, fit, middle, pairings, score
-from eval.tuning.model import GROUPS, Odometry, apply, make_model, vector
+from eval.tuning import (
+    AT_BOUND,
+    FITTED,
+    GROUPS,
+    HELD,
+    Odometry,
+    apply,
+    fit,
+    make_model,
+    middle,
+    pairings,
+    score,
+    vector,
+)
 from tests.eval.tuning.stated import SMALL, by_name, changed
 from tests.quick import slow
 

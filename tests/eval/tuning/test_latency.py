@@ -9,8 +9,7 @@ from data.formats.open_log.reader import load_folder
 from data.inputs import Increments
 from data.motion.velocity import VelocityModel, VelocityNoise, preintegrate
 from eval.tune import tune
-from eval.tuning.fit import fit, pairings
-from eval.tuning.model import Odometry, apply, make_model, moved_later, read_odometry, smooth_velocity, vector
+from eval.tuning import Odometry, apply, fit, make_model, moved_later, pairings, read_odometry, smooth_velocity, vector
 from tests.eval.tuning.stamped import Stamped, stamped_folder
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from eval.tuning.fit import curvature, search, slope
+from eval.tuning import curvature, search, slope
 
 A = np.array([[2.0, 0.6], [0.6, 1.0]])
 CENTRE = np.array([0.3, -0.2])

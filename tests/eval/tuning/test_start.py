@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from data.worlds.arena import simulate
-from eval.tuning.fit import starting_points
-from eval.tuning.model import Model, Parameter, make_model
+from eval.tuning import Model, Parameter, make_model, starting_points
 from tests.eval.tuning.stated import SMALL
 
 INPUTS = simulate(SMALL, 0).inputs(labels=True)

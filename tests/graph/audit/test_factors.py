@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, ncx2
 
 from data.errors import DataError
+from graph.audit.factored import factorize, ordering
 from graph.audit.factors import directions, examine, holm, noncentrality
-from graph.audit.fronts import factorize, ordering
 from graph.audit.linear import linearize
 from tests.graph.audit import graphs, oracle
 from tests.quick import examples

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from data.formats.recordings.carmen import largest_range, load_carmen, log_name
-from data.formats.recordings.carmen_lines import beams_of
+from data.formats.recordings.carmen import beams_of, largest_range, load_carmen, log_name
 from data.formats.recordings.laser import increments_of, made_increasing
 from data.log import Log
 from tests.data.formats.recordings.carmen_text import SMALL, flaser, odom, robotlaser

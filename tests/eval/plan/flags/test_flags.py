@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -39,7 +38,6 @@ VALUES = {
     "corner_noise": st.sampled_from(("lab", "depth")),
     "relations": PATHS,
     "exclude_truth": st.sampled_from(("1:2", "-3:0.5", "755:836")),
-    "config": st.sampled_from(("tutorial-step1", "tutorial-step3")),
     **dict.fromkeys(("result", "truth", "cov", "times", "time_offset"), PATHS),
     **dict.fromkeys(("cov_frame", "cov_order", "axes", "unit"), PATHS),
     "align": st.sampled_from(("none", "first", "se2", "se3", "sim3", "yaw")),
@@ -54,7 +52,7 @@ CHANGED = {
     "forget_after": "12.5", "deactivate_after": "12.5",
     "lag": "1e-07", "keyframe_distance": "0.8", "least_information": "0.2",
     "runs": "0", "seed": "7", "twins": "9", "camera_translation": "m", "camera_reading": "to-body",
-    "corner_noise": "depth", "relations": "a b", "exclude_truth": "3:4.5", "config": "tutorial-step1",
+    "corner_noise": "depth", "relations": "a b", "exclude_truth": "3:4.5",
     "result": "a=a b", "truth": "a b", "cov": "a=b", "times": "a b", "cov_frame": "local", "axes": "camera",
     "cov_order": "rotation-first", "unit": "ns", "pairs": "rpg",
     "align": "se2", "truth_gap": "0.2", "time_offset": "auto", "calibrate": "curvature=0.02,scale",
@@ -116,20 +114,7 @@ def test_a_value_with_spaces_or_a_dash_in_front_is_quoted():
     assert again(options).selection.log == ("my log's", "-odd")
 
 
-def test_a_file_with_a_variant_is_named_and_what_flags_change_beside_it_stays(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)  # where the command is repeated
-    config = tmp_path / "my run.toml"
-    config.write_text(
-        'task = "slam"\ngate = 0.95\nforget_after = 30\nmaintain = true\n[variant]\nname = "mine"\ntask = "slam"\n'
-        "grid = 0.02\nmodel = 'unicycle'\nalphas = [0.1, 0.1, 0.1, 0.1]\nsigma = [1, 1]\nprior_variance = 0.1\n"
-    )
-    options = read_options(["--config", str(config), "--gate", "0.99", "--forget-after", "none"])
-    setup = options.setup
-    assert (setup.gate, setup.forget_after, setup.maintain) == (0.99, None, True)
-    assert again(options) == replace(options, config=("my run.toml",))
-
-
-def test_a_file_without_a_variant_is_spelled_out(tmp_path):
+def test_a_file_is_spelled_out(tmp_path):
     config = tmp_path / "run.toml"
     config.write_text('log = ["arena:1"]\ngate_smoothers = false\ngate_known = 0.999\n')
     options = read_options(["--config", str(config)])
@@ -143,23 +128,6 @@ def test_files_take_every_row_of_the_table_and_no_other(tmp_path):
     config.write_text("gate = 0.5\nconfig = 'x'\n")
     with pytest.raises(UsageError, match="unknown key 'config'"):
         read_options(["--config", str(config)])
-
-
-@pytest.mark.parametrize(("line", "words"), [
-    ('model = "cubic"', "model = 'cubic': unknown"), ("sigma = [1]", "a list of 2 numbers"),
-    ("grid = 0", "grid = 0: a positive number"), ("each = 1", "each = 1: true or false"),
-    ("gate = 0.99\nnew_gate = 0.9", "new_gate = 0.9: must not be less than gate = 0.99"),
-])  # fmt: skip
-def test_a_fault_in_a_variant_is_named(tmp_path, line, words):
-    keys = {"name": "'x'", "task": "'slam'", "grid": "0.02", "model": "'unicycle'", "alphas": "[1, 1, 1, 1]",
-            "sigma": "[1, 1]", "prior_variance": "1"}  # fmt: skip
-    keys |= dict(part.split(" = ") for part in line.split("\n"))
-    config = tmp_path / "run.toml"
-    config.write_text("[variant]\n" + "\n".join(f"{k} = {v}" for k, v in keys.items()))
-    with pytest.raises(UsageError, match=r"run\.toml: \[variant\] ") as fault:
-        read_options(["--config", str(config)])
-    assert words in str(fault.value)
-    assert "\n" not in str(fault.value)
 
 
 def test_every_row_is_explained():

@@ -10,14 +10,14 @@ import pytest
 
 from data.inputs import Inputs, Prior
 from data.log import Log
-from data.notice import Code
+from data.notice import Code, Severity
 from data.worlds.arena import Arena, simulate
 from eval.inspect import main as inspect
 from eval.referee.diagnostics import notices, questions_of_run, unused
 from eval.referee.score import Trial
 from eval.replay.run import compare
 from eval.report.contents import warnings_section
-from eval.report.words import questions
+from eval.report.words import together
 from eval.run_all import main
 from tests.quick import slow
 
@@ -71,7 +71,7 @@ def test_a_run_that_used_nothing_says_so_in_the_headline():
     assert all(
         unused(run).named == {"used": 0, "readings": seen, "task": "localization", "moves": True} for run in runs[1:]
     )
-    found = questions(notices([trial]))
+    found = [n for n in together(notices([trial])) if n.severity is Severity.WARNING]
     assert [(n.code, n.estimator) for n in found if n.task] == [(Code.UNUSED, "ekf, batch")]
     assert Code.PRIOR in [n.code for n in found]
     (section,) = warnings_section(found)

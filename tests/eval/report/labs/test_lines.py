@@ -61,11 +61,11 @@ def test_each_answer_has_its_own_runs_numbers(tmp_path):
 
 
 def test_what_stays_is_not_said_to_fall_and_who_is_lost_least_is_named(tmp_path):
-    lost = {"known": 2.0, "nn": 1.0, "singles": 3.0, "jcbb-first": 4.0}
+    lost = {"known": 6.0, "nn": 3.0, "singles": 8.0, "jcbb-first": 9.0}
     same = ERRORS | {PEOPLE: ERRORS[PLAIN], BLIND: lost}
     lines = [s.blocks[0] for s in sections(tmp_path, same)]
     assert lines[2].count("; its RMSE stays at") == 2
-    assert lines[4].startswith("**All methods fail; nn gives the smallest error. Position RMSE: known 1.79 m, nn 0.8")
+    assert lines[4].startswith("**No path is usable; nn gives the smallest error. Position RMSE: known 5.37 m, nn 2.68")
     worse = ERRORS | {PEOPLE: ERRORS[PEOPLE] | {"jcbb-first": 0.001}}
     assert "The path is less accurate (RMSE 0.00894 m" in sections(tmp_path, worse)[5].blocks[0]
 
@@ -88,3 +88,13 @@ def test_paragraphs_compare_singles_with_jcbb_and_tell_of_the_others_without_odo
     assert "JCBB uses 3 more correct pairings, and SINGLES' RMSE is 2.50 times as large." in second
     assert "NN makes 6 correct pairings and 1 wrong one, with 1 FN; SINGLES" in fifth
     assert "SINGLES makes 5 correct pairings and 0 wrong ones, with 3 FN." in fifth
+
+
+def test_a_path_that_the_judgement_calls_unusable_is_marked_in_table_and_line(tmp_path):
+    astray = ERRORS | {PEOPLE: ERRORS[PEOPLE] | {"singles": 9.0}}
+    found = sections(tmp_path, astray)
+    marked = found[2].blocks[1].frame.set_index(["condition", "method"])["usable"]
+    assert marked["people", "singles"] == "no"
+    assert set(marked.drop(("people", "singles"))) == {"yes"}
+    assert "(not usable)" in found[2].blocks[0]
+    assert "(not usable)" not in found[1].blocks[0]

@@ -1,4 +1,4 @@
-"""What the tutorials' programs do otherwise: their gain, and their second best."""
+"""What the tutorials' programs do otherwise: their gain, and their second best. Their own numbers come out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from data.inputs import FrameObservations, Increment, LandmarkMap, Prior
 from data.result import DISCARD, NEW
 from data.sensors import RangeBearing
 from ekf.filter import FilterOptions
-from eval.plan.tutorials import GainFromBefore, running
+from eval.referee.score import metrics_row
+from tests.research.tutorials import STEPS, GainFromBefore, recorded, run, running
 
 
 def test_the_gain_is_formed_with_the_covariance_from_before_the_prediction():
@@ -61,3 +62,15 @@ def test_the_running_minimum_forgets_a_second_best_that_comes_later(squared, as_
     )  # fmt: skip
     assert running(e).tolist() == [as_written]
     assert ml_ratio(e, None).tolist() == [as_taught]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("step", "lost"), [(1, False), (2, True), (3, False), (4, True)])
+def test_on_their_own_recording_the_tutorials_give_the_numbers_of_their_programs(shared_data, step, lost):
+    names = ("MRCLAM_Dataset1.zip", "Landmark_Groundtruth.corrected.dat")
+    log = recorded(step, *(shared_data / "mrclam" / name for name in names))
+    row, (squares, rmse) = metrics_row(run(step, log), "online", log, None), STEPS[step].original
+    # their last frame has no ground truth and adds up to 15 m^2
+    assert float(row["sse_position_m2"]) == pytest.approx(squares, rel=0.002, abs=4.0)
+    assert float(row["rmse_position_m"]) == pytest.approx(rmse, abs=0.0006)
+    assert (rmse > 1.0) == lost

@@ -1,0 +1,150 @@
+"""The steps of `slamref run` after its flags were read: plan, estimate, judge, tell, write.
+
+This module loads everything; the command imports it once there is something to do.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from data.command import without_places
+from data.notice import Notice, Severity, ordered
+from data.terminal import WRONG, counted
+from eval.figures.figure_style import FigureStyle, figure_style
+from eval.judgement.judgement import Judgement, Verdict
+from eval.judgement.judgement import judge as judge_trial
+from eval.plan.appearance import figure_style_of, require_latex
+from eval.plan.console import Console
+from eval.plan.execute import Outcome, execute
+from eval.plan.experiments import Plan, make_plan
+from eval.plan.flags.table import Options
+from eval.plan.progress import progress
+from eval.plan.provenance import words_of
+from eval.plan.warming import compile_if_needed
+from eval.referee.diagnostics import notices, of_logs
+from eval.referee.score import Scores, Trial, score
+from eval.report.contents import flaws_of, write_results
+from eval.report.page.latex import check_columns
+from eval.report.studies import declared_lines, study_lines
+from eval.report.terminal import groups_of, lines, trust_line
+from eval.report.words import asked, described, status_of, together
+from eval.studies import reproduced, store
+from eval.studies.montecarlo import Judged, failed_declarations, judge, traces
+
+FINE, REJECTED = 0, 1
+COLOURS = {"good": "32", "fair": "33", "bad": "31"}  # ANSI colours of the trust line, by tone
+
+
+@dataclass(frozen=True)
+class Results:
+    """What came out, and what the referee found.
+
+    `judged`: verdicts of studies; `judgements`: of each log and task; `notices`: all but those about what is missing
+    for lack of memory.
+    """
+
+    outcome: Outcome
+    scores: Scores
+    judged: list[Judged]
+    judgements: list[tuple[Trial, Judgement]]
+    notices: list[Notice]
+
+
+def run(options: Options, console: Console, folder: Path, command: Sequence[str], check: Callable[[], None]) -> int:
+    """Fill the result folder, and return the exit status."""
+    style = _prepared(options, console)
+    plan = _planned(options, console)
+    in_lab = options.selection.lab is not None  # which prints its answers; its report has the warnings
+    warn = console.detail if in_lab else console.say
+    early = ordered(of_logs(e.log for e in plan.experiments if e.variant_of is None))
+    tell(early, (), warn)
+    with progress("estimating", console.quiet, check) as update:
+        outcome = execute(plan, options, update)
+    found = _judged(outcome, early)
+    tell([n for n in found.notices if n not in early], outcome.trials, warn)
+    _say_what_came_out(found, console)
+    if not in_lab:
+        _say_headlines(found, console)
+    with progress("writing", console.quiet, check, "part") as update, figure_style(style):
+        missing, answers = write_results(
+            folder, options, outcome, found.scores, found.judged, found.judgements, found.notices, command, update
+        )
+    for text in [*declared_lines(found.judged), *answers]:
+        console.say(text)
+    for why in missing:
+        console.complain(described(why))
+    console.say(f"report: {options.output.out / 'report.html'}  (slamref report {options.output.out})")
+    text = without_places("\n".join(console.lines), [*command, *words_of(options)])
+    (folder / "run.log").write_text(text + "\n", encoding="utf-8")
+    return WRONG if missing else REJECTED if failed_declarations(found.judged) else FINE
+
+
+def _prepared(options: Options, console: Console) -> FigureStyle:
+    """What can be refused before any work, and compiled kernels."""
+    check_columns(options.output.columns)
+    require_latex(options.drawing)
+    style, about_style = figure_style_of(options.drawing, options.output)
+    if about_style:
+        console.say(about_style)
+    compile_if_needed(console.quiet)
+    return style
+
+
+def _planned(options: Options, console: Console) -> Plan:
+    """The plan, with its logs said."""
+    plan = make_plan(options, console.say)
+    begin = time.time()
+    console.kept = lambda: store.kept_since(options.output.kept, begin)
+    for e in plan.experiments:
+        console.detail(f"{e.log.name}: {e.task}, {counted(len(e.log.recorded), 'frame')}")
+        for note in e.log.notes:
+            console.detail(f"{e.log.name}: {note}")
+    return plan
+
+
+def _judged(outcome: Outcome, early: Iterable[Notice]) -> Results:
+    """Scores, verdicts and all notices."""
+    judged = [j for study in outcome.studies for j in judge(study)]
+    scores = score(outcome.trials)
+    judgements = [(t, judge_trial(t, scores, outcome.trust)) for t in outcome.trials]
+    of_trust = (n.about(log=t.log, task=t.task, association=t.association) for t in outcome.trust for n in t.notices)
+    return Results(outcome, scores, judged, judgements, notices(outcome.trials, scores, [*early, *of_trust]))
+
+
+def tell(found: Iterable[Notice], trials: Sequence[Trial], say: Callable[[str], None]) -> None:
+    """Say each error and warning once, estimators that have it together; of a run its status and frame."""
+    flaws = flaws_of(trials)
+    by_status: dict[str, list[Notice]] = {}
+    for n in found:
+        if n.severity is not Severity.INFO:
+            by_status.setdefault(status_of(n, flaws), []).append(n)
+    for status, group in by_status.items():
+        for n in together(group):
+            say(asked(n, status))
+
+
+def _say_what_came_out(found: Results, console: Console) -> None:
+    """Lines on studies and published numbers, and tracebacks of foreign code."""
+    for flaw in flaws_of(found.outcome.trials).values():
+        if flaw.trace:
+            console.detail(flaw.trace.rstrip())
+    for study in found.outcome.studies:
+        for text in study_lines(study):
+            console.say(text)
+        for trace in traces(study):
+            console.detail(trace)
+    for text in [*reproduced.lines(found.outcome.published), *found.outcome.skipped]:
+        console.say(text)
+
+
+def _say_headlines(found: Results, console: Console) -> None:
+    """The main numbers, and which estimate can be trusted."""
+    for text in lines(groups_of(found.judgements, found.scores, found.outcome.studies, found.judged)):
+        console.say(text)
+    for trial, judgement in found.judgements:
+        # none of variants, nor where there are results of other programs alone
+        if trial.variant_of is None and judgement.verdict is not Verdict.NOTHING:
+            console.say(trust_line(judgement), COLOURS.get(judgement.tone.value, ""))
