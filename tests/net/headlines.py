@@ -77,5 +77,9 @@ def _against(row: dict | None, decisions: pd.DataFrame) -> Iterator[str]:
 def _nearer(filtered: dict, smoothed: dict, word: str, log: dict) -> Iterator[str]:
     column = "rmse_aligned_m" if log["task"] == "slam" else "rmse_position_m"
     own, other = (smoothed, filtered) if word == "smoother" else (filtered, smoothed)
-    if all(log["trusted"]) and own[column] > other[column]:
+    unused = {"stopped", "implausible", "idle", "lost", "astray"}
+    usable = not any(
+        o["objection"] in unused for side in ("filtered", "smoothed") for o in log["compared"][side]["objections"]
+    )
+    if usable and own[column] > other[column]:
         yield f"its {column} is {own[column]:.3g} beside {other[column]:.3g}"
