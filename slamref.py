@@ -52,8 +52,8 @@ if TYPE_CHECKING:
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
     from eval.replay.settings import Setup
-    from eval.report.audit.audit import audit
     from eval.report.calls import Diagnosis, Study, score_files, study, twins
+    from wings.audit.examined import audit
 
     __version__: str
 
@@ -91,7 +91,6 @@ __all__ = [
 HOMES = {
     "open_log": "data.logs",
     "Log": "data.log",
-    "audit": "eval.report.audit.audit",
     "compare": "eval.compare",
     "Setup": "eval.replay.settings",
     "study": "eval.report.calls",
@@ -121,7 +120,6 @@ COMMANDS = {
     "run": ("eval.run_all:main", "run filters and smoothers on identical inputs, score them, write a report"),
     "lab": ("eval.run_all:lab", "do a whole lab and answer its questions: corridor:SEED, visual:SEED"),
     "study": ("eval.run_all:study", "Monte Carlo study of a simulated world, with consistency verdicts"),
-    "audit": ("eval.audit:main", "examine any factor graph: g2o, Toro, or gtsam"),
     "report": ("eval.open_report:main", "show a report in the browser"),
     "inspect": ("eval.inspect:main", "print the contents of a log and unusual values"),
     "convert": ("eval.convert.__main__:main", "turn a recording or a simulation into an open log folder"),
@@ -169,16 +167,23 @@ def _hidden() -> str:
     return ""
 
 
+def _of_wings() -> dict[str, str]:
+    """Names of the Python API that wings have, and their modules."""
+    from data.wing import wings
+
+    return {name: module for wing in wings() for name, module in wing.api.items()}
+
+
 def __getattr__(name: str) -> Any:
     """A public name, loaded on first use. Raises ImportError, in a line, where other files hide our packages."""
     if name == "__version__":
         from importlib.metadata import version
 
         return version("slamref")
-    if name in HOMES:
+    if name in __all__:
         if why := _hidden():
             raise ImportError(why) from None
-        return getattr(import_module(HOMES[name]), name)
+        return getattr(import_module(HOMES[name] if name in HOMES else _of_wings()[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

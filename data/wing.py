@@ -49,6 +49,7 @@ class Wing:
         worlds: simulated worlds by name.
         logs: functions of (path) that open a folder with a `log.toml` if it is one of theirs, else return None.
         log_sections: functions of (folder, output, trial) that give sections of the report on one log and task.
+        templates: package with a folder `templates` of words of the report; blank: none.
     """
 
     name: str
@@ -57,6 +58,7 @@ class Wing:
     worlds: Mapping[str, World] = field(default_factory=dict)
     logs: tuple[str, ...] = ()
     log_sections: tuple[str, ...] = ()
+    templates: str = ""
 
 
 @cache
@@ -78,6 +80,11 @@ def wings() -> tuple[Wing, ...]:
             raise UsageError(f"wing {entry.name} ({entry.value}): not a data.wing.Wing")
         found.append(wing)
     return tuple(found)
+
+
+def template_folders() -> list[str]:
+    """Folders `templates` of wings, for words of the report."""
+    return [str(resources.files(wing.templates) / "templates") for wing in wings() if wing.templates]
 
 
 def used(text: str) -> Any:

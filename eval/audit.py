@@ -1,85 +1,10 @@
-"""`slamref audit GRAPH`: any factor graph examined: which factor is wrong, which noise, what is unchecked."""
+"""`python -m eval.audit`: any factor graph examined, of the wing `audit`."""
 
 from __future__ import annotations
 
-import argparse
 import sys
-from collections.abc import Sequence
-from pathlib import Path
 
-from data.command import Command
-from data.terminal import ended
-
-PROG = "python -m eval.audit"
-HELP = """\
-Examine a factor graph: a g2o or Toro file in the plane or in space, or a function that returns gtsam's (graph, values).
-Per factor: redundancy, the test of its residual against all other factors, the smallest error that would be found, and
-how far the path moves without it. Per kind: by which factor the stated variances are wrong."""
-EXAMPLES = """\
-examples:
-  python -m eval.audit graph.g2o
-  python -m eval.audit graph.g2o --out results/audit          factors.csv, kinds.csv, report.html
-  python -m eval.audit optimized.g2o --as-given               the vertices are the estimate
-  python -m eval.audit graph.g2o --rescale better.g2o         components applied, rejected edges left out
-  python -m eval.audit my_script.py:build                     a function: NonlinearFactorGraph, Values
-
-exit status: 0 fine, 1 a factor or a noise is rejected (family-wise 5 %), 2 wrong usage or bad data"""
-
-
-def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
-    """The command `prog`; returns its exit status."""
-    parser = Command(prog, PROG, HELP, EXAMPLES)
-    parser.add_argument("graph", metavar="GRAPH", help="a .g2o, .graph or .txt file, or FILE.py:FUNCTION")
-    how = parser.add_mutually_exclusive_group()
-    how.add_argument("--optimize", action="store_true", help="optimize first (default for a file)")
-    how.add_argument("--as-given", action="store_true", help="take the values as they are (default for a function)")
-    parser.add_argument("--out", metavar="DIR", type=Path, help="folder for tables and report.html")
-    text = "what the noise of text states (ODOMETRY, EDGE2 in rows; default: as the numbers suggest)"
-    parser.add_argument("--noise", choices=("information", "covariance", "root"), help=text)
-    cure = "write the graph with variance components applied and rejected factors left out; examine it, too"
-    parser.add_argument("--rescale", metavar="FILE", type=Path, help=cure)
-    kept = "what becomes of them in FILE: leave-out (default), or robust: kept, with the weight of Cauchy's loss"
-    parser.add_argument("--rejected", choices=("leave-out", "robust"), default="leave-out", help=kept)
-    parser.add_argument("--draws", metavar="N", type=_count, default=200, help="draws of the graph (default: 200)")
-    parser.add_argument("--full", action="store_true", help="draw measurements and optimize each graph again (slow)")
-    parser.add_argument("--seed", metavar="S", type=_count, default=0, help="random seed (default: 0)")
-    return ended(lambda: _audit(parser.read(argv), prog))
-
-
-def _count(text: str) -> int:
-    if not text.isdecimal():
-        raise argparse.ArgumentTypeError(f"{text!r}: a whole number from 0 up is needed")
-    return int(text)
-
-
-def _audit(options: argparse.Namespace, prog: str) -> int:
-    """Read, optimize, examine, print, write; returns the exit status."""
-    from eval.report.audit.audit import shown, write_audit
-    from eval.report.audit.page import cured, opened
-
-    optimize = options.optimize if options.optimize or options.as_given else None
-    found = opened(
-        options.graph, optimize, options.draws, options.seed, full=options.full, resolve=20, noise=options.noise
-    )
-    report = found.report
-    columns = ["keys", "kind", "chi2", "redundancy", "deleted", "rank", "p", "p_family", "minimal_error", "influence_m"]
-    kinds = report.kinds.drop(columns=["p", "unchecked"]).reset_index()
-    parts = [report.words(), shown(kinds).to_string(index=False)]
-    if len(report.components):
-        parts.append(shown(report.components.drop(columns="p")).to_string(index=False))
-    parts.append(shown(report.worst()[columns]).to_string())
-    if found.file is not None and found.file.noise:
-        parts.append(f"The noise of text is taken as {found.file.noise} (--noise).")
-    sys.stdout.write("\n\n".join(parts) + "\n")
-    if options.out is not None:
-        name = Path(options.graph).name  # where a file lies is nobody else's business
-        write_audit(report, options.out, f"Audit of {name}", f"{prog} {name}")
-        sys.stdout.write(f"\nwritten: {options.out.absolute()}\n")
-    if options.rescale is not None:
-        table = cured(found, options.rescale, options.draws, options.seed, options.rejected)
-        sys.stdout.write(f"\n{shown(table).to_string(index=False)}\nwritten: {options.rescale.absolute()}\n")
-    return int(report.rejected)
-
+from data.wing import used
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(used("wings.audit.command:main")())

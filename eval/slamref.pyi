@@ -29,12 +29,12 @@ from eval.referee.score import score as score
 from eval.replay.estimators import make_estimator as make_estimator
 from eval.replay.external.adapter import Samples as Samples
 from eval.replay.settings import Setup as Setup
-from eval.report.audit.audit import audit as audit
 from eval.report.calls import Diagnosis as Diagnosis
 from eval.report.calls import Study as Study
 from eval.report.calls import score_files as score_files
 from eval.report.calls import study as study
 from eval.report.calls import twins as twins
+from wings.audit.examined import audit as audit
 
 __version__: str
 

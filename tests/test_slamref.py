@@ -56,8 +56,8 @@ def test_the_names_are_those_of_the_submodules():
     from eval.replay.estimators import make_estimator
     from eval.replay.external.adapter import Samples
     from eval.replay.settings import Setup
-    from eval.report.audit.audit import audit
     from eval.report.calls import Diagnosis, Study, score_files, study, twins
+    from wings.audit.examined import audit
 
     assert (dir(slamref), slamref.__all__) == (sorted(NAMES), NAMES)
     homes = (

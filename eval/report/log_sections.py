@@ -8,6 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from data.notice import Code, Notice, Severity
+from data.wing import used, wings
 from eval.judgement.judgement import Judgement
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
@@ -16,7 +17,6 @@ from eval.referee.metrics import heads
 from eval.referee.result_files import rows_of
 from eval.referee.score import Scores, Trial
 from eval.report.answer import answer
-from eval.report.audit.worst_factors import worst_factors_section
 from eval.report.comparison import (
     association_table,
     comparison_table,
@@ -98,7 +98,8 @@ def trial_sections(
         details += [Folded(NOTES, ("\n".join(f"* {n}" for n in notes),))] if notes else []
         sections.append(Section(f"{_where(trial)}: details", tuple(details), page=stem(trial)))
         sections += trust_section(folder, output, trial, pictures, trust)
-        sections += worst_factors_section(folder, output, trial)
+        for text in (text for wing in wings() for text in wing.log_sections):
+            sections += used(text)(folder, output, trial)
         sections += _decisions(folder, output, group, scores, pictures)
     return sections
 

@@ -9,11 +9,12 @@ from dataclasses import fields, is_dataclass
 from functools import cache
 from typing import Any
 
-from jinja2 import Environment
+from jinja2 import ChoiceLoader, Environment, FileSystemLoader
 
 from data import words
 from data.notice import Notice, Severity
 from data.result import Failure
+from data.wing import template_folders
 from data.words import number, sentence, title
 from eval.figures.paper import tex_escape
 from eval.report.page.blocks import FinePrint
@@ -26,6 +27,8 @@ GREEK: dict[str, str | int | None] = {"ω": r"$\omega$", "φ": r"$\varphi$", "ψ
 def environment() -> Environment:
     """The templates of the report, with more filters than notices need."""
     env = words.environment("eval.report")
+    assert env.loader is not None
+    env.loader = ChoiceLoader([env.loader, *(FileSystemLoader(folder) for folder in template_folders())])
     env.globals["zip"] = zip
     filters = (interval, as_sentence, one_line, listed, plus_minus, sized, distance, six, tex)
     env.filters |= {f.__name__: f for f in filters}

@@ -16,7 +16,7 @@ from data.formats.graph_file import read_graph_file, with_information
 from data.formats.open_log.reader import load_folder
 from data.pose_measurements import FixKind
 from data.se2 import compose, inverse
-from graph.audit.files import build
+from wings.audit.files import build
 
 CHAIN = [(0, 1, 1.0, 0.1, 0.2), (1, 2, 1.1, 0.0, 0.3), (2, 3, 0.9, -0.1, 0.1)]
 POSES = "".join(f"VERTEX_SE2 {k} {k} 0.1 {0.1 * k}\n" for k in range(4))

@@ -16,8 +16,8 @@ import gtsam
 import numpy as np
 import pandas as pd
 
-from eval.report.audit.audit import AuditReport, audit
-from graph.audit.files import optimized
+from wings.audit.examined import AuditReport, audit
+from wings.audit.files import optimized
 
 N = gtsam.noiseModel
 PLANE, SPACE = np.array([0.1, 0.1, 0.03]), np.array([0.02, 0.02, 0.02, 0.1, 0.1, 0.1])
@@ -200,9 +200,9 @@ def speed(out: Path, scale: float = 1.0) -> pd.DataFrame:
     """Processor time of the parts beside gtsam's marginals, to OUT/audit-speed.csv."""
     from threadpoolctl import threadpool_limits
 
-    from graph.audit.audit import firsts
-    from graph.audit.factored import factorize, joint_covariances, ordering
-    from graph.audit.linear import linearize
+    from wings.audit.audit import firsts
+    from wings.audit.factored import factorize, joint_covariances, ordering
+    from wings.audit.linear import linearize
 
     rows = []
     for name, make, n in (

@@ -22,11 +22,11 @@ from eval.referee.score import Trial
 from eval.replay.estimators import OPTIONS
 from eval.replay.run import compare, filter_known, step_by_step
 from eval.replay.settings import FILTERS, Setup
-from eval.report.audit.worst_factors import graph_at_end
 from eval.studies.twins import source_of, twin
 from graph.incremental import Isam2Smoother
 from tests.eval.replay.test_several_sensors import RADIO, drive
 from tests.quick import slow
+from wings.audit.worst_factors import graph_at_end
 
 SIGMA = 0.1
 ALL = (*FILTERS, "isam2", "fixed-lag", "batch")

@@ -15,9 +15,9 @@ import numpy as np
 
 from data.inputs import IntArray
 from data.se2 import Array
-from graph.audit.linear import Group, System
 from graph.qr import solution
 from graph.qr.elimination import Blocks, Structure, Triangle, colamd, structure, triangular
+from wings.audit.linear import Group, System
 
 DEPENDENT = 1e-9  # share of a column's norm below which its remainder is rounding: 1e-10 was seen on 20 000 poses
 PART = 128  # right-hand sides solved at once: they stay in the cache

@@ -16,10 +16,10 @@ from scipy.stats import chi2
 from data.formats.graph_file import Edge, GraphFile
 from data.inputs import IntArray
 from data.se2 import Array
-from graph.audit.audit import FAMILY, Audit, examined, firsts
-from graph.audit.factored import factorize, index_of, ordering, solved, step
-from graph.audit.files import LAST_FIRST, build, optimized
-from graph.audit.linear import linearize
+from wings.audit.audit import FAMILY, Audit, examined, firsts
+from wings.audit.factored import factorize, index_of, ordering, solved, step
+from wings.audit.files import LAST_FIRST, build, optimized
+from wings.audit.linear import linearize
 
 LEVELS = (0.5, 0.9, 0.95)
 TENTH = 10  # every so many loops are left out

@@ -19,9 +19,9 @@ from data.errors import DataError, UsageError
 from data.formats.graph_file import POINT2, POINT3, POSE2, POSE3, Edge, GraphFile
 from data.inputs import IntArray
 from data.se2 import Array
-from graph.audit.chordal import chordal_start
-from graph.audit.factored import factorize, ordering, step
-from graph.audit.linear import System, linearize
+from wings.audit.chordal import chordal_start
+from wings.audit.factored import factorize, ordering, step
+from wings.audit.linear import System, linearize
 
 N = gtsam.noiseModel
 MOST, CLOSE = 30, 1e-3  # steps; length of a step in sigmas that ends them

@@ -14,9 +14,9 @@ import gtsam
 import numpy as np
 
 from data.se2 import Array
-from graph.audit.audit import FAMILY, Audit
-from graph.audit.kinds import AXES
-from graph.audit.linear import Graph
+from wings.audit.audit import FAMILY, Audit
+from wings.audit.kinds import AXES
+from wings.audit.linear import Graph
 
 HALF, ORDER, ROOT = "half-angle", "order", "root"
 HALF_ANGLE = 4.0  # variance of the angle over that of a quaternion's vector part

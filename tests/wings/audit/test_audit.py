@@ -10,10 +10,10 @@ import pytest
 import slamref
 from data.errors import DataError, UsageError
 from data.formats.graph_file import read_graph_file, with_information
-from eval.audit import main
-from eval.report.audit import page
-from graph.audit.files import build, optimized
-from tests.graph.audit import graphs
+from tests.wings.audit import graphs
+from wings.audit import page
+from wings.audit.command import main
+from wings.audit.files import build, optimized
 
 
 def opened(*arguments, **how):

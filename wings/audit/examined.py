@@ -15,12 +15,12 @@ from threadpoolctl import threadpool_limits
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from eval.report.words import as_sentence, say
-from graph.audit.audit import DRAWS, FAMILY, Audit, Statistics, examined
-from graph.audit.conventions import Question, questions
-from graph.audit.factors import UNCHECKED
-from graph.audit.kinds import Grouping
-from graph.audit.leaving_out import left_out
-from graph.audit.linear import Graph, Values, name
+from wings.audit.audit import DRAWS, FAMILY, Audit, Statistics, examined
+from wings.audit.conventions import Question, questions
+from wings.audit.factors import UNCHECKED
+from wings.audit.kinds import Grouping
+from wings.audit.leaving_out import left_out
+from wings.audit.linear import Graph, Values, name
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,7 +89,7 @@ class Second:
 
 @dataclass(frozen=True)
 class AuditFacts:
-    """What the words of an audit say; see `graph.audit.audit.Audit`."""
+    """What the words of an audit say; see `wings.audit.audit.Audit`."""
 
     factors: int
     freedom: int
@@ -181,7 +181,7 @@ class AuditReport:
 
     def figure(self) -> Figure:
         """The graph, edges coloured by p value and by redundancy."""
-        from eval.figures.audit import audit_figure
+        from wings.audit.figure import audit_figure
 
         place = {key: v for v, key in enumerate(self.audit.f.system.keys)}
         some = [i for i, keys in enumerate(self.audit.keys) if len(keys) > 1]

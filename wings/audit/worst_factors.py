@@ -15,16 +15,16 @@ from data.result import Run
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.replay.laser.backends import key_inputs
-from eval.report.audit.audit import TEN, tables
 from eval.report.page.blocks import Block, FinePrint, Section
 from eval.report.page.files import written_table
 from eval.report.page.tables import number
 from eval.report.rows import stem
 from eval.report.words import say
-from graph.audit.audit import FAMILY
-from graph.audit.kinds import LOOP
-from graph.audit.replayed import FIXES, Replayed, of_landmarks
 from graph.batch import Rejected, Start
+from wings.audit.audit import FAMILY
+from wings.audit.examined import TEN, tables
+from wings.audit.kinds import LOOP
+from wings.audit.replayed import FIXES, Replayed, of_landmarks
 
 HEADING = "Factors of the smoother"
 FINE = FinePrint(

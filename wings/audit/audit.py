@@ -11,12 +11,12 @@ import numpy as np
 from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
-from graph.audit.clusters import Cluster, beside, clusters
-from graph.audit.components import Components, Estimator
-from graph.audit.condition import Condition, condition, curvature
-from graph.audit.draws import family, independent, smallest_p
-from graph.audit.factored import Factored, factorize, ordering
-from graph.audit.factors import (
+from wings.audit.clusters import Cluster, beside, clusters
+from wings.audit.components import Components, Estimator
+from wings.audit.condition import Condition, condition, curvature
+from wings.audit.draws import family, independent, smallest_p
+from wings.audit.factored import Factored, factorize, ordering
+from wings.audit.factors import (
     BRIEF,
     INEXACT,
     Directions,
@@ -27,10 +27,10 @@ from graph.audit.factors import (
     p_values,
     row_redundancies,
 )
-from graph.audit.files import moved
-from graph.audit.kinds import Grouping, Kinds, kinds, positions_of
-from graph.audit.linear import IGNORED, System, linearize
-from graph.audit.simulated import smallest_p_optimized
+from wings.audit.files import moved
+from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
+from wings.audit.linear import IGNORED, System, linearize
+from wings.audit.simulated import smallest_p_optimized
 
 DRAWS = 200
 FAMILY, PARTS = 0.05, (0.5, 0.25, 0.25)  # family-wise level of a rejection; parts of factors, components, clusters

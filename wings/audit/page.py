@@ -11,12 +11,12 @@ from threadpoolctl import threadpool_limits
 
 from data.errors import UsageError
 from data.formats.graph_file import GraphFile, graph_file_of, read_graph_file, with_information
-from eval.report.audit.audit import AuditReport, Second, reported
-from graph.audit.audit import DRAWS, examined, places
-from graph.audit.cure import LEVELS, Cure, coverage, cure, known
-from graph.audit.files import EDGES, build, built_by, callbacks, optimized, other_starts
-from graph.audit.kinds import ODOMETRY
-from graph.audit.linear import Graph, Values, name
+from wings.audit.audit import DRAWS, examined, places
+from wings.audit.cure import LEVELS, Cure, coverage, cure, known
+from wings.audit.examined import AuditReport, Second, reported
+from wings.audit.files import EDGES, build, built_by, callbacks, optimized, other_starts
+from wings.audit.kinds import ODOMETRY
+from wings.audit.linear import Graph, Values, name
 
 LARGEST, SMALL = 6000, 2000  # factors up to which other starts are tried, and the graph is solved without a factor
 BAD = 4.0  # sum of squares over the degrees of freedom from which they are tried at any size

@@ -11,9 +11,9 @@ from data.worlds.registry import named_log
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.audit.worst_factors import worst_factors_section
 from eval.report.page.blocks import Table
 from tests.eval.handmade import circle_log
+from wings.audit.worst_factors import worst_factors_section
 
 
 def section(tmp_path, trial):

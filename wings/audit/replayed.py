@@ -9,12 +9,12 @@ import numpy as np
 from data.inputs import Inputs, IntArray
 from data.se2 import Array, covariances_in_body
 from data.sensors import RANGE_BEARING, RELATIVE_POINT
-from graph.audit.audit import Statistics, statistics
-from graph.audit.kinds import LOOP, ODOMETRY, PRIOR, Kinds
-from graph.audit.linear import Group, System
 from graph.batch import NONE_REJECTED, Rejected, Start, build, start_values
 from graph.qr.elimination import Rows
 from graph.qr.rows import Linearizer
+from wings.audit.audit import Statistics, statistics
+from wings.audit.kinds import LOOP, ODOMETRY, PRIOR, Kinds
+from wings.audit.linear import Group, System
 
 OBSERVATIONS, FIXES, MAP, DRIFT, ERRORS, SCANS = (
     "observations",

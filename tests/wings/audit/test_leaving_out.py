@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 import slamref
-from graph.audit.audit import examined, places
-from graph.audit.files import optimized
-from graph.audit.leaving_out import left_out
-from tests.graph.audit.test_clusters import with_false_place
-from tests.graph.audit.test_factors import chain
+from tests.wings.audit.test_clusters import with_false_place
+from tests.wings.audit.test_factors import chain
+from wings.audit.audit import examined, places
+from wings.audit.files import optimized
+from wings.audit.leaving_out import left_out
 
 
 def solved_without(graph, values, some):

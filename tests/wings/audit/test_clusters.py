@@ -4,10 +4,10 @@ import gtsam
 import numpy as np
 import pytest
 
-from graph.audit.audit import examined
-from graph.audit.files import optimized
-from tests.graph.audit import oracle
-from tests.graph.audit.test_components import SIGMAS, ring
+from tests.wings.audit import oracle
+from tests.wings.audit.test_components import SIGMAS, ring
+from wings.audit.audit import examined
+from wings.audit.files import optimized
 
 N = gtsam.noiseModel
 

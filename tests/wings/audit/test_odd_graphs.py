@@ -8,10 +8,10 @@ from gtsam.symbol_shorthand import L, P, X
 import slamref
 from data.errors import DataError
 from data.formats.graph_file import graph_file_of
-from eval.report.audit import page
-from graph.audit.files import build, optimized
-from tests.graph.audit.oracle import deleted, rows
 from tests.quick import slow
+from tests.wings.audit.oracle import deleted, rows
+from wings.audit import page
+from wings.audit.files import build, optimized
 
 N = gtsam.noiseModel
 SIGMA = np.array([0.1, 0.1, 0.03])

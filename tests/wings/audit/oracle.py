@@ -3,7 +3,7 @@
 import gtsam
 import numpy as np
 
-from graph.audit.linear import IGNORED
+from wings.audit.linear import IGNORED
 
 RANK = 1e-9
 

@@ -9,10 +9,10 @@ from data.inputs import Systematic
 from data.worlds.registry import named_log
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.audit.worst_factors import end_of, graph_at_end
-from graph.audit.audit import examined
 from graph.batch import build, start_values
 from tests.quick import slow
+from wings.audit.audit import examined
+from wings.audit.worst_factors import end_of, graph_at_end
 
 OF = Systematic(("scale", "curvature", "drift", "range"), np.array([0.02, 2e-3, 1e-3, 0.02]))
 

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.stats import chi2
 
 from data.se2 import Array
-from graph.audit.components import residuals, weighted_rows
-from graph.audit.factored import PART, Factored
-from graph.audit.factors import Directions
+from wings.audit.components import residuals, weighted_rows
+from wings.audit.factored import PART, Factored
+from wings.audit.factors import Directions
 
 
 def smallest_p(f: Factored, seen: Sequence[Directions], count: int, rng: np.random.Generator) -> Array:

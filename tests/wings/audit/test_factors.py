@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from scipy.stats import chi2, ncx2
 
 from data.errors import DataError
-from graph.audit.factored import factorize, ordering
-from graph.audit.factors import directions, examine, holm, noncentrality
-from graph.audit.linear import linearize
-from tests.graph.audit import graphs, oracle
 from tests.quick import examples
+from tests.wings.audit import graphs, oracle
+from wings.audit.factored import factorize, ordering
+from wings.audit.factors import directions, examine, holm, noncentrality
+from wings.audit.linear import linearize
 
 METRES = {3: [0, 1], 6: [3, 4, 5]}
 

@@ -6,11 +6,11 @@ import pytest
 from gtsam.symbol_shorthand import L, X
 from scipy.stats import kstest
 
-from graph.audit.audit import PARTS, examined
-from graph.audit.linear import linearize
-from graph.audit.simulated import simulated
-from tests.graph.audit import graphs
 from tests.quick import slow
+from tests.wings.audit import graphs
+from wings.audit.audit import PARTS, examined
+from wings.audit.linear import linearize
+from wings.audit.simulated import simulated
 
 N = gtsam.noiseModel
 SIGMAS = np.array([0.1, 0.05, 0.02])

@@ -12,10 +12,10 @@ import gtsam
 import numpy as np
 
 from data.se2 import Array
-from graph.audit.factored import factorize, ordering
-from graph.audit.factors import directions, p_values
-from graph.audit.files import optimized
-from graph.audit.linear import linearize
+from wings.audit.factored import factorize, ordering
+from wings.audit.factors import directions, p_values
+from wings.audit.files import optimized
+from wings.audit.linear import linearize
 
 BETWEEN = (gtsam.BetweenFactorPose2, gtsam.BetweenFactorPose3)
 PRIOR = (gtsam.PriorFactorPose2, gtsam.PriorFactorPose3)

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from graph.audit.audit import Audit, places
-from graph.audit.factored import solved
-from graph.audit.factors import UNSEEN
-from graph.audit.files import moved, optimized
-from graph.audit.linear import Graph, Values
+from wings.audit.audit import Audit, places
+from wings.audit.factored import solved
+from wings.audit.factors import UNSEEN
+from wings.audit.files import moved, optimized
+from wings.audit.linear import Graph, Values
 
 STEPS, CLOSE = 12, 1e-2  # steps; length in sigmas of one that ends them
 

@@ -1,1 +1,0 @@
-"""Audit of any factor graph: leverage, deleted residuals, variance components, reliability, influence."""

@@ -1,0 +1,11 @@
+"""Audit of any factor graph: leverage, deleted residuals, variance components, reliability, influence."""
+
+from data.wing import Wing
+
+wing = Wing(
+    "audit",
+    commands={"audit": ("wings.audit.command:main", "examine any factor graph: g2o, Toro, or gtsam")},
+    api={"audit": "wings.audit.examined"},
+    log_sections=("wings.audit.worst_factors:worst_factors_section",),
+    templates="wings.audit",
+)
