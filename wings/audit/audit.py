@@ -24,7 +24,8 @@ from wings.audit.factors import (
     directions,
     examine,
     holm,
-    p_values,
+    log_p_values,
+    log_tail,
     row_redundancies,
 )
 from wings.audit.files import moved
@@ -205,19 +206,20 @@ def snooped(
     Baarda 1968); where they are many there is no second system. A cluster of less p than any factor is left out first:
     its factors vouch for each other, and right ones seem wrong beside it.
     """
-    robust, p = t.weight < 1.0, t.p.copy()
-    left = np.flatnonzero(robust & (p < level))
+    robust, log_p = t.weight < 1.0, log_tail(t.deleted, np.maximum(t.rank, 1))
+    log_p[~np.isfinite(t.p)] = np.nan
+    left, least = np.flatnonzero(robust & (t.p < level)), np.log(level)
     rest = _without(f, left, order) if robust.any() else f
     whole = [(rest, left)]
     for turn in range(SNOOPED + 1):
         if rest is not f:
-            for g, some in zip(rest.system.groups, p_values(directions(rest, BRIEF)), strict=True):
-                p[g.factor] = some
-        p[left] = np.nan
-        if not np.nanmin(p, initial=1.0) < level:
+            for g, some in zip(rest.system.groups, log_p_values(directions(rest, BRIEF)), strict=True):
+                log_p[g.factor] = some
+        log_p[left] = np.nan
+        if not np.nanmin(log_p, initial=0.0) < least:
             return [*whole, (rest, left)] if turn else whole
-        worst: Sequence[int] = (int(np.nanargmin(p)),)
-        if not turn and together and (best := min(together, key=lambda c: c.p)).p < p[worst[0]]:
+        worst: Sequence[int] = (int(np.nanargmin(log_p)),)
+        if not turn and together and (best := min(together, key=lambda c: c.log_p)).log_p < log_p[worst[0]]:
             worst = best.factors
         left = np.append(left, np.setdiff1d(worst, left))
         rest = _without(f, left, order)

@@ -17,7 +17,7 @@ from scipy.stats import chi2
 from data.inputs import IntArray
 from data.se2 import Array
 from wings.audit.factored import Factored, forward, solved
-from wings.audit.factors import UNSEEN, Directions, Tested, positions
+from wings.audit.factors import UNSEEN, Directions, Tested, log_tail, positions
 
 NEAR = 5.0  # poses between the ends of the worst loop of a cluster and of another one, at each end
 LOOKED, LARGEST = 60, 40  # clusters that are tested, those of largest mean test first; factors of one
@@ -32,6 +32,11 @@ class Cluster:
     rank: int
     p: float
     moved: float
+
+    @property
+    def log_p(self) -> float:
+        """Logarithm of the p value, which may underflow."""
+        return float(log_tail(self.T, self.rank)) if self.rank else 0.0
 
 
 def clusters(

@@ -18,6 +18,7 @@ from data.inputs import IntArray
 from data.se2 import Array
 from wings.audit.audit import FAMILY, Audit, examined, firsts
 from wings.audit.factored import factorize, index_of, ordering, solved, step
+from wings.audit.factors import log_tail
 from wings.audit.files import LAST_FIRST, build, optimized
 from wings.audit.linear import linearize
 
@@ -83,8 +84,9 @@ def rejected_factors(a: Audit, size: int) -> set[int]:
     together = {i for c, p in zip(a.clusters, a.p_cluster, strict=True) if p < FAMILY for i in c.factors}
     alone = set(a.wrong.tolist())
     if together:
-        best = int(np.nanargmin(a.p_cluster))
-        if not len(alone) or a.p_cluster[best] < np.nanmin(a.p_family):
+        best = min((k for k, p in enumerate(a.p_cluster) if p < FAMILY), key=lambda k: a.clusters[k].log_p)
+        single = log_tail(a.factors.deleted, np.maximum(a.factors.rank, 1))[list(alone)]
+        if not len(alone) or a.clusters[best].log_p < single.min():
             return {i for i in a.clusters[best].factors if i < size}
     return {i for i in alone if i < size}
 

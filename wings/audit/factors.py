@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from scipy import special
 from scipy.optimize import brentq
 from scipy.stats import chi2, ncx2
 
@@ -210,13 +211,31 @@ def row_redundancies(s: Directions) -> Array:
     return out
 
 
-def p_values(seen: Sequence[Directions]) -> list[Array]:
-    """Per group, the p values (n,) of the factors, NaN where nothing is seen."""
+def log_tail(square: Array | float, dof: IntArray | int) -> Array:
+    """Logarithm of the probability that a chi-square variable exceeds `square`; never ties at zero.
+
+    Where the probability underflows, from the asymptotic expansion of the incomplete gamma function (DLMF 8.11.2).
+    """
+    x, a = np.asarray(0.5 * np.asarray(square, float)), np.asarray(0.5 * np.asarray(dof, float))
+    tail = special.gammaincc(a, x)
+    far = np.maximum(x, 1.0)
+    series = np.log1p((a - 1.0) / far * (1.0 + (a - 2.0) / far))
+    beyond = (a - 1.0) * np.log(far) - x - special.gammaln(a) + series
+    out: Array = np.where(tail > LEAST_TAIL, np.log(np.maximum(tail, LEAST_TAIL)), beyond)
+    return out
+
+
+LEAST_TAIL = 1e-290
+"""Probability that is told from zero."""
+
+
+def log_p_values(seen: Sequence[Directions]) -> list[Array]:
+    """Per group, the logarithms of the p values (n,) of the factors, NaN where nothing is seen."""
     out = []
     for s in seen:
         rank = np.sum(s.R > 0.0, 1)
         p = np.full(len(rank), np.nan)
-        p[rank > 0] = chi2.sf(s.tested(s.r[:, :, None])[rank > 0, 0], rank[rank > 0])
+        p[rank > 0] = log_tail(s.tested(s.r[:, :, None])[rank > 0, 0], rank[rank > 0])
         out.append(p)
     return out
 

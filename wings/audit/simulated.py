@@ -13,7 +13,7 @@ import numpy as np
 
 from data.se2 import Array
 from wings.audit.factored import factorize, ordering
-from wings.audit.factors import directions, p_values
+from wings.audit.factors import directions, log_p_values
 from wings.audit.files import optimized
 from wings.audit.linear import linearize
 
@@ -70,5 +70,5 @@ def smallest_p_optimized(
         drawn = simulated(graph, values, rng)
         system = linearize(drawn, optimized(drawn, values, quick=True))
         f = factorize(system, ordering(system))
-        out[n] = min((float(np.nanmin(p, initial=1.0)) for p in p_values(directions(f))), default=1.0)
+        out[n] = np.exp(min((float(np.nanmin(p, initial=0.0)) for p in log_p_values(directions(f))), default=0.0))
     return out
