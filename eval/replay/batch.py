@@ -51,20 +51,21 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
     final = front.final_decisions
     decides = front.estimator != "dead-reckoning"  # which is the front of logs without observations
     notes = [notice(Code.DECIDED_BY, front=front.estimator)] if decides else []
-    starts: list[Callable[[], Start | None]] = [lambda: start]
-    starts += [partial(_start_of, run, inputs, initialized) for run in others]
+    own: list[Callable[[], Start]] = [lambda: start]
     if inputs.closures is not None:
-        starts.insert(int((final >= 0).any()), lambda: _chordal(inputs, initialized))
+        chordal = partial(_chordal, inputs, initialized)
+        own = [*own, chordal] if (final >= 0).any() else [chordal, *own]
     try:
         if name == "gnc":
-            result, accepted = _least_truncated(inputs, final, initialized, starts)
+            result, accepted = _least_truncated(inputs, final, initialized, own)
             left_out = _left_out(final, initialized, accepted)
             rejected = int((~accepted & (np.where(initialized >= 0, initialized, final) >= 0)).sum())
             if decides:
                 notes.append(notice(Code.OBSERVATIONS_REJECTED, observations=rejected))
             final, initialized = np.where(left_out, DISCARD, final), np.where(left_out, -1, initialized)
         else:
-            result = _lowest(inputs, final, initialized, starts, LOSSES[name], _rejected(front))
+            further = [partial(_start_of, run, inputs, initialized) for run in others]
+            result = _lowest(inputs, final, initialized, [*own, *further], LOSSES[name], _rejected(front))
     except UnderConstrained as stop:
         return failed(Failure("diverged", 0, stopped(str(stop))), time.perf_counter() - begin)
     seconds = time.perf_counter() - begin
@@ -85,14 +86,12 @@ def batch(name: str, inputs: Inputs, front: Run, *others: Callable[[], Run]) -> 
 
 
 def _least_truncated(
-    inputs: Inputs, final: IntArray, initialized: IntArray, starts: Sequence[Callable[[], Start | None]]
+    inputs: Inputs, final: IntArray, initialized: IntArray, starts: Sequence[Callable[[], Start]]
 ) -> tuple[Smoothed, BoolArray]:
-    """`gnc` from the first start; with closures also from the second, and the lowest truncated cost counts."""
+    """`gnc` from each start; the lowest truncated cost counts."""
     found = list[tuple[float, Smoothed, BoolArray]]()
-    for each in starts[: 1 if inputs.closures is None else 2]:
-        start = each()
-        assert start is not None  # the first ones are no other runs'
-        result, accepted = gnc(inputs, final, initialized, start)
+    for each in starts:
+        result, accepted = gnc(inputs, final, initialized, each())
         out = int((~accepted & (np.where(initialized >= 0, initialized, final) >= 0)).sum())
         cost = result.cost + out * gate_threshold(PROBABILITY)
         for of in (result.fixes, result.closures):

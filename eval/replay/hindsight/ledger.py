@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -44,6 +45,16 @@ UNREAD = "none of its readings is left"
 COUNTS = ("seen", "opportunities", "missed")
 
 
+class Ended(NamedTuple):
+    """Landmarks (r,) retracted at the end as transient; those (l,) of the map that left before; and the last
+    observations of those removed from a folded map.
+    """
+
+    transient: IntArray
+    left: IntArray
+    folded: list[int]
+
+
 class Ledger:
     """The landmarks of one run, and the decisions about them that were revised."""
 
@@ -55,9 +66,6 @@ class Ledger:
         self.epoch = Epoch()
         self.looks = Looks()  # what the landmarks look like
         self.events: list[Event] = []  # the revisions, in order
-        # at the end: landmarks of the map that left before; landmarks removed from a folded map, and their last
-        # observations
-        self.left, self.folded = np.empty(0, np.int64), dict[int, int]()
         self.merged: list[tuple[int, int, int]] = []  # (frame, away, kept) of every merged landmark
         self._read = replace(sensor, max_range=0.0, min_angle=0.0, max_angle=0.0)  # the view that held observations
         self._touched: set[int] = set()
@@ -194,20 +202,18 @@ class Ledger:
             self.events += [Event(self.frame, row, old, then, REASSOCIATED) for old, then in pairwise(steps)]
         return leaving
 
-    def transient(self, recounted: dict[int, bytes]) -> IntArray:
-        """Retract landmarks (r,) that are transient, at the end of a run, by what is `recounted` or recorded."""
+    def close(self, recounted: dict[int, bytes]) -> Ended:
+        """Retract transient landmarks, at the end of a run, by what is `recounted` or recorded."""
         every = list(self.records.items())
         observations = np.array([len(r.observations) for _, r in every], np.int64)
         rows = [[row for row, _ in r.observations] for _, r in every]
         spans = np.array([[min(of), max(of)] for of in rows], np.int64).reshape(-1, 2)
         found = kept_at_end([recounted.get(n, r.opportunities) for n, r in every], observations, spans)
         numbers = np.array([n for n, _ in every], np.int64)
-        left = numbers[found.left].tolist()
-        if found.folded:
-            self.folded = {n: self.records[n].observations[-1][0] for n in left}
-        else:
-            self.left = np.array(left, np.int64)
-        return self._retract(dict.fromkeys(numbers[~(found.stays | found.few)].tolist(), "uncertain"))
+        left = numbers[found.left]
+        folded = [self.records[n].observations[-1][0] for n in left.tolist()] if found.folded else []
+        transient = self._retract(dict.fromkeys(numbers[~(found.stays | found.few)].tolist(), "uncertain"))
+        return Ended(transient, left[:0] if found.folded else left, folded)
 
     def _retract(self, leaving: dict[int, str]) -> IntArray:
         for n, why in leaving.items():

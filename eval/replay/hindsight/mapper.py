@@ -13,13 +13,14 @@ import numpy as np
 
 from association.candidates import in_view
 from association.expectation import Expectation
-from data.inputs import ERRORS, Frame, IntArray, Systematic
+from data.inputs import ERRORS, Frame, FrameObservations, IntArray, Systematic
 from data.notice import Code, Notice, notice
 from data.result import Event
 from data.se2 import Array
 from ekf.slam import EkfSlam
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.duplicates import Duplicates
+from eval.replay.hindsight.floor import Smoothed
 from eval.replay.hindsight.gates import LearnedGates, pair, widest
 from eval.replay.hindsight.kidnapping import Kidnapping
 from eval.replay.hindsight.ledger import Ledger
@@ -27,7 +28,7 @@ from eval.replay.hindsight.lost import Lost
 from eval.replay.hindsight.noise import AS_STATED, Restated
 from eval.replay.hindsight.two_models import TwoModels
 from eval.replay.hindsight.uncertain_motion import UncertainMotion
-from eval.replay.hindsight.whole_log import WholeLog
+from eval.replay.hindsight.whole_log import Assumed, WholeLog
 from eval.replay.poses import PoseMeasurements
 from eval.replay.settings import Given, Setup
 
@@ -72,6 +73,20 @@ class Revision(NamedTuple):
     kept: IntArray
 
 
+class Closed(NamedTuple):
+    """The end of a log.
+
+    retracted: (r,) landmarks that are transient, or have no observation left; left: (l,) those of the map that left
+    before; settled: frames (m,), observations and landmarks (m,) of the final decisions, None: they are
+    those so far; gated: as of `floor.Smoothed`.
+    """
+
+    retracted: IntArray
+    left: IntArray
+    settled: tuple[IntArray, FrameObservations, IntArray] | None
+    gated: tuple[float, float] | None
+
+
 class HindsightMapper:
     """Decides about the observations of a log without a map: `move`, `decide`, `revise`; at the end `close`.
 
@@ -89,9 +104,9 @@ class HindsightMapper:
         self.kidnapping = Kidnapping(self.ledger, setup)  # whether the robot was moved unseen
         self.duplicates = Duplicates(self.ledger)  # landmarks initialized twice
         self.lost = Lost(self.ledger)  # plausibility of the map; decides nothing
-        self.folded: list[int] = []  # frames in which landmarks of a folded map were last seen
         self.poses = PoseMeasurements(given, self.filters, self.filters, setup.gate_poses)
         self.whole = WholeLog(given, setup.gate)  # the log, for the final re-association
+        self._end: list[Notice] = []  # messages about it
 
     @property
     def filter(self) -> EkfSlam:
@@ -176,26 +191,29 @@ class HindsightMapper:
         self.ledger.drop(numbers)
         self._remove(numbers)
 
-    def close(self) -> IntArray:
-        """The end of the log: re-associate all observations, and retract landmarks (r,).
-
-        These are transient, or have no observation left.
-        """
+    def close(self) -> Closed:
+        """The end of the log: re-associate all observations, and retract landmarks."""
         often = [n for n, r in self.ledger.records.items() if r.evidence.seen >= constants.CONFIRMED]
-        errors = self._systematic if self.filters.has_errors else None
-        found = self.whole.reassociate(
-            self.ledger.records, self.filter.landmarks(), self.ledger.view, self.restated, errors
-        )
-        if found is not None:
-            most = constants.PLAIN_MOST * self.ledger.created
-            found = self.whole.plain(self.setup, most, self.restated, errors) or found
-        unobserved = self._remove(self.ledger.reassociate(found)) if found is not None else np.empty(0, np.int64)
-        transient = self.ledger.transient(self.whole.opportunities)
-        if found is not None:
-            self.whole.settle(self.ledger.records)
-        self.lost.end(often, transient)
-        self.folded = [self.whole.frame_of(row) for row in self.ledger.folded.values()]
-        return np.concatenate([unobserved, self._remove(transient)])
+        by = Assumed(self.ledger.view, self.restated, self._systematic if self.filters.has_errors else None)
+        found = self.whole.reassociate(self.ledger.records, self.filter.landmarks(), by)
+        unobserved = np.empty(0, np.int64)
+        if isinstance(found, Smoothed):
+            other = self.whole.plain(found, self.setup, constants.PLAIN_MOST * self.ledger.created, by)
+            if other is not None:
+                found = other.smoothed
+                self._end.append(notice(Code.PLAIN_LIKELIER, odds=other.odds))
+            unobserved = self._remove(self.ledger.reassociate(found.found))
+        elif found is not None:
+            self._end.append(found)
+        smoothed = found if isinstance(found, Smoothed) else None
+        last = self.ledger.close({} if smoothed is None else smoothed.opportunities)
+        settled = None if smoothed is None else self.whole.settled(self.ledger.records)
+        self.lost.end(often, last.transient)
+        if folded := [self.whole.frame_of(row) for row in last.folded]:
+            gone, every = len(folded), len(folded) + len(self.ledger.records)
+            self._end.append(notice(Code.MAP_FOLDED, landmarks=gone, of=every, first=min(folded), last=max(folded)))
+        retracted = np.concatenate([unobserved, self._remove(last.transient)])
+        return Closed(retracted, last.left, settled, None if smoothed is None else smoothed.gated)
 
     def _remove(self, numbers: IntArray) -> IntArray:
         if len(numbers):
@@ -211,17 +229,5 @@ class HindsightMapper:
         """Messages about the run."""
         return [
             *self.restated.notes(), *self.ledger.notes(), *self.motion.notes(), *self.kidnapping.notes(),
-            *self.ledger.merge_notes(), *self.lost.notes(),
-            *([self.whole.failed] if self.whole.failed is not None else []), *self._end_notes(),
+            *self.ledger.merge_notes(), *self.lost.notes(), *self._end,
         ]  # fmt: skip
-
-    def _end_notes(self) -> list[Notice]:
-        """Messages about the end of the log."""
-        found = []
-        if self.whole.odds >= constants.PLAIN_ODDS:
-            found.append(notice(Code.PLAIN_LIKELIER, odds=self.whole.odds))
-        if self.folded:
-            gone, every = len(self.folded), len(self.folded) + len(self.ledger.records)
-            first, last = min(self.folded), max(self.folded)
-            found.append(notice(Code.MAP_FOLDED, landmarks=gone, of=every, first=first, last=last))
-        return found

@@ -83,13 +83,11 @@ class MappingFrontEnd(FrontEnd):
 
     def close(self) -> None:
         """Re-associate all observations and retract transient landmarks."""
-        self._retract(self.mapper.close())
-        self.left = self.mapper.ledger.left
-        if self.mapper.whole.settled is not None:
-            if self.can.amendable is not None:
-                self.can.amendable.amend(*self.mapper.whole.settled)
-            if self.mapper.whole.smoothed is not None:
-                self.gated_final = self.mapper.whole.smoothed.gated
+        end = self.mapper.close()
+        self._retract(end.retracted)
+        self.left, self.gated_final = end.left, end.gated
+        if end.settled is not None and self.can.amendable is not None:
+            self.can.amendable.amend(*end.settled)
 
     def _retract(self, numbers: IntArray) -> None:
         if len(numbers):

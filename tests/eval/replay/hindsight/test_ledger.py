@@ -86,7 +86,7 @@ def test_what_never_became_certain_is_taken_back_in_the_end():
     for _ in range(5):
         story.see([0])
     ledger = story.ledger
-    assert ledger.transient({}).tolist() == [1]
+    assert ledger.close({}).transient.tolist() == [1]
     assert list(ledger.records) == [0]
     assert [(e.frame, e.observation, e.old, e.new, e.why) for e in ledger.events] == [(5, 1, NEW, DISCARD, "uncertain")]
 

@@ -259,15 +259,14 @@ def test_the_path_is_smoothed_with_the_noise_there_is_and_without_a_motion_that_
     restated.shares = Shares(4.0, 9.0, 2.0)
     record = Record([(0, NEW), (1, 0), (3, 0)], (0.0, 0.0), 0.0, 0.0)
     landmarks = MapState(np.array([0]), np.ones((1, 2)), np.eye(2)[None])
-    assert whole.reassociate({0: record}, landmarks, sensor, restated, None) is None
+    failed = whole.reassociate({0: record}, landmarks, whole_log.Assumed(sensor, restated, None))
     (log,) = asked
     np.testing.assert_allclose(log.increments.covariance[1:], [2.0 * M, 2.0 * M + more, 2.0 * M])
     np.testing.assert_allclose(log.increments.mean[1:], [[1.0, 0.0, 0.1]] * 3)
     np.testing.assert_allclose(log.observations.R, np.tile(np.diag([0.16, 0.09]), (4, 1, 1)))
     assert log.observations.frame.tolist() == [0, 1, 2, 3]
-    assert whole.failed.named["text"].endswith("enough")
-    whole.settle({0: record})
-    frames, stated, number = whole.settled
+    assert failed.named["text"].endswith("enough")
+    frames, stated, number = whole.settled({0: record})
     assert frames.tolist() == [0, 1, 2, 3]
     np.testing.assert_array_equal(stated.R, np.tile(seen.R, (4, 1, 1)))
     assert number.tolist() == [0, 0, DISCARD, 0]
