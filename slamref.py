@@ -129,8 +129,6 @@ COMMANDS = {
     "play": ("eval.play:main", "write a page that replays a log in the browser"),
     "twin": ("eval.twin:main", "draw a bootstrap replicate of a log from its own noise model"),
     "tune": ("eval.tune:main", "fit noise, biases and odometry scales to a labelled log"),
-    "detect": ("eval.detect:main", "find reference pictures in a photo"),
-    "camera": ("eval.camera:main", "estimate a camera's calibration from a recording with images"),
     "benchmark": ("eval.benchmark:main", "time the estimators beside their peers"),
     "warm": ("eval.warm:main", "compile all kernels into the cache"),
 }

@@ -6,17 +6,13 @@ import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from data.errors import UsageError
 from data.log import Log
 from data.terminal import meant
 from data.truth_windows import scored
-from data.wing import used, wings
+from data.wing import functions, recording_in, used
 from data.worlds import registry
-
-if TYPE_CHECKING:
-    from data.visual.opening import Camera
 
 NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in registry.SIMULATORS)]) + (
     ", KEYS as in people+no-odometry+range=8"
@@ -25,11 +21,18 @@ NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in regist
 
 @dataclass(frozen=True)
 class Reading:
-    """How logs are read: options of images (`data.visual.opening.Camera`), the cache of rendered detections, and the
-    file of reference relations of a laser log (None: the one beside it), and whether its odometry is left out.
+    """How logs are read.
 
-    Of a log that is scored: stretches of its truth to leave out [s of its recording], and whether windows of bad truth
-    are scored, too.
+    Attributes:
+        camera_translation: of a folder with images, unit of T in its configuration, `cm`, `mm` or `m`.
+        camera_reading: of R and T there, `to-camera`, p_c = R p_b + T, or `to-body`, the inverse.
+        corner_noise: of pictures' corners, `lab` or `depth`.
+        trust_pickle: read object arrays, which can run code.
+        cache: folder of detections in rendered images.
+        relations: file of a laser log's reference relations; None: the one beside it.
+        no_odometry: leave out a laser log's odometry.
+        exclude_truth: of a log that is scored, stretches of its truth to leave out [s of its recording].
+        keep_truth: windows of bad truth are scored, too.
     """
 
     camera_translation: str = "cm"
@@ -99,12 +102,10 @@ def _opened(name: str, reading: Reading, say: Callable[[str], None]) -> Log:
         from data.formats.recordings.victoria_park import load_victoria_park
 
         return load_victoria_park()
-    if name.startswith("visual:"):
-        from data.visual.opening import open_rendered
-
-        return open_rendered(name, _camera(reading), say, reading.cache)
     if registry.is_simulated(name):
-        return registry.named_log(name)
+        opens = registry.SIMULATORS[name.partition(":")[0]].opens
+        made: Log = used(opens)(name, reading, say) if opens else registry.named_log(name)
+        return made
     if path.is_dir():
         return _open_folder(path, reading, say)
     if path.exists():
@@ -117,7 +118,7 @@ def _opened(name: str, reading: Reading, say: Callable[[str], None]) -> Log:
 
 def is_world(name: str) -> bool:
     """Whether a name is that of a world, not of a file."""
-    return name == "victoria-park" or name.startswith("visual:") or registry.is_simulated(name)
+    return name == "victoria-park" or registry.is_simulated(name)
 
 
 def unknown_world(name: str) -> str:
@@ -139,21 +140,12 @@ def _open_file(path: Path, reading: Reading) -> Log:
     return load_carmen(path, reading.relations)
 
 
-def _camera(reading: Reading) -> Camera:
-    from data.visual.opening import Camera
-
-    return Camera(reading.camera_translation, reading.camera_reading, reading.corner_noise, reading.trust_pickle)
-
-
 def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Log:
-    """An open log folder, or one in the format of the visual lab."""
+    """An open log folder, or a recording of a wing."""
     if not (path / "log.toml").exists():
-        from data.formats.lab.folder import is_lab
-
-        if is_lab(path):
-            from data.visual.opening import open_lab_log
-
-            return open_lab_log(path, _camera(reading), say)
+        if (recording := recording_in(path)) is not None:
+            log: Log = used(recording.opens)(path, reading, say)
+            return log
         from data.formats.recognize import what_to_type
 
         if said := what_to_type(path):
@@ -163,8 +155,8 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
 
 def _with_header(path: Path, relations: Path | None = None) -> Log:
     """A folder with a `log.toml`: one of a wing, or an open log."""
-    for text in (text for wing in wings() for text in wing.logs):
-        log: Log | None = used(text)(path)
+    for opened in functions("logs"):
+        log: Log | None = opened(path)
         if log is not None:
             if relations is not None:
                 raise UsageError(f"--relations {relations}: {path} takes none; name a log with scans")

@@ -1,4 +1,4 @@
-"""What a wing adds to the core: commands, names of the Python API, kinds of logs, sections of the report.
+"""What a wing adds to the core: commands, names of the Python API, kinds of logs, sections of the report, and so on.
 
 The core imports no wing. It asks `wings()` for tables of texts `module:function`, and imports what it uses. Ours are
 the folders of the package `wings`; those of others are entry points of the group `slamref.wings`.
@@ -6,10 +6,11 @@ the folders of the package `wings`; those of others are entry points of the grou
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module, metadata, resources
+from pathlib import Path
 from typing import Any
 
 from data.errors import UsageError
@@ -27,6 +28,7 @@ class World:
         example: names of its logs.
         counts: further keys of its names, whole numbers from 1 up that are no parameters.
         help, description, examples: of its kind of `python -m data.convert`; empty if that writes something else.
+        opens: of a world with images, function of (name, reading, say) that opens a log by its name; blank: `simulate`.
     """
 
     module: str
@@ -36,6 +38,24 @@ class World:
     description: str = ""
     examples: str = ""
     counts: tuple[str, ...] = ()
+    opens: str = ""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A kind of folder without a `log.toml` that is a log.
+
+    Attributes:
+        recognized: function of (folder) that says whether it is one.
+        opens: function of (folder, reading, say).
+        kind: of `python -m data.convert`.
+        what: in a message.
+    """
+
+    recognized: str
+    opens: str
+    kind: str
+    what: str
 
 
 @dataclass(frozen=True)
@@ -48,7 +68,14 @@ class Wing:
         api: names of the Python API, and their modules.
         worlds: simulated worlds by name.
         logs: functions of (path) that open a folder with a `log.toml` if it is one of theirs, else return None.
+        recordings: kinds of folders without one.
+        conversions: modules of kinds of `python -m data.convert`, as its `SOURCES`.
+        variants: functions of (options, experiments) that give further experiments, variants of their logs.
+        images: functions of (name, log) that give an image of each frame, PNG; none of a log that is not theirs.
         log_sections: functions of (folder, output, trial) that give sections of the report on one log and task.
+        sections: functions of (folder, output, trials, in_lab, factor) that give sections of the report.
+        hand_ins: functions of (folder, output, trials) that answer a lab on a log with images.
+        benchmarks: functions of (quick) that give lines of a table of `slamref benchmark`.
         templates: package with a folder `templates` of words of the report; blank: none.
     """
 
@@ -57,7 +84,14 @@ class Wing:
     api: Mapping[str, str] = field(default_factory=dict)
     worlds: Mapping[str, World] = field(default_factory=dict)
     logs: tuple[str, ...] = ()
+    recordings: tuple[Recording, ...] = ()
+    conversions: tuple[str, ...] = ()
+    variants: tuple[str, ...] = ()
+    images: tuple[str, ...] = ()
     log_sections: tuple[str, ...] = ()
+    sections: tuple[str, ...] = ()
+    hand_ins: tuple[str, ...] = ()
+    benchmarks: tuple[str, ...] = ()
     templates: str = ""
 
 
@@ -91,3 +125,13 @@ def used(text: str) -> Any:
     """The function that a text `module:function` names."""
     module, _, name = text.partition(":")
     return getattr(import_module(module), name)
+
+
+def functions(table: str) -> Iterator[Any]:
+    """The functions in a table of every wing, each imported in its turn."""
+    return (used(text) for wing in wings() for text in getattr(wing, table))
+
+
+def recording_in(folder: Path) -> Recording | None:
+    """The kind of recording in a folder without a `log.toml`; None: of no wing."""
+    return next((r for wing in wings() for r in wing.recordings if used(r.recognized)(folder)), None)

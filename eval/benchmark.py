@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from data.command import Command
 from data.terminal import ended
+from data.wing import functions
 
 if TYPE_CHECKING:
     from eval.benchmarks.timed import Timed
@@ -67,7 +68,7 @@ def _large(out: Path, quick: bool) -> None:
 def _measured(quick: bool) -> Iterator[list[Timed]]:
     """The lines of each table, when it is done."""
     from eval.benchmarks.association import association_lines, hindsight_lines
-    from eval.benchmarks.speed import localization_lines, study_lines, victoria_park_lines, visual_lines
+    from eval.benchmarks.speed import localization_lines, study_lines, victoria_park_lines
 
     frames = 700 if quick else 10**9
     yield localization_lines(2_000 if quick else 20_000)
@@ -75,7 +76,7 @@ def _measured(quick: bool) -> Iterator[list[Timed]]:
     yield association_lines(quick)
     yield hindsight_lines(frames)
     yield study_lines(quick)
-    yield visual_lines(quick)
+    yield from (lines(quick) for lines in functions("benchmarks"))
 
 
 if __name__ == "__main__":

@@ -156,10 +156,9 @@ def _step(wish: StepOptions) -> None:
     block, first = (lab_block, 1) if wish.lab_text else (step_block, 0)
     walk = Walk(log, task, name_of(estimator), images, pausing=pausing, block=block, first=first)
     if log.evidence is not None and images.wanted:
-        from data.visual.opening import Camera, open_recording
-        from data.visual.outlined import frame_pictures
+        from data.wing import functions
 
-        walk.camera = frame_pictures(open_recording(asked.log[0], Camera()), log.evidence.found)
+        walk.camera = (image for of_wing in functions("images") for image in of_wing(asked.log[0], log))
     try:
         run = step_by_step(estimator, inputs, task, association, setup, observer=walk)
         end(log, with_plausibility(run, inputs), images, walk)

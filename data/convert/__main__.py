@@ -8,12 +8,14 @@ import re
 import shlex
 import sys
 from collections.abc import Collection, Sequence
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from data.command import COMPLETION, Parser, complete
-from data.convert import bag, g2o, mrclam, recordings, table, visual, worlds
+from data.convert import bag, g2o, mrclam, recordings, table, worlds
 from data.terminal import counted, ended
+from data.wing import wings
 from data.worlds.registry import SIMULATORS
 
 if TYPE_CHECKING:
@@ -39,7 +41,8 @@ examples:
   python -m data.convert visual my_lab --seed 0
   python -m data.convert lab my_lab logs/lab
 """
-SOURCES: tuple[Any, ...] = (mrclam, recordings, bag, table, g2o, worlds, visual)
+OF_WINGS = (import_module(module) for wing in wings() for module in wing.conversions)
+SOURCES: tuple[Any, ...] = (mrclam, recordings, bag, table, g2o, worlds, *OF_WINGS)
 """Modules with the names of their KINDS, `add_parsers`, and `convert`: the log to write, or a sentence about a file
 written in another format.
 """

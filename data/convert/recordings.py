@@ -1,9 +1,8 @@
-"""Recordings with few flags as open logs: CARMEN, ROS bags (with `rosbags`), the visual lab, Victoria Park, Plaza."""
+"""Recordings with few flags as open logs: CARMEN, ROS bags (with `rosbags`), Victoria Park, Plaza."""
 
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ if TYPE_CHECKING:
     from data.formats.recordings.mending import Mending
     from data.log import Log
 
-KINDS = ("victoria-park", "plaza", "carmen", "rosbag", "lab")
+KINDS = ("victoria-park", "plaza", "carmen", "rosbag")
 PLAZA = """\
 examples:
   python -m data.convert plaza 1 logs/plaza-1
@@ -28,11 +27,6 @@ ROSBAG = """\
 examples:
   python -m data.convert rosbag robot.bag logs/robot                              one topic of each kind: it is found
   python -m data.convert rosbag robot_mcap/ logs/robot --scan /front/scan --odom /odom
-"""
-LAB = """\
-examples:
-  python -m data.convert lab my_lab logs/lab                      pictures found, their corners as observations
-  python -m data.convert lab my_lab logs/lab --camera-translation m --corner-noise depth
 """
 
 
@@ -69,14 +63,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
         epilog=ROSBAG,
     )
     rosbag.add_argument("source", metavar="BAG", type=Path, help="a .bag file, a folder of ROS 2, or its .mcap or .db3")
-    lab = add(
-        "lab",
-        help="a folder in the visual lab's format, as an open log",
-        description="Find the pictures in every image of a recording, and write their corners as an open log folder.",
-        epilog=LAB,
-    )
-    lab.add_argument("source", metavar="FOLDER", type=Path, help="with configuration, log file and folder landmark/")
-    for each in (park, plaza, carmen, rosbag, lab):
+    for each in (park, plaza, carmen, rosbag):
         each.add_argument("out", metavar="OUT", type=Path, help="log folder to write")
     text = "poses are a particle filter's: recover the raw odometry"
     carmen.add_argument("--undo-correction", action="store_true", help=text)
@@ -88,11 +75,6 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
     rosbag.add_argument("--odom", metavar="TOPIC", help="of the odometry (default: the only one)")
     _add_mending(carmen)
     _add_mending(rosbag)
-    lab.add_argument("--camera-translation", choices=("cm", "mm", "m"), default="cm", help="unit of T (default: cm)")
-    text = "what R and T do (default: p_c = R p_b + T)"
-    lab.add_argument("--camera-reading", choices=("to-camera", "to-body"), default="to-camera", help=text)
-    lab.add_argument("--corner-noise", choices=("lab", "depth"), default="lab", help="of the corners (default: lab)")
-    lab.add_argument("--trust-pickle", action="store_true", help="read object arrays: they can run code")
 
 
 def _add_mending(parser: argparse.ArgumentParser) -> None:
@@ -150,11 +132,6 @@ def convert(args: argparse.Namespace) -> Log:
         from data.formats.recordings.carmen import load_carmen
 
         return load_carmen(args.source, args.relations, undo_correction=args.undo_correction, mending=_mending(args))
-    if args.kind == "rosbag":
-        from data.formats.recordings.ros import log_of, read_bag
+    from data.formats.recordings.ros import log_of, read_bag
 
-        return log_of(args.source, read_bag(args.source, args.scan, args.odom, alone=args.no_odometry), _mending(args))
-    from data.visual.opening import Camera, open_lab_log
-
-    camera = Camera(args.camera_translation, args.camera_reading, args.corner_noise, args.trust_pickle)
-    return open_lab_log(args.source, camera, lambda text: print(text, file=sys.stderr))  # noqa: T201
+    return log_of(args.source, read_bag(args.source, args.scan, args.odom, alone=args.no_odometry), _mending(args))

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from data.log import Log
 
 KINDS = tuple(world for world, w in SIMULATORS.items() if w.help)
-"""Worlds with logs; the visual world is rendered, see `data.convert.visual`."""
+"""Worlds with logs; of others a recording is written."""
 
 
 def add_parsers(add: Add, *, parameters: bool) -> None:

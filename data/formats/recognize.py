@@ -7,6 +7,7 @@ import shlex
 from pathlib import Path
 
 from data.errors import DataError, UsageError
+from data.wing import recording_in
 
 MOST = 8
 """Most names of variables in a message."""
@@ -123,8 +124,7 @@ def _mrclam(path: Path) -> list[str]:
 
 
 def _mat(path: Path) -> list[str]:
-    from data.formats.lab.folder import is_lab
-    from data.formats.lab.matlab import variables
+    from data.formats.matlab import variables
     from data.formats.recordings.esde import NEEDED
 
     names = list(variables(path))
@@ -134,11 +134,11 @@ def _mat(path: Path) -> list[str]:
             f"{name_of(path)} is a recorded run of a published study. Replay it:",
             f"  slamref study esde-replay --data {folder}",
         ]
-    if is_lab(path.absolute().parent):
+    if (recording := recording_in(path.absolute().parent)) is not None:
         out = shlex.quote(f"logs/{path.absolute().parent.name}")
         return [
-            f"{name_of(path)} belongs to a recording of the visual lab, whose folder is a log. As an open log:",
-            f"  slamref convert lab {folder} {out}",
+            f"{name_of(path)} belongs to {recording.what}, whose folder is a log. As an open log:",
+            f"  slamref convert {recording.kind} {folder} {out}",
         ]
     listed = ", ".join(names[:MOST]) + (", ..." if len(names) > MOST else "")
     raise UsageError(

@@ -212,7 +212,6 @@ examples:
         " same log.",
         "example:\n  python -m data.convert park logs/park-0 --seed 0 --frames 8240 --spacing 4.5",
     ),
-    "visual": World("data.worlds.gallery", "Gallery", "visual:0", counts=("frames",)),
 } | {name: world for wing in wings() for name, world in wing.worlds.items()}
 
 

@@ -1,7 +1,7 @@
-"""Speed of the EKF localizer, of a Monte Carlo study, of SLAM over Victoria Park, and of picture detection.
+"""Speed of the EKF localizer, of a Monte Carlo study, and of SLAM over Victoria Park.
 
 Peers are a plain numpy loop and filterpy, one and two processes and a Dask cluster, and a bare gtsam loop with the same
-factors. Pictures are detected in frames of 640 x 480.
+factors.
 """
 
 from __future__ import annotations
@@ -22,10 +22,7 @@ from data.formats.recordings.victoria_park import load_victoria_park
 from data.inputs import Increment, Inputs, LabelledObservations
 from data.log import shortened
 from data.se2 import Array
-from data.visual.detector import Detector
-from data.visual.rendering.render import Rendered
 from data.worlds.arena import Arena, simulate
-from data.worlds.gallery import Gallery
 from ekf.whole_run import run_filter
 from eval.benchmarks.timed import REPEATS, Timed, median_seconds
 from eval.plan.execute import execute
@@ -208,26 +205,4 @@ def victoria_park_lines(frames: int) -> list[Timed]:
         Timed("iSAM2, Victoria Park, frame by frame", statistics.median(ours), n, "frames", f"{ratio:.2f}", "<= 1.20"),
         Timed("peer: bare gtsam loop, same factors", statistics.median(bare), n, "frames", "1"),
         Timed("the difference, in a frame with observations", more, 1, "frames"),
-    ]
-
-
-def visual_lines(quick: bool) -> list[Timed]:
-    """Lines of the table about images."""
-    recording = Rendered(Gallery(), 0, frames=6 if quick else 30)
-    begin = time.perf_counter()
-    frames = list(recording.frames())
-    rendered = (time.perf_counter() - begin) / len(frames)
-    detector = Detector(recording.references, recording.setup.width)
-    detector.detect(frames[0].rgb, frames[0].xyz)
-    taken = []
-    for _ in range(1 if quick else 3):
-        begin = time.perf_counter()
-        found = sum(len(seen.detections) for _, seen in detector.detect_each(frames))
-        taken.append((time.perf_counter() - begin) / len(frames))
-    h, w = frames[0].rgb.shape[:2]
-    each = found / len(frames)
-    what = f"pictures found in a frame of {w} x {h}, {len(recording.references)} references ({each:.1f} found)"
-    return [
-        Timed(what, statistics.median(taken), 1, "frames", "", ">= 10 frames/s"),
-        Timed("a frame rendered with its stereo points", rendered, 1, "frames"),
     ]

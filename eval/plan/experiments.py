@@ -13,6 +13,7 @@ from data.errors import UsageError
 from data.formats.recordings.esde import NAME, find_esde
 from data.log import Log, folder_name, shortened
 from data.logs import Reading, as_scored, find_logs, open_log, open_scored
+from data.wing import functions
 from eval.plan.calibrate import check_calibrated
 from eval.plan.experiment import (
     Experiment,
@@ -26,7 +27,7 @@ from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selec
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.lab import VISUAL, lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
-from eval.plan.variants import has_depth_noise, maintained, sparser, with_depth_noise
+from eval.plan.variants import maintained, sparser
 from eval.replay.estimators import FOR_SEVERAL, FOR_WALLS, NO_HINDSIGHT_OF_SEVERAL, NO_HINDSIGHT_OF_WALLS
 from eval.replay.laser.backends import NAMES as BACK_ENDS
 from eval.replay.settings import HINDSIGHT
@@ -92,9 +93,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         ]
     if not options.output.quick:
         experiments += [sparse for e in experiments for sparse in sparser(e)]
-        if options.opening.corner_noise == "lab":
-            seen = [e for e in experiments if has_depth_noise(e.log)]
-            experiments += with_depth_noise(seen) if seen else []
+        experiments += [e for of_wing in functions("variants") for e in of_wing(options, tuple(experiments))]
     _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
     check_maintained(options.setup, [e.task for e in experiments])
     check_possible(experiments)

@@ -16,6 +16,8 @@ from data.errors import UsageError, nearest
 from data.inputs import CLUTTER
 from data.log import Log
 from data.logs import Reading, as_scored, find_logs, open_scored
+from data.wing import recording_in
+from data.worlds.registry import SIMULATORS
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.table import DEFAULT_ESTIMATORS
 from eval.plan.variants import maintained
@@ -40,17 +42,16 @@ def lab_experiments(
     if lab.startswith("corridor:"):
         logs: Sequence[Log] = [open_scored(name, reading, say) for name in corridor_names(lab)]
         return _corridor(estimators, setup, logs)
-    if lab.startswith("visual:"):
+    rendered = [world for world, w in SIMULATORS.items() if w.opens]
+    if lab.startswith(tuple(f"{world}:" for world in rendered)):
         return _visual(estimators, setup, open_scored(_with_colon(lab), reading, say))
     folder = Path(lab)
     if not folder.is_dir():
-        near = nearest(lab.partition(":")[0], ("corridor", "visual"))
+        near = nearest(lab.partition(":")[0], ("corridor", *rendered))
         hint = f" (did you mean {near}:{lab.partition(':')[2] or 0}?)" if near else ""
-        right = "a folder, corridor:SEED+KEY=VALUE or visual:SEED"
+        right = " or ".join(["a folder, corridor:SEED+KEY=VALUE", *(f"{world}:SEED" for world in rendered)])
         raise UsageError(f"--lab {lab}: no such folder{hint}; {right} is needed")
-    from data.formats.lab.folder import is_lab
-
-    if is_lab(folder) and not (folder / "log.toml").exists():
+    if not (folder / "log.toml").exists() and recording_in(folder) is not None:
         return _visual(estimators, setup, open_scored(lab, reading, say))
     return _corridor(estimators, setup, [as_scored(log, reading) for log in _recorded(folder, say).values()])
 

@@ -1,13 +1,10 @@
-"""Variants of an experiment, as further rows of its log: sparser graphs, other noise, map maintenance."""
+"""Variants of an experiment, as further rows of its log: sparser graphs, map maintenance."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 from association.scans.constraints import SCAN
-from data.log import Log
 from eval.plan.experiment import Experiment, Work
 
 SPARSE = 0.2
@@ -37,33 +34,6 @@ def sparser(experiment: Experiment) -> list[Experiment]:
             f"the same log {about} (`--{changed.split('=')[0]}`)",
         )
         for changed, other, about in settings
-    ]
-
-
-def has_depth_noise(log: Log) -> bool:
-    """Whether a camera log has detected pictures whose corners have a known depth noise."""
-    found = None if log.evidence is None else log.evidence.found
-    return found is not None and len(found.frame) > 0 and math.isfinite(found.depth_noise)
-
-
-def with_depth_noise(experiments: Sequence[Experiment]) -> list[Experiment]:
-    """Variants with the same detections, whose covariances follow from their depth noise."""
-    from data.visual.observations import with_noise
-
-    about = "the same detections, each corner's covariance from the noise of its depth (`--corner-noise depth`)"
-    names = dict.fromkeys(e.log.name for e in experiments)
-    logs = {
-        n: with_noise(next(e.log for e in experiments if e.log.name == n), "depth", f"{n}:depth-noise") for n in names
-    }
-    return [
-        replace(
-            e,
-            log=logs[e.log.name],
-            variant_of=e.log.name,
-            about=about,
-            work=tuple(Work(w.association, tuple(n for n in w.estimators if n != "dead-reckoning")) for w in e.work),
-        )
-        for e in experiments
     ]
 
 

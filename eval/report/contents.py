@@ -10,6 +10,7 @@ import pandas as pd
 
 from data.notice import Code, Notice, Severity
 from data.result import Failure
+from data.wing import functions
 from data.words import sentence, title
 from eval.judgement.judgement import Judgement, conclusion
 from eval.plan.execute import Outcome
@@ -36,7 +37,6 @@ from eval.report.render import write_report
 from eval.report.results import space_rows
 from eval.report.revisions import revision_section
 from eval.report.studies import study_sections
-from eval.report.visual import visual_sections
 from eval.report.words import LOST, described, paragraph, say, status_of, together, whose
 from eval.studies.diagnosis import trust_table
 from eval.studies.montecarlo import Judged, consistency_table
@@ -93,7 +93,7 @@ def write_results(
         folder, output, trials, facts, scores, published, found, outcome.trust, outcome.calibrations
     )
     sections += laser_sections(folder, output, trials, published)
-    sections += visual_sections(folder, output, trials, in_lab=in_lab, factor=factor)
+    sections += [s for of_wing in functions("sections") for s in of_wing(folder, output, trials, in_lab, factor)]
     sections += study_sections(folder, options, outcome, judged)
     if trials:
         sections += association_sections(folder, output, trials, scores)

@@ -24,7 +24,7 @@ from eval.studies.montecarlo import Key, Result, Sample
 from eval.studies.scenario import Scenario
 
 PACKAGES = (
-    *("data", "association", "ekf", "graph"),
+    *("data", "association", "ekf", "graph", "wings"),
     *("eval/__init__.py", "eval/replay", "eval/referee", "eval/studies"),
 )
 """Code that a run may execute."""

@@ -9,8 +9,8 @@ import pytest
 
 from data import digest
 from data.digest import ROOT, program_digest, sources
-from data.visual import observations
 from eval.studies import store
+from wings.camera import observations
 
 OURS = """
 import json, sys
@@ -35,9 +35,9 @@ assert all(sample.failure is None for sample in one_run(scenario, 0).values())
 DETECTIONS = """
 import tempfile
 from data.logs import Reading, open_log
-from data.formats.lab.folder import write_lab
-from data.visual.rendering.render import Rendered
-from data.worlds.gallery import Gallery
+from wings.camera.lab.folder import write_lab
+from wings.camera.rendering.render import Rendered
+from wings.camera.gallery import Gallery
 with tempfile.TemporaryDirectory() as folder:
     small = "image_width=320+image_height=240+reference_width=120"
     open_log(f"visual:0:frames=1+{small}", Reading(cache=Path(folder) / "kept"))
@@ -69,8 +69,8 @@ def test_a_run_of_a_study_executes_nothing_that_its_digest_does_not_cover():
 @pytest.mark.slow
 def test_detections_come_from_nothing_that_their_digest_does_not_cover():
     loaded = executed(DETECTIONS)
-    deciding = {"data/visual/features.py", "data/visual/rendering/render.py", "data/worlds/gallery.py"}
-    assert deciding | {"data/formats/lab/configuration.py", "data/sensors.py"} <= loaded
+    deciding = {"wings/camera/features.py", "wings/camera/rendering/render.py", "wings/camera/gallery.py"}
+    assert deciding | {"wings/camera/lab/configuration.py", "data/sensors.py"} <= loaded
     assert loaded - covered(observations.PACKAGES) == set()
 
 

@@ -6,8 +6,8 @@ import pandas as pd
 import pytest
 
 from data.convert.__main__ import main as convert
-from data.visual import observations as visual_log
 from eval.run_all import main
+from wings.camera import observations as visual_log
 
 FRAMES = 4
 SMALL = ["--image-width", "400", "--image-height", "300", "--reference-width", "300"]
@@ -58,7 +58,7 @@ def test_a_second_run_looks_at_no_image(lab, report, monkeypatch):
         raise AssertionError("the images were looked at again")
 
     monkeypatch.setattr(visual_log, "Detector", never)
-    monkeypatch.setattr("data.visual.opening.find_pictures", never)
+    monkeypatch.setattr("wings.camera.opening.find_pictures", never)
     out = lab.parent / "again"
     assert main(["--log", str(lab), "--estimator", "ekf", "--out", str(out), "-q", "--no-plots", "--jobs", "1"]) == 0
     a, b = (pd.read_csv(p / "metrics.csv") for p in (report, out))

@@ -21,7 +21,8 @@ SOON = 0.3
 """s of processor time."""
 COMMANDS = {
     "run": "eval.run_all", "step": "eval.step", "play": "eval.play", "convert": "eval.convert.__main__",
-    "detect": "eval.detect", "camera": "eval.camera", "inspect": "eval.inspect", "live": "wings.robot.live.__main__",
+    "detect": "wings.camera.detect", "camera": "wings.camera.command", "inspect": "eval.inspect",
+    "live": "wings.robot.live.__main__",
     "tune": "eval.tune", "twin": "eval.twin", "score": "eval.score", "check": "eval.check",
     "benchmark": "eval.benchmark", "audit": "wings.audit.command", "warm": "eval.warm", "report": "eval.open_report",
 }  # fmt: skip

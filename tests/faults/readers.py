@@ -14,7 +14,6 @@ from scipy.io import savemat
 
 from data.convert import table
 from data.formats.g2o import log_of, read_graph
-from data.formats.lab.folder import open_lab
 from data.formats.mrclam.load import load_mrclam
 from data.formats.recordings import esde
 from data.formats.recordings.victoria_park import load_victoria_park
@@ -25,7 +24,6 @@ from eval.plan.flags.options import read_options
 from eval.studies.scenario import load_scenario
 from eval.studies.shipped import path_of
 from tests.data.conftest import small_files
-from tests.data.formats.lab.handmade import lab
 from tests.data.formats.mrclam import world
 from tests.data.formats.open_log.measured import measured_files
 from tests.data.formats.open_log.test_corruption import assert_sound
@@ -33,7 +31,9 @@ from tests.data.formats.open_log.test_scans import GOOD
 from tests.data.formats.open_log.test_sensors import files_of as files_of_sensors
 from tests.data.formats.recordings.carmen_text import SMALL
 from tests.faults.mutations import BYTES, MAT, NPY, TABLE, TOML, Fault, Files, zipped
+from tests.wings.camera.lab.handmade import lab
 from tests.wings.robot.line import linked
+from wings.camera.lab.folder import open_lab
 from wings.robot.packets import command_of
 from wings.robot.simulated.lidar import Lidar
 from wings.robot.traffic.recording import Recording

@@ -14,7 +14,6 @@ import pytest
 from scipy.io import savemat
 
 from data.errors import DataError, UsageError
-from data.formats.lab.folder import open_lab
 from data.formats.mrclam.load import load_mrclam
 from data.formats.recordings.esde import load_esde
 from data.formats.results.reading import read_path
@@ -24,11 +23,12 @@ from data.logs import open_log
 from eval.plan.flags.options import read_options
 from graph import engine as window
 from tests.data.conftest import small_files
-from tests.data.formats.lab.handmade import lab
 from tests.data.formats.open_log.test_scans import GOOD
 from tests.data.formats.recordings.carmen_text import SMALL
 from tests.faults.mutations import bomb_entry, npy_header
 from tests.faults.soak import soaked
+from tests.wings.camera.lab.handmade import lab
+from wings.camera.lab.folder import open_lab
 
 
 def save(folder, files):

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from data.errors import LARGEST, DataError
-from data.formats.lab.matlab import load
+from data.formats.matlab import load
 from data.inputs import Increments, Inputs, LandmarkMap, Observations, Prior
 from data.log import Log
 from data.motion.velocity import floor_covariances

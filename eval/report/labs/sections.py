@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from data.wing import functions
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import Output
 from eval.plan.unfinished import Unfinished
@@ -21,7 +22,6 @@ from eval.report.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PE
 from eval.report.labs.pictures import NEEDED, UPDATE_TIME, draw
 from eval.report.labs.questions import NEAR, Ambiguity, Answers, ambiguity, answers, primed
 from eval.report.labs.seeds import OverSeeds, Seed, over_seeds, seed_jobs, seeds_table
-from eval.report.labs.visual import visual_hand_in
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.words import paragraph
@@ -73,7 +73,7 @@ def hand_in(folder: Path, options: Options, trials: Sequence[Trial], scores: Sco
     if options.selection.lab is None:
         return []
     if any(t.log.evidence is not None for t in trials):
-        return visual_hand_in(folder, options.output, trials)
+        return [s for of_wing in functions("hand_ins") for s in of_wing(folder, options.output, trials)]
     lab = find_lab(trials, named=False)
     return [] if lab is None else _corridor(folder, options, lab, answers(lab, scores), lost)
 

@@ -21,7 +21,7 @@ from data.formats.mrclam.calibration import FROZEN, Calibration
 from data.formats.mrclam.load import Treatment, load_mrclam
 from data.formats.open_log.reader import load_folder
 from data.log import Log
-from data.visual.opening import Camera
+from data.logs import Reading
 from data.worlds.arena import Arena, simulate
 from tests.data.formats.mrclam import world
 from tests.data.formats.mrclam.world import exchange, replace_row, save_folder
@@ -294,18 +294,18 @@ def test_help_loads_neither_numpy_nor_numba() -> None:
 def test_each_flag_of_a_lab_recording_says_how_its_camera_is_read(monkeypatch, tmp_path):
     asked = []
 
-    def opened(source, camera, say):
-        asked.append((source, camera))
+    def opened(source, reading, say):
+        asked.append((source, reading))
         raise DataError(f"{source}: read no further")
 
-    monkeypatch.setattr("data.visual.opening.open_lab_log", opened)
+    monkeypatch.setattr("wings.camera.opening.open_lab_log", opened)
     words = ["lab", str(tmp_path), str(tmp_path / "out")]
     flags = ["--camera-translation", "mm", "--camera-reading", "to-body", "--corner-noise", "depth", "--trust-pickle"]
     assert main(words) == 2
     assert main([*words, *flags]) == 2
     assert asked == [
-        (tmp_path, Camera("cm", "to-camera", "lab", False)),
-        (tmp_path, Camera("mm", "to-body", "depth", True)),
+        (tmp_path, Reading("cm", "to-camera", "lab", trust_pickle=False)),
+        (tmp_path, Reading("mm", "to-body", "depth", trust_pickle=True)),
     ]
 
 

@@ -12,9 +12,9 @@ from data.worlds import registry
 from data.worlds.arena import Arena
 from data.worlds.circle import Circle
 from data.worlds.corridor import Corridor
-from data.worlds.gallery import Gallery
 from data.worlds.linear import LinearWorld
 from data.worlds.registry import name_of
+from wings.camera.gallery import Gallery
 
 WORLDS = tuple(registry.SIMULATORS)
 

@@ -12,7 +12,7 @@ from eval.player.scene import scene
 from eval.referee.score import Trial
 from eval.replay.settings import Setup
 from tests.eval.handmade import circle_log
-from tests.eval.report.visual.handmade import GREY, evidence
+from tests.wings.camera.report.handmade import GREY, evidence
 
 SMALL = ((0, b"first"), (2, b"second"), (4, b"third"))
 

@@ -1,1 +1,0 @@
-"""Logs with images: pictures are detected, and their corners become observations."""

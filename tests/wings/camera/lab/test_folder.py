@@ -1,0 +1,178 @@
+"""The lab's folder: images in their order, missing files, the digest, and faults of the configuration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import scipy.io
+
+from data.errors import DataError
+from tests.wings.camera.lab.handmade import FRAMES, LOGS, all_frames, as_structs, configuration, lab, log_arrays, refuse
+from wings.camera.lab.folder import is_lab, open_lab
+
+# --- reference images -------------------------------------------------------------------------------------------------
+
+
+def test_reference_images_come_as_rgb_in_the_natural_order_of_their_names(tmp_path: Path) -> None:
+    config = configuration()
+    config["landmark"] = {"xpos": np.zeros((11, 4)), "ypos": np.tile([1.0, 0.0, 0.0, 1.0], (11, 1))}
+    folder = lab(tmp_path / "lab", config)
+    for i in range(11):
+        blue_green_red = np.full((3, 4, 3), (7, 100, 10 * (i + 1)), np.uint8)
+        cv2.imwrite(str(folder / "landmark" / f"landmark{i + 1}.png"), blue_green_red)
+    (folder / "landmark" / "Thumbs.db").write_bytes(b"not an image")
+    (folder / "landmark" / "._landmark1.png").write_bytes(b"left by a Mac")
+    recording = open_lab(folder)
+    assert [r[0, 0].tolist() for r in recording.references] == [[10 * (i + 1), 100, 7] for i in range(11)]
+    assert "Thumbs.db" in recording.notes[1]
+
+
+def test_an_image_that_cannot_be_read_and_a_wrong_number_of_images_are_named(tmp_path: Path) -> None:
+    folder = lab(tmp_path / "lab")
+    for content in (b"", b"no image at all"):
+        (folder / "landmark" / "landmark2.png").write_bytes(content)
+        refuse(folder, "landmark2.png: not an image that can be read")
+    (folder / "landmark" / "landmark2.png").unlink()
+    refuse(folder, r"settings.mat: landmark.xpos: 2 rows, but .*landmark holds 1 images \(landmark1.png\)")
+    (folder / "landmark" / "landmark1.png").unlink()
+    (folder / "landmark").rmdir()
+    refuse(folder, r"landmark: missing; a folder with one reference image per picture")
+
+
+# --- the folder -------------------------------------------------------------------------------------------------------
+
+
+def test_a_lab_folder_is_known_by_what_it_holds(tmp_path: Path) -> None:
+    folder = lab(tmp_path / "lab")
+    assert is_lab(folder)
+    assert not is_lab(tmp_path / "nowhere")
+    assert not is_lab(tmp_path)
+    other = tmp_path / "other"
+    other.mkdir()
+    scipy.io.savemat(other / "x.mat", {"x": 1.0})
+    np.save(other / "y.npy", np.zeros(3))
+    np.savez(other / "z.npz", z=np.zeros(3))
+    (other / "broken.mat").write_bytes(b"broken")
+    assert not is_lab(other)
+    (folder / "settings.mat").rename(other / "a.mat")
+    assert is_lab(other)
+    assert is_lab(folder)
+
+
+def test_a_folder_with_reference_images_alone_or_a_log_alone_is_one_with_a_fault(tmp_path: Path) -> None:
+    pictures, log, neither = tmp_path / "pictures", tmp_path / "log", tmp_path / "neither"
+    (pictures / "landmark").mkdir(parents=True)
+    assert is_lab(pictures)
+    refuse(pictures, r"no configuration found \(there: no files\)")
+    log.mkdir()
+    np.savez(log / "seen.npz", **log_arrays())  # type: ignore[arg-type]
+    assert is_lab(log)
+    neither.mkdir()
+    (neither / "landmark").write_text("a file of that name is no folder of images")
+    assert not is_lab(neither)
+    assert not is_lab(neither / "landmark")
+
+
+def test_missing_and_doubled_files_are_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="nowhere: not a folder"):
+        open_lab(tmp_path / "nowhere")
+    folder = lab(tmp_path / "lab")
+    content = (folder / "settings.mat").read_bytes()
+    (folder / "again.mat").write_bytes(content)
+    refuse(folder, r"again.mat, settings.mat each hold a configuration; one")
+    (folder / "again.mat").unlink()
+    np.savez(folder / "second.npz", **log_arrays())  # type: ignore[arg-type]
+    refuse(folder, r"log.mat:log, second.npz each hold a log; one")
+    (folder / "second.npz").unlink()
+    (folder / "log.mat").rename(tmp_path / "log.mat")
+    refuse(folder, r"no log found \(there: settings.mat\); a .mat with the struct array log, or a .npy or .npz")
+    (tmp_path / "log.mat").rename(folder / "log.mat")
+    (folder / "settings.mat").unlink()
+    refuse(folder, r"no configuration found \(there: log.mat\); a .mat, .npy or .npz with camera_to_body")
+
+
+def test_two_logs_in_a_file_are_refused(tmp_path: Path) -> None:
+    folder = lab(tmp_path / "lab")
+    scipy.io.savemat(folder / "log.mat", {"log": as_structs(log_arrays()), "log2": as_structs(log_arrays())})
+    refuse(folder, "log.mat:log, log.mat:log2 each hold a log; one per folder is needed")
+
+
+def test_a_file_that_does_not_open_is_named_only_if_one_is_missing(tmp_path: Path) -> None:
+    folder = lab(tmp_path / "lab")
+    (folder / "extra.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + bytes(500))
+    assert len(all_frames(open_lab(folder))) == FRAMES
+    (folder / "extra.mat").rename(folder / "log.mat")
+    refuse(folder, r"log.mat: (damaged|MATLAB 7.3 .* needs the package h5py)")
+
+
+@pytest.mark.parametrize("form", LOGS)
+def test_the_digest_depends_on_configuration_log_and_images_alone(tmp_path: Path, form: str) -> None:
+    folder = lab(tmp_path / "lab", form=form)
+    digest = open_lab(folder).digest()
+    (folder / "other.txt").write_text("beside")
+    folder = folder.rename(tmp_path / "moved")
+    assert open_lab(folder, translation_unit="m").digest() == digest
+    for name in ("settings.mat", form, "landmark/landmark2.png"):
+        path = folder / name
+        content = path.read_bytes()
+        at = 20 if name.endswith(".mat") else len(content) - 30
+        recording = open_lab(folder)
+        path.write_bytes(content[:at] + bytes([content[at] ^ 1]) + content[at + 1 :])
+        assert recording.digest() != digest, name
+        path.write_bytes(content)
+    assert open_lab(folder).digest() == digest
+
+
+# --- faults of the configuration --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("part", "field", "value", "said"),
+    [
+        ("camera_to_body", "R", [[0, 1], [1, 0]], r"R: \[\[0.0, 1.0\], \[1.0, 0.0\]\] mirrors \(det -1\)"),
+        ("camera_to_body", "R", [[0, -1.1], [1, 0]], r"R: .*-1.1.* is no rotation; R R' = I is needed"),
+        ("camera_to_body", "R", np.eye(3), r"R: size 3x3; a rotation matrix, 2x2"),
+        ("camera_to_body", "R", [[np.nan, 1], [1, 0]], r"R: nan is not a number.* \(element 1,1\)"),
+        ("camera_to_body", "T", [1.0, 2.0, 3.0], r"T: size 1x3; 2 numbers are needed"),
+        ("camera_to_body", "T", [1.0, np.inf], r"T: inf is not a number.* \(element 1,2\)"),
+        ("camera_to_body", "T", None, r"camera_to_body: no field T; R, T are needed"),
+        ("landmark", "xpos", np.zeros((4, 2)), r"landmark.xpos: size 4x2; a row of 4 corners per picture"),
+        ("landmark", "ypos", np.zeros((3, 4)), r"landmark.ypos: size 3x4, but xpos has size 2x4"),
+        (
+            "landmark",
+            "ypos",
+            [[1, 0, 0, 1], [1, 0, np.nan, 1]],
+            r"landmark.ypos: nan is not a number.* \(element 2,3\)",
+        ),
+        ("landmark", "ypos", [[1, 0, 0, 1], [1, 1, 0, 0]], r"xpos\(2,:\), ypos\(2,:\): a picture without width"),
+        ("landmark", "ypos", None, r"landmark: no field ypos"),
+        ("landmark", "xpos", "text", r"landmark.xpos: text; numbers are needed"),
+        ("landmark", "xpos", {"a": 1}, r"landmark.xpos: a struct; numbers are needed"),
+        ("pose_init", "theta0", np.nan, r"theta0: nan"),
+        ("pose_init", "x0", [1, 2], r"x0: size 1x2; one number is needed"),
+        ("pose_init", "sigma_y", -3.0, r"sigma_y: -3; a standard deviation is not negative"),
+        ("pose_init", "sigma_theta", None, r"no field sigma_theta; x0, y0, theta0, sigma_x, sigma_y, sigma_theta"),
+        ("pose_init", None, None, r"no struct pose_init; camera_to_body, landmark, pose_init are needed"),
+        ("landmark", None, [1, 2, 3], r"landmark: numbers of size 1x3; one struct is needed"),
+    ],
+)
+def test_faults_of_the_configuration_name_field_value_and_what_would_be_right(
+    tmp_path: Path, part: str, field: str | None, value: Any, said: str
+) -> None:
+    config: dict[str, Any] = configuration()
+    table, key = (config, part) if field is None else (config[part], field)
+    if value is None:
+        del table[key]
+    else:
+        table[key] = value
+    refuse(lab(tmp_path / "lab", config), "settings.mat: .*" + said)
+
+
+def test_a_matrix_typed_with_four_digits_is_a_rotation(tmp_path: Path) -> None:
+    config = configuration()
+    config["camera_to_body"]["R"] = np.array([[0.2675, -0.9636], [0.9636, 0.2675]])
+    assert open_lab(lab(tmp_path / "lab", config)).setup.rotation == pytest.approx(1.3, abs=1e-4)

@@ -1,0 +1,289 @@
+"""Rendered frames: the image tells the story of the truth; light, lens and bytes are as stated."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from data.errors import UsageError
+from tests.wings.camera.rendering.galleries import (
+    CLEAN,
+    SMALL,
+    SMALL_CLEAN,
+    averaged,
+    ends,
+    true_pixels,
+    views,
+    visible,
+)
+from wings.camera.gallery import Gallery, in_camera, to_pixels
+from wings.camera.rendering.render import Rendered, sideways_motion
+
+
+def rectified(recording: Rendered, frame: int, number: int) -> np.ndarray:
+    """A picture cut out of the image by its true corners, as large as its reference, grey."""
+    h, w = recording.references[number].shape[:2]
+    own = np.array([[-0.5, -0.5], [w - 0.5, -0.5], [w - 0.5, h - 0.5], [-0.5, h - 0.5]])
+    pixels = true_pixels(recording, frame)[number]
+    H = cv2.getPerspectiveTransform(own.astype(np.float32), pixels.astype(np.float32))
+    flags = cv2.INTER_CUBIC | cv2.WARP_INVERSE_MAP
+    cut = cv2.warpPerspective(recording.frame(frame).rgb, H, (w, h), flags=flags)
+    return cv2.cvtColor(cut, cv2.COLOR_RGB2GRAY).astype(np.float32)
+
+
+def soft(image: np.ndarray) -> np.ndarray:
+    """A reference, grey, as soft as a picture that fills a third of its width."""
+    return cv2.GaussianBlur(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.float32), (0, 0), 1.6)
+
+
+def shift(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """How far (dx, dy) px the content of b lies to the right of and below that of a (least squares, small shifts)."""
+    slope = np.stack([np.gradient(a, axis=1).ravel(), np.gradient(a, axis=0).ravel()], axis=1)
+    return -np.linalg.lstsq(slope, (b - a).ravel(), rcond=None)[0]
+
+
+def to_world(g: Gallery, pose: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Points (..., 3) of the camera's frame in the world."""
+    x, y, t = pose
+    c, s, a = math.cos(t), math.sin(t), t + g.camera_yaw
+    eye = [x + c * g.camera_x - s * g.camera_y, y + s * g.camera_x + c * g.camera_y, g.camera_height]
+    return points @ np.array([[math.sin(a), -math.cos(a), 0], [0, 0, -1], [math.cos(a), math.sin(a), 0]]) + eye
+
+
+class TestReferences:
+    @pytest.mark.slow
+    def test_every_picture_is_full_of_features(self, clean):
+        assert len(clean.references) == 8
+        for image in clean.references:
+            assert image.shape == (450, 600, 3)
+            assert image.dtype == np.uint8
+            assert len(cv2.SIFT_create().detect(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), None)) > 300
+
+    def test_no_picture_resembles_another(self, clean):
+        small = [cv2.resize(soft(r), (60, 45), interpolation=cv2.INTER_AREA).ravel() for r in clean.references]
+        likeness = np.corrcoef(np.array(small)) - np.eye(8)
+        assert np.abs(likeness).max() < 0.5
+
+    @pytest.mark.slow
+    def test_no_picture_takes_the_features_of_another(self, clean):
+        sift, matcher = cv2.SIFT_create(500), cv2.BFMatcher()
+        found = [sift.detectAndCompute(cv2.cvtColor(r, cv2.COLOR_RGB2GRAY), None)[1] for r in clean.references]
+        for i, j in ((0, 6), (1, 7), (0, 1), (3, 4), (2, 5)):  # 0 and 6, 1 and 7 are in one manner
+            pairs = matcher.knnMatch(found[i], found[j], k=2)
+            assert sum(a.distance < 0.7 * b.distance for a, b in pairs) < 25
+
+
+class TestImagesAreTrueToTheGeometry:
+    @pytest.mark.slow
+    def test_a_picture_cut_out_by_its_true_corners_is_its_reference(self, clean):
+        for frame, number in views(clean):
+            cut, reference = rectified(clean, frame, number), soft(clean.references[number])
+            assert np.corrcoef(cut.ravel(), reference.ravel())[0, 1] > 0.97
+
+    @pytest.mark.parametrize("width", [96, 120])
+    @pytest.mark.slow
+    def test_a_picture_finer_than_the_image_is_averaged_and_neither_glitters_nor_blurs(self, width):
+        small = replace(SMALL_CLEAN, image_width=width, image_height=width * 3 // 4, pictures=4)
+        recording = Rendered(small, 0)
+        seen = ends(recording)
+        assert len(seen) == 8
+        for k, number in seen:
+            image, covered, colour = averaged(recording, k, number)
+            whole = covered > 0.999
+            beside = whole[:, 1:] & whole[:, :-1]
+            drawn, wanted = (np.abs(np.diff(i, axis=1))[beside].mean() for i in (image, colour))
+            assert 0.85 < drawn / wanted < 1.0
+            assert np.sqrt(np.mean((image - colour)[whole] ** 2)) < 0.25 * colour[whole].std()
+
+    def test_a_pixel_on_a_picture_s_edge_has_of_its_colour_the_share_that_is_covered(self):
+        recording = Rendered(replace(SMALL_CLEAN, image_width=160, image_height=120, pictures=4), 0)
+        checked = {0.9: 0, 0.5: 0}
+        for k, number in ends(recording):
+            image, covered, colour = averaged(recording, k, number)
+            beside = (cv2.dilate((covered > 0.0).astype(np.uint8), np.ones((5, 5))) > 0) & (covered == 0.0)
+            wall = np.median(image[beside], axis=0)
+            assert wall.min() > 20.0
+            h, w = covered.shape
+            v, u = np.mgrid[:h, :w]
+            for side in (u < w // 4, u > w - w // 4, v < h // 4, v > h - h // 4):
+                # pixels that are covered in part, and those of them that are covered by less than a half
+                for most, fewest in ((0.9, 35), (0.5, 15)):
+                    at = side & (covered > 0.1) & (covered < most)
+                    if at.sum() >= fewest:
+                        wanted = covered[at][:, None] * (colour[at] - wall)
+                        assert 0.6 < (wanted * (image[at] - wall)).sum() / (wanted**2).sum() < 1.4
+                        checked[most] += 1
+        assert checked[0.9] >= 20
+        assert checked[0.5] >= 10
+
+    @pytest.mark.slow
+    def test_no_picture_is_off_by_a_tenth_of_a_pixel(self, clean):
+        shifts = []
+        for frame, number in views(clean):
+            cut, reference = rectified(clean, frame, number), soft(clean.references[number])
+            scale = np.linalg.norm(np.diff(true_pixels(clean, frame)[number][:2], axis=0)) / cut.shape[1]
+            shifts.append(shift(reference, cut) * scale)
+        assert np.abs(np.median(shifts, axis=0)).max() < 0.03
+        assert np.abs(shifts).max() < 0.1
+
+    @pytest.mark.parametrize("near", [pytest.param(False, marks=pytest.mark.slow), True])
+    def test_every_pixel_of_a_picture_has_its_colour_be_it_cut_by_the_images_edge_or_reach_behind_us(self, clean, near):
+        recording = clean
+        if near:  # close along a wall with large pictures
+            large = replace(SMALL_CLEAN, pictures=4, picture_width=2.0, picture_height=1.5, spacing=3.0, hang=1.3)
+            narrow = replace(large, room_length=12.0, wall_distance=0.5, camera_yaw=-0.6)
+            recording = Rendered(replace(narrow, duration=30.0, reference_width=200), 0)
+        cut = behind = 0
+        for k in range(0, len(recording), 20):
+            frame, whole = recording.frame(k), true_pixels(recording, k)
+            place = to_world(recording.gallery, recording.scene.pose[k], frame.xyz.astype(float))
+            for number, corners in enumerate(recording.scene.corners):
+                right, down = corners[1] - corners[0], corners[3] - corners[0]
+                h, w = recording.references[number].shape[:2]
+                a, b = ((place - corners[0]) @ side / (side @ side) for side in (right, down))
+                off = (place - corners[0]) @ np.cross(right, down) / np.linalg.norm(np.cross(right, down))
+                inside = (np.abs(off) < 1e-3) & (np.abs(a - 0.5) < 0.49) & (np.abs(b - 0.5) < 0.49)
+                if number in visible(recording, k) or inside.sum() < 500:
+                    continue
+                wanted = cv2.remap(
+                    soft(recording.references[number]), (w * a - 0.5).astype(np.float32),
+                    (h * b - 0.5).astype(np.float32), cv2.INTER_LINEAR,
+                )  # fmt: skip
+                grey = cv2.cvtColor(frame.rgb, cv2.COLOR_RGB2GRAY)
+                assert np.corrcoef(grey[inside], wanted[inside])[0, 1] > 0.8
+                cut += 1
+                behind += number not in whole
+        assert cut >= 5
+        assert (behind > 0) == near
+
+    def test_walls_beside_the_pictures_stay_plain(self, clean):
+        k = next(k for k in range(len(clean)) if not visible(clean, k))
+        grey = cv2.cvtColor(clean.frame(k).rgb, cv2.COLOR_RGB2GRAY)
+        outside = np.ones_like(grey)
+        for s in clean.projections(k):
+            if np.isfinite(s.pixels).all():
+                cv2.fillConvexPoly(outside, np.rint(s.pixels).astype(np.int32), 0)
+        gradient = np.abs(np.diff(grey.astype(float), axis=1))[outside[:, 1:] > 0]
+        assert 0.1 < gradient.mean() < 3.0
+
+
+class TestLightAndLens:
+    def light(self, **options: float) -> np.ndarray:
+        """Gain, and grey level added to a middle grey, of six frames: (6, 2)."""
+        lit, plain = Rendered(replace(SMALL_CLEAN, **options), 0), Rendered(SMALL_CLEAN, 0)
+        found = []
+        for k in range(6):
+            a, b = plain.frame(k).rgb.astype(float).ravel(), lit.frame(k).rgb.astype(float).ravel()
+            middle = (b > 0) & (b < 255)
+            gain, offset = np.polyfit(a[middle], b[middle], 1)
+            assert np.abs(gain * a + offset - b)[middle].max() < 1.5
+            found.append([gain, offset + 127.5 * (gain - 1.0)])
+        return np.array(found)
+
+    @pytest.mark.slow
+    def test_brightness_and_contrast_change_from_frame_to_frame_each_by_itself(self):
+        gain, offset = self.light(brightness=20.0).T
+        assert np.allclose(gain, 1.0, atol=0.01)
+        assert 5.0 < offset.std() < 50.0
+        gain, offset = self.light(contrast=0.2).T
+        assert 0.05 < np.log(gain).std() < 0.5
+        assert np.abs(offset).max() < 1.0
+
+    def test_image_noise_has_the_stated_size(self):
+        noisy, plain = Rendered(replace(SMALL_CLEAN, image_noise=3.0), 0), Rendered(SMALL_CLEAN, 0)
+        a, b = (r.frame(0).rgb.astype(float) for r in (noisy, plain))
+        middle = (b > 20) & (b < 235)
+        assert (a - b)[middle].std() == pytest.approx(math.sqrt(9.0 + 1.0 / 12.0), rel=0.02)
+        assert abs((a - b)[middle].mean()) < 0.05
+        assert abs(np.corrcoef((a - b)[:, 1:].ravel(), (a - b)[:, :-1].ravel())[0, 1]) < 0.02
+        later = noisy.frame(1).rgb.astype(float) - plain.frame(1).rgb
+        assert abs(np.corrcoef((a - b).ravel(), later.ravel())[0, 1]) < 0.02
+
+    @pytest.mark.slow
+    def test_blur_follows_the_robots_turn_and_stays_where_it_is(self):
+        plain, blurred = Rendered(CLEAN, 0), Rendered(replace(CLEAN, exposure=0.03), 0)
+        moving = np.abs(plain.scene.command[:, 1]) > 0.1
+        kept = {True: [], False: []}
+        for k in range(2, 100, 9):
+            if moving[k] != moving[k - 1]:
+                continue
+            for s in plain.in_view(k):
+                (left, top), (right, bottom) = s.pixels.min(axis=0).astype(int), s.pixels.max(axis=0).astype(int)
+                a, b = (
+                    cv2.cvtColor(r.frame(k).rgb, cv2.COLOR_RGB2GRAY)[top:bottom, left:right].astype(np.float32)
+                    for r in (plain, blurred)
+                )
+                kept[bool(moving[k])].append(np.abs(np.diff(b, axis=1)).mean() / np.abs(np.diff(a, axis=1)).mean())
+                # to the left and to the right it fits equally ill
+                left, middle, right = (
+                    np.corrcoef(a[:, 8:-8].ravel(), b[:, 8 + d : b.shape[1] - 8 + d].ravel())[0, 1] for d in (-3, 0, 3)
+                )
+                assert max(left, right) < middle
+                assert abs(left - right) < 0.02
+        assert max(kept[True]) < 0.6 < min(kept[False])
+
+    @pytest.mark.parametrize(("v", "omega"), [(0.3, 0.0), (0.0, 0.5), (0.2, -0.7)])
+    def test_the_motion_that_blurs_is_that_of_a_point_ahead_of_the_camera(self, v, omega):
+        g, depth, dt = CLEAN, 2.3, 1e-5
+        eye, a = np.array([g.camera_x, g.camera_y]), g.camera_yaw
+        point = np.append(eye + depth * np.array([math.cos(a), math.sin(a)]), g.camera_height)
+        before, after = (
+            to_pixels(g, in_camera(g, np.array([v * t, 0.0, omega * t]), point[None]))[0, 0] for t in (-dt, dt)
+        )
+        assert sideways_motion(g, v, omega, depth) == pytest.approx((after - before) / (2 * dt), rel=1e-5)
+
+
+class TestTheRecording:
+    @pytest.mark.slow
+    def test_the_same_seed_gives_the_same_bytes_in_any_order(self):
+        a, b, c = Rendered(SMALL, 3), Rendered(SMALL, 3, frames=20), Rendered(SMALL, 4)
+        frames = list(b.frames())
+        assert len(frames) == len(b) == 20
+        for k in (7, 2, 7):
+            f = a.frame(k)
+            assert f.rgb.tobytes() == frames[k].rgb.tobytes()
+            assert f.xyz.tobytes() == frames[k].xyz.tobytes()
+            assert (f.time, f.v, f.omega) == (frames[k].time, frames[k].v, frames[k].omega)
+        assert all(np.array_equal(x, y) for x, y in zip(a.references, b.references))
+        assert not np.array_equal(a.references[0], c.references[0])
+        assert a.frame(0).rgb.tobytes() != c.frame(0).rgb.tobytes()
+
+    def test_frames_carry_time_and_recorded_commands_and_come_again(self, default):
+        scene = default.scene
+        short = Rendered(SMALL, 5, frames=4)
+        for _ in range(2):
+            for k, f in enumerate(short.frames()):
+                assert f.time == short.scene.time[k]
+                assert [f.v, f.omega] == short.scene.recorded[k].tolist()
+                assert f.rgb.shape == f.xyz.shape == (240, 320, 3)
+        assert len(default) == len(scene.time) == 360
+
+    @pytest.mark.slow
+    def test_noise_of_one_kind_leaves_the_others_as_they_were(self):
+        a, b = Rendered(SMALL, 0), Rendered(replace(SMALL, disparity_noise=0.0, patches=0, edge_hole=0), 0)
+        assert a.frame(1).rgb.tobytes() == b.frame(1).rgb.tobytes()
+        c = Rendered(replace(SMALL, image_noise=0.0, brightness=0.0), 0)
+        assert a.frame(1).xyz.tobytes() == c.frame(1).xyz.tobytes()
+
+    def test_visible_pictures_have_true_pixels_within_the_image(self, default):
+        for k in range(0, 360, 7):
+            pixels = true_pixels(default, k)
+            for number in visible(default, k):
+                assert (pixels[number] >= 0).all()
+                assert (pixels[number] <= [639, 479]).all()
+
+    @pytest.mark.parametrize("frames", [0, -1, 49])
+    def test_more_frames_than_there_are_are_refused(self, frames):
+        with pytest.raises(UsageError, match=rf"frames = {frames}; from 1 to 48"):
+            Rendered(SMALL, 0, frames=frames)
+
+    def test_images_of_odd_size_and_a_camera_that_looks_along_an_axis_are_fine(self):
+        g = replace(SMALL_CLEAN, image_width=321, image_height=241, camera_yaw=0.0)
+        frame = Rendered(g, 0).frame(0)
+        assert frame.rgb.shape == (241, 321, 3)
+        assert np.isfinite(frame.xyz).all()
+        assert (frame.xyz[:, :, 2] > 0).all()

@@ -1,0 +1,115 @@
+"""The report's section on a log made from images: statistics counted on paper, and what the section holds."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eval.plan.flags.table import Output
+from eval.referee.score import Trial
+from eval.report.page.blocks import Formula, Picture, Report, Table
+from eval.report.page.tables import drop_blank_columns
+from eval.report.render import write_report
+from tests.eval.handmade import circle_log, run_with_error
+from tests.wings.camera.report.handmade import evidence
+from wings.camera import report as visual
+from wings.camera.report import PictureStatistics, detection_table, statistics_of, tiles_of, visual_sections
+
+
+def test_statistics_of_hand_made_detections_are_those_counted_on_paper():
+    first, second, third = statistics_of(evidence())
+    assert (first.detected, first.in_view, first.found_in_view, first.wrong) == (4, 4, 2, 1)
+    assert first.recall == 0.5
+    assert first.median_inliers == 45.5
+    # four corners off by 0.3 sqrt 2 and four by 0.5
+    assert first.corner_error == pytest.approx(0.5 * (0.3 * np.sqrt(2.0) + 0.5))
+    assert first.refused == {"no depth": 1}
+    assert (second.detected, second.in_view, second.found_in_view, second.wrong) == (2, 4, 1, 1)
+    assert second.corner_error == 0.0
+    assert (third.detected, third.in_view, third.recall, third.corner_error) == (0, 0, None, None)
+
+
+def test_without_truth_the_table_says_nothing_about_misses_and_errors():
+    table = drop_blank_columns(detection_table(statistics_of(evidence(truth=False))))
+    assert list(table.columns) == ["picture", "detections", "inliers, median", "not found: no depth"]
+    assert table["detections"].tolist() == [4, 2, 0]
+
+
+def test_the_table_counts_reasons_in_columns_the_most_frequent_first():
+    stats = [
+        PictureStatistics(0, 9, 10, 9, 40.0, 0.5, 0, {"no depth": 1}),
+        PictureStatistics(1, 2, 0, 0, None, None, 1, {"too few inliers": 4, "no depth": 1}),
+    ]
+    table = detection_table(stats)
+    assert list(table.columns)[-2:] == ["not found: too few inliers", "not found: no depth"]
+    assert table.iloc[:, -2:].to_numpy().tolist() == [[0, 1], [4, 1]]
+    assert table["recall [%]"].tolist() == [90.0, None]
+    assert table["not judged"].tolist() == [0, 1]
+
+
+def test_tiles_hold_the_frame_in_rgb_with_its_detections_and_what_was_missed():
+    second, third = tiles_of(evidence())
+    assert second.name == "frame 2, 1.0 s"
+    assert second.rgb[0, 0].tolist() == [200, 20, 30]
+    assert [d.picture for d in second.detections] == [0, 1]
+    assert second.notes == []
+    assert third.notes == ["in view, not found: 0, 1"]
+
+
+# section
+def trials(**what) -> list[Trial]:
+    log = replace(circle_log(known_map=True, name="visual:1"), evidence=evidence(**what))
+    localized = (
+        run_with_error(
+            np.full(3, 0.3), estimator="dead-reckoning", association="none", task="localization", mapped=False
+        ),
+        run_with_error(np.full(3, 0.05), task="localization", mapped=False),
+        run_with_error(np.full(3, 0.01), estimator="batch", task="localization", phases=("final",), mapped=False),
+    )
+    return [Trial(log, "localization", localized), Trial(log, "slam", (run_with_error(np.full(3, 0.05)),))]
+
+
+@pytest.mark.slow
+def test_the_section_of_a_log_is_written_once_with_a_plan_for_each_task(tmp_path):
+    made = visual_sections(tmp_path, Output(), [*trials(), Trial(circle_log(), "slam", ())])
+    assert [s.heading for s in made] == ["Pictures as landmarks: visual:1"]
+    blocks = made[0].blocks
+    assert [b for b in blocks if isinstance(b, Formula)] == [m.formula for m in visual.MODELS]
+    assert [b.stem for b in blocks if isinstance(b, Picture)] == [
+        "visual_1-localization-plan", "visual_1-slam-plan", "visual_1-detections",
+    ]  # fmt: skip
+    assert [b.stem for b in blocks if isinstance(b, Table)] == ["visual_1-detections"]
+    assert (tmp_path / "tables" / "visual_1-models.tex").read_text() == visual.models_latex()
+    text = " ".join(b for b in blocks if isinstance(b, str))
+    assert "Of 8 pictures in view 3 were found (37.5 %). Wrong: 2." in text
+    assert "0.700 px" in text
+    assert "0.00400 z²" in text
+    assert "φ = 90.0°" not in text  # the numbers are the log's sensor's, not the setup's
+
+
+@pytest.mark.slow
+def test_formulas_are_mathml_in_the_page_and_latex_in_markdown(tmp_path):
+    made = visual_sections(tmp_path, Output(quick=True), trials())
+    write_report(tmp_path, Report("Title", "command", ("First.",), tuple(made)))
+    page = "".join(p.read_text(encoding="utf-8") for p in sorted(tmp_path.rglob("*.html")))
+    assert page.count('<div class="formula"><math display="block">') == 3
+    assert not re.search(r"https?://|<script", page)
+    text = "".join(p.read_text(encoding="utf-8") for p in sorted(tmp_path.rglob("*.md")))
+    for model in visual.MODELS:
+        assert f"```math\n{model.latex}\n```" in text
+
+
+def test_formulas_are_shown_also_without_plots(tmp_path):
+    made = visual_sections(tmp_path, Output(no_plots=True, formats=("csv",)), trials(truth=False))
+    assert sum(isinstance(b, Formula) for b in made[0].blocks) == 3
+    assert not (tmp_path / "figures").exists()
+    assert [p.name for p in (tmp_path / "tables").iterdir()] == ["visual_1-detections.csv"]
+    assert not any(isinstance(b, Picture) for b in made[0].blocks)
+
+
+def test_a_log_without_images_has_no_such_section(tmp_path):
+    assert visual_sections(tmp_path, Output(), [Trial(circle_log(), "slam", ())]) == []
+    assert not any(tmp_path.iterdir())

@@ -1,0 +1,208 @@
+"""The gallery: pictures hang as surveyed, the camera is a pinhole, the drive obeys its commands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.errors import UsageError
+from data.se2 import compose
+from tests.data.worlds.samples import agrees
+from tests.wings.camera.pinhole import PLAIN, pinhole
+from wings.camera.gallery import Gallery, gallery, in_view, projections, simulate
+
+
+class TestTheWorld:
+    def test_the_defaults_are_sixty_seconds_eight_pictures_and_a_camera_of_60_degrees(self):
+        scene = gallery(PLAIN, 0)
+        assert scene.corners.shape == (8, 4, 3)
+        assert scene.time[-1] + scene.time[1] == pytest.approx(60.0)
+        assert (PLAIN.image_width, PLAIN.image_height) == (640, 480)
+        assert PLAIN.focal == pytest.approx(554.256, abs=1e-3)
+
+    @pytest.mark.parametrize("pictures", [1, 3, 8, 9])
+    def test_pictures_hang_flat_on_walls_upright_and_apart(self, pictures):
+        g = Gallery(pictures=pictures)
+        corners = gallery(g, 3).corners
+        assert len(corners) == pictures
+        half = 0.5 * np.array([g.room_length, g.room_width])
+        for c in corners:
+            on = np.isclose(np.abs(c[:, :2]), half).all(axis=0)
+            assert on.sum() == 1
+            assert np.linalg.norm(c[1] - c[0]) == pytest.approx(g.picture_width)
+            assert np.array_equal(c[0, :2], c[3, :2])
+            assert np.array_equal(c[1, :2], c[2, :2])
+            assert c[0, 2] == c[1, 2]
+            assert c[0, 2] - c[3, 2] == pytest.approx(g.picture_height)
+        middles = corners.mean(axis=1)
+        gaps = np.linalg.norm(middles[:, None] - middles, axis=2) + 10 * np.eye(pictures)
+        assert gaps.min() > g.picture_width + 0.2
+
+    def test_corners_run_clockwise_from_the_upper_left_as_seen_from_the_room(self):
+        scene = gallery(PLAIN, 1)
+        seen = [s for pose in scene.pose for s in in_view(PLAIN, scene.corners, pose)]
+        assert len(seen) > 200
+        for sight in seen:
+            upper_left, upper_right, lower_right, lower_left = sight.pixels
+            assert upper_left[0] < upper_right[0]
+            assert lower_left[0] < lower_right[0]
+            assert upper_left[1] < lower_left[1]
+            assert upper_right[1] < lower_right[1]
+
+    def test_each_seed_hangs_the_pictures_differently_and_noise_moves_none(self):
+        noisy = replace(PLAIN, sigma_v=0.1, sigma_omega=0.3, sigma_x=0.1, prior_sigma=0.5)
+        assert np.array_equal(gallery(PLAIN, 5).corners, gallery(noisy, 5).corners)
+        assert not np.allclose(gallery(PLAIN, 5).corners, gallery(PLAIN, 6).corners)
+
+    @pytest.mark.parametrize(
+        ("wrong", "names"),
+        [
+            ({"pictures": 0}, "pictures"),
+            ({"rate": 0.0}, "rate"),
+            ({"sigma_x": 0.0}, "sigma_x"),
+            ({"sigma_v": -1.0}, "sigma_v"),
+            ({"speed": math.nan}, "speed"),
+            ({"image_width": 640.5}, "image_width"),
+            ({"pictures": 40}, "spacing"),
+            ({"spacing": 0.75}, "spacing"),
+            ({"wall_distance": 2.6}, "wall_distance"),
+            ({"end_distance": 3.5}, "end_distance"),
+            ({"hang": 2.5}, "room_height"),
+            ({"field_of_view": 3.2}, "field_of_view"),
+            ({"camera_x": 2.25}, "camera_x"),
+        ],
+    )
+    def test_parameters_that_make_no_room_are_refused_by_name(self, wrong, names):
+        with pytest.raises(UsageError, match=names) as caught:
+            Gallery(**wrong)
+        assert "\n" not in str(caught.value)
+
+
+class TestTheCamera:
+    @pytest.mark.parametrize("yaw", [-80.0, 0.0, 37.0, 180.0])
+    def test_points_and_pixels_are_those_of_a_pinhole(self, yaw):
+        g = Gallery(camera_yaw=math.radians(yaw))
+        scene = gallery(g, 2)
+        for pose in scene.pose[::40]:
+            points, pixels = pinhole(g, pose, scene.corners)
+            for s in projections(g, scene.corners, pose):
+                assert np.allclose(s.points, points[s.picture], atol=1e-12)
+                front = points[s.picture][:, 2] > 0
+                assert np.allclose(s.pixels[front], pixels[s.picture][front], atol=1e-9)
+                assert np.isnan(s.pixels[~front]).all()
+
+    def test_the_setup_takes_points_of_the_body_to_the_camera_and_looks_ahead_at_90_degrees(self):
+        scene = gallery(PLAIN, 0)
+        c, s = math.cos(scene.setup.rotation), math.sin(scene.setup.rotation)
+        for pose in scene.pose[::50]:
+            turn = np.array([[np.cos(pose[2]), np.sin(pose[2])], [-np.sin(pose[2]), np.cos(pose[2])]])
+            body = (scene.setup.corners - pose[:2]) @ turn.T
+            camera = body @ np.array([[c, -s], [s, c]]).T + scene.setup.translation
+            assert np.allclose(camera, pinhole(PLAIN, pose, scene.corners)[0][:, :, [0, 2]], atol=1e-12)
+        assert Gallery(camera_yaw=0.0).rotation == pytest.approx(0.5 * math.pi)
+        # the two readings of the transform differ, so that a mistaken one shows
+        assert np.hypot(*scene.setup.translation) > 0.1
+        assert abs(s) > 0.1
+
+    def test_distance_and_obliquity_are_those_of_the_line_of_sight(self):
+        scene = gallery(PLAIN, 0)
+        pose = scene.pose[10]
+        c, s = math.cos(pose[2]), math.sin(pose[2])
+        eye = [
+            pose[0] + c * PLAIN.camera_x - s * PLAIN.camera_y,
+            pose[1] + s * PLAIN.camera_x + c * PLAIN.camera_y,
+            PLAIN.camera_height,
+        ]
+        for sight in projections(PLAIN, scene.corners, pose):
+            line = eye - scene.corners[sight.picture].mean(axis=0)
+            wall = int(np.argmax(np.ptp(scene.corners[sight.picture][:, :2], axis=0) < 1e-9))
+            assert sight.distance == pytest.approx(np.linalg.norm(line))
+            assert math.cos(sight.obliquity) == pytest.approx(abs(line[wall]) / np.linalg.norm(line))
+
+    def test_a_picture_seen_from_behind_is_more_than_90_degrees_oblique_and_out_of_view(self):
+        corners = gallery(PLAIN, 0).corners[:1]
+        beyond = np.array([corners[0, :, 0].mean(), -0.5 * PLAIN.room_width - 2.0, 0.5 * math.pi - PLAIN.camera_yaw])
+        (sight,) = projections(PLAIN, corners, beyond)
+        assert (sight.points[:, 2] > 0).all()
+        assert sight.obliquity > 0.5 * math.pi
+        assert in_view(replace(PLAIN, max_obliquity=1.5), corners, beyond) == []
+
+    @pytest.mark.parametrize(("distance", "degrees"), [(2.4, 80.0), (9.0, 20.0)])
+    def test_in_view_is_whole_near_and_not_too_oblique(self, distance, degrees):
+        scene = gallery(PLAIN, 4)
+        limits = replace(PLAIN, max_distance=distance, max_obliquity=math.radians(degrees))
+        counts = {"in view": 0, "cut": 0, "beyond a limit": 0}
+        for pose in scene.pose:
+            near = {s.picture for s in in_view(limits, scene.corners, pose)}
+            points, pixels = pinhole(PLAIN, pose, scene.corners)
+            for s in projections(limits, scene.corners, pose):
+                p, uv = points[s.picture], pixels[s.picture]
+                whole = (p[:, 2] > 0).all() and (uv >= 0).all() and (uv <= [639, 479]).all()
+                beyond = s.distance > distance or s.obliquity > math.radians(degrees)
+                assert (s.picture in near) == (whole and not beyond)
+                counts["cut" if not whole else "beyond a limit" if beyond else "in view"] += 1
+        assert min(counts.values()) > 20
+
+    @pytest.mark.slow
+    def test_most_frames_show_one_to_three_pictures_and_some_none(self):
+        for seed in range(5):
+            scene = gallery(PLAIN, seed)
+            seen = np.array([len(in_view(PLAIN, scene.corners, pose)) for pose in scene.pose])
+            assert 0.7 < np.mean((seen >= 1) & (seen <= 3)) < 1.0
+            assert seen.max() <= 3
+            per_picture = {s.picture for pose in scene.pose for s in in_view(PLAIN, scene.corners, pose)}
+            assert len(per_picture) == 8
+
+
+class TestTheDrive:
+    def test_the_true_path_obeys_the_true_commands(self):
+        scene = gallery(PLAIN, 0)
+        pose, parts = scene.pose[0].copy(), 400
+        for k in range(150):
+            v, omega = scene.command[k]
+            for _ in range(parts):  # small straight steps at the middle heading
+                dt = (scene.time[k + 1] - scene.time[k]) / parts
+                middle = pose[2] + 0.5 * omega * dt
+                pose += dt * np.array([v * np.cos(middle), v * np.sin(middle), omega])
+            assert np.allclose(pose[:2], scene.pose[k + 1, :2], atol=1e-6)
+            assert abs(math.remainder(pose[2] - scene.pose[k + 1, 2], 2 * math.pi)) < 1e-9
+
+    def test_increments_of_exact_commands_lead_along_the_true_path(self):
+        log = simulate(replace(PLAIN, sigma_v=0.0, sigma_omega=0.0), 7)
+        pose = log.truth.pose[0]
+        for k in range(1, len(log.recorded)):
+            pose = compose(pose, log.recorded.increment(k).mean)
+            assert np.allclose(pose[:2], log.truth.pose[k, :2], atol=1e-9)
+        assert np.allclose(log.recorded.increments.covariance[1:], 1e-10 * np.eye(3))
+
+    def test_the_robot_drives_loops_that_close_and_keeps_its_distance(self):
+        g = replace(PLAIN, duration=200.0)
+        pose = gallery(g, 0).pose
+        back = np.flatnonzero(np.linalg.norm(pose[1:, :2] - pose[0, :2], axis=1) < 1e-9)
+        assert len(back) >= 3
+        assert np.allclose(pose[back[0] + 1, 2], pose[0, 2])
+        assert np.abs(pose[:, 0]).max() == pytest.approx(0.5 * g.room_length - g.end_distance, abs=0.01)
+        assert np.abs(pose[:, 1]).max() == pytest.approx(0.5 * g.room_width - g.wall_distance, abs=0.01)
+        assert np.abs(pose[:, 2]).max() < math.pi + 1e-12
+
+    def test_recorded_commands_err_by_the_stated_noise(self):
+        error = np.concatenate([s.recorded - s.command for s in (gallery(PLAIN, seed) for seed in range(20))])
+        assert agrees(error[:, 0], 0.01)
+        assert agrees(error[:, 1], math.radians(4.0))
+
+    def test_the_covariance_of_an_increment_is_the_commands_noise_through_the_time_step(self):
+        log = simulate(PLAIN, 0)
+        dt = 1.0 / PLAIN.rate
+        covariance = log.recorded.increments.covariance[1:]
+        assert np.allclose(covariance[:, 2, 2], (math.radians(4.0) * dt) ** 2, atol=2e-10)
+        assert np.allclose(covariance[:, 0, 0], (0.01 * dt) ** 2, rtol=0.01, atol=2e-7)
+
+    def test_the_prior_mean_is_drawn_with_the_prior_covariance(self):
+        scenes = [gallery(replace(PLAIN, duration=0.5), seed) for seed in range(300)]
+        error = np.array([s.setup.prior.mean - s.pose[0] for s in scenes])
+        assert agrees(error[:, :2], 0.03)
+        assert agrees(error[:, 2], math.radians(2.0))
+        assert np.allclose(scenes[0].setup.prior.covariance, np.diag([0.03, 0.03, math.radians(2.0)]) ** 2)

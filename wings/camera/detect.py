@@ -1,0 +1,81 @@
+"""`slamref detect IMAGE REFERENCE...`: find reference pictures in a photo and outline them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+from data.command import Command
+from data.errors import DataError, UsageError
+from data.terminal import ended
+
+PROG = "python -m eval.detect"
+LARGEST = 1600
+"""px; longer side of the searched copy of a photo, twice that of the camera frames the detector was tuned for."""
+EXAMPLES = """\
+examples:
+  python -m eval.detect photo.jpg landmark/*.jpg                    pictures in the photo, and their corners
+  python -m eval.detect photo.jpg poster.png --out found.png        the same, and the photo with outlines
+
+A line for each picture found: file, corners (u, v), inlier features, RMS reprojection error [px], largest corner sigma
+[px]. Corners: upper left, upper right, lower right, lower left, in px of the photo from the centre of its upper left
+pixel. A picture cut off by the edge of the photo, or too oblique, is refused with the reason.
+
+exit status: 0 fine (even if nothing was found), 2 wrong usage or an unreadable image"""
+
+
+def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
+    """The command `prog`; returns its exit status."""
+    about = "Find reference pictures in a photo, by SIFT and a verified homography."
+    parser = Command(prog, PROG, about, EXAMPLES)
+    parser.add_argument("image", metavar="IMAGE", type=Path, help="the photo")
+    reference = "an image of one whole picture, without surroundings"
+    parser.add_argument("references", metavar="REFERENCE", type=Path, nargs="+", help=reference)
+    parser.add_argument("--out", metavar="FILE.png", type=Path, help="write the photo with outlines of the pictures")
+    return ended(lambda: _detect(**vars(parser.read(argv))))
+
+
+def _detect(image: Path, references: Sequence[Path], out: Path | None) -> None:
+    """Print the detections; write the photo with outlines to `out`, if given."""
+    if out is not None and out.suffix.lower() != ".png":
+        raise UsageError(f"--out {out}: a file name that ends in .png is needed")
+    import cv2
+    import numpy as np
+
+    from wings.camera.detector import Detector
+    from wings.camera.lab.folder import read_image
+
+    photo = read_image(image)
+    pictures = [read_image(path) for path in references]
+    scale = min(1.0, LARGEST / max(photo.shape[:2]))
+    size = (max(1, round(photo.shape[1] * scale)), max(1, round(photo.shape[0] * scale)))
+    searched = photo if scale == 1.0 else np.asarray(cv2.resize(photo, size, interpolation=cv2.INTER_AREA), np.uint8)
+    try:
+        detector = Detector(pictures)
+    except DataError as fault:
+        raise DataError(f"{fault} (numbered as given: {', '.join(p.name for p in references)})") from None
+    result = detector.detect(searched)
+    same = Counter(p.name for p in references)
+    names = [p.name if same[p.name] == 1 else str(p) for p in references]
+    # pixel centres at whole numbers: the image begins half a pixel before the first of them
+    placed = [(d, (d.pixels + 0.5) / scale - 0.5) for d in result.detections]
+    print(f"{image.name}: {len(placed)} of {len(names)} pictures found")
+    for d, corners in placed:
+        where = " ".join(f"({u:.1f}, {v:.1f})" for u, v in corners.tolist())
+        print(
+            f"{names[d.picture]}: corners {where} px; {d.inliers} features agree, reprojection RMS"
+            f" {d.reprojection / scale:.2f} px, worst corner σ {d.corner_sigma / scale:.2f} px"
+        )
+    for picture, reason in result.refused:
+        print(f"{names[picture]}: {reason}")
+    if out is not None:
+        from data.whole import whole_file
+        from wings.camera.outlined import outlined
+
+        png = outlined(photo, [(names[d.picture], corners) for d, corners in placed])
+        try:
+            with whole_file(out) as partial:
+                partial.write_bytes(png)
+        except OSError as fault:
+            raise UsageError(f"--out {out}: cannot be written: {fault.strerror}") from fault

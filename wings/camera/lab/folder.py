@@ -1,0 +1,496 @@
+"""A recording in the university lab's format, read and written: configuration, log, and reference images.
+
+    my_recording/
+      config.mat           camera_to_body, landmark, pose_init (cm, degrees); see wings.camera.lab.configuration
+      log.mat|.npy|.npz    timestamp [s], commands [m/s, rad/s], rgb, xyz [mm] per frame; see below
+      landmark/            a reference image for each row of landmark.xpos, in the order of their names
+
+The two files are recognized by content, not by name; one file may hold both. Both may be in NumPy's forms, or pickles.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import os
+import re
+import shutil
+import tempfile
+import warnings
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from data.columns.scans import open_archive
+from data.csv_table import bytes_of
+from data.errors import DataError, UsageError
+from data.formats import matlab
+from data.formats.matlab import LIMIT, save
+from data.pictures import VisualFrame, VisualRecording, VisualSetup
+from data.whole import whole_folder
+from wings.camera.lab.configuration import PARTS, REFERENCES, configuration, read_configuration
+from wings.camera.lab.records import (
+    FIELDS,
+    NEEDS_TRUST,
+    LogFile,
+    Place,
+    layout_of,
+    load_objects,
+    mat_log,
+    npy_log,
+    npz_log,
+    object_log,
+    reading,
+    size_of,
+    unwrapped,
+)
+
+# Which file of a lab folder is the configuration and which the log: told by content, not by name.
+
+T = TypeVar("T")
+LOG_VARIABLE = "log"
+ALONE = frozenset({"xpos", "ypos"})
+"""Fields by which an archive of a configuration's fields is known."""
+ALL = {*PARTS, *(field for fields in PARTS.values() for field in fields)}
+Values = Mapping[str, object]
+
+
+class Sources:
+    """Files of a folder that look like a configuration or a log, and errors of those that do not open.
+
+    Attributes:
+        configurations: how to read the structs of each, or their fields alone; by the file's name.
+        logs: how to open each log.
+        untrusted: files of Python objects.
+    """
+
+    def __init__(self, folder: Path, *, trust_pickle: bool = False) -> None:
+        """`trust_pickle`: load Python objects, which can run code; else files that hold them are faults."""
+        self._folder, self._trust = folder, trust_pickle
+        self.configurations: dict[str, Callable[[], Values]] = {}
+        self.logs: dict[str, Callable[[], LogFile]] = {}
+        self.untrusted: list[Path] = []
+        self._faults: list[DataError] = []
+        self._names: list[str] = []
+        look = {".mat": self._look_at_mat, ".npy": self._look_at_npy, ".npz": self._look_at_npz}
+        look |= dict.fromkeys((".pkl", ".pickle"), self._look_at_objects)
+        for path in sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")):
+            self._names.append(path.name)
+            try:
+                look.get(path.suffix.lower(), lambda _: None)(path)
+            except DataError as fault:
+                self._faults.append(fault)
+
+    def _look_at_mat(self, path: Path) -> None:
+        inside = matlab.variables(path)
+        if set(inside) & set(PARTS):
+            self.configurations[path.name] = lambda: matlab.load(path, PARTS)
+        for name, variable in inside.items():
+            if name == LOG_VARIABLE or {"rgb", "xyz"} <= set(variable.fields):
+                self.logs[f"{path.name}:{name}"] = lambda n=name, v=variable: mat_log(path, n, v)  # type: ignore[misc]
+
+    def _look_at_npy(self, path: Path) -> None:
+        with reading(path), path.open("rb") as file:
+            dtype = layout_of(file).dtype
+        if dtype.hasobject:
+            self._look_at_objects(path)
+        elif set(dtype.names or ()) & set(FIELDS):
+            self.logs[path.name] = lambda: npy_log(path)
+        elif set(dtype.names or ()) & set(PARTS):
+            self.configurations[path.name] = lambda: _named(load_plain(path))
+
+    def _look_at_npz(self, path: Path) -> None:
+        with reading(path), open_archive(path, whole=False) as archive:
+            inside = {n.removesuffix(".npy") for n in archive.namelist() if n.endswith(".npy")}
+        if inside & set(FIELDS):
+            self.logs[path.name] = lambda: npz_log(path, trust_pickle=self._trust)
+        if inside & set(PARTS) or inside >= ALONE:
+            self.configurations[path.name] = lambda: self._values(path, inside & ALL)
+
+    def _values(self, path: Path, names: set[str]) -> Values:
+        """Arrays of an archive, unwrapped. Raises DataError if damaged, or if they are objects without trust."""
+        with reading(path), open_archive(path, whole=True) as archive:
+            for name in sorted(names):
+                with archive.open(f"{name}.npy") as member:
+                    if layout_of(member).dtype.hasobject and not self._trust:
+                        raise DataError.at(path, f"{name} {NEEDS_TRUST}")
+            with np.load(path, allow_pickle=self._trust) as arrays:
+                return {name: unwrapped(arrays[name]) for name in names}
+
+    def _look_at_objects(self, path: Path) -> None:
+        if not self._trust:
+            self.untrusted.append(path)
+            raise DataError.at(path, NEEDS_TRUST)
+        held = load_objects(path)
+        values = _named(held)
+        if values:
+            self.configurations[path.name] = lambda: values
+        log: object = None
+        if isinstance(held, Mapping):
+            log = held if set(FIELDS) & set(held) else unwrapped(held.get(LOG_VARIABLE))
+        elif isinstance(held, Sequence | np.ndarray) and not isinstance(held, str | bytes):
+            log = held
+        if log is not None or not values:
+            self.logs[path.name] = lambda: object_log(path, held if log is None else log)
+
+    def the(self, what: str, candidates: Mapping[str, T], right: str) -> tuple[str, T]:
+        """The only candidate and its name; else DataError, with `right` as remedy."""
+        if len(candidates) == 1:
+            return next(iter(candidates.items()))
+        if candidates:
+            raise DataError.at(self._folder, f"{', '.join(candidates)} each hold a {what}; one per folder is needed")
+        # a file that does not open is the most likely reason
+        if self._faults:
+            raise self._faults[0]
+        names = ", ".join(self._names) or "no files"
+        raise DataError.at(self._folder, f"no {what} found (there: {names}); {right} is needed")
+
+
+def load_plain(path: Path) -> object:
+    """An array that holds no objects, unwrapped. Raises DataError if damaged."""
+    with reading(path):
+        return unwrapped(np.load(path, allow_pickle=False))
+
+
+def _named(value: object) -> Values:
+    """The structs of a configuration and their fields in a dict or record, unwrapped."""
+    return {n: unwrapped(v) for n, v in value.items() if n in ALL} if isinstance(value, Mapping) else {}
+
+
+COMMANDS = ("v", "omega")
+MM = np.float32(0.001)
+"""m; the unit of xyz."""
+WHITE = 255
+
+
+def write_lab(folder: Path, recording: VisualRecording, *, form: str = "mat") -> None:
+    """Write config.mat, log.mat (or .npy, .npz) and landmark/NN.png into `folder`, which must be free or empty.
+
+    Points in m become mm (float32), NaN becomes 0. `form` "mat": MATLAB 5, at most 2 GiB, all in memory; "npy": a
+    structured array; "npz": an array per field, uncompressed, both with one frame in memory at a time.
+
+    Raises DataError for a folder in use or not writable, inconsistent frames, a correlated prior, or a log that exceeds
+    MATLAB 5; UsageError for an unknown form.
+    """
+    if form not in WRITERS:
+        raise UsageError(f"form {form!r}; known: {', '.join(WRITERS)}")
+    folder = Path(os.path.abspath(folder))
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise DataError.at(folder, "exists and is not an empty folder; name another one")
+        with whole_folder(folder) as partial:
+            (partial / REFERENCES).mkdir()
+            save(partial / "config.mat", configuration(recording.setup))
+            _write_references(partial / REFERENCES, recording.references)
+            WRITERS[form](partial / f"log.{form}", recording)
+            if folder.exists():
+                folder.rmdir()  # fails, as it should, if it was filled meanwhile
+    except OSError as error:
+        raise DataError.at(folder, f"cannot be written: {error.strerror}") from error
+
+
+def _write_references(folder: Path, references: list[NDArray[np.uint8]]) -> None:
+    import cv2
+
+    digits = max(2, len(str(len(references))))
+    for i, image in enumerate(references, 1):
+        _, content = cv2.imencode(".png", cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
+        (folder / f"{i:0{digits}}.png").write_bytes(content.tobytes())
+
+
+def _records(recording: VisualRecording) -> Iterator[dict[str, NDArray[Any]]]:
+    """The frames in the file's units; their number and size are checked."""
+    size, count = None, 0
+    for frame in recording.frames():
+        size = size or frame.rgb.shape
+        if count == len(recording) or frame.rgb.shape != size or frame.xyz.shape != size:
+            raise DataError(
+                f"frame {count} of the recording: rgb {frame.rgb.shape} and xyz {frame.xyz.shape}; "
+                f"{len(recording)} frames of {size} are needed"
+            )
+        yield _record(frame)
+        count += 1
+    if count < len(recording):
+        raise DataError(f"the recording has {count} frames; the stated {len(recording)} are needed")
+
+
+def _record(frame: VisualFrame) -> dict[str, NDArray[Any]]:
+    xyz = np.asarray(frame.xyz, np.float32) / MM
+    return {
+        "timestamp": np.array(frame.time, np.float64),
+        "commands": np.array([frame.v, frame.omega], np.float64),
+        "rgb": np.asarray(frame.rgb, np.uint8),
+        "xyz": np.where(np.isfinite(xyz).all(axis=-1, keepdims=True), xyz, np.float32(0.0)),
+    }
+
+
+def _write_mat(path: Path, recording: VisualRecording) -> None:
+    log = np.empty((1, len(recording)), [(name, object) for name in FIELDS])
+    for i, record in enumerate(_records(recording)):
+        size = sum(value.nbytes for value in record.values()) * len(recording)
+        if size > LIMIT:
+            what = f"{size / 2**30:.1f} GiB for {len(recording)} frames"
+            raise DataError(f"{path.name}: {what}; a .mat holds 2 GiB, write npy or npz")
+        for name in FIELDS:
+            log[0, i][name] = record[name]
+    save(path, {LOG_VARIABLE: log})
+
+
+def _write_npy(path: Path, recording: VisualRecording) -> None:
+    with path.open("wb") as file:
+        for i, record in enumerate(_records(recording)):
+            dtype = np.dtype([(name, record[name].dtype.str, record[name].shape) for name in FIELDS])
+            if not i:
+                _write_header(file, dtype, (len(recording),))
+            row = np.zeros((), dtype)
+            for name in FIELDS:
+                row[name] = record[name]
+            file.write(row.tobytes())
+
+
+def _write_npz(path: Path, recording: VisualRecording) -> None:
+    """Write members one after the other; columns are buffered in files."""
+    with ExitStack() as stack:
+        columns = {name: stack.enter_context(tempfile.TemporaryFile(dir=path.parent)) for name in FIELDS}
+        for i, record in enumerate(_records(recording)):
+            for name, column in columns.items():
+                if not i:
+                    _write_header(column, record[name].dtype, (len(recording), *record[name].shape))
+                column.write(record[name].tobytes())
+        with zipfile.ZipFile(path, "w") as archive:
+            for name, column in columns.items():
+                column.seek(0)
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    shutil.copyfileobj(column, member, 1 << 20)
+
+
+def _write_header(file: IO[bytes], dtype: np.dtype[Any], shape: tuple[int, ...]) -> None:
+    descr = np.lib.format.dtype_to_descr(dtype)
+    np.lib.format.write_array_header_1_0(file, {"descr": descr, "fortran_order": False, "shape": shape})
+
+
+WRITERS: dict[str, Callable[[Path, VisualRecording], None]] = {"mat": _write_mat, "npy": _write_npy, "npz": _write_npz}
+
+
+MOST_PIXELS = 5e7
+"""Most pixels of a reference image."""
+IMAGES = frozenset({".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm"})
+
+
+@dataclass(eq=False)
+class LabRecording:
+    """A recording of the lab's format, its frames still on disk.
+
+    Attributes:
+        path: the folder.
+        translation_unit, reading: of T and R, see `wings.camera.lab.configuration.camera_from_body`.
+        notes: assumptions and ignored files.
+    """
+
+    setup: VisualSetup
+    references: list[NDArray[np.uint8]]
+    path: Path
+    translation_unit: str
+    reading: str
+    notes: tuple[str, ...]
+    _log: LogFile = field(repr=False)
+    _files: tuple[Path, ...] = field(repr=False)
+
+    def __len__(self) -> int:
+        return self._log.count
+
+    def frames(self) -> Iterator[VisualFrame]:
+        """Every frame in order, one in memory at a time; DataError names a wrong frame and field."""
+        return _frames(self._log)
+
+    def digest(self) -> str:
+        """SHA-256 of configuration, log and reference images, in their order."""
+        total = hashlib.sha256()
+        for path in self._files:
+            try:
+                with path.open("rb") as file:
+                    total.update(hashlib.file_digest(file, "sha256").digest())
+            except OSError as error:
+                raise DataError.at(path, f"cannot be read: {error.strerror}") from error
+        return total.hexdigest()
+
+
+def is_lab(folder: Path) -> bool:
+    """Whether a folder seems to hold a recording of this format, perhaps a faulty one."""
+    if not folder.is_dir():
+        return False
+    if (folder / REFERENCES).is_dir():
+        return True
+    found = Sources(folder)
+    return bool(found.configurations or found.logs or any(p.suffix.lower() == ".npy" for p in found.untrusted))
+
+
+def open_lab(
+    folder: Path, *, translation_unit: str = "cm", reading: str = "to-camera", trust_pickle: bool = False
+) -> LabRecording:
+    """Open a recording; its configuration and reference images are read, its frames stay on disk.
+
+    Args:
+        folder: holds the configuration, the log and `landmark/`.
+        translation_unit: of camera_to_body.T, which the format does not state: "cm", "mm" or "m".
+        reading: "to-camera": p_c = R p_b + T, the lab's formula; "to-body": p_b = R p_c + T, the name's meaning.
+        trust_pickle: load files of Python objects, which can run code.
+
+    Raises:
+        DataError: a file, field or image is missing, ambiguous or wrong.
+        UsageError: unknown unit or reading.
+    """
+    if not folder.is_dir():
+        raise DataError.at(folder, "not a folder")
+    found = Sources(folder, trust_pickle=trust_pickle)
+    name, values = found.the("configuration", found.configurations, f"a .mat, .npy or .npz with {', '.join(PARTS)}")
+    known = folder / name
+    setup = read_configuration(known, values(), translation_unit=translation_unit, reading=reading)
+    right = f"a .mat with the struct array {LOG_VARIABLE}, or a .npy or .npz, its fields"
+    log = found.the("log", found.logs, right)[1]()
+    _check_fields(log)
+    images, others = _reference_files(folder / REFERENCES)
+    if len(images) != len(setup.corners):
+        names = ", ".join(p.name for p in images)
+        what = f"{len(setup.corners)} rows, but {folder / REFERENCES} holds {len(images)} images ({names})"
+        right = "a row per image is needed, in the order of their names"
+        raise DataError.at(known, f"landmark.xpos: {what}; {right}")
+    formula = "p_c = R p_b + T" if reading == "to-camera" else "p_b = R p_c + T"
+    notes = [f"camera_to_body is read as {formula} with T in {translation_unit} (the format states neither)"]
+    if others:
+        notes.append(f"ignored in {REFERENCES}/, not images: {', '.join(others)}")
+    files = (known, log.path, *images)
+    pictures = [read_image(path) for path in images]
+    return LabRecording(setup, pictures, folder, translation_unit, reading, tuple(notes), log, files)
+
+
+def _check_fields(log: LogFile) -> None:
+    """Raise DataError unless the log has frames with all their fields."""
+    for name in FIELDS:
+        if name not in log.fields:
+            raise DataError.at(log.path, f"the log has no {name}; {', '.join(FIELDS)} are needed")
+    if not log.count:
+        raise DataError.at(log.path, "the log has no frames; at least one is needed")
+
+
+def _frames(log: LogFile) -> Iterator[VisualFrame]:
+    """The frames of a log in SI units: colours uint8, points [m] with NaN where stereo found none.
+
+    A pixel without a point has three zeros or a coordinate that is not finite. DataError names file, frame and field of
+    a missing or invalid value, or a log without any point.
+    """
+    previous, seen = -np.inf, False
+    first: NDArray[Any] | None = None
+    colours = _Colours()
+    for i, record in enumerate(log.records()):
+        place = {name: Place(log.path, log.place(i, name)) for name in FIELDS}
+        for name in FIELDS:
+            if name not in record:
+                raise place[name].error(f"missing; {', '.join(FIELDS)} are needed")
+        time = float(place["timestamp"].finite(record["timestamp"], 1)[0])
+        if time <= previous:
+            raise place["timestamp"].error(f"{time!r} s follows {previous!r} s; it must increase")
+        previous = time
+        v, omega = _commands(place["commands"], record["commands"])
+        rgb, xyz = (_image(place[name], record[name]) for name in ("rgb", "xyz"))
+        first = rgb if first is None else first
+        if rgb.shape != first.shape:
+            said = f"size {size_of(rgb)}, but the first frame has {size_of(first)}; one size is needed"
+            raise place["rgb"].error(said)
+        if xyz.shape != rgb.shape:
+            raise place["xyz"].error(f"size {size_of(xyz)}, but rgb has {size_of(rgb)}; a point per pixel is needed")
+        points = _points(xyz)
+        seen = seen or not bool(np.isnan(points[..., 0]).all())
+        yield VisualFrame(time, v, omega, colours.bytes(place["rgb"], rgb), points)
+    if not seen:
+        right = "mm in the camera's frame, 0 or NaN where unknown"
+        raise DataError.at(log.path, f"xyz: not one valid point in {log.count} frames; {right}")
+
+
+def _commands(place: Place, value: Any) -> tuple[float, float]:
+    """Commands v [m/s] and omega [rad/s], a pair or a struct."""
+    value = unwrapped(value)
+    if not isinstance(value, Mapping):
+        v, omega = place.finite(value, 2)
+        return float(v), float(omega)
+    for name in COMMANDS:
+        if name not in value:
+            raise place.error(f"no field {name}; v [m/s] and omega [rad/s] are needed")
+    v, omega = (Place(place.path, f"{place.name}.{name}").finite(value[name], 1)[0] for name in COMMANDS)
+    return float(v), float(omega)
+
+
+def _image(place: Place, value: Any) -> NDArray[Any]:
+    """An array (H, W, 3)."""
+    array = place.array(value)
+    if array.ndim != 3 or array.shape[-1] != 3 or not array.size:
+        raise place.error(f"size {size_of(array)}; H x W x 3 is needed")
+    return array
+
+
+class _Colours:
+    """Scales colours to 0..255; the first frame that is not black shows whether fractions are of 1 or of 255."""
+
+    def __init__(self) -> None:
+        self._white: float | None = None
+
+    def bytes(self, place: Place, rgb: NDArray[Any]) -> NDArray[np.uint8]:
+        if rgb.dtype == np.uint8:
+            return np.ascontiguousarray(rgb, np.uint8)
+        low, high = float(rgb.min()), float(rgb.max())
+        fractions = rgb.dtype.kind == "f"
+        if self._white is None and fractions and high > 0:
+            self._white = 1.0 if high <= 1 else WHITE
+        white = (self._white or WHITE) if fractions else WHITE
+        if not (low >= 0 and high <= white):
+            wrong = low if not low >= 0 else high
+            raise place.error(f"colour {wrong:g}; 0 to {white:g} is needed (as in the frames before)")
+        return np.ascontiguousarray(np.rint(rgb * (WHITE / white)), np.uint8)
+
+
+def _points(xyz: NDArray[Any]) -> NDArray[np.float32]:
+    """Points (H, W, 3) in m from mm, NaN where there is none."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a NaN may be a signalling one
+        points = np.ascontiguousarray(xyz, np.float32) * MM
+    points[~np.isfinite(points).all(axis=-1) | ~points.any(axis=-1)] = np.nan
+    return points
+
+
+def _reference_files(folder: Path) -> tuple[list[Path], list[str]]:
+    """Images of the folder in natural order (2 before 10), and the names of other files."""
+    if not folder.is_dir():
+        raise DataError.at(folder, "missing; a folder with one reference image per picture is needed")
+    files = [p for p in folder.iterdir() if not p.name.startswith(".")]
+    images = [p for p in files if p.is_file() and p.suffix.lower() in IMAGES]
+    others = sorted(p.name for p in files if p not in images)
+
+    def natural(name: str) -> list[tuple[int, str]]:
+        parts = re.split(r"(\d+)", name.casefold())
+        return [(int(part), "") if part.isdecimal() else (-1, part) for part in parts if part]
+
+    return sorted(images, key=lambda p: (natural(p.name), p.name)), others
+
+
+def read_image(path: Path) -> NDArray[np.uint8]:
+    """An image as RGB (H, W, 3); DataError for a file that is none, or states more than `MOST_PIXELS`."""
+    import cv2
+
+    content = bytes_of(path)
+    try:
+        with warnings.catch_warnings(action="error"), Image.open(io.BytesIO(content)) as image:
+            width, height = image.size
+    except (OSError, ValueError, SyntaxError, Warning, Image.DecompressionBombError):
+        raise DataError.at(path, f"not an image that can be read, or one of more than {MOST_PIXELS:g} pixels") from None
+    if width * height > MOST_PIXELS:
+        raise DataError.at(path, f"{width} x {height} pixels; at most {MOST_PIXELS:g} are read")
+    pixels = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    if pixels is None:
+        raise DataError.at(path, "not an image that can be read")
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB), np.uint8)

@@ -1,0 +1,264 @@
+"""From images to a log: pictures detected frame by frame, their corners as observations, commands as odometry.
+
+Detections are cached beside the recording, keyed by its content and by the code that renders, reads and detects.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import zipfile
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from data.digest import program_digest
+from data.errors import UsageError
+from data.inputs import Increments, Inputs, LandmarkMap, Observations
+from data.log import Log
+from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances, preintegrate
+from data.pictures import (
+    COMMAND_SIGMA,
+    CORNERS,
+    Evidence,
+    Found,
+    InView,
+    VisualRecording,
+    VisualSetup,
+    true_pictures,
+)
+from data.se2 import Array
+from data.sensors import RelativePoint
+from data.truth import CLUTTER, Truth
+from data.whole import whole_file
+from wings.camera.detector import Detector
+
+SIGMA = (0.02, 0.05)
+"""m, of a corner to the right and ahead of the camera: the lab's constants."""
+ENOUGH = 20
+"""Fewest sides of pictures to measure noise from."""
+NOISES = ("lab", "depth")
+TILES = 12
+"""Frames kept for the report."""
+MOST_SMALL, SMALL_WIDTH = 500, 240
+"""Most frames kept for the player, and their width [px]."""
+PACKAGES = ("data", "wings")
+"""Code that detections depend on."""
+LIBRARIES = ("numba", "numpy", "opencv-python-headless", "scipy")
+
+
+def find_pictures(recording: VisualRecording, progress: Callable[[int, int], None] | None = None) -> Found:
+    """Detect pictures in every frame of a recording. DataError for a reference image without features."""
+    detector = Detector(recording.references, recording.setup.width)
+    time, commands, rows = [], [], []
+    refused = [Counter[str]() for _ in recording.references]
+    candidates: list[tuple[int, int, bytes]] = []
+    small: list[tuple[int, bytes]] = []
+    n = len(recording)
+    every, every_small = max(1, n // (4 * TILES)), -(-n // MOST_SMALL)
+    for k, (f, seen) in enumerate(detector.detect_each(recording.frames())):
+        time.append(f.time)
+        commands.append((f.v, f.omega))
+        for picture, reason in seen.refused:
+            refused[picture][reason] += 1
+        rows += [(k, d) for d in seen.detections]
+        if k % every == 0:
+            candidates.append((len(seen.detections), k, _encoded(f.rgb, 80)))
+        if k % every_small == 0:
+            size = (SMALL_WIDTH, max(1, round(f.rgb.shape[0] * SMALL_WIDTH / f.rgb.shape[1])))
+            small.append((k, _encoded(cv2.resize(f.rgb, size, interpolation=cv2.INTER_AREA), 60)))
+        if progress is not None:
+            progress(k + 1, n)
+    with_some = [c for c in candidates if c[0]] or candidates
+    chosen = [with_some[i] for i in np.unique(np.linspace(0, len(with_some) - 1, TILES).round().astype(int))]
+    pixels = np.array([d.pixels for _, d in rows], float).reshape(-1, CORNERS, 2)
+    points = np.array([d.points for _, d in rows], float).reshape(-1, CORNERS, 3)
+    focal, pixel_noise, depth_noise = measure_noise(pixels, points)
+    v, omega = np.array(commands, float).reshape(-1, 2).T
+    return Found(
+        time=np.array(time, float),
+        v=v,
+        omega=omega,
+        frame=np.array([k for k, _ in rows], np.int64),
+        picture=np.array([d.picture for _, d in rows], np.int64),
+        inliers=np.array([d.inliers for _, d in rows], np.int64),
+        pixels=pixels,
+        points=points,
+        refused=tuple(dict(sorted(each.items())) for each in refused),
+        tiles=tuple((k, image) for _, k, image in chosen),
+        focal=focal,
+        pixel_noise=pixel_noise,
+        depth_noise=depth_noise,
+        small=tuple(small),
+    )
+
+
+def _encoded(rgb: Any, quality: int) -> bytes:
+    ok, data = cv2.imencode(".jpg", cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    assert ok
+    return bytes(data.tobytes())
+
+
+def measure_noise(pixels: Array, points: Array) -> tuple[float, float, float]:
+    """Focal length [px], sigma of a corner in the image [px], and k [1/m] of sigma_z = k z^2; NaN: unknown.
+
+    Upper and lower corner of a side have the same u and z in a level camera, so their differences, about the median,
+    give the noise without ground truth. Noise common to all corners of a picture is not included. From pixels and
+    points (D, 4, .) of at least `ENOUGH` sides.
+    """
+    p, q = points.reshape(-1, 3), pixels.reshape(-1, 2)
+    known = np.isfinite(p).all(axis=1)
+    if known.sum() < 2 * ENOUGH:
+        return math.nan, math.nan, math.nan
+    A = np.stack([p[known, 0] / p[known, 2], np.ones(known.sum())], axis=1)
+    focal = float(np.linalg.lstsq(A, q[known, 0], rcond=None)[0][0])
+    upper, lower = [0, 1], [3, 2]
+    z = points[..., 2]
+    depth = ((z[:, upper] - z[:, lower]) / (0.5 * (z[:, upper] + z[:, lower])) ** 2).ravel()
+    side = (pixels[:, upper, 0] - pixels[:, lower, 0]).ravel()
+    return focal, _spread(side) / math.sqrt(2.0), _spread(depth) / math.sqrt(2.0)
+
+
+def _spread(values: Array) -> float:
+    """Robust standard deviation: 1.4826 times the median distance from the median."""
+    finite = values[np.isfinite(values)]
+    return float(1.4826 * np.median(np.abs(finite - np.median(finite)))) if len(finite) else math.nan
+
+
+def noise_of(found: Found, noise: str) -> Array:
+    """Covariances (D, 4, 2, 2) of the corners (right, ahead): `lab` constants, or from the measured depth noise.
+
+    `depth`: x = z (u - c) / f with sigma_u and sigma_z = k z^2 of `measure_noise`, so a depth error moves a corner
+    along its ray: R = J diag(sigma_u^2, sigma_z^2) J', J = [z / f, x / z; 0, 1]. UsageError with too few detections.
+    """
+    x, z = found.points[..., 0], found.points[..., 2]
+    R = np.zeros((*x.shape, 2, 2))
+    if noise == "lab":
+        R[..., 0, 0], R[..., 1, 1] = SIGMA[0] ** 2, SIGMA[1] ** 2
+        return R
+    if not math.isfinite(found.depth_noise):
+        raise UsageError(f"--corner-noise depth: {len(found.frame)} detections are too few to measure the noise")
+    variance = (found.depth_noise * z**2) ** 2
+    R[..., 0, 0] = (found.pixel_noise * z / found.focal) ** 2 + (x / z) ** 2 * variance
+    R[..., 0, 1] = R[..., 1, 0] = x / z * variance
+    R[..., 1, 1] = variance
+    return R
+
+
+def log_of(
+    setup: VisualSetup,
+    found: Found,
+    name: str,
+    *,
+    noise: str = "lab",
+    pose: Array | None = None,
+    in_view: InView | None = None,
+    source: dict[str, object] | None = None,
+    notes: tuple[str, ...] = (),
+) -> Log:
+    """The log: a map of corners (id 4 * picture + corner), an observation for every corner found, labels by picture.
+
+    A command holds until the next frame. `pose` (N, 3) and `in_view` are the truth where known.
+    """
+    model = VelocityModel(VelocityNoise("velocity", COMMAND_SIGMA))
+    increments, _ = preintegrate(model, found.time, found.v, found.omega, found.time)
+    covariance, floored = floor_covariances(increments.covariance, Inputs.covariance_floor)
+    D = len(found.frame)
+    corner = np.tile(np.arange(CORNERS), D)
+    label = CORNERS * np.repeat(found.picture, CORNERS) + corner
+    z = found.points[..., [0, 2]].reshape(-1, 2)
+    R = noise_of(found, noise).reshape(-1, 2, 2)
+    frame = np.repeat(found.frame, CORNERS)
+    usable = np.isfinite(z).all(axis=1)
+    known = LandmarkMap(np.arange(CORNERS * len(setup.corners)), setup.corners.reshape(-1, 2))
+    inputs = Inputs(
+        setup.prior,
+        found.time,
+        Increments(increments.mean, covariance),
+        Observations(frame[usable], z[usable], R[usable]),
+        RelativePoint(rotation=setup.rotation, translation=setup.translation),
+        known,
+        floored=floored,
+    )
+    true_id = None
+    if in_view is not None:
+        shown = true_pictures(found, in_view)
+        true_id = np.where(np.repeat(shown, CORNERS) < 0, CLUTTER, CORNERS * np.repeat(shown, CORNERS) + corner)[usable]
+    return Log(
+        name,
+        inputs,
+        Truth(pose, known, true_id),
+        label=label[usable],
+        labels_are_sensed=True,
+        source={"kind": "visual", "corner_noise": noise, **(source or {})},
+        notes=notes,
+        evidence=Evidence(setup, found, in_view),
+    )
+
+
+def with_noise(log: Log, noise: str, name: str) -> Log:
+    """The log under another name, with corner covariances by another model (see `noise_of`)."""
+    if log.evidence is None:
+        raise ValueError(f"log {log.name!r} was not made from images")
+    found, o = log.evidence.found, log.recorded.observations
+    usable = np.isfinite(found.points[..., [0, 2]].reshape(-1, 2)).all(axis=1)
+    R = noise_of(found, noise).reshape(-1, 2, 2)[usable]
+    recorded = replace(log.recorded, observations=Observations(o.frame, o.z, R))
+    return replace(log, name=name, recorded=recorded, source={**log.source, "corner_noise": noise})
+
+
+def cached(folder: Path, key: str, find: Callable[[], Found]) -> tuple[Found, str | None]:
+    """Detections from `folder`, or made now and kept there; and a note where they could not be kept."""
+    digest = hashlib.sha256((key + program_digest(PACKAGES, LIBRARIES)).encode())
+    path = folder / f".detections-{digest.hexdigest()[:16]}.npz"
+    kept = _load(path)
+    if kept is not None:
+        return kept, None
+    found = find()
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        _save(path, found)
+    except OSError as fault:
+        return found, f"Detections could not be kept in {folder.name} ({fault.strerror}); the next run looks again."
+    return found, None
+
+
+ARRAYS = ("time", "v", "omega", "frame", "picture", "inliers", "pixels", "points")
+
+
+def _save(path: Path, found: Found) -> None:
+    arrays: dict[str, Any] = {name: getattr(found, name) for name in ARRAYS}
+    arrays |= {f"tile_{k}": np.frombuffer(image, np.uint8) for k, image in found.tiles}
+    arrays |= {f"small_{k}": np.frombuffer(image, np.uint8) for k, image in found.small}
+    others = [
+        [dict(each) for each in found.refused],
+        [k for k, _ in found.tiles],
+        [k for k, _ in found.small],
+        found.focal,
+        found.pixel_noise,
+        found.depth_noise,
+    ]
+    arrays["others"] = np.frombuffer(json.dumps(others).encode(), np.uint8)
+    with whole_file(path) as partial:
+        np.savez(partial, **arrays)
+
+
+def _load(path: Path) -> Found | None:
+    try:
+        with path.open("rb") as file, np.load(file) as kept:
+            refused, *numbers, focal, pixel_noise, depth_noise = json.loads(kept["others"].tobytes())
+            tiles, small = (
+                tuple((k, kept[f"{kind}_{k}"].tobytes()) for k in which)
+                for kind, which in zip(("tile", "small"), numbers, strict=True)
+            )
+            values: dict[str, Any] = {name: kept[name] for name in ARRAYS}
+            values |= {"refused": tuple(refused), "tiles": tiles, "small": small}
+            return Found(**values, focal=focal, pixel_noise=pixel_noise, depth_noise=depth_noise)
+    except (OSError, zipfile.BadZipFile, KeyError, ValueError, EOFError):
+        return None

@@ -1,0 +1,273 @@
+"""The report's section on a log made from images: models, plan, what was found in the images, and how well.
+
+The equations in `templates/models/` are those of `data.motion.velocity.step`, `data.se2.compose` and
+`data.sensors.measure`; a test evaluates their entries and compares.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from PIL import Image
+
+from data.inputs import IntArray
+from data.log import Log, folder_name
+from data.pictures import COMMAND_SIGMA, Detection, Evidence, Found, InView, true_pictures
+from data.terminal import counted
+from eval.figures.map import enlarged
+from eval.figures.style import save
+from eval.plan.flags.table import Output
+from eval.referee.score import Trial
+from eval.report.page.blocks import Block, Formula, Picture, Section
+from eval.report.page.files import written_table
+from eval.report.page.tables import drop_blank_columns
+from eval.report.rows import stem
+from eval.report.shown_runs import for_map, left_out
+from eval.report.words import one_line, say, template_text
+from wings.camera.figures import Tile, contact_sheet, plan_figure
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is modelled; `name` is its part of file names."""
+
+    name: str
+    title: str
+
+    @property
+    def about(self) -> str:
+        """The model in words, plain text."""
+        return one_line(say(f"models/{self.name}"))
+
+    @property
+    def latex(self) -> str:
+        """The equations, aligned, as what stands in math mode (needs amsmath)."""
+        return template_text(f"models/{self.name}.tex").strip()
+
+    @property
+    def formula(self) -> Formula:
+        """The equations as a block of the report."""
+        return Formula(self.latex, template_text(f"models/{self.name}.mathml").strip())
+
+
+MOTION, OBSERVATION = Model("motion", "Motion model"), Model("observation", "Observation model")
+UPDATE = Model("update", "Update")
+MODELS = (MOTION, OBSERVATION, UPDATE)
+
+
+def models_latex() -> str:
+    """Words and equations of the models as a LaTeX fragment; it needs amsmath."""
+    return say("models/all", models=MODELS) + "\n"
+
+
+def write_models(folder: Path, wanted: Output, log: Log) -> None:
+    """Write the fragment below `tables/`, where LaTeX is asked for."""
+    if "tex" in wanted.formats:
+        (folder / "tables").mkdir(parents=True, exist_ok=True)
+        place = folder / "tables" / f"{folder_name(log.name)}-models.tex"
+        place.write_text(models_latex(), encoding="utf-8", newline="\n")
+
+
+@dataclass(frozen=True)
+class PictureStatistics:
+    """How well one picture was found; None: unknown, because the truth is."""
+
+    picture: int  # its number
+    detected: int  # frames in which it was found
+    in_view: int | None = None  # frames with it fully in view, near enough and not too oblique
+    found_in_view: int | None = None  # those of them in which it was found where it is
+    median_inliers: float | None = None  # of its detections
+    corner_error: float | None = None  # px, median over their corners
+    # wrong: detections that lie on another picture in view, or elsewhere than this one while it is in view
+    wrong: int | None = None
+    refused: Mapping[str, int] = field(default_factory=dict)  # frames in which it was looked for in vain, by reason
+
+    @property
+    def recall(self) -> float | None:
+        """Share of the frames in view in which it was found; None without such frames."""
+        if not self.in_view or self.found_in_view is None:
+            return None
+        return self.found_in_view / self.in_view
+
+
+def detection_table(stats: Sequence[PictureStatistics]) -> pd.DataFrame:
+    """A row per picture; a column for each reason it was not found for, most frequent first. Unknown is blank."""
+    total: Counter[str] = Counter()
+    for s in stats:
+        total.update(s.refused)
+    reasons = sorted(total, key=lambda reason: (-total[reason], reason))
+    rows = [
+        {
+            "picture": s.picture,
+            "frames in view": s.in_view,
+            "of these found": s.found_in_view,
+            "recall [%]": None if s.recall is None else 100.0 * s.recall,
+            "detections": s.detected,
+            "wrong": s.wrong,
+            "not judged": None if s.found_in_view is None else s.detected - s.found_in_view - (s.wrong or 0),
+            "inliers, median": s.median_inliers,
+            "corner error, median [px]": s.corner_error,
+            **{f"not found: {reason}": s.refused.get(reason, 0) for reason in reasons},
+        }
+        for s in stats
+    ]
+    return pd.DataFrame(rows, dtype=object)
+
+
+def statistics_of(evidence: Evidence) -> list[PictureStatistics]:
+    """Statistics of every picture of a recording, in the order of their numbers."""
+    found, truth = evidence.found, evidence.in_view
+    shown = None if truth is None else true_pictures(found, truth)
+    result = []
+    for p in range(len(evidence.setup.corners)):
+        own = found.picture == p
+        s = PictureStatistics(
+            p,
+            int(own.sum()),
+            median_inliers=float(np.median(found.inliers[own])) if own.any() else None,
+            refused=found.refused[p],
+        )
+        if truth is not None and shown is not None:
+            s = _with_truth(s, found, truth, shown)
+        result.append(s)
+    return result
+
+
+def _with_truth(s: PictureStatistics, found: Found, truth: InView, shown: IntArray) -> PictureStatistics:
+    """The same with what only the truth can tell; `shown` (D,) as from `true_pictures`."""
+    there = truth.picture == s.picture
+    right = (found.picture == s.picture) & (shown == s.picture)
+    at = {int(f): k for f, k in zip(truth.frame[there], np.flatnonzero(there), strict=True)}
+    pairs = [(d, at[int(found.frame[d])]) for d in np.flatnonzero(right)]
+    off = [np.linalg.norm(found.pixels[d] - truth.pixels[k], axis=1) for d, k in pairs]
+    claimed = found.picture == s.picture
+    here = np.array([int(f) in at for f in found.frame], bool)
+    return replace(
+        s,
+        in_view=int(there.sum()),
+        found_in_view=len(pairs),
+        corner_error=float(np.median(off)) if off else None,
+        wrong=int((claimed & (shown != s.picture) & ((shown >= 0) | here)).sum()),
+    )
+
+
+def tiles_of(evidence: Evidence) -> list[Tile]:
+    """The frames kept to look at, with what was found in them and, where the truth is known, what was not."""
+    found, truth, tiles = evidence.found, evidence.in_view, []
+    for frame, image in found.tiles:
+        rgb = np.asarray(Image.open(io.BytesIO(image)).convert("RGB"))
+        here = np.flatnonzero(found.frame == frame)
+        detections = [
+            Detection(int(found.picture[d]), found.pixels[d], found.points[d], int(found.inliers[d])) for d in here
+        ]
+        notes = []
+        if truth is not None:
+            missed = sorted(set(truth.picture[truth.frame == frame].tolist()) - set(found.picture[here].tolist()))
+            notes += [f"in view, not found: {', '.join(map(str, missed))}"] if missed else []
+        name = f"frame {frame}, {found.time[frame] - found.time[0]:.1f} s"
+        tiles.append(Tile(name, rgb, detections, notes))
+    return tiles
+
+
+def visual_sections(
+    folder: Path, wanted: Output, trials: Sequence[Trial], in_lab: bool = False, factor: int | None = 1
+) -> list[Section]:
+    """For each log made from images: models (in a lab the answer has them), plans, contact sheet, statistics."""
+    logs = {t.log.name: t.log for t in trials if t.log.evidence is not None and t.variant_of is None}
+    sections = []
+    for name, log in logs.items():
+        assert log.evidence is not None
+        facts = (_constants(log), _detected(statistics_of(log.evidence), log.evidence.found))
+        blocks = [] if in_lab else list(models(folder, wanted, log))
+        own = [t for t in trials if t.log is log and not wanted.no_plots]
+        blocks += [_plan(folder, wanted, t, None if in_lab else factor) for t in own]
+        blocks += _detections(folder, wanted, log, log.evidence)
+        page = "" if in_lab else f"{folder_name(name)}-pictures"
+        sections.append(Section(f"Pictures as landmarks: {name}", tuple(blocks), facts=facts, page=page))
+    return sections
+
+
+def models(folder: Path, wanted: Output, log: Log) -> Iterator[Block]:
+    """Words and formulas of every model, and their constants on a log."""
+    write_models(folder, wanted, log)
+    for model in MODELS:
+        yield f"**{model.title}.** {model.about}"
+        yield model.formula
+    yield constants(log)
+
+
+def _constants(log: Log) -> dict[str, object]:
+    """Of the models: sigmas [cm/s, deg/s] of a command, pose [deg, m] of the camera, extremes [cm] of a corner."""
+    sensor, R = log.recorded.sensor, log.recorded.observations.R
+    x, z = sensor.translation
+    sides = [100.0 * np.sqrt(R[:, i, i]) for i in (0, 1)] if len(R) else []
+    right, forward = ((float(each.min()), float(each.max())) for each in sides) if sides else ((), ())
+    return {
+        "log": log.name,
+        "v": 100.0 * COMMAND_SIGMA[0],
+        "omega": math.degrees(COMMAND_SIGMA[1]),
+        "rotation": math.degrees(sensor.rotation),
+        "translation": (float(x), float(z)),
+        "side": right,
+        "ahead": forward,
+        "by_depth": max((float(np.ptp(each)) for each in sides), default=0.0) >= 1e-9,
+    }
+
+
+def constants(log: Log) -> str:
+    """The models' constants on this log, in words."""
+    return say("visual#constants", c=_constants(log))
+
+
+def _plan(folder: Path, wanted: Output, trial: Trial, factor: int | None) -> Picture:
+    log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
+    assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
+    factor = enlarged(log, drawn, factor)
+    figure = plan_figure(log, drawn, log.evidence.setup.corners, factor=factor)
+    save(figure, folder / "figures", name)
+    known = bool(log.truth.known_poses)
+    caption = say("visual#plan", log=log.name, task=trial.task, known=known, factor=factor) + left_out(trial, drawn)
+    paths = ", ".join(r.estimator for r in drawn)
+    return Picture(name, caption, f"Plan of {log.name} with pictures and the paths of {paths}")
+
+
+def _detections(folder: Path, wanted: Output, log: Log, evidence: Evidence) -> Iterator[Block]:
+    name = f"{folder_name(log.name)}-detections"
+    stats, found, tiles = statistics_of(evidence), evidence.found, tiles_of(evidence)
+    yield summary(stats, found)
+    if tiles and not wanted.no_plots:
+        # images are the whole figure: as PDF it would be many times as large and show no more
+        sheet = contact_sheet(tiles, f"{log.name}: pictures found, with their numbers")
+        save(sheet, folder / "figures", name, ("png",))
+        caption = say("visual#sheet", log=log.name, shown=len(tiles), frames=len(found.time))
+        yield Picture(name, caption, f"{counted(len(tiles), 'frame')} of {log.name} with outlined pictures")
+    seen = [s for s in stats if s.detected or s.in_view]
+    frame = drop_blank_columns(detection_table(seen))
+    unseen = len(stats) - len(seen)
+    caption = say("visual#table", log=log.name, truth=evidence.in_view is not None, unseen=unseen)
+    yield written_table(frame, folder, name, caption, wanted)
+
+
+def _detected(stats: Sequence[PictureStatistics], found: Found) -> dict[str, object]:
+    """All pictures together; noise of a corner in the image [px], and of depth z, times z^2 [1/m]; None: not known."""
+    noise = (found.pixel_noise, found.depth_noise)
+    return {
+        "detections": len(found.frame),
+        "frames": len(found.time),
+        "in_view": sum(s.in_view or 0 for s in stats),
+        "found": sum(s.found_in_view or 0 for s in stats),
+        "wrong": sum(s.wrong or 0 for s in stats),
+        "noise": noise if np.isfinite(noise).all() else None,
+    }
+
+
+def summary(stats: Sequence[PictureStatistics], found: Found, head: str = "**Detections.**") -> str:
+    """All pictures together, in a paragraph that begins with a word."""
+    return say("visual#summary", d=_detected(stats, found), head=head)
