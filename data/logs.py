@@ -12,7 +12,7 @@ from data.errors import UsageError
 from data.log import Log
 from data.terminal import meant
 from data.truth_windows import scored
-from data.wing import used, wings
+from data.wing import of_all
 from data.worlds import registry
 
 if TYPE_CHECKING:
@@ -163,8 +163,8 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
 
 def _with_header(path: Path, relations: Path | None = None) -> Log:
     """A folder with a `log.toml`: one of a wing, or an open log."""
-    for text in (text for wing in wings() for text in wing.logs):
-        log: Log | None = used(text)(path)
+    for opened in of_all("logs"):
+        log: Log | None = opened(path)
         if log is not None:
             if relations is not None:
                 raise UsageError(f"--relations {relations}: {path} takes none; name a log with scans")

@@ -49,6 +49,11 @@ class Wing:
         worlds: simulated worlds by name.
         logs: functions of (path) that open a folder with a `log.toml` if it is one of theirs, else return None.
         log_sections: functions of (folder, output, trial) that give sections of the report on one log and task.
+        plans: functions of (name, estimators, setup, reading, say) that give the experiments of `--lab`.
+        hand_in: functions of (folder, options, trials, scores, unfinished) that give sections that come first.
+        last_sections: functions of (trials, scores, answered_above) that give sections after those on logs.
+        write_up: functions of (folder, trials, scores, sections of `hand_in`, other sections) of `--write-up`.
+        settings: functions of (options, trials) that give settings by log, kept in `provenance.json`.
         templates: package with a folder `templates` of words of the report; blank: none.
     """
 
@@ -58,6 +63,11 @@ class Wing:
     worlds: Mapping[str, World] = field(default_factory=dict)
     logs: tuple[str, ...] = ()
     log_sections: tuple[str, ...] = ()
+    plans: tuple[str, ...] = ()
+    hand_in: tuple[str, ...] = ()
+    last_sections: tuple[str, ...] = ()
+    write_up: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
     templates: str = ""
 
 
@@ -85,6 +95,11 @@ def wings() -> tuple[Wing, ...]:
 def template_folders() -> list[str]:
     """Folders `templates` of wings, for words of the report."""
     return [str(resources.files(wing.templates) / "templates") for wing in wings() if wing.templates]
+
+
+def of_all(table: str) -> list[Any]:
+    """The functions that a table of all wings names."""
+    return [used(text) for wing in wings() for text in getattr(wing, table)]
 
 
 def used(text: str) -> Any:

@@ -18,8 +18,8 @@ from eval.referee.errors import aligned_rmse, position_distance, rms
 from eval.referee.score import confusion_of
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
-from eval.report.labs.corridor import THE_LABS
 from eval.report.words import plus_minus
+from wings.labs.corridor import THE_LABS
 
 SEEDS = 20
 JCBB = THE_LABS["jcbb"][0]

@@ -9,8 +9,8 @@ import pytest
 from eval.plan.flags.options import read_options
 from eval.plan.unfinished import Unfinished
 from eval.referee.score import Trial, score
-from eval.report.labs.sections import hand_in
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
+from wings.labs.sections import hand_in
 
 PLAIN, BLIND, BLIND_PEOPLE, PEOPLE = (True, False), (False, False), (False, True), (True, True)
 """Odometry, people."""

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from data.worlds.corridor import Corridor, simulate
-from eval.plan.lab import switched_on
 from eval.referee.score import Trial, score
-from eval.report.labs.corridor import find_lab, look, reach, run_of, true_against_stated
-from eval.report.labs.questions import Answers, Lack, answers
-from eval.report.labs.sections import lab_sections
 from eval.report.page.blocks import every_block
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
+from wings.labs.corridor import find_lab, look, reach, run_of, true_against_stated
+from wings.labs.plan import switched_on
+from wings.labs.questions import Answers, Lack, answers
+from wings.labs.sections import lab_sections
 
 QUIET, BUSY, BLIND = lab_log(), lab_log(people=True), lab_log(odometry=False)
 # the same mistakes in the log without people: rows 5 (point 2 taken for 1) and 6 (point 1 initialized twice)

@@ -29,7 +29,12 @@ from eval.referee.score import Trial
 from eval.replay.frontend import FrontEnd
 from eval.replay.run import front_end
 from eval.replay.settings import Setup
-from eval.report.labs.corridor import (
+from eval.report.page.blocks import Picture
+from eval.report.page.files import write_table
+from eval.stepping.matching import closer_figure, methods_figure, wrong_of
+from eval.stepping.plane import BAD, FAINT
+from eval.stepping.problem import Matching, problems_of
+from wings.labs.corridor import (
     BLIND,
     BLIND_PEOPLE,
     NAMES,
@@ -43,11 +48,6 @@ from eval.report.labs.corridor import (
     reach,
     run_of,
 )
-from eval.report.page.blocks import Picture
-from eval.report.page.files import write_table
-from eval.stepping.matching import closer_figure, methods_figure, wrong_of
-from eval.stepping.plane import BAD, FAINT
-from eval.stepping.problem import Matching, problems_of
 
 TRUE_PATH = "#A0A0A0"  # grey, as estimated paths by labels are black
 STILL = 1.0  # m from its start that a path reaches at most if it is called still

@@ -11,9 +11,9 @@ import pytest
 from data.inputs import Observations
 from data.log import Log
 from eval.replay.settings import Setup
-from eval.report.labs import pictures
-from eval.report.labs.pictures import update_times
 from tests.eval.handmade_lab import FRAMES, lab_log
+from wings.labs import pictures
+from wings.labs.pictures import update_times
 
 BLIND = 2
 """A frame in which nothing is seen."""

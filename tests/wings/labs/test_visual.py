@@ -14,10 +14,10 @@ from data.result import Failure, Trajectory
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report import visual as models
-from eval.report.labs import visual
 from eval.report.page.blocks import Formula, Picture, Table
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 from tests.eval.report.visual.handmade import evidence
+from wings.labs import visual
 
 RISING = np.outer(np.linspace(0.0, 1.0, FRAMES), [0.6, 0.8, 0.0])
 """From nothing to 1 m off."""

@@ -17,14 +17,14 @@ from eval.plan.work import Job, work
 from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import ASTRAY_NEES
 from eval.referee.score import Scores, Trial
-from eval.report.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Lab, find_lab
-from eval.report.labs.pictures import NEEDED, UPDATE_TIME, draw
-from eval.report.labs.questions import NEAR, Ambiguity, Answers, ambiguity, answers, primed
-from eval.report.labs.seeds import OverSeeds, Seed, over_seeds, seed_jobs, seeds_table
-from eval.report.labs.visual import visual_hand_in
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.words import paragraph
+from wings.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Lab, find_lab
+from wings.labs.pictures import NEEDED, UPDATE_TIME, draw
+from wings.labs.questions import NEAR, Ambiguity, Answers, ambiguity, answers, primed
+from wings.labs.seeds import OverSeeds, Seed, over_seeds, seed_jobs, seeds_table
+from wings.labs.visual import visual_hand_in
 
 TEMPLATE = "labs/corridor"
 LAB = ("nn", "singles", "jcbb-first")

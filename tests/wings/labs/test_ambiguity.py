@@ -10,13 +10,13 @@ from scipy.stats import chi2, multivariate_normal
 
 from data.inputs import Increment
 from data.worlds.corridor import Corridor, simulate
-from eval.plan.lab import switched_on
 from eval.referee.score import Trial, score
-from eval.report.labs.corridor import find_lab, has_prior
-from eval.report.labs.questions import STEPS, ambiguity, fit, prior_likelihood, straight_pairs
-from eval.report.labs.sections import lab_sections
 from eval.report.page.blocks import Table
 from tests.eval.handmade_lab import lab_log, lab_run
+from wings.labs.corridor import find_lab, has_prior
+from wings.labs.plan import switched_on
+from wings.labs.questions import STEPS, ambiguity, fit, prior_likelihood, straight_pairs
+from wings.labs.sections import lab_sections
 
 BARE = simulate(Corridor(odometry=False), 0)
 PRIMED = simulate(Corridor(odometry=False, forward=True), 0)

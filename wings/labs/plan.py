@@ -17,6 +17,7 @@ from data.inputs import CLUTTER
 from data.log import Log
 from data.logs import Reading, as_scored, find_logs, open_scored
 from eval.plan.experiment import Experiment, Work
+from eval.plan.experiments import VISUAL
 from eval.plan.flags.table import DEFAULT_ESTIMATORS
 from eval.plan.variants import maintained
 from eval.replay.settings import HINDSIGHT, Setup
@@ -30,7 +31,6 @@ CONDITIONS = {
 """(people, odometry) of the lab's four logs, and the keys in the name of a simulated one."""
 WITH_PEOPLE = ("crowd", "sv_people", "sa_people")
 METHODS = ("nn", "singles", "jcbb-first", "jcbb")  # run without and with map maintenance
-VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")
 
 
 def lab_experiments(

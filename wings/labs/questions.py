@@ -14,7 +14,7 @@ from data.inputs import Increment, IntArray
 from data.log import Log
 from data.se2 import Array, between
 from eval.referee.score import Scores
-from eval.report.labs.corridor import (
+from wings.labs.corridor import (
     BLIND,
     NAMES,
     ODOMETRY,
@@ -29,7 +29,7 @@ from eval.report.labs.corridor import (
     reach,
     true_against_stated,
 )
-from eval.report.labs.seeds import OverSeeds
+from wings.labs.seeds import OverSeeds
 
 WORSE = 1.5  # an error this many times another one is called worse, below it comparable
 

@@ -10,10 +10,10 @@ import pandas as pd
 import pytest
 
 from eval.referee.score import Trial, score
-from eval.report.labs.write_up import log_page, tex, write_up
 from eval.report.page.blocks import Folded, Formula, Picture, Section, Table
 from eval.report.page.latex import add_note
 from tests.eval.handmade import circle_log, run_with_error
+from wings.labs.write_up import log_page, tex, write_up
 
 SIDE = np.array([0.0, 1.0, 0.0])
 RUNS = (

@@ -17,11 +17,11 @@ from data.result import NEW, Run
 from data.se2 import Array, between, compose, wrap_angle
 from data.truth_windows import unscored
 from eval.judgement.judgement import judge
-from eval.plan.lab import switched_on
 from eval.referee.confusion import OUTCOMES
 from eval.referee.errors import landmark_true_ids, position_distance, rms
 from eval.referee.result_files import Row, rows_of, value_of
 from eval.referee.score import Scores, Trial, confusion_of
+from wings.labs.plan import switched_on
 
 ODOMETRY, PEOPLE, BLIND, BLIND_PEOPLE = (False, True), (True, True), (False, False), (True, False)
 """(people, odometry) of the lab's logs."""

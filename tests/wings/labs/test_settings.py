@@ -12,11 +12,11 @@ from eval import play, step
 from eval.compare import compare
 from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
-from eval.plan.lab_settings import settings_by_log
 from eval.plan.provenance import provenance
 from eval.player.pack import unpacked
 from eval.referee.score import Trial, confusion_of
 from tests.eval.player.test_document import chunk_of
+from wings.labs.settings import settings_by_log
 
 NAME = "corridor:3:people"
 

@@ -12,11 +12,11 @@ from data.result import Failure
 from eval.plan.flags.options import read_options
 from eval.plan.unfinished import Unfinished
 from eval.referee.score import Trial, score
-from eval.report.labs.corridor import find_lab, run_of
-from eval.report.labs.pictures import KINDS, NEEDED, UPDATE_TIME
-from eval.report.labs.sections import QUESTIONS, hand_in, lab_sections
 from eval.report.page.blocks import Picture, Table
 from tests.eval.handmade_lab import FOOLED, NEW, lab_log, lab_run
+from wings.labs.corridor import find_lab, run_of
+from wings.labs.pictures import KINDS, NEEDED, UPDATE_TIME
+from wings.labs.sections import QUESTIONS, hand_in, lab_sections
 
 CONDITIONS = [(False, True), (True, True), (False, False), (True, False)]
 

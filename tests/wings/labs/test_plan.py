@@ -10,8 +10,8 @@ from data.errors import UsageError
 from data.formats.open_log.writer import write_folder
 from data.logs import Reading, open_log
 from eval.plan.flags.options import read_options
-from eval.plan.lab import METHODS, corridor_names, lab_experiments, switched_on
 from eval.plan.provenance import command_of
+from wings.labs.plan import METHODS, corridor_names, lab_experiments, switched_on
 
 FOUR = [(False, True), (True, True), (False, False), (True, False)]
 

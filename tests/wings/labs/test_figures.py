@@ -9,7 +9,8 @@ from matplotlib.colors import to_hex
 from data.words import number
 from eval.figures.style import colour_of_method
 from eval.referee.score import Trial
-from eval.report.labs.pictures import (
+from tests.eval.handmade_lab import FRAMES, NEW, POINTS, lab_log, lab_run
+from wings.labs.pictures import (
     TRUE_PATH,
     Shown,
     Times,
@@ -18,7 +19,6 @@ from eval.report.labs.pictures import (
     people_figure,
     update_time_figure,
 )
-from tests.eval.handmade_lab import FRAMES, NEW, POINTS, lab_log, lab_run
 
 
 def shown(method="jcbb-first", *, people=True, error=0.1, **more) -> Shown:

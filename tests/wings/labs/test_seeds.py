@@ -14,11 +14,11 @@ from eval.plan.unfinished import Unfinished
 from eval.referee.score import Trial, score
 from eval.replay.settings import Setup
 from eval.report.comparison import comparison_table
-from eval.report.labs import seeds
-from eval.report.labs.sections import hand_in
-from eval.report.labs.seeds import METHODS, Seed, one_seed, over_seeds, seed_jobs, seeds_table
 from eval.report.page.blocks import Table, every_block
 from tests.eval.handmade_lab import lab_log
+from wings.labs import seeds
+from wings.labs.sections import hand_in
+from wings.labs.seeds import METHODS, Seed, one_seed, over_seeds, seed_jobs, seeds_table
 
 SETUP = Setup(new_gate=0.99)
 NAME = "corridor:3:people"
