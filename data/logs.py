@@ -11,7 +11,7 @@ from data.errors import UsageError
 from data.log import Log
 from data.terminal import meant
 from data.truth_windows import scored
-from data.wing import functions, recording_in, used
+from data.wing import of_all, recording_in, used
 from data.worlds import registry
 
 NAMES = ", ".join(["victoria-park", *(f"{world}:SEED[:KEYS]" for world in registry.SIMULATORS)]) + (
@@ -155,7 +155,7 @@ def _open_folder(path: Path, reading: Reading, say: Callable[[str], None]) -> Lo
 
 def _with_header(path: Path, relations: Path | None = None) -> Log:
     """A folder with a `log.toml`: one of a wing, or an open log."""
-    for opened in functions("logs"):
+    for opened in of_all("logs"):
         log: Log | None = opened(path)
         if log is not None:
             if relations is not None:

@@ -6,7 +6,7 @@ the folders of the package `wings`; those of others are entry points of the grou
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import import_module, metadata, resources
@@ -74,8 +74,12 @@ class Wing:
         images: functions of (name, log) that give an image of each frame, PNG; none of a log that is not theirs.
         log_sections: functions of (folder, output, trial) that give sections of the report on one log and task.
         sections: functions of (folder, output, trials, in_lab, factor) that give sections of the report.
-        hand_ins: functions of (folder, output, trials) that answer a lab on a log with images.
         benchmarks: functions of (quick) that give lines of a table of `slamref benchmark`.
+        plans: functions of (name, estimators, setup, reading, say) that give the experiments of `--lab`.
+        hand_in: functions of (folder, options, trials, scores, unfinished) that give sections that come first.
+        last_sections: functions of (trials, scores, answered_above) that give sections after those on logs.
+        write_up: functions of (folder, trials, scores, sections of `hand_in`, other sections) of `--write-up`.
+        settings: functions of (options, trials) that give settings by log, kept in `provenance.json`.
         templates: package with a folder `templates` of words of the report; blank: none.
     """
 
@@ -90,8 +94,12 @@ class Wing:
     images: tuple[str, ...] = ()
     log_sections: tuple[str, ...] = ()
     sections: tuple[str, ...] = ()
-    hand_ins: tuple[str, ...] = ()
     benchmarks: tuple[str, ...] = ()
+    plans: tuple[str, ...] = ()
+    hand_in: tuple[str, ...] = ()
+    last_sections: tuple[str, ...] = ()
+    write_up: tuple[str, ...] = ()
+    settings: tuple[str, ...] = ()
     templates: str = ""
 
 
@@ -121,15 +129,15 @@ def template_folders() -> list[str]:
     return [str(resources.files(wing.templates) / "templates") for wing in wings() if wing.templates]
 
 
+def of_all(table: str) -> list[Any]:
+    """The functions that a table of all wings names."""
+    return [used(text) for wing in wings() for text in getattr(wing, table)]
+
+
 def used(text: str) -> Any:
     """The function that a text `module:function` names."""
     module, _, name = text.partition(":")
     return getattr(import_module(module), name)
-
-
-def functions(table: str) -> Iterator[Any]:
-    """The functions in a table of every wing, each imported in its turn."""
-    return (used(text) for wing in wings() for text in getattr(wing, table))
 
 
 def recording_in(folder: Path) -> Recording | None:

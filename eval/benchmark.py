@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from data.command import Command
 from data.terminal import ended
-from data.wing import functions
+from data.wing import of_all
 
 if TYPE_CHECKING:
     from eval.benchmarks.timed import Timed
@@ -76,7 +76,7 @@ def _measured(quick: bool) -> Iterator[list[Timed]]:
     yield association_lines(quick)
     yield hindsight_lines(frames)
     yield study_lines(quick)
-    yield from (lines(quick) for lines in functions("benchmarks"))
+    yield from (lines(quick) for lines in of_all("benchmarks"))
 
 
 if __name__ == "__main__":

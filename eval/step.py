@@ -114,7 +114,7 @@ def _step(wish: StepOptions) -> None:
     from eval.plan.experiment import check_maintained, check_possible_on, default_task, default_task_line
     from eval.plan.experiments import reading_of
     from eval.plan.foreign import load_all
-    from eval.plan.lab_settings import settings_line
+    from eval.plan.provenance import settings_line
 
     load_all(wish.options.selection.estimator, wish.options.selection.association)
     log = open_scored(wish.options.selection.log[0], replace(reading_of(wish.options), cache=None))
@@ -156,9 +156,9 @@ def _step(wish: StepOptions) -> None:
     block, first = (lab_block, 1) if wish.lab_text else (step_block, 0)
     walk = Walk(log, task, name_of(estimator), images, pausing=pausing, block=block, first=first)
     if log.evidence is not None and images.wanted:
-        from data.wing import functions
+        from data.wing import of_all
 
-        walk.camera = (image for of_wing in functions("images") for image in of_wing(asked.log[0], log))
+        walk.camera = (image for of_wing in of_all("images") for image in of_wing(asked.log[0], log))
     try:
         run = step_by_step(estimator, inputs, task, association, setup, observer=walk)
         end(log, with_plausibility(run, inputs), images, walk)
@@ -168,7 +168,7 @@ def _step(wish: StepOptions) -> None:
 
 def of_lab(log: Log, report: Path | None) -> dict[str, object]:
     """The settings of the lab that ran on a log, one of each; of methods the default if the lab ran it."""
-    from eval.plan.lab_settings import settings_of_lab
+    from eval.plan.provenance import settings_of_lab
 
     found = settings_of_lab(lambda: log, report)
     for name in {"task", "association", "estimator"} & found.keys():

@@ -15,9 +15,8 @@ from data.se2 import Array, BoolArray, between, pose_error
 from graph.factors import LOSSES, ObservationFactors, between_factors, known_landmark_factors, landmark_factors
 from graph.optimum import Smoothed, optimize
 from graph.pose_factors import PoseFactor, closure_factors, fix_factors
-from graph.problem import Problem
+from graph.problem import Problem, landmark_priors, refuse_uncertain
 from graph.systematic import Calibrated, refuse_pose_measurements
-from graph.uncertain_map import landmark_priors, refuse_uncertain
 from graph.walls import line_factors, refuse
 
 

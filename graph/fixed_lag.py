@@ -18,7 +18,7 @@ from graph.factors import Factor
 from graph.incremental import SKIP, THRESHOLD, Isam2Smoother
 from graph.optimum import in_world
 from graph.pose_factors import PoseFactor
-from graph.uncertain_map import is_uncertain
+from graph.problem import is_uncertain
 
 SLACK = 0.1  # share of the lag by which the oldest pose may exceed it, before all older ones are marginalized together
 

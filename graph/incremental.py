@@ -25,13 +25,12 @@ from graph import expected
 from graph.calibration.open_end import CalibratedEnd
 from graph.engine import Engine
 from graph.factors import Factor, ObservationFactors, is_exact, pose2
-from graph.in_turn import closures_of, fixes_of, in_turn
 from graph.observed import Observed
 from graph.open_end import OpenEnd
 from graph.optimum import optimize
-from graph.pose_factors import PoseFactor, closure_factors, fix_factors
+from graph.pose_factors import PoseFactor, closure_factors, closures_of, fix_factors, fixes_of, in_turn
+from graph.problem import is_uncertain, refuse_uncertain
 from graph.systematic import errors_of, refuse_pose_measurements
-from graph.uncertain_map import is_uncertain, refuse_uncertain
 from graph.walls import refuse
 
 THRESHOLD = 0.05  # m, rad. Relinearize variables that moved further than this, ...

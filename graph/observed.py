@@ -18,9 +18,8 @@ from graph.calibration.factors import pinned_landmark_factors
 from graph.engine import Engine
 from graph.factors import Factor, ObservationFactors, known_landmark_factors, landmark_factors, name_of
 from graph.open_end import OpenEnd
-from graph.problem import Problem
+from graph.problem import LandmarkPrior, Problem, landmark_priors
 from graph.systematic import Errors
-from graph.uncertain_map import LandmarkPrior, landmark_priors
 from graph.walls import WallObservation, as_vectors, known_wall_factors, line_factors, wall_factors
 
 

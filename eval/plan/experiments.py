@@ -13,7 +13,7 @@ from data.errors import UsageError
 from data.formats.recordings.esde import NAME, find_esde
 from data.log import Log, folder_name, shortened
 from data.logs import Reading, as_scored, find_logs, open_log, open_scored
-from data.wing import functions
+from data.wing import of_all
 from eval.plan.calibrate import check_calibrated
 from eval.plan.experiment import (
     Experiment,
@@ -25,7 +25,6 @@ from eval.plan.experiment import (
 )
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
-from eval.plan.lab import VISUAL, lab_experiments
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.plan.variants import maintained, sparser
 from eval.replay.estimators import FOR_SEVERAL, FOR_WALLS, NO_HINDSIGHT_OF_SEVERAL, NO_HINDSIGHT_OF_WALLS
@@ -35,6 +34,7 @@ from eval.studies.scenario import Scenario, load_scenario
 from eval.studies.shipped import scenarios
 
 DEFAULT_RUNS = 50
+VISUAL = ("dead-reckoning", "ekf", "ekf-iterated", "isam2", "batch")  # in a known map, from images
 QUICK_FRAMES = 1000  # of each log, in a quick report
 
 
@@ -74,7 +74,8 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
     if alone:
         experiments = [Experiment(truth_alone(given), "slam", (), options.setup)]
     elif s.lab is not None:
-        experiments = lab_experiments(s.lab, s.estimator, options.setup, reading_of(options), say)
+        asked_for = s.lab, s.estimator, options.setup, reading_of(options), say
+        experiments = [e for plan in of_all("plans") for e in plan(*asked_for)]
     else:
         experiments = [] if s.log else _default(options, say)
     reading = reading_of(options)
@@ -93,7 +94,7 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
         ]
     if not options.output.quick:
         experiments += [sparse for e in experiments for sparse in sparser(e)]
-        experiments += [e for of_wing in functions("variants") for e in of_wing(options, tuple(experiments))]
+        experiments += [e for of_wing in of_all("variants") for e in of_wing(options, tuple(experiments))]
     _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
     check_maintained(options.setup, [e.task for e in experiments])
     check_possible(experiments)

@@ -1,4 +1,4 @@
-"""Provenance of a result: command, versions, and a digest of all inputs."""
+"""Provenance of a result: command, versions, a digest of all inputs; settings that a lab left there are read again."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ import json
 import platform
 import shlex
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import fields
 from importlib.metadata import version
+from pathlib import Path
 
 import numpy as np
 
 from data.command import portable
+from data.errors import UsageError
 from data.log import Log
 from eval.plan.first_use import kernels
 from eval.plan.flags.table import Options
@@ -22,6 +24,8 @@ from eval.replay.external.spec import shown
 from eval.replay.flag import rows
 
 PACKAGES = ("gtsam", "numpy", "scipy", "numba", "pandas", "matplotlib", "opencv-python-headless")
+REPORT = Path("results/report")
+"""Where a lab's report is, unless `--report` names another folder."""
 
 
 def command_of(options: Options) -> str:
@@ -85,6 +89,34 @@ def provenance(
             name: {portable(file): digest for file, digest in files.items()} for name, files in results.items()
         }
     return json.dumps(content, indent=2, sort_keys=True) + "\n"
+
+
+def settings_of_lab(log: Callable[[], Log], report: Path | None) -> dict[str, object]:
+    """The settings of the lab whose report is in a folder, if the lab ran on this very log; else none.
+
+    `log` opens it, and is called only if there is a lab's report.
+
+    Raises:
+        UsageError: a folder was named (`report`), and holds no lab with this log.
+    """
+    try:
+        kept = json.loads(((report or REPORT) / "provenance.json").read_text(encoding="utf-8"))
+        lab, inputs = kept.get("lab", {}), kept.get("inputs", {})
+    except (OSError, ValueError, AttributeError):
+        lab, inputs = {}, {}  # no report, or not one of ours
+    if lab:
+        opened = log()
+        if opened.name in lab and inputs[opened.name]["sha256"] == input_digest(opened):
+            return dict(lab[opened.name])
+    if report is not None:
+        raise UsageError(f"--report {report}: no lab ran on this log there; `slamref lab NAME --out {report}` runs one")
+    return {}
+
+
+def settings_line(own: Options, taken: Options, report: Path | None) -> str:
+    """The settings that differ from the command's `own` in flags; blank if none does."""
+    words = [w for row in rows(Options).values() if row.of(taken) != row.of(own) for w in row.words(row.of(taken))]
+    return f"settings of the lab in {report or REPORT}: {' '.join(words)}" if words else ""
 
 
 def _plain(log: Log) -> dict[str, object]:

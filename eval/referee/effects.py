@@ -22,8 +22,7 @@ from data.se2 import Array
 from data.sensors import RELATIVE_POINT
 from eval.referee.residuals import Used
 from eval.referee.sources.residuals import columns
-from graph.qr.of_poses import OfPoses
-from graph.qr.score_test import Score, systematic
+from graph.qr.score_test import OfPoses, Score, systematic
 
 DELAYS = ("latency", "latency_growth")
 

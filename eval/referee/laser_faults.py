@@ -10,8 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from association.scans.consistency import Consistency, consistency
-from association.scans.constraints import LaserRun
+from association.scans.constraints import Consistency, LaserRun, consistency
 from data.inputs import Inputs
 from data.notice import Code, Notice, Value, notice
 from data.result import Run

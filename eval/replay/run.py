@@ -34,7 +34,7 @@ from eval.replay.external.make import CannotError, require
 from eval.replay.external.spec import is_foreign, name_of
 from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
-from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
+from eval.replay.hindsight.mapper import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
 from eval.replay.poses import PoseMeasurements

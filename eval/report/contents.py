@@ -10,12 +10,11 @@ import pandas as pd
 
 from data.notice import Code, Notice, Severity
 from data.result import Failure
-from data.wing import functions
+from data.wing import of_all
 from data.words import sentence, title
 from eval.judgement.judgement import Judgement, conclusion
 from eval.plan.execute import Outcome
 from eval.plan.flags.options import Options
-from eval.plan.lab_settings import settings_by_log
 from eval.plan.provenance import command_of, provenance
 from eval.plan.unfinished import Unfinished
 from eval.referee import result_files
@@ -26,8 +25,6 @@ from eval.referee.score import Scores, Trial
 from eval.replay.settings import Setup
 from eval.report.answer import gate_sentence
 from eval.report.facts import write_facts
-from eval.report.labs.sections import hand_in, lab_sections
-from eval.report.labs.write_up import write_up
 from eval.report.laser import laser_sections
 from eval.report.log_sections import association_sections, trial_sections
 from eval.report.overview import attribution_sections, introduction, overview
@@ -85,7 +82,7 @@ def write_results(
     published = publish(folder, output, options.setup, trials, lost, options.execution, progress)
     main = [(t, j) for t, j in judgements if t.variant_of is None]
     facts = [j for _, j in main]
-    answers = hand_in(folder, options, trials, scores, lost)
+    answers = [s for hand_in in of_all("hand_in") for s in hand_in(folder, options, trials, scores, lost)]
     first = [*answers, *attribution_sections(main, outcome.trust)]
     sections = warnings_section(found)
     in_lab, factor = options.selection.lab is not None, output.ellipse_factor
@@ -93,12 +90,12 @@ def write_results(
         folder, output, trials, facts, scores, published, found, outcome.trust, outcome.calibrations
     )
     sections += laser_sections(folder, output, trials, published)
-    sections += [s for of_wing in functions("sections") for s in of_wing(folder, output, trials, in_lab, factor)]
+    sections += [s for of_wing in of_all("sections") for s in of_wing(folder, output, trials, in_lab, factor)]
     sections += study_sections(folder, options, outcome, judged)
     if trials:
         sections += association_sections(folder, output, trials, scores)
         sections += revision_section(folder, output, trials)
-        sections += lab_sections(trials, scores, answered_above=bool(answers))
+        sections += [s for last in of_all("last_sections") for s in last(trials, scores, answered_above=bool(answers))]
     sections += _failure_section(trials, found, lost.messages)
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
     declared = _declared(judged)
@@ -111,7 +108,8 @@ def write_results(
         which = paragraph("settings#declared_off", d=declared)
         blocks += [paragraph("settings#declared", d=declared), Folded("Tests and exit status", (which,))]
     if output.write_up:
-        write_up(folder, trials, scores, answers, sections)
+        for write_up in of_all("write_up"):
+            write_up(folder, trials, scores, answers, sections)
     title = TITLE
     if options.selection.lab is not None:  # its answers come first
         camera = any(t.log.evidence is not None for t in trials)
@@ -220,5 +218,6 @@ def _write_provenance(folder: Path, options: Options, outcome: Outcome, command:
     used = [*options.selection.estimator, *options.selection.association]
     used += [*(m.name for s in studied for m in s.members), *(a for s in studied for a in s.association)]
     logs = {t.log.name: t.log for t in outcome.trials}.values()
-    text = provenance(options, logs, command, used, results, settings_by_log(options, outcome.trials))
+    kept = {log: own for found in of_all("settings") for log, own in found(options, outcome.trials).items()}
+    text = provenance(options, logs, command, used, results, kept)
     (folder / "provenance.json").write_text(text, encoding="utf-8")

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from data.notice import Code, Notice, Severity
-from data.wing import functions
+from data.wing import of_all
 from eval.judgement.judgement import Judgement
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
@@ -98,7 +98,7 @@ def trial_sections(
         details += [Folded(NOTES, ("\n".join(f"* {n}" for n in notes),))] if notes else []
         sections.append(Section(f"{_where(trial)}: details", tuple(details), page=stem(trial)))
         sections += trust_section(folder, output, trial, pictures, trust)
-        for of_wing in functions("log_sections"):
+        for of_wing in of_all("log_sections"):
             sections += of_wing(folder, output, trial)
         sections += _decisions(folder, output, group, scores, pictures)
     return sections

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -21,7 +20,6 @@ from eval.plan.flags.table import Execution, Output
 from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, work
 from eval.player.document import played, write_player
-from eval.player.watch import Watched
 from eval.referee import result_files
 from eval.referee.ambiguity import ambiguous
 from eval.referee.confusion import OUTCOMES
@@ -35,9 +33,6 @@ from eval.report.pictures import draw, kinds
 from eval.report.rows import stem, variants
 from eval.report.words import paragraph
 from eval.stepping.text import lab_block, run_text
-
-if TYPE_CHECKING:
-    from eval.figures.film import History
 
 RUN_FILES, PLAYER = -1, -2  # places of jobs that are no pictures
 MISSING = {RUN_FILES: "files", PLAYER: "player"}  # what is missing without them; see `missing` in notices.j2
@@ -114,22 +109,7 @@ def write_films(folder: Path, trial: Trial, speed: float | None = None) -> None:
 
     for run in (r for r in trial.runs if r.failure is None):
         path = folder / "figures" / f"{stem(trial, f'{run.estimator}-{run.association}')}.webm"
-        animate(log_of(run, trial.log), run, path, speed=speed, history=history_of(run))
-
-
-def history_of(run: Run) -> History | None:
-    """Landmarks as they were at each instant, where the run was watched; of a smoother without covariances."""
-    from eval.figures.film import AS_THEN, History
-
-    watched = run.watched
-    if not isinstance(watched, Watched) or not len(watched.change_frame):
-        return None
-    sigma, product = watched.change_sigma, watched.change_rho * watched.change_sigma.prod(axis=1)
-    covariance = np.empty((len(sigma), 2, 2))
-    covariance[:, 0, 0], covariance[:, 1, 1] = np.square(sigma).T
-    covariance[:, 0, 1] = covariance[:, 1, 0] = product
-    there = watched.change_there.astype(bool)
-    return History(watched.change_frame, watched.change_number, there, watched.change_xy, covariance, AS_THEN)
+        animate(log_of(run, trial.log), run, path, speed)
 
 
 def films_of(folder: Path, trial: Trial) -> list[Film]:

@@ -17,7 +17,7 @@ from data.worlds.arena import Arena, simulate
 from ekf.filter import DEFAULT
 from ekf.localizer import EkfLocalizer
 from eval.replay.hindsight.localizing_frontend import LocalizingFrontEnd
-from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
+from eval.replay.hindsight.mapper import MappingFrontEnd
 from eval.replay.settings import Setup
 
 AT = 40

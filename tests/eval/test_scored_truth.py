@@ -146,7 +146,7 @@ def test_a_screened_log_is_not_screened_again_and_stretches_are_in_seconds_of_th
 def test_a_lab_leaves_them_out_as_well(tmp_path, monkeypatch):
     from eval.plan.experiments import make_plan
     from eval.plan.flags.options import read_options
-    from eval.plan.lab import corridor_names
+    from wings.labs.plan import corridor_names
 
     monkeypatch.chdir(tmp_path)
     for i, name in enumerate(corridor_names("corridor:3")):

@@ -201,8 +201,7 @@ def speed(out: Path, scale: float = 1.0) -> pd.DataFrame:
     from threadpoolctl import threadpool_limits
 
     from wings.audit.audit import firsts
-    from wings.audit.factored import factorize, joint_covariances, ordering
-    from wings.audit.linear import linearize
+    from wings.audit.linear import factorize, joint_covariances, linearize, ordering
 
     rows = []
     for name, make, n in (

@@ -14,8 +14,7 @@ from data.se2 import Array
 from wings.audit.clusters import Cluster, beside, clusters
 from wings.audit.components import Components, Estimator
 from wings.audit.condition import Condition, condition, curvature
-from wings.audit.draws import family, independent, smallest_p
-from wings.audit.factored import Factored, factorize, ordering
+from wings.audit.draws import family, independent, smallest_p, smallest_p_optimized
 from wings.audit.factors import (
     BRIEF,
     INEXACT,
@@ -30,8 +29,7 @@ from wings.audit.factors import (
 )
 from wings.audit.files import moved
 from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
-from wings.audit.linear import IGNORED, System, linearize
-from wings.audit.simulated import smallest_p_optimized
+from wings.audit.linear import IGNORED, Factored, System, factorize, linearize, ordering
 
 DRAWS = 200
 FAMILY, PARTS = 0.05, (0.5, 0.25, 0.25)  # family-wise level of a rejection; parts of factors, components, clusters

@@ -16,8 +16,8 @@ from scipy.stats import chi2
 
 from data.inputs import IntArray
 from data.se2 import Array
-from wings.audit.factored import Factored, forward, solved
 from wings.audit.factors import UNSEEN, Directions, Tested, log_tail, positions
+from wings.audit.linear import Factored, forward, solved
 
 NEAR = 5.0  # poses between the ends of the worst loop of a cluster and of another one, at each end
 LOOKED, LARGEST = 60, 40  # clusters that are tested, those of largest mean test first; factors of one

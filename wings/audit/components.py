@@ -18,7 +18,7 @@ from scipy.stats import chi2
 
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
-from wings.audit.factored import PART, Factored, factorize, solved, step
+from wings.audit.linear import PART, Factored, factorize, solved, step
 
 ROWS = 6000  # probed rows of an axis: 2 % of the entries of S
 MOST, POOLED = 12, 2  # iterations; those where axes share a component: if they differ there is no fixed point

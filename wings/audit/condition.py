@@ -10,7 +10,7 @@ import numpy as np
 from data.inputs import IntArray
 from data.se2 import Array
 from wings.audit.components import weighted_rows
-from wings.audit.factored import Factored, solved
+from wings.audit.linear import Factored, solved
 
 MOVES = 1e-6  # share of a null vector's largest entry that counts as motion
 WEAKEST, ITERATIONS = 3, 3  # directions, and inverse iterations, in which the curvature is looked at

@@ -17,10 +17,9 @@ from data.formats.graph_file import Edge, GraphFile
 from data.inputs import IntArray
 from data.se2 import Array
 from wings.audit.audit import FAMILY, Audit, examined, firsts
-from wings.audit.factored import factorize, index_of, ordering, solved, step
 from wings.audit.factors import log_tail
 from wings.audit.files import LAST_FIRST, build, optimized
-from wings.audit.linear import linearize
+from wings.audit.linear import factorize, index_of, linearize, ordering, solved, step
 
 LEVELS = (0.5, 0.9, 0.95)
 TENTH = 10  # every so many loops are left out

@@ -24,7 +24,7 @@ from scipy.stats import chi2, ncx2
 
 from data.inputs import IntArray
 from data.se2 import Array
-from wings.audit.factored import PART, Factored, forward, joint_covariances, solved, step
+from wings.audit.linear import PART, Factored, forward, joint_covariances, solved, step
 
 UNSEEN = 1e-6  # redundancy of a direction below which an error in it is not seen; leverages are accurate to 1e-9
 UNCHECKED = 0.05  # share of its dimension below which the redundancy of a factor checks nothing

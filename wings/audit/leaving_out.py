@@ -12,10 +12,9 @@ import gtsam
 import numpy as np
 
 from wings.audit.audit import Audit, places
-from wings.audit.factored import solved
 from wings.audit.factors import UNSEEN
 from wings.audit.files import moved, optimized
-from wings.audit.linear import Graph, Values
+from wings.audit.linear import Graph, Values, solved
 
 STEPS, CLOSE = 12, 1e-2  # steps; length in sigmas of one that ends them
 

@@ -20,7 +20,6 @@ wing = Wing(
     variants=("wings.camera.variants:depth_noise_variants",),
     images=("wings.camera.opening:images_of",),
     sections=("wings.camera.report:visual_sections",),
-    hand_ins=("wings.camera.hand_in:visual_hand_in",),
     benchmarks=("wings.camera.benchmark:visual_lines",),
     templates="wings.camera",
 )

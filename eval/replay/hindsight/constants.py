@@ -82,7 +82,7 @@ REASSOCIATION_GATE = 0.999  # gate of the final re-association
 REASSOCIATION_QUANTILE = 0.9  # quantile of squared distances that gives the variance scale: a median ignores tails
 REASSOCIATION_OBSERVATIONS = 4  # observations of a landmark that counts for this scale
 
-# --- Two landmarks of the smoothed map that are one (same_place.py) --------------------------------------------------
+# --- Two landmarks of the smoothed map that are one (whole_log.py) ---------------------------------------------------
 
 SAME_NEAREST = 3  # neighbours that a landmark is compared with
 SAME_DETECTED = 0.5  # detection probability of two landmarks, if they are two
@@ -90,7 +90,7 @@ SAME_CHANCE = 0.02  # probability that one landmark is observed twice in a frame
 SAME_ODDS = 3.0  # log odds above which both are one
 SAME_ROUNDS = 2  # smoothings with merged landmarks: places agree better then
 
-# --- The floor (floor.py) -------------------------------------------------------------------------------------------
+# --- The floor (whole_log.py) ---------------------------------------------------------------------------------------
 
 PLAIN_MOST = 2  # landmarks of `jcbb` over those initialized in hindsight, above which it is not followed to its end
 PLAIN_ODDS = 40.0  # log odds from which the final decisions are those of `jcbb`, ...
@@ -128,7 +128,7 @@ FIT_STEPS = 5  # Gauss-Newton steps, ...
 FIT_CONVERGED = 1e-8  # ... fewer once the squared step in units of its information is below this
 FIT_SINGULAR = 1e-9  # smallest eigenvalue of the information of a fit
 
-# --- Constellations: landmarks initialized twice (constellation.py) -------------------------------------------------
+# --- Constellations: landmarks initialized twice (duplicates.py) --------------------------------------------------
 
 CONSTELLATION_FEWEST = 4  # landmarks of an accepted alignment: two define it, two must agree
 CONSTELLATION_VOTES = 3  # landmarks of an alignment that is compared

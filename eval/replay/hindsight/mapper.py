@@ -1,36 +1,84 @@
 """SLAM without labels, decisions in hindsight: the nine steps of `docs/hindsight.md`, in their order.
 
 The deciding filter always estimates systematic errors (`ekf.systematic`), because decisions depend on the possible
-drift of the odometry. Every estimator gets the decisions, none gets the filter's estimate. See
-`eval.replay.hindsight.mapping_frontend` for how an estimator uses them.
+drift of the odometry. Every estimator gets the decisions, none gets the filter's estimate. A filter drops or merges
+landmarks in its state; a smoother removes their factors and re-attaches those of merged ones.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
 
+from association.appearance import evidence
 from association.candidates import in_view
 from association.expectation import Expectation
-from data.inputs import ERRORS, Frame, FrameObservations, IntArray, Systematic
+from association.truncated import Acceptance, of_places
+from data.errors import UsageError
+from data.inputs import ERRORS, Frame, FrameObservations, Increment, IntArray, Systematic
 from data.notice import Code, Notice, notice
 from data.result import Event
 from data.se2 import Array
+from ekf.filter import FilterOptions
 from ekf.slam import EkfSlam
+from eval.replay.estimators import needed
+from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.duplicates import Duplicates
-from eval.replay.hindsight.floor import Smoothed
 from eval.replay.hindsight.gates import LearnedGates, pair, widest
 from eval.replay.hindsight.kidnapping import Kidnapping
 from eval.replay.hindsight.ledger import Ledger
 from eval.replay.hindsight.lost import Lost
 from eval.replay.hindsight.noise import AS_STATED, Restated
+from eval.replay.hindsight.placement import Memory, Placed, drifted, place, too_uncertain
+from eval.replay.hindsight.record import detection_rate
 from eval.replay.hindsight.two_models import TwoModels
-from eval.replay.hindsight.uncertain_motion import UncertainMotion
-from eval.replay.hindsight.whole_log import Assumed, WholeLog
+from eval.replay.hindsight.whole_log import Assumed, Smoothed, WholeLog
 from eval.replay.poses import PoseMeasurements
-from eval.replay.settings import Given, Setup
+from eval.replay.settings import HINDSIGHT, Given, Setup
+
+
+class UncertainMotion:
+    """Motion since the last pairing with the map, and the poses from which the map was seen."""
+
+    def __init__(self, ledger: Ledger, setup: Setup) -> None:
+        self.ledger, self.setup = ledger, setup
+        self.placed = 0  # number of frames whose pose was found by geometry
+        self._motion = np.zeros((3, 3))
+        self._explained = (0, 0)  # observations where the map was in view before: paired, and strays
+        self._seen_from: deque[Array] = deque(maxlen=constants.REMEMBERED_FRAMES)
+
+    def move(self, increment: Increment) -> None:
+        """The robot moved."""
+        self._motion = drifted(self._motion, increment)
+
+    def place(self, e: Expectation, predicted: Array) -> Placed | None:
+        """The pose of a frame by geometry; None if the prediction is good enough, or the map does not give a pose."""
+        sensor, s = self.ledger.sensor, self.setup
+        if e.elsewhere is None or not too_uncertain(e, sensor, self._motion):
+            return None
+        strays = 1.0 - detection_rate(*self._explained)
+        memory = Memory(self._seen_from, self.ledger.rates(e.number), strays)
+        found = place(e, sensor, predicted, self._motion, memory, s.gate, s.new_gate)
+        if found is not None:
+            self.placed += 1
+            paired, sudden = self._explained
+            self._explained = paired + int((found.decisions >= 0).sum()), sudden + found.sudden
+        return found
+
+    def see(self, pose: Array, paired: bool) -> None:
+        """Note a used frame and its pose (3,); `paired`: with landmarks of the map."""
+        self._seen_from.append(pose)
+        if paired or len(self._seen_from) == 1:
+            self._motion = np.zeros((3, 3))
+
+    def notes(self) -> list[Notice]:
+        """A message about placed frames."""
+        mostly = 2 * self.placed > self.ledger.frames
+        return [notice(Code.PLACED, frames=self.placed, mostly=mostly)] if self.placed else []
+
 
 TIGHT = Systematic(("scale", "curvature", "left", "right", "drift"), np.array([0.02, 2e-3, 0.05, 0.05, 1.25e-3]), 50.0)
 """Odometry errors of a calibrated robot, which the filter estimates in addition to those of the run.
@@ -78,7 +126,7 @@ class Closed(NamedTuple):
 
     retracted: (r,) landmarks that are transient, or have no observation left; left: (l,) those of the map that left
     before; settled: frames (m,), observations and landmarks (m,) of the final decisions, None: they are
-    those so far; gated: as of `floor.Smoothed`.
+    those so far; gated: as of `whole_log.Smoothed`.
     """
 
     retracted: IntArray
@@ -231,3 +279,89 @@ class HindsightMapper:
             *self.restated.notes(), *self.ledger.notes(), *self.motion.notes(), *self.kidnapping.notes(),
             *self.ledger.merge_notes(), *self.lost.notes(), *self._end,
         ]  # fmt: skip
+
+
+class MappingFrontEnd(FrontEnd):
+    """Front end with decisions by `HindsightMapper`; the log has no map."""
+
+    revises_map = True
+    asks_for_innovations = True
+
+    def __init__(
+        self, estimator: str, association: str, given: Given, setup: Setup, options: FilterOptions | None = None
+    ) -> None:
+        """Check options and estimator.
+
+        Raises UsageError: with one update per observation. Raises CannotError: landmarks of the estimator's map cannot
+        be removed and merged.
+        """
+        if options is not None and options.each:
+            raise UsageError(f"{HINDSIGHT} judges the observations of a frame together; they cannot be used one by one")
+        super().__init__(estimator, association, given, setup, options)
+        self._map = needed(self.can.revisable, "`remove` and `merge`", f"--association {HINDSIGHT}")
+        self.mapper = HindsightMapper(given, setup)  # decides; its `events` are the revisions
+
+    @property
+    def passed(self) -> Acceptance:
+        """Each pairing is tested given the others; the outer gate rejects next to nothing."""
+        return Acceptance(conditional=of_places(self.setup.gate, 2, right=self._right))
+
+    def move(self, frame: Frame) -> None:
+        """Take the next frame."""
+        super().move(frame)
+        self.mapper.move(frame)
+
+    def use_poses(self, frame: Frame) -> None:
+        """Update with the frame's fixes and closures, in the mapper's own filter too."""
+        super().use_poses(frame)
+        self.mapper.use_poses(frame)
+
+    def associate(self, frame: Frame) -> Pairing:
+        """Decide about this frame's observations; the mapper has its own expectation."""
+        decisions, complete, at, kidnapped, S = self.mapper.decide(frame)
+        self._right = evidence(frame.appearance)
+        self.incomplete += not complete
+        if kidnapped is not None and self.can.inflatable is not None:
+            self.can.inflatable.inflate(kidnapped)
+        return Pairing(decisions, at=at, S=S)
+
+    def tidy(self) -> None:
+        """Retract and merge landmarks in hindsight, and remove those that the setup rules out."""
+        found = self.mapper.revise()
+        self._retract(found.retracted)
+        if len(found.merged):
+            if self.parking is not None:
+                self.parking.restore(np.concatenate([found.merged, found.kept]))
+            self._map.merge(found.merged, found.kept)
+            self._gone(found.merged)
+        super().tidy()
+
+    def leave(self, numbers: IntArray) -> None:
+        """Remove landmarks (r,) by the rules of the setup; nothing more is decided about them."""
+        super().leave(numbers)
+        self.mapper.leave(numbers)
+
+    def close(self) -> None:
+        """Re-associate all observations and retract transient landmarks."""
+        end = self.mapper.close()
+        self._retract(end.retracted)
+        self.left, self.gated_final = end.left, end.gated
+        if end.settled is not None and self.can.amendable is not None:
+            self.can.amendable.amend(*end.settled)
+
+    def _retract(self, numbers: IntArray) -> None:
+        if len(numbers):
+            self._map.remove(numbers)
+            self._gone(numbers)
+
+    def _gone(self, numbers: IntArray) -> None:
+        assert self.map_management is not None  # the map is revised
+        self.map_management.remove(numbers)
+
+    def events(self) -> tuple[Event, ...]:
+        """Revised decisions."""
+        return tuple(self.mapper.events)
+
+    def notes(self) -> list[Notice]:
+        """Messages about the run."""
+        return [*super().notes(), *self.mapper.notes()]

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from association.scans.consistency import Consistency, consistency
-from association.scans.constraints import Chain, Loops
+from association.scans.constraints import Chain, Consistency, Loops, consistency
 from data.formats.recordings.laser import time_steps
 from data.inputs import Increments, Inputs
 from data.se2 import Array

@@ -13,7 +13,7 @@ from data.notice import Code, notice
 from data.result import DISCARD
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.localizer import HindsightLocalizer
+from eval.replay.hindsight.localizing_frontend import HindsightLocalizer
 from eval.replay.settings import Beginning
 
 SENSOR = RelativePoint(max_range=20.0)

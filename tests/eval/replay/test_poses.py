@@ -18,7 +18,7 @@ from eval.replay.estimators import OPTIONS
 from eval.replay.external.adapter import pose_updated_of
 from eval.replay.external.guard import ForeignError
 from eval.replay.frontend import FrontEnd
-from eval.replay.hindsight.localizer import HindsightLocalizer
+from eval.replay.hindsight.localizing_frontend import HindsightLocalizer
 from eval.replay.run import compare, landmark_sigmas, step_by_step
 from eval.replay.settings import Beginning, Setup
 

@@ -9,8 +9,8 @@ from scipy.stats import kstest
 from tests.quick import slow
 from tests.wings.audit import graphs
 from wings.audit.audit import PARTS, examined
+from wings.audit.draws import simulated
 from wings.audit.linear import linearize
-from wings.audit.simulated import simulated
 
 N = gtsam.noiseModel
 SIGMAS = np.array([0.1, 0.05, 0.02])

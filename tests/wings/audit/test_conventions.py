@@ -9,7 +9,7 @@ import pytest
 from data.formats.graph_file import read_graph_file
 from tests.quick import slow
 from wings.audit import page
-from wings.audit.chordal import chordal_start
+from wings.audit.files import chordal_start
 
 ROTATION, TRANSLATION = 0.02, 0.1
 

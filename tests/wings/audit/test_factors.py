@@ -11,9 +11,8 @@ from scipy.stats import chi2, ncx2
 from data.errors import DataError
 from tests.quick import examples
 from tests.wings.audit import graphs, oracle
-from wings.audit.factored import factorize, ordering
 from wings.audit.factors import directions, examine, holm, noncentrality
-from wings.audit.linear import linearize
+from wings.audit.linear import factorize, linearize, ordering
 
 METRES = {3: [0, 1], 6: [3, 4, 5]}
 

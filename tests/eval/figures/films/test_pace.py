@@ -9,7 +9,7 @@ import pytest
 
 from data.inputs import Increments, Inputs, Observations, Prior
 from data.sensors import RangeBearing
-from eval.figures.film import pace_of
+from eval.figures.film import FPS, pace_of
 
 
 def inputs_at(time, *, index=False) -> Inputs:
@@ -22,30 +22,29 @@ def inputs_at(time, *, index=False) -> Inputs:
 
 def test_a_second_of_the_film_is_as_many_seconds_of_the_log_as_asked_for():
     time = np.array([0.0, 0.1, 3.0, 3.05, 10.0])
-    for speed, fps in ((1.0, 20), (2.5, 10), (0.5, 20)):
-        pace = pace_of(inputs_at(time), speed, fps)
-        assert len(pace.frame) == pytest.approx(10.0 / speed * fps, abs=1.01)
-        for picture, frame in enumerate(pace.frame.tolist()):
-            now = min(picture * speed / fps, 10.0)
+    for speed in (1.0, 2.5, 0.5):
+        _, frames = pace_of(inputs_at(time), speed)
+        assert len(frames) == pytest.approx(10.0 / speed * FPS, abs=1.01)
+        for picture, frame in enumerate(frames.tolist()):
+            now = picture * speed / FPS
             assert time[frame] <= now + 1e-6  # the newest frame there is at that instant
             assert frame == 4 or time[frame + 1] > now
-        assert pace.frame[-1] == 4
+        assert frames[-1] == 4
 
 
-@pytest.mark.parametrize(("length", "speed"), [(30.0, 1), (60.0, 1), (61.0, 2), (130.0, 5), (1500.0, 50), (1e4, 200)])
-def test_unasked_it_is_real_time_or_the_next_round_speed_that_fits_a_minute(length, speed):
-    pace = pace_of(inputs_at(np.linspace(0.0, length, 50)))
-    assert pace.speed == speed
-    assert len(pace.frame) <= 60 * 20 + 1
-    assert pace.text == f"{speed} x real time"
+@pytest.mark.parametrize(("length", "speed"), [(30.0, 1), (60.0, 1), (61.0, 2), (130.0, 3), (1500.0, 25), (1e4, 167)])
+def test_unasked_it_is_real_time_or_the_next_whole_speed_that_fits_a_minute(length, speed):
+    text, frames = pace_of(inputs_at(np.linspace(0.0, length, 50)))
+    assert len(frames) <= 60 * 20 + 1
+    assert text == f"{speed} x real time"
 
 
 def test_where_time_counts_frames_it_is_frames_a_second_and_says_so():
-    assert pace_of(inputs_at(np.arange(44.0), index=True)).text == "5 frames a second"
-    pace = pace_of(inputs_at(np.arange(44.0), index=True), 10.0)
-    assert pace.frame.tolist() == [k // 2 for k in range(87)]
-    assert pace.text == "10 frames a second"
+    assert pace_of(inputs_at(np.arange(44.0), index=True))[0] == "5 frames a second"
+    text, frames = pace_of(inputs_at(np.arange(44.0), index=True), 10.0)
+    assert frames.tolist() == [k // 2 for k in range(87)]
+    assert text == "10 frames a second"
 
 
 def test_one_frame_alone_is_one_picture():
-    assert pace_of(inputs_at([0.0])).frame.tolist() == [0]
+    assert pace_of(inputs_at([0.0]))[1].tolist() == [0]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from data import se2
-from eval.replay.hindsight.constellation import Landmarks, recognize, squared_distances
+from eval.replay.hindsight.duplicates import Landmarks, recognize, squared_distances
 
 FREE = 3.0
 DENSITY = 48 / 60.0**2

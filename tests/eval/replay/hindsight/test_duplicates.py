@@ -8,8 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from eval.replay.hindsight.constellation import Landmarks, squared_distances
-from eval.replay.hindsight.duplicates import comparable
+from eval.replay.hindsight.duplicates import Landmarks, comparable, squared_distances
 
 
 def drawn(seed, m, n, rank, spread):

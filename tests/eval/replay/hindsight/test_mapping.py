@@ -11,8 +11,7 @@ from data.result import NEW, revised
 from data.sensors import RangeBearing, RelativePoint
 from eval.replay.batch import batch
 from eval.replay.hindsight.ledger import MERGED
-from eval.replay.hindsight.mapper import TIGHT, with_tight
-from eval.replay.hindsight.mapping_frontend import MappingFrontEnd
+from eval.replay.hindsight.mapper import TIGHT, MappingFrontEnd, with_tight
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from tests.eval.replay.hindsight.park import park

@@ -10,8 +10,8 @@ import pytest
 from data.inputs import Increment
 from data.notice import Code, notice
 from eval.replay.hindsight import constants
-from eval.replay.hindsight import uncertain_motion as module
-from eval.replay.hindsight.uncertain_motion import UncertainMotion
+from eval.replay.hindsight import mapper as module
+from eval.replay.hindsight.mapper import UncertainMotion
 from eval.replay.settings import Setup
 
 STEP = Increment(np.zeros(3), np.diag([0.04, 0.01, 0.001]))

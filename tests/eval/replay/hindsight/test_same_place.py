@@ -10,7 +10,7 @@ import pytest
 from data.inputs import LandmarkMap, Observations
 from data.sensors import RelativePoint
 from eval.replay.hindsight import constants
-from eval.replay.hindsight.same_place import log_odds, same_landmarks
+from eval.replay.hindsight.whole_log import log_odds, same_landmarks
 from tests.research.variety.hiding import world_of
 from tests.research.variety.measure import measure
 

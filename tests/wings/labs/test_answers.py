@@ -1,0 +1,112 @@
+"""A lab's questions are answered in their order, each with numbers and one paragraph, whatever the runs did."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.notice import stopped
+from data.result import Failure
+from eval.plan.flags.options import read_options
+from eval.plan.unfinished import Unfinished
+from eval.referee.score import Trial, score
+from eval.report.page.blocks import Picture, Table
+from tests.eval.handmade_lab import FOOLED, NEW, lab_log, lab_run
+from wings.labs.corridor import find_lab, run_of
+from wings.labs.pictures import KINDS, NEEDED, UPDATE_TIME
+from wings.labs.sections import QUESTIONS, hand_in, lab_sections
+
+CONDITIONS = [(False, True), (True, True), (False, False), (True, False)]
+
+
+def trials(**wrong) -> list[Trial]:
+    """Every method in every condition: NN is off by 0.3 m, all others are right; maintenance removes a person."""
+    made = []
+    for people, odometry in CONDITIONS:
+        log = lab_log(people=people, odometry=odometry)
+        fooled = {**FOOLED} if people else {5: 0, 6: NEW}
+        methods = [
+            lab_run(log, m, error=0.3 if m == "nn" else 0.01, changes=fooled if m == "nn" else None)
+            for m in ("known", "nn", "singles", "jcbb-first")
+        ]
+        made.append(Trial(log, "slam", tuple(methods)))
+        kept = replace(log, name=f"{log.name}:maintain")
+        run = lab_run(kept, "jcbb-first", removed={2: 4}, changes={4: NEW}) if people else lab_run(kept, "jcbb-first")
+        made.append(Trial(kept, "slam", (run,), log.name))
+    return made
+
+
+def answered(tmp_path, given: list[Trial]):
+    options = read_options(["--lab", "corridor:0", "--no-plots", "--out", str(tmp_path)])
+    return hand_in(tmp_path, options, given, score(given), Unfinished(1))
+
+
+def test_six_questions_stand_in_order_each_with_a_line_its_numbers_and_a_paragraph(tmp_path):
+    sections = answered(tmp_path, trials())
+    assert [s.heading.split(":")[0] for s in sections] == [f"Question {n}" for n in range(1, 7)]
+    for s in sections:
+        line, table, detail = s.blocks
+        (paragraph,) = detail.blocks
+        assert line.startswith("**")
+        assert isinstance(table, Table)
+        assert len(table.frame) > 0
+        assert len(paragraph) > 100
+        assert "Not answered" not in "".join(b for b in s.blocks if isinstance(b, str))
+        assert (tmp_path / "tables" / f"{table.stem}.csv").exists()
+
+
+def test_the_numbers_are_those_counted_by_hand(tmp_path):
+    first, second, third, *_ = answered(tmp_path, trials())
+    rows = first.blocks[1].frame.set_index("method")
+    # two of ten observations of the log without people: point 2 taken for 1, and point 1 initialized twice
+    assert rows.loc["nn", ["FP", "FN"]].tolist() == [1, 1]
+    assert rows.loc["nn", "RMSE [m]"] == pytest.approx(0.3 * np.sqrt(0.8))
+    assert "1 of 7 pairings are wrong, the first in frame 2" in first.blocks[0]
+    assert "No fewer" not in second.blocks[0]
+    assert third.blocks[1].frame["condition"].tolist() == ["no people", "no people", "people", "people"]
+
+
+def test_jcbb_first_is_the_lab_s_jcbb_and_jcbb_stands_for_it_where_it_was_not_run():
+    log = lab_log()
+    both = Trial(log, "slam", (lab_run(log, "jcbb"), lab_run(log, "jcbb-first")))
+    assert run_of(both, "jcbb").association == "jcbb-first"
+    assert run_of(Trial(log, "slam", (lab_run(log, "jcbb"),)), "jcbb").association == "jcbb"
+    given = [Trial(log, "slam", (lab_run(log, "nn"), lab_run(log, "jcbb-first"), lab_run(log, "known")))]
+    texts = {s.heading: s.blocks[1].blocks[0] for s in lab_sections(given, score(given)) if s.blocks[1:]}
+    assert "JCBB 0 / 0" in texts["Why does JCBB cope better?"]
+
+
+def test_a_run_that_did_not_get_to_its_end_is_said_and_no_picture_of_it_is_asked_for(tmp_path):
+    given = trials()
+    halted = replace(given[0].runs[1], failure=Failure("diverged", 3, stopped("made up")))
+    given[0] = replace(given[0], runs=(given[0].runs[0], halted, *given[0].runs[2:]))
+    sections = answered(tmp_path, given)
+    assert "stopped before the end" in sections[0].blocks[0]
+    assert "Failures." in sections[0].blocks[-1]
+    lab = find_lab(given, named=False)
+    assert lab is not None
+    assert not NEEDED["first-wrong"](lab)
+    assert NEEDED["people"](lab), "SINGLES is there"
+
+
+def test_every_picture_has_its_need_and_its_question():
+    asked = [kind for q in QUESTIONS for kind in q.pictures]
+    assert all(q.pictures for q in QUESTIONS)
+    assert set(asked) == set(NEEDED) == {*KINDS, UPDATE_TIME}
+    assert len(asked) == len(set(asked))
+
+
+def test_without_a_lab_nothing_is_handed_in(tmp_path):
+    options = read_options(["--log", "corridor:0"])
+    given = trials()
+    assert hand_in(tmp_path, options, given, score(given), Unfinished(1)) == []
+    assert not any(isinstance(b, Picture) for s in answered(tmp_path, given) for b in s.blocks)
+
+
+def test_pictures_of_maintenance_need_runs_with_and_without_it():
+    every = trials()
+    for given, there in ((every, True), ([t for t in every if not t.log.name.endswith(":maintain")], False)):
+        lab = find_lab(given, named=False)
+        assert [NEEDED[name](lab) for name in ("maintenance", UPDATE_TIME)] == [there, there]

@@ -1,0 +1,178 @@
+"""Pictures of the corridor lab: who is drawn how, what stands out, and what is said of the numbers drawn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+
+from data.words import number
+from eval.figures.style import colour_of_method
+from eval.referee.score import Trial
+from tests.eval.handmade_lab import FRAMES, NEW, POINTS, lab_log, lab_run
+from wings.labs.pictures import (
+    TRUE_PATH,
+    Shown,
+    Times,
+    maintenance_figure,
+    paths_figure,
+    people_figure,
+    update_time_figure,
+)
+
+
+def shown(method="jcbb-first", *, people=True, error=0.1, **more) -> Shown:
+    log = lab_log(people=people)
+    run = lab_run(log, method, error=error, changes={4: NEW} if people else {}, **more)
+    return Shown(Trial(log, "slam", (run,)), run)
+
+
+@pytest.fixture(scope="module")
+def people():
+    fig = people_figure([shown("nn", people=False)], [shown("nn", error=0.4)])
+    return fig
+
+
+@pytest.fixture(scope="module")
+def kept():
+    fig = maintenance_figure(shown(), shown(removed={2: 2}))
+    return fig
+
+
+@pytest.fixture(scope="module")
+def paths():
+    methods = ("known", "nn", "singles", "jcbb-first")
+    fig = paths_figure([shown(m, people=False, error=0.2) for m in methods], [shown(m, error=0.4) for m in methods[1:]])
+    return fig
+
+
+def by_marker(ax, marker):
+    return [line for line in ax.lines if line.get_marker() == marker]
+
+
+def paths_in(ax):
+    return [line for line in ax.lines if line.get_marker() == "None"]
+
+
+def test_a_map_has_true_points_and_path_faintly_below_and_people_that_are_landmarks_above_all(people):
+    ax = people.axes[0]
+    (points,), (dots,), (persons,) = (by_marker(ax, m) for m in ("+", ".", "s"))
+    truth, believed = paths_in(ax)
+    order = [x.get_zorder() for x in (points, truth, believed, dots, persons)]
+    assert order == sorted(order)
+    assert len(set(order)) == len(order)
+    assert points.get_xydata() == pytest.approx(POINTS.xy)
+    assert len(dots.get_xydata()) == 2
+    assert len(persons.get_xydata()) == 1
+    assert truth.get_color() == TRUE_PATH
+    assert to_hex(believed.get_color()).upper() == to_hex(dots.get_color()).upper() == colour_of_method("nn")
+    assert dots.get_markersize() <= points.get_markersize() <= 6.0
+    assert dots.get_markersize() >= 3.0
+    assert dots.get_markersize() >= persons.get_markersize() >= 3.0
+    assert persons.get_markerfacecolor() == "none"
+
+
+def test_the_believed_path_is_a_little_thicker_than_the_true_one_below_it(people, kept, paths):
+    for fig, maps in ((people, 1), (kept, 2), (paths, 4)):
+        for ax in fig.axes[:maps]:
+            truth, believed, *_ = sorted(paths_in(ax), key=lambda x: x.get_color() != TRUE_PATH)
+            assert 1.0 <= believed.get_linewidth() / truth.get_linewidth() <= 1.5
+            assert believed.get_linewidth() <= 1.3
+
+
+def test_the_scene_is_the_square_around_truth_and_points_with_a_tenth_of_room_at_each_side(people):
+    ax = people.axes[0]
+    # from the robot at the origin to two points 2 m ahead
+    assert ax.get_xlim() == pytest.approx((-0.2, 2.2))
+    assert ax.get_ylim() == pytest.approx((-0.95, 1.45))
+    assert ax.get_aspect() == 1.0
+
+
+def test_the_error_is_drawn_with_people_and_dashed_without_and_its_largest_is_said(people):
+    below = people.axes[1]
+    quiet, busy = below.lines
+    assert quiet.get_ydata() == pytest.approx([0.0, *[0.1] * 4])
+    assert busy.get_ydata() == pytest.approx([0.0, *[0.4] * 4])
+    assert quiet.get_linestyle() == "--"
+    assert busy.get_linestyle() == "-"
+    texts = [t.get_text() for t in below.get_legend().get_texts()]
+    assert texts == ["without people: at most 0.100 m", "with people: at most 0.400 m"]
+    assert below.get_ylim()[0] == 0.0
+    assert people.axes[0].get_title(loc="left").endswith("with people: the map at the end")
+
+
+def test_removed_landmarks_are_crosses_where_they_had_been_initialized(kept):
+    without, with_it = kept.axes[:2]
+    assert [len(x.get_xydata()) for x in by_marker(without, "x")] == [0]
+    (cross,) = by_marker(with_it, "x")
+    # the person is seen at (3, 1) from a robot that believes itself 0.1 m to the left
+    assert cross.get_xydata() == pytest.approx(np.array([[3.0, 1.1]]))
+    (dots,) = by_marker(with_it, ".")
+    assert paths_in(with_it)[1].get_zorder() < cross.get_zorder() < dots.get_zorder()
+    assert 3.0 <= cross.get_markersize() <= 5.0
+    assert [ax.get_title(loc="left") for ax in kept.axes[:2]] == [
+        "JCBB without maintenance: 3 landmarks", "JCBB with maintenance: 2 landmarks",
+    ]  # fmt: skip
+
+
+def test_the_length_of_the_state_is_told_at_the_end_of_both(kept):
+    texts = [t.get_text() for t in kept.axes[2].get_legend().get_texts()]
+    assert texts == ["without: 9 at the end", "with maintenance: 7 at the end"]
+    plain, maintained = kept.axes[2].lines
+    assert plain.get_linestyle() == "--"
+    assert maintained.get_linestyle() == "-"
+    assert kept.axes[2].get_ylim()[0] == 0.0
+
+
+def test_only_the_left_maps_and_the_lowest_of_a_column_have_their_axes_named(kept, paths):
+    assert [ax.get_ylabel() for ax in kept.axes[:2]] == ["y [m]", ""]
+    assert [ax.get_ylabel() for ax in paths.axes[:4]] == ["y [m]", "", "", "y [m]"]
+    assert [ax.get_xlabel() for ax in paths.axes[:4]] == ["", "x [m]", "x [m]", "x [m]"]
+    assert [ax.axison for ax in paths.axes] == [True] * 4 + [False] * 2
+
+
+def test_paths_with_people_are_dashed_between_truth_and_belief_and_both_rmse_are_said(paths):
+    rms = np.sqrt(0.8)
+    titles = [ax.get_title(loc="left") for ax in paths.axes[:4]]
+    assert titles[0] == f"known\nRMSE {number(0.2 * rms)} m"
+    assert titles[1] == f"nn\nRMSE {number(0.2 * rms)} m, with people {number(0.4 * rms)} m"
+    for k, ax in enumerate(paths.axes[:4]):
+        dashed = [x for x in paths_in(ax) if x.get_linestyle() == "--"]
+        assert len(dashed) == (k > 0)
+        truth, believed = (x for x in paths_in(ax) if x.get_linestyle() == "-")
+        for x in dashed:
+            assert truth.get_zorder() < x.get_zorder() < believed.get_zorder()
+            assert x.get_linewidth() < believed.get_linewidth()
+            assert x.get_ydata()[-1] == pytest.approx(0.4)
+
+
+def test_legends_show_lines_as_they_are_drawn(people, paths):
+    for fig in (people, paths):
+        shown_lines = [h for h in fig.legends[0].legend_handles if h.get_linestyle() != "None"]
+        widths = {x.get_linewidth() for ax in fig.axes for x in paths_in(ax)}
+        assert {h.get_linewidth() for h in shown_lines} <= widths
+        assert {h.get_linestyle() for h in shown_lines} <= {"-", "--"}
+    texts = [t.get_text() for t in paths.legends[0].get_texts()]
+    assert texts[-1] == "with people"
+    assert all(3.0 <= t.get_fontsize() <= 9.0 for t in [*paths.legends[0].get_texts(), *people.legends[0].get_texts()])
+
+
+def test_axes_have_few_ticks(people, kept):
+    for ax, most in ((people.axes[1], 4), (kept.axes[2], 4)):
+        assert len([t for t in ax.get_yticks() if t <= ax.get_ylim()[1]]) <= most + 1
+
+
+def test_update_times_are_said_in_milliseconds_with_their_median_and_sum():
+    log = lab_log()
+    update = 1e-3 * np.array([1.0, 2.0, 3.0, 4.0, 10.0])
+    times = [("plain", "nn", Times(update, np.zeros(FRAMES))), ("kept", "nn", Times(update, np.full(FRAMES, 2e-4)))]
+    fig = update_time_figure(log, times, 7)
+    assert [t.get_text() for t in fig.legends[0].get_texts()] == [
+        "plain: median 3.000 ms, all 20.0 ms; removal 0.0 ms", "kept: median 3.000 ms, all 20.0 ms; removal 1.0 ms",
+    ]  # fmt: skip
+    first, second = fig.axes[0].lines
+    assert first.get_ydata() == pytest.approx(1e3 * update)
+    assert (first.get_linestyle(), second.get_linestyle()) == ("--", "-")
+    assert "fastest of 7 repetitions" in fig.axes[0].get_title(loc="left")
+    assert 0.8 <= first.get_linewidth() == second.get_linewidth() <= 1.3
+    assert fig.axes[0].get_ylim()[0] == 0.0

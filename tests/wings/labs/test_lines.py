@@ -1,0 +1,100 @@
+"""Each question's answer in a line, its table and its paragraph: the numbers of the run they are about, no other's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from eval.plan.flags.options import read_options
+from eval.plan.unfinished import Unfinished
+from eval.referee.score import Trial, score
+from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
+from wings.labs.sections import hand_in
+
+PLAIN, BLIND, BLIND_PEOPLE, PEOPLE = (True, False), (False, False), (False, True), (True, True)
+"""Odometry, people."""
+ERRORS = {
+    PLAIN: {"known": 0.01, "nn": 0.3, "singles": 0.05, "jcbb-first": 0.02},
+    PEOPLE: {"known": 0.01, "nn": 0.6, "singles": 0.03, "jcbb-first": 0.1},
+    BLIND: {"known": 0.01, "nn": 2.0, "singles": 3.0, "jcbb-first": 4.0},
+    BLIND_PEOPLE: {"known": 0.01, "nn": 2.0, "singles": 3.0, "jcbb-first": 4.0},
+}
+"""m off in four of five frames, so that an RMSE is 0.894 times that."""
+SHY = {6: DISCARD, 7: DISCARD, 8: DISCARD}
+"""Three points that SINGLES leaves unused."""
+
+
+def sections(tmp_path, errors=ERRORS):
+    """NN errs in two rows, SINGLES leaves three out, JCBB makes a landmark of a person, which maintenance removes."""
+    made = []
+    for (odometry, people), of in errors.items():
+        log = lab_log(people=people, odometry=odometry)
+        changes = {
+            "nn": FOOLED if people else {5: 0, 6: NEW}, "singles": {} if people else SHY,
+            "jcbb-first": {4: NEW} if people else {}, "known": {},
+        }  # fmt: skip
+        runs = tuple(lab_run(log, m, error=e, changes=changes[m]) for m, e in of.items())
+        made.append(Trial(log, "slam", runs))
+        kept = replace(log, name=f"{log.name}:maintain")
+        run = lab_run(kept, "jcbb-first", error=0.01, changes=changes["jcbb-first"], removed={2: 4} if people else None)
+        made.append(Trial(kept, "slam", (run,), log.name))
+    options = read_options(["--lab", "corridor:0", "--no-plots", "--out", str(tmp_path)])
+    return hand_in(tmp_path, options, made, score(made), Unfinished(1))
+
+
+def test_each_answer_has_its_own_runs_numbers(tmp_path):
+    assert [s.blocks[0] for s in sections(tmp_path)] == [
+        "**It pairs each observation alone with the nearest landmark: 1 of 7 pairings are wrong, the first in frame 2."
+        " RMSE 0.268 m, with labels 0.00894 m.**",
+        "**It has fewer wrong pairings than NN (0 FP instead of 1); FN are 3 instead of 1."
+        " RMSE 0.0447 m instead of 0.268 m.**",
+        "**NN pairs 2 of 3 observations of people; its RMSE rises from 0.268 to 0.537 m."
+        " SINGLES pairs 0 of 3 observations of people; its RMSE falls from 0.0447 to 0.0268 m.**",
+        "**It accepts only pairings that are jointly compatible: 0 wrong ones on `corridor:0:people`, with NN 5."
+        " RMSE 0.0894 m instead of 0.537 m. One log is one draw.**",
+        "**Only known estimates a usable path. Position RMSE: known 0.00894 m, nn 1.79 m, singles 2.68 m,"
+        " jcbb-first 3.58 m.**",
+        "**It removes 1 landmark observed only once, 1 of them on people. The map has 2 landmarks instead of 3, and no"
+        " pairing is wrong. The path is more accurate (RMSE 0.00894 m, 0.0894 m without).**",
+    ]  # fmt: skip
+
+
+def test_what_stays_is_not_said_to_fall_and_who_is_lost_least_is_named(tmp_path):
+    lost = {"known": 6.0, "nn": 3.0, "singles": 8.0, "jcbb-first": 9.0}
+    same = ERRORS | {PEOPLE: ERRORS[PLAIN], BLIND: lost}
+    lines = [s.blocks[0] for s in sections(tmp_path, same)]
+    assert lines[2].count("; its RMSE stays at") == 2
+    assert lines[4].startswith("**No path is usable; nn gives the smallest error. Position RMSE: known 5.37 m, nn 2.68")
+    worse = ERRORS | {PEOPLE: ERRORS[PEOPLE] | {"jcbb-first": 0.001}}
+    assert "The path is less accurate (RMSE 0.00894 m" in sections(tmp_path, worse)[5].blocks[0]
+
+
+def test_tables_name_what_is_special_about_each_condition_and_count_its_run(tmp_path):
+    _, second, third, _, fifth, sixth = (s.blocks[1].frame for s in sections(tmp_path))
+    assert third["condition"].tolist() == ["no people", "no people", "people", "people"]
+    assert set(fifth["condition"]) == {"no odometry", "people, no odometry"}
+    assert sixth["condition"].tolist() == ["people", "people", "people", "people, maintained"]
+    # the filter claims 0.2 m in x and 0.1 m in y, and NN is off by 0.3 m in y: on the edge of 3 sigma, 0.6 m outside
+    assert second["in 3σ [%]"].tolist() == [100.0, 100.0, 100.0]
+    assert third["in 3σ [%]"].tolist()[2] == pytest.approx(20.0)
+    assert second[["TP", "TN", "FP", "FN"]].to_numpy().tolist() == [[6, 2, 1, 1], [5, 2, 0, 3], [8, 2, 0, 0]]
+
+
+def test_paragraphs_compare_singles_with_jcbb_and_tell_of_the_others_without_odometry(tmp_path):
+    _, second, _, _, fifth, _ = (s.blocks[2].blocks[0] for s in sections(tmp_path))
+    assert "**SINGLES** uses 5 of 10 observations of `corridor:0` (0 wrongly)" in second
+    assert "Close points are therefore not paired: 3 FN." in second
+    assert "JCBB uses 3 more correct pairings, and SINGLES' RMSE is 2.50 times as large." in second
+    assert "NN makes 6 correct pairings and 1 wrong one, with 1 FN; SINGLES" in fifth
+    assert "SINGLES makes 5 correct pairings and 0 wrong ones, with 3 FN." in fifth
+
+
+def test_a_path_that_the_judgement_calls_unusable_is_marked_in_table_and_line(tmp_path):
+    astray = ERRORS | {PEOPLE: ERRORS[PEOPLE] | {"singles": 9.0}}
+    found = sections(tmp_path, astray)
+    marked = found[2].blocks[1].frame.set_index(["condition", "method"])["usable"]
+    assert marked["people", "singles"] == "no"
+    assert set(marked.drop(("people", "singles"))) == {"yes"}
+    assert "(not usable)" in found[2].blocks[0]
+    assert "(not usable)" not in found[1].blocks[0]

@@ -1,0 +1,247 @@
+"""The lab's questions are answered with the numbers of the runs, and turn round where the numbers do."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from data.worlds.corridor import Corridor, simulate
+from eval.referee.score import Trial, score
+from eval.report.page.blocks import every_block
+from tests.eval.handmade import circle_log, run_with_error
+from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
+from wings.labs.corridor import find_lab, look, reach, run_of, true_against_stated
+from wings.labs.plan import switched_on
+from wings.labs.questions import Answers, Lack, answers
+from wings.labs.sections import lab_sections
+
+QUIET, BUSY, BLIND = lab_log(), lab_log(people=True), lab_log(odometry=False)
+# the same mistakes in the log without people: rows 5 (point 2 taken for 1) and 6 (point 1 initialized twice)
+CONFUSED = {5: 0, 6: NEW}
+NN = "Why does NN fail?"
+PEOPLE = "Why do people break NN and SINGLES?"
+JCBB = "Why does JCBB cope better?"
+NO_ODOMETRY = "What happens without odometry?"
+UPKEEP = "What does map maintenance change?"
+RMS = math.sqrt(0.8)
+"""Of an error of 1 m in four of five frames."""
+
+
+def trial(log, *runs, **more) -> Trial:
+    return Trial(log, "slam", runs, **more)
+
+
+def words(*trials) -> dict[str, str]:
+    """The line of each answer and what is folded below it."""
+    sections = lab_sections(trials, score(trials))
+    return {s.heading: " ".join(b for b in every_block(s.blocks) if isinstance(b, str)) for s in sections}
+
+
+def facts(*trials) -> Answers:
+    return answers(find_lab(trials), score(trials))
+
+
+def test_a_run_is_looked_at_as_counted_by_hand():
+    p = look(lab_run(BUSY, "nn", error=0.3, changes=FOOLED), BUSY)
+    assert (p.fp, p.fn) == (5, 1)
+    assert (p.neighbour, p.copy, p.ghost) == (1, 1, 1)
+    assert (p.clutter, p.clutter_paired, p.clutter_initializing, p.clutter_again) == (3, 2, 1, 1)
+    assert look(lab_run(BUSY, "nn"), BUSY).clutter_initializing == 0, "who is discarded initializes nothing"
+    assert p.first_wrong == 2
+    # frames 0 and 1 are off by 0 and 0.3 m
+    assert p.before == pytest.approx(0.3 / math.sqrt(2.0))
+    assert p.after == pytest.approx(0.3)
+    assert p.apart == pytest.approx(0.5)
+    assert p.off == pytest.approx(0.3), "placed from the pose predicted for the frame, off as the one before it"
+
+
+def test_a_run_without_a_wrong_pairing_has_no_first_one():
+    p = look(lab_run(QUIET, "nn", error=0.3), QUIET)
+    assert p.first_wrong is None
+    assert p.before == pytest.approx(0.3 * math.sqrt(0.8))
+    assert math.isnan(p.after)
+    assert math.isnan(p.apart)
+
+
+def test_true_motions_are_measured_by_the_covariance_stated():
+    blind = true_against_stated(simulate(Corridor(odometry=False), 0))
+    # 1 m where sigma is 0.25 m, 90 deg where it is 5 deg
+    assert (blind.moves, blind.turns) == (pytest.approx(4.0), pytest.approx(18.0))
+    assert (blind.step_off, blind.step_sigma) == (pytest.approx(1.0), pytest.approx(0.25))
+    assert (blind.within, blind.count) == (0, 43)
+    read = true_against_stated(simulate(Corridor(), 0))
+    assert read.within >= 41
+    assert 1.0 < read.moves < 2.2  # a chi variable with three degrees of freedom has mean 1.6
+
+
+def test_switches_are_read_from_the_data_and_seeds_are_not_mixed():
+    assert [switched_on(log) for log in (QUIET, BUSY, BLIND)] == [(False, True), (True, True), (False, False)]
+    kept = replace(BUSY, name=f"{BUSY.name}:maintain")
+    tidied = lab_run(kept, "jcbb", removed={2: 4}, changes={4: NEW})
+    other = trial(lab_log(people=True, seed=7))
+    trials = [other, trial(QUIET), trial(BUSY), trial(kept, tidied, variant_of=BUSY.name), trial(circle_log())]
+    lab = find_lab(trials)
+    assert {k: t.log.name for k, t in lab.trials.items()} == {(False, True): "corridor:0", (True, True): BUSY.name}
+    assert {k: t.log.name for k, t in lab.maintained.items()} == {(True, True): kept.name}
+    assert find_lab([trial(circle_log())]) is None
+
+
+def test_the_filter_answers_where_it_got_to_the_end_and_otherwise_the_smoother():
+    both = trial(QUIET, lab_run(QUIET, "nn", estimator="isam2"), lab_run(QUIET, "nn"))
+    assert run_of(both, "nn").estimator == "ekf"
+    assert run_of(trial(QUIET, both.runs[0]), "nn").estimator == "isam2"
+    assert run_of(both, "jcbb") is None
+
+
+def test_why_nn_fails_is_told_with_counts_places_and_errors():
+    given = trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn", error=0.3, changes=CONFUSED))
+    q = facts(given).nn
+    assert (q.nn.p.fp, q.nn.p.observations, q.nn.p.neighbour, q.nn.p.first_wrong, q.nn.p.duplicate) == (1, 10, 1, 2, 1)
+    assert (q.nn.p.apart, q.nn.p.off) == (pytest.approx(0.5), pytest.approx(0.3))
+    assert (q.nn.p.before, q.nn.p.after) == (pytest.approx(0.3 / math.sqrt(2.0)), pytest.approx(0.3))
+    assert (q.nn.landmarks, q.known.landmarks) == (3, 2)
+    assert (q.nn.rmse, q.known.rmse) == (pytest.approx(0.3 * RMS), pytest.approx(0.01 * RMS))
+    assert q.explained
+    assert q.costly
+    text = words(given)[NN]
+    assert "error of 0.300 m, more than half that spacing" in text
+    assert text.endswith("0.268 m against 0.00894 m with known association, 30.0 times as large.")
+
+
+def test_nn_that_does_not_fail_is_not_said_to():
+    known = lab_run(QUIET, "known")
+    right = trial(QUIET, known, lab_run(QUIET, "nn"))
+    assert facts(right).nn.nn.p.first_wrong is None
+    assert "does not fail: none of its 8 pairings" in words(right)[NN]
+    slight = facts(trial(QUIET, known, lab_run(QUIET, "nn", changes=CONFUSED))).nn
+    assert not slight.costly
+    assert not slight.explained, "the error of the pose alone does not explain them"
+
+
+def test_people_break_what_they_break():
+    quiet = trial(QUIET, lab_run(QUIET, "nn"), lab_run(QUIET, "singles"))
+    busy = [lab_run(BUSY, "nn", error=0.3, changes=FOOLED), lab_run(BUSY, "singles", changes={2: DISCARD})]
+    q = facts(quiet, trial(BUSY, *busy)).people
+    (nn, fooled), (singles, shy) = q.pairs
+    assert (fooled.p.clutter, fooled.p.observations, fooled.p.clutter_paired, fooled.p.clutter_again) == (3, 13, 2, 1)
+    assert (nn.p.fp, fooled.p.fp, shy.p.clutter_paired) == (0, 5, 0)
+    assert (nn.rmse, fooled.rmse) == (pytest.approx(0.01 * RMS), pytest.approx(0.3 * RMS))
+    assert (singles.p.missed, shy.p.missed) == (0, 1)
+    assert (q.broken, q.ghosts, q.points) == (("NN",), 1, 1)
+    text = words(quiet, trial(BUSY, *busy))[PEOPLE]
+    assert "FP go from 0 to 5, recall is 100 % without people" in text
+    assert "People make NN fail here. Mostly a person has moved when" in text
+    calm = trial(BUSY, lab_run(BUSY, "nn"), lab_run(BUSY, "singles"))
+    assert facts(quiet, calm).people.broken == ()
+    assert "do not make them" in words(quiet, calm)[PEOPLE]
+
+
+def test_a_method_that_was_run_on_one_log_only_is_named():
+    given = trial(QUIET, lab_run(QUIET, "nn")), trial(BUSY, lab_run(BUSY, "nn"))
+    assert facts(*given).people.lost == ("SINGLES",)
+    assert words(*given)[PEOPLE].endswith("SINGLES was not run on both logs.")
+
+
+def test_jcbb_copes_better_only_where_it_does():
+    good, bad = lab_run(BUSY, "jcbb", error=0.02), lab_run(BUSY, "nn", error=0.3, changes=FOOLED)
+    given = trial(BUSY, good, bad, lab_run(BUSY, "known"))
+    q = facts(given).jcbb
+    assert [(r.name, r.p.fp, r.p.fn) for r in q.runs] == [("JCBB", 0, 0), ("NN", 5, 1), ("known association", 0, 0)]
+    assert q.better
+    assert not q.close
+    text = words(given)[JCBB]
+    assert "JCBB 0 / 0 / 0.0179 m; NN 5 / 1 / 0.268 m; known association 0 / 0 / 0.00894 m." in text
+    assert "less accurate than with known association (2.00 times the RMSE)" in text
+    swapped = trial(BUSY, replace(good, association="nn"), replace(bad, association="jcbb"))
+    q = facts(swapped).jcbb
+    assert not q.better
+    assert (q.jcbb.p.wrong, q.nn.p.wrong) == (6, 0)
+    assert "agree on it" not in words(swapped)[JCBB]
+
+
+def test_without_odometry_errors_and_reason_are_told():
+    known = lab_run(BLIND, "known", error=0.5)
+    jcbb = lab_run(BLIND, "jcbb", error=2.0, changes=dict.fromkeys(range(2, 10), 1))
+    smoother = lab_run(BLIND, "known", estimator="batch")
+    q = facts(trial(BLIND, known, jcbb, smoother)).blind
+    assert (q.motion.count, q.motion.within, q.motion.reasonable) == (4, 4, True)
+    assert (q.jcbb.rmse, q.jcbb.largest, q.jcbb.last) == (pytest.approx(2.0 * RMS), 2.0, 2.0)
+    assert q.smoother.errors == {"final": pytest.approx(0.01 * RMS)}
+    assert q.suffices
+    assert (q.jcbb.p.tp, q.jcbb.p.fp) == (4, 4)
+    far = replace(BLIND, truth=replace(BLIND.truth, pose=np.outer(np.arange(5.0), [1.0, 0.0, 0.0])))
+    q = facts(trial(far, known)).blind
+    assert (q.motion.moves, q.motion.step_off, q.motion.step_sigma) == pytest.approx((10.0, 1.0, 0.1))
+    assert (q.motion.within, q.motion.reasonable, q.jcbb) == (0, False, None)
+    text = words(trial(far, known))[NO_ODOMETRY]
+    assert "on average 10.0 σ away (moves): a step of 1.00 m, where σ is 0.100 m." in text
+    assert "JCBB was not run" in text
+
+
+def test_map_maintenance_is_told_by_size_entries_and_counts():
+    kept = replace(BUSY, name=f"{BUSY.name}:maintain")
+    plain = lab_run(BUSY, "jcbb", changes={4: NEW, 7: 2})
+    given = (
+        trial(BUSY, plain),
+        trial(kept, lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3}), variant_of=BUSY.name),
+    )
+    q = facts(*given).maintenance
+    assert (q.plain.landmarks, q.kept.landmarks, q.kept.removed, q.kept.removed_people) == (3, 2, 1, 1)
+    # lengths 7, 9, 9, 9, 9 and with maintenance 7, 9, 9, 9, 7
+    assert (q.plain.entries, q.kept.entries) == (49 + 4 * 81, 2 * 49 + 3 * 81)
+    assert (q.plain.p.fp, q.kept.p.fp) == (1, 0)
+    assert not q.better
+    assert not q.worse
+    text = words(*given)[UPKEEP]
+    assert "91 % as many entries. Times: `timing.csv`." in text
+    assert "FP are 0 instead of 1 (spurious: 0 instead of 1), FN 0 as before" in text
+    assert "fewer pairings are wrong" in text
+    same = trial(kept, lab_run(kept, "jcbb", changes={4: NEW, 7: 2}, removed={}), variant_of=BUSY.name)
+    assert facts(trial(BUSY, plain), same).maintenance.kept.removed == 0
+    text = words(trial(BUSY, plain), same)[UPKEEP]
+    assert "It removed nothing." in text
+    assert "The map is not smaller here" in text
+
+
+def test_a_question_without_its_runs_says_what_is_missing_and_the_others_are_answered():
+    given = trial(QUIET, lab_run(QUIET, "known"), lab_run(QUIET, "nn"))
+    q = facts(given)
+    assert q.nn.lack is None
+    assert q.maintenance.lack == Lack(people=True, odometry=True, names=("JCBB",), maintained=True, is_there=False)
+    assert q.blind.lack == Lack(
+        people=False, odometry=False, names=("known association", "JCBB"), maintained=False, is_there=False
+    )
+    assert q.logs == ("corridor:0",)
+    assert words(given)[UPKEEP] == (
+        "Not answered: this needs a log of the corridor with people, with odometry, run with "
+        "JCBB and once more with map maintenance; no such log was run."
+    )
+
+
+def test_there_is_no_section_where_nothing_can_be_answered():
+    assert words(trial(QUIET, lab_run(QUIET, "known"))) == {}
+    assert words(trial(circle_log(), run_with_error(np.zeros(3)))) == {}
+
+
+def test_seconds_change_no_fact():
+    def answered(seconds):
+        runs = [lab_run(QUIET, m, seconds=seconds) for m in ("known", "nn", "jcbb", "singles")]
+        busy = [lab_run(BUSY, m, seconds=seconds) for m in ("known", "nn", "jcbb", "singles")]
+        blind = [lab_run(BLIND, m, seconds=seconds) for m in ("known", "jcbb")]
+        kept = replace(BUSY, name=f"{BUSY.name}:maintain")
+        tidy = lab_run(kept, "jcbb", changes={4: NEW}, removed={2: 3}, seconds=seconds)
+        variants = trial(kept, tidy, variant_of=BUSY.name)
+        return facts(trial(QUIET, *runs), trial(BUSY, *busy), trial(BLIND, *blind), variants)
+
+    q = answered(1.0)
+    assert [q.nn.lack, q.people.lack, q.jcbb.lack, q.blind.lack, q.maintenance.lack] == [None] * 5
+    # what is not known is NaN, which equals nothing
+    assert repr(q) == repr(answered(3.7))
+
+
+def test_the_distance_from_the_start_is_the_largest_on_the_way():
+    path = np.array([[1.0, 0.0, 0.0], [4.0, 4.0, 0.0], [1.0, 1.0, 0.0]])
+    assert reach(path) == pytest.approx(5.0)

@@ -1,0 +1,224 @@
+"""The visual lab's three questions: numbers by hand, and a picture and a table for each that show what they say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_hex
+
+from data.notice import stopped
+from data.result import Failure, Trajectory
+from eval.plan.flags.table import Output
+from eval.referee.score import Trial
+from eval.report.page.blocks import Formula, Picture, Table
+from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
+from tests.wings.camera.report.handmade import evidence
+from wings.camera import report as models
+from wings.labs import visual
+
+RISING = np.outer(np.linspace(0.0, 1.0, FRAMES), [0.6, 0.8, 0.0])
+"""From nothing to 1 m off."""
+FAILED = Failure("diverged", 15, stopped("made up"))
+
+
+@pytest.fixture
+def saved(monkeypatch):
+    """Figures by their file's name, as they were when they were to be saved, with the formats."""
+    found = {}
+    monkeypatch.setattr(visual, "save", lambda fig, folder, stem, formats=None: found.update({stem: (fig, formats)}))
+    return found
+
+
+def localized(estimator, error, *, phases=("online",), **other):
+    made = run_with_error(error, estimator=estimator, task="localization", phases=phases, mapped=False, **other)
+    return replace(made, association="none") if estimator == "dead-reckoning" else made
+
+
+RUNS = (
+    localized("dead-reckoning", RISING),
+    localized("ekf", np.array([0.03, 0.04, 0.0])),
+    localized("batch", np.array([0.0, 0.01, 0.0]), phases=("final",)),
+)
+
+
+def trial(runs=RUNS, *, truth=True, name="visual:1"):
+    return Trial(replace(circle_log(truth=truth, known_map=True, name=name), evidence=evidence()), "localization", runs)
+
+
+def answers(folder, *given, **options):
+    return visual.visual_hand_in(folder, Output(formats=("csv",), quick=True, **options), given or [trial()])
+
+
+def lines(sections):
+    return [s.blocks[0] for s in sections]
+
+
+def test_each_question_is_answered_in_a_line_with_the_numbers_of_its_runs(tmp_path):
+    sections = answers(tmp_path, no_plots=True)
+    assert [s.heading.partition(":")[0] for s in sections] == ["Question 1", "Question 2", "Question 3"]
+    # a circle of 4 m around in 39 chords, to which the growing error adds nothing but itself
+    path = RUNS[0].online.pose[:, :2]
+    length = sum(np.linalg.norm(b - a) for a, b in pairwise(path))
+    rising = np.sqrt(np.mean(np.linspace(0.0, 1.0, FRAMES) ** 2))
+    first, second, third = (s.facts for s in sections)
+    assert first == pytest.approx({"length": length, "off": 1.0, "sigma": SIGMA.max()})
+    assert second == {"pictures": 6, "frames": 40, "observations": 4}
+    assert {r["estimator"]: r["rmse"] for r in third["runs"]} == pytest.approx(
+        {"dead-reckoning": rising, "ekf": 0.05, "batch": 0.01}
+    )
+    assert lines(sections)[1:] == [
+        "**6 pictures were found in 40 frames, four corners each: 4 observations.**",
+        f"**The filter's position RMSE is 0.0500 m, from commands alone {rising:.3f} m, smoothed 0.0100 m.**",
+    ]
+
+
+def test_the_table_has_a_row_for_each_phase_with_its_errors_and_its_sigma_at_the_end(tmp_path):
+    growing = Trajectory(RUNS[1].online.pose, np.linspace(0.1, 1.0, FRAMES)[:, None, None] * np.eye(3))
+    runs = (RUNS[0], replace(RUNS[1], online=growing), RUNS[2])
+    table = next(b for b in answers(tmp_path, trial(runs), no_plots=True)[2].blocks if isinstance(b, Table)).frame
+    assert table[["estimator", "phase"]].to_numpy().tolist() == [
+        ["dead-reckoning", "online"], ["ekf", "online"], ["batch", "final"],
+    ]  # fmt: skip
+    np.testing.assert_allclose(table["largest error [m]"].astype(float), [1.0, 0.05, 0.01])
+    np.testing.assert_allclose(table["RMSE [m]"].astype(float)[1:], [0.05, 0.01])
+    np.testing.assert_allclose(table["σ at the end [m]"].astype(float), [0.2, 1.0, 0.2])
+
+
+def test_the_third_question_says_how_sure_the_filter_is_and_whether_rightly(tmp_path):
+    """Sigmas grow linearly to 5 times at the end; the error is 5 cm, in a heading that is right."""
+    growing = replace(
+        RUNS[1].online, covariance=np.linspace(1.0, 5.0, FRAMES)[:, None, None] ** 2 * RUNS[1].online.covariance
+    )
+    runs = (RUNS[0], replace(RUNS[1], online=growing), RUNS[2])
+    section = answers(tmp_path, trial(runs), no_plots=True)[2]
+    c, widest = section.facts["certainty"], 3.0 * SIGMA[:2].max()
+    assert (c.last, c.largest, c.median) == pytest.approx((5.0 * widest, 5.0 * widest, 3.0 * widest))
+    assert c.heading == pytest.approx(15.0 * np.degrees(SIGMA[2]))
+    assert c.inside == 1.0
+    scale = np.linspace(1.0, 5.0, FRAMES) ** 2
+    assert c.nees == pytest.approx(np.mean(((0.03 / SIGMA[0]) ** 2 + (0.04 / SIGMA[1]) ** 2) / scale))
+    said = section.blocks[1]
+    assert f"is {5.0 * widest:.3g}" in said
+    assert "inside 3σ in 100 % of the frames (98.9 % expected)" in said
+    blind = answers(tmp_path, trial(runs, truth=False), no_plots=True)[2].blocks[1]
+    assert "How sure it is" in blind
+    assert "NEES" not in blind
+
+
+def test_without_a_true_path_no_error_is_said(tmp_path):
+    sections = answers(tmp_path, trial(truth=False), no_plots=True)
+    first, _, third = lines(sections)
+    assert "off" not in first
+    assert "errors are unknown" in third
+    (table,) = (b for b in sections[2].blocks if isinstance(b, Table))
+    assert not any("error" in c or "RMSE" in c for c in table.frame)
+
+
+def test_a_filter_is_not_compared_with_runs_that_are_not_there_or_did_not_get_to_their_end(tmp_path):
+    for runs in ((RUNS[1],), (replace(RUNS[0], failure=FAILED), RUNS[1], replace(RUNS[2], failure=FAILED))):
+        sections = answers(tmp_path, trial(runs), no_plots=True)
+        assert lines(sections)[2] == "**The filter's position RMSE is 0.0500 m.**"
+        # dead reckoning from the log's own increments, which are without noise
+        first = lines(sections)[0]
+        assert "standard deviation" not in first
+        assert sections[0].facts["off"] == pytest.approx(0.0, abs=1e-6)
+        (table,) = (b for b in sections[2].blocks if isinstance(b, Table))
+        assert table.frame["estimator"].tolist() == ["ekf"]
+
+
+def test_only_localization_on_a_log_made_from_images_is_handed_in_and_of_several_the_first(tmp_path):
+    plain = Trial(circle_log(known_map=True), "localization", RUNS)
+    mapping, variants = replace(trial(), task="slam"), replace(trial(), variant_of="visual:1")
+    assert answers(tmp_path, plain, mapping, variants, no_plots=True) == []
+    sections = answers(
+        tmp_path, plain, mapping, variants, trial(name="visual:7"), trial(name="visual:8"), no_plots=True
+    )
+    text = "".join(b for s in sections for b in s.blocks if isinstance(b, str))
+    assert "visual:7" in text
+    assert "visual:8" not in text
+
+
+@pytest.mark.parametrize(("formats", "there"), [(("csv",), False), (("csv", "tex"), True)])
+def test_the_models_are_written_for_latex_where_that_is_asked_for(formats, there, tmp_path):
+    visual.visual_hand_in(tmp_path / "new", Output(formats=formats, no_plots=True), [trial()])
+    assert (tmp_path / "new" / "tables" / "visual_1-models.tex").exists() == there
+
+
+def test_without_plots_there_are_formulas_alone(tmp_path):
+    blocks = [b for s in answers(tmp_path, no_plots=True) for b in s.blocks]
+    assert not any(isinstance(b, Picture) for b in blocks)
+    assert [b for b in blocks if isinstance(b, Formula)] == [m.formula for m in models.MODELS]
+
+
+def test_plots_have_the_formats_of_the_figure_style_and_images_are_png(saved, tmp_path):
+    sections = visual.visual_hand_in(tmp_path, Output(formats=("csv",)), [trial()])
+    stems = [b.stem for s in sections for b in s.blocks if isinstance(b, Picture)]
+    assert stems == ["lab-motion", "lab-camera", "lab-plan", "lab-error"] == list(saved)
+    assert [saved[s][1] for s in stems] == [None, ("png",), None, None]
+
+
+@pytest.mark.slow
+def test_the_first_plan_shows_dead_reckoning_with_ellipses_in_their_size_and_the_second_the_filter_too(saved, tmp_path):
+    visual.visual_hand_in(tmp_path, Output(formats=("csv",), quick=True, ellipses="5"), [trial()])
+
+    def legend(stem):
+        return [t.get_text() for t in saved[stem][0].legends[0].get_texts()]
+
+    motion, plan = legend("lab-motion"), legend("lab-plan")
+    assert "3σ ellipses" in motion
+    assert not any("EKF" in t for t in motion)
+    assert any("EKF" in t for t in plan)
+    assert not any("batch" in t for t in plan)
+    assert "3σ ellipses, drawn 5 times larger" in plan
+    ax = saved["lab-motion"][0].axes[0]
+    widths = [np.ptp(p.vertices, axis=0) for c in ax.collections for p in c.get_paths()]
+    np.testing.assert_allclose(widths, np.tile(6.0 * SIGMA[:2], (len(widths), 1)), rtol=0.02)
+    path = next(line for line in ax.lines if line.get_label() == "dead reckoning")
+    below, above = (c.get_zorder() for c in (path, ax.texts[0]))
+    assert all(below < c.get_zorder() < above for c in ax.collections)
+    shown = saved["lab-motion"][0].legends[0].legend_handles[motion.index("3σ ellipses")]
+    assert to_hex(shown.get_markeredgecolor()) == to_hex(ax.collections[-1].get_edgecolor()[0])
+
+
+@pytest.mark.parametrize(
+    ("asked", "scale", "drawn"), [("1", 1.0, 1), ("5", 1.0, 5), ("auto", 1.0, 1), ("auto", 1e-2, 50)]
+)
+def test_the_caption_and_the_legend_of_a_plan_state_one_factor(asked, scale, drawn, saved, tmp_path):
+    runs = [replace(r, online=smaller(r.online, scale), final=smaller(r.final, scale)) for r in RUNS]
+    sections = visual.visual_hand_in(
+        tmp_path, Output(formats=("csv",), quick=True, ellipses=asked), [trial(tuple(runs))]
+    )
+    (caption,) = (b.caption for b in sections[2].blocks if isinstance(b, Picture) and b.stem == "lab-plan")
+    larger = f"drawn {drawn} times larger"
+    said = "in their size" if drawn == 1 else larger
+    assert caption == f"`visual:1`: 3σ ellipses {said}. World frame, no alignment."
+    legend = [t.get_text() for t in saved["lab-plan"][0].legends[0].get_texts()]
+    assert ("3σ ellipses" if drawn == 1 else f"3σ ellipses, {larger}") in legend
+
+
+def smaller(path, scale):
+    """A path whose standard deviations are `scale` times as large."""
+    return path and replace(path, covariance=scale**2 * path.covariance)
+
+
+@pytest.mark.slow
+def test_the_sheet_shows_the_first_and_the_last_of_the_frames_kept(saved, monkeypatch, tmp_path):
+    sheets = []
+    monkeypatch.setattr(visual, "contact_sheet", lambda tiles, title: sheets.append(([t.name for t in tiles], title)))
+    given = trial()
+    found = given.log.evidence.found
+    many = replace(found, tiles=tuple((k, found.tiles[0][1]) for k in (1, 4, 6, 9, 12)))
+    log = replace(given.log, evidence=replace(given.log.evidence, found=many))
+    sections = answers(tmp_path, replace(given, log=log))
+    assert [[n.partition(",")[0] for n in names] for names, _ in sheets] == [["frame 1", "frame 12"]]
+    (caption,) = (b.caption for b in sections[1].blocks if isinstance(b, Picture))
+    assert caption == "`visual:1`: frame 1 and frame 12 with the pictures found."
+
+
+def test_a_failed_filter_has_no_picture_of_its_error(saved, tmp_path):
+    sections = answers(tmp_path, trial((RUNS[0], replace(RUNS[1], failure=FAILED))))
+    assert [b.stem for b in sections[2].blocks if isinstance(b, Picture)] == ["lab-plan"]
+    assert "lab-error" not in saved

@@ -1,0 +1,13 @@
+"""A whole lab, handed in: its experiments, and its questions answered in order at the top of the report."""
+
+from data.wing import Wing
+
+wing = Wing(
+    "labs",
+    plans=("wings.labs.plan:lab_experiments",),
+    hand_in=("wings.labs.sections:hand_in",),
+    last_sections=("wings.labs.sections:lab_sections",),
+    write_up=("wings.labs.write_up:write_up",),
+    settings=("wings.labs.settings:settings_by_log",),
+    templates="wings.labs",
+)

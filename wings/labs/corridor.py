@@ -1,0 +1,379 @@
+"""The corridor lab in numbers: its logs by condition (people, odometry), and each of its runs in detail."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+
+from data.inputs import CLUTTER
+from data.log import Log
+from data.result import NEW, Run
+from data.se2 import Array, between, compose, wrap_angle
+from data.truth_windows import unscored
+from eval.judgement.judgement import judge
+from eval.referee.confusion import OUTCOMES
+from eval.referee.errors import landmark_true_ids, position_distance, rms
+from eval.referee.result_files import Row, rows_of, value_of
+from eval.referee.score import Scores, Trial, confusion_of
+from wings.labs.plan import switched_on
+
+ODOMETRY, PEOPLE, BLIND, BLIND_PEOPLE = (False, True), (True, True), (False, False), (True, False)
+"""(people, odometry) of the lab's logs."""
+NAMES = {
+    "nn": "NN",
+    "singles": "SINGLES",
+    "jcbb": "JCBB",
+    "jcbb-first": "JCBB",
+    "known": "known association",
+    "jcbb-hindsight": "JCBB in hindsight",
+}
+THE_LABS = {"jcbb": ("jcbb-first", "jcbb")}  # the lab's JCBB, and what stands for it where that was not run
+METHODS = ("known", "nn", "singles", "jcbb-first", "jcbb", "jcbb-hindsight")
+OWN_DECISIONS = ("ekf", "isam2")
+"""Estimators whose decisions answer the questions, the first of them that reached its end."""
+TURN = 0.5  # rad. A true motion that turns by more is called a turn, else a move
+SWITCHES = ("people", "odometry", "forward", "constant_velocity")
+PRIOR = ("step_mean", "step_sigma", "velocity", "velocity_sigma", "lateral_sigma", "turn_sigma")
+"""Constants of the corridor that do not make it another one: what is switched on, and what is stated of the motion."""
+
+
+@dataclass(frozen=True)
+class Lab:
+    """Trials of one corridor, by what was switched on: (people, odometry); and those with map maintenance."""
+
+    trials: dict[tuple[bool, bool], Trial]
+    maintained: dict[tuple[bool, bool], Trial]
+    # primed: by people, without odometry, but with a motion prior in its place
+    primed: dict[bool, Trial] = field(default_factory=dict)
+
+
+class Shown(NamedTuple):
+    """A run and the trial it belongs to."""
+
+    trial: Trial
+    run: Run
+
+    @property
+    def log(self) -> Log:
+        """Its log."""
+        return self.trial.log
+
+
+@dataclass(frozen=True)
+class Pairings:
+    """A run's decisions (online) looked at more closely; distances in m, NaN where there is nothing to measure."""
+
+    observations: int  # their number
+    tp: int  # tp to missed: the referee's counts of them
+    tn: int
+    fp: int
+    fn: int
+    spurious: int
+    duplicate: int
+    missed: int
+    recall: float  # of all that could be paired
+    neighbour: int  # pairings with the landmark of another point, though the right one was in the map
+    copy: int  # pairings with a second landmark of the right point
+    ghost: int  # points paired with a landmark that was initialized on a person
+    # clutter: observations of people; of them paired, initializing a landmark, and paired with a landmark that was
+    # initialized on a person
+    clutter: int
+    clutter_paired: int
+    clutter_initializing: int
+    clutter_again: int
+    first_wrong: int | None  # frame of the first FP, None if there is none
+    before: float  # before, after: RMS position error in the frames before it, and from it on
+    after: float
+    apart: float  # median distance of the points confused
+    # off: median distance of those observations, placed in the world from the predicted pose, from their own point
+    off: float
+
+    @property
+    def wrong(self) -> int:
+        """Decisions that are wrong."""
+        return self.fp + self.fn
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A run that reached its end as the answers tell of it; NaN: not known."""
+
+    log: str  # log to status: as in metrics.csv; name: as the lab calls the association
+    estimator: str
+    association: str
+    status: str
+    usable: bool  # see `Judge.usable`
+    people: bool  # with odometry and maintained: its condition
+    odometry: bool
+    maintained: bool
+    implausible_from: int | None  # frame, None if it is plausible
+    errors: Mapping[str, float]  # position RMSE [m] of each phase
+    # inside: share of the frames with the position inside 3 sigma, and nees: mean pose NEES, both of the first phase
+    inside: float
+    nees: float
+    largest: float  # largest, last: m, position error at most and in the last frame
+    last: float
+    reach: float  # m from its start, at most
+    pairings: Pairings | None  # None of a batch smoother, which decides nothing itself
+    landmarks: int  # in the map at the end
+    removed: int  # before, seen only once
+    removed_people: int  # of these, on people
+    state: float  # mean length of the state
+    entries: float  # of its covariance, summed over the frames
+    # counts of TP, TN, FP and FN of the final decisions; empty where no outcome was revised
+    revised: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def name(self) -> str:
+        """What the lab calls its association method."""
+        return NAMES.get(self.association, self.association)
+
+    @property
+    def rmse(self) -> float:
+        """Position RMSE [m] of its first phase."""
+        return next(iter(self.errors.values()))
+
+    @property
+    def p(self) -> Pairings:
+        """Its pairings, of a run that decided."""
+        assert self.pairings is not None
+        return self.pairings
+
+
+Runs = Mapping[str, Judged]  # by association, those of one condition
+
+
+def is_corridor(trial: Trial, *, named: bool = True) -> bool:
+    """Whether a trial is SLAM on a log with true poses, in all frames but what is not scored, and true ids, and
+    (`named`) the log says it is the corridor's.
+    """
+    t = trial.log.truth
+    named = not named or trial.log.source.get("kind") == "corridor" or trial.log.name.startswith("corridor")
+    if not named or trial.task != "slam" or t.landmark_of is None or t.pose is None:
+        return False
+    known = np.isfinite(t.pose).all(axis=1) | unscored(trial.log, trial.log.recorded.time)
+    return bool(known.any() and known.all())
+
+
+def has_prior(log: Log) -> bool:
+    """Whether a motion is stated though the wheels were not read."""
+    return not switched_on(log)[1] and bool(np.any(log.recorded.increments.mean))
+
+
+def find_lab(trials: Sequence[Trial], *, named: bool = True) -> Lab | None:
+    """The corridor that was run with most of its switches, or None; without `named` all logs are of one corridor."""
+    groups: dict[str, Lab] = {}
+    for trial in trials:
+        if not is_corridor(trial, named=named):
+            continue
+        made = trial.log.source.get("corridor")
+        left_out = (*SWITCHES, *PRIOR)
+        constants = {k: v for k, v in made.items() if k not in left_out} if isinstance(made, Mapping) else {}
+        own = f"{trial.log.source.get('seed')} {sorted(constants.items())}" if named else ""
+        lab = groups.setdefault(own, Lab({}, {}))
+        if trial.variant_of is None and has_prior(trial.log):
+            lab.primed.setdefault(switched_on(trial.log)[0], trial)
+        elif trial.variant_of is None:
+            lab.trials.setdefault(switched_on(trial.log), trial)
+        elif any(r.removed is not None for r in trial.runs):
+            lab.maintained.setdefault(switched_on(trial.log), trial)
+    found = [lab for lab in groups.values() if lab.trials or lab.primed]
+    return max(found, key=lambda lab: len(lab.trials), default=None)
+
+
+def pair_of(a: Trial | None, b: Trial | None, association: str) -> tuple[Run, Run] | None:
+    """The finished runs of two trials by the same estimator with that association, or what the lab calls so."""
+    for name in THE_LABS.get(association, (association,)):
+        for estimator in OWN_DECISIONS:
+            runs = [None if t is None else t.find(estimator, name) for t in (a, b)]
+            found = [r for r in runs if r is not None and r.failure is None]
+            if len(found) == 2:
+                return found[0], found[1]
+    return None
+
+
+def run_of(trial: Trial | None, association: str) -> Run | None:
+    """The finished run with that association, or what the lab calls so: the filter's, or else iSAM2's."""
+    both = pair_of(trial, trial, association)
+    return both and both[0]
+
+
+def has(lab: Lab, switches: tuple[bool, bool], *methods: str) -> bool:
+    """Whether runs with all these methods reached their end in a condition."""
+    return all(run_of(lab.trials.get(switches), m) is not None for m in methods)
+
+
+def maintained_pair(lab: Lab) -> tuple[Shown, Shown] | None:
+    """Runs without and with map maintenance: JCBB where there are people, other methods if it was not run."""
+    for switches in (PEOPLE, *lab.maintained):
+        plain, kept = lab.trials.get(switches), lab.maintained.get(switches)
+        for method in ("jcbb", "nn", "singles"):
+            both = pair_of(plain, kept, method)
+            if plain is not None and kept is not None and both is not None:
+                return Shown(plain, both[0]), Shown(kept, both[1])
+    return None
+
+
+def look(run: Run, log: Log) -> Pairings:
+    """The closer look at a run that has an online trajectory, on a log with true poses and ids."""
+    counts, truth = confusion_of(run, log, "online"), log.truth
+    assert counts is not None
+    assert truth.landmark_of is not None
+    assert truth.pose is not None
+    own, o = truth.landmark_of, log.recorded.observations
+    paired = run.decisions >= 0
+    taken = np.full(len(own), CLUTTER - 1, np.int64)
+    taken[paired] = landmark_true_ids(run.created, truth, run.decisions[paired])
+    wrong = paired & (counts.ground_truth != run.decisions)
+    had = counts.ground_truth >= 0
+    clutter = own == CLUTTER
+    confused = np.flatnonzero(wrong & (own >= 0) & (taken >= 0) & (taken != own))
+    frames = o.frame[wrong]
+    first = int(frames.min()) if len(frames) else None
+    path = run.trajectory("online").pose
+    error = position_distance(path, truth.pose)
+    split = len(error) if first is None else first
+    apart, off = np.full(len(confused), np.nan), np.full(len(confused), np.nan)
+    if truth.landmarks is not None and len(confused):
+        own_xy, taken_xy = (truth.landmarks.positions(ids[confused]) for ids in (own, taken))
+        placed = log.recorded.sensor.inverse(predicted(log, path)[o.frame[confused]], o.z[confused])[0]
+        apart, off = np.hypot(*(own_xy - taken_xy).T), np.hypot(*(placed - own_xy).T)
+    return Pairings(
+        len(own),
+        **{c: getattr(counts, c) for c in ("tp", "tn", "fp", "fn", "spurious", "duplicate", "missed", "recall")},
+        neighbour=int((wrong & had & (taken >= 0) & (taken != own)).sum()),
+        copy=int((wrong & had & (taken == own)).sum()),
+        ghost=int((wrong & ~clutter & (taken == CLUTTER)).sum()),
+        clutter=int(clutter.sum()),
+        clutter_paired=int((clutter & paired).sum()),
+        clutter_initializing=int((clutter & (run.decisions == NEW)).sum()),
+        clutter_again=int((clutter & paired & (taken == CLUTTER)).sum()),
+        first_wrong=first,
+        before=rms(error[:split]) if split else math.nan,
+        after=rms(error[split:]) if split < len(error) else math.nan,
+        apart=float(np.median(apart[np.isfinite(apart)])) if np.isfinite(apart).any() else math.nan,
+        off=float(np.median(off[np.isfinite(off)])) if np.isfinite(off).any() else math.nan,
+    )
+
+
+def predicted(log: Log, path: Array) -> Array:
+    """Poses (N, 3) that a filter with this online path (N, 3) expected before it saw anything in the frame."""
+    ahead = np.asarray(compose(path[:-1], log.recorded.increments.mean[1:]))
+    return np.concatenate([log.recorded.prior.mean[None], ahead])
+
+
+def reach(path: Array) -> float:
+    """Largest distance [m] of a path (N, 3) from its first known position."""
+    xy = path[np.isfinite(path).all(axis=1), :2]
+    return float(np.max(np.hypot(*(xy - xy[:1]).T)))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """True against stated motions, the first frame aside: Mahalanobis distances and share within 99 %."""
+
+    moves: float  # moves, turns: mean distance [-] of each, NaN if there is none
+    turns: float
+    step_off: float  # step_off, step_sigma: m, largest difference along x and the standard deviation claimed for it
+    step_sigma: float
+    within: int  # number of motions inside the 99 % ellipsoid of `count`
+    count: int
+
+    @property
+    def reasonable(self) -> bool:
+        """Whether what is stated covers most of what happened."""
+        return self.within >= 0.5 * self.count
+
+
+def true_against_stated(log: Log) -> Motion:
+    """How far the motions that happened are from those that the inputs state, measured by the covariances stated."""
+    assert log.truth.pose is not None
+    happened = between(log.truth.pose[:-1], log.truth.pose[1:])
+    known = np.isfinite(happened).all(axis=1)
+    happened, stated = happened[known], log.recorded.increments.mean[1:][known]
+    Q = log.recorded.increments.covariance[1:][known]
+    if not len(happened):
+        return Motion(*4 * (math.nan,), 0, 0)
+    off = happened - stated
+    off[:, 2] = wrap_angle(off[:, 2])
+    distance = np.sqrt(np.einsum("ni,ni->n", off, np.linalg.solve(Q, off[:, :, None])[:, :, 0]))
+    turned = np.abs(happened[:, 2]) > TURN
+    furthest = int(np.argmax(np.abs(off[:, 0]) / np.sqrt(Q[:, 0, 0])))
+    return Motion(
+        float(distance[~turned].mean()) if np.any(~turned) else math.nan,
+        float(distance[turned].mean()) if np.any(turned) else math.nan,
+        float(abs(off[furthest, 0])),
+        float(np.sqrt(Q[furthest, 0, 0])),
+        int((distance**2 < scipy.stats.chi2.ppf(0.99, 3)).sum()),
+        len(distance),
+    )
+
+
+class Judge:
+    """Looks at runs with the referee's rows at hand."""
+
+    def __init__(self, scores: Scores) -> None:
+        self._scores, self._unusable = scores, dict[int, set[tuple[str, str, str]]]()
+        self._rows: dict[tuple[object, ...], Row] = {
+            tuple(r[c] for c in ("log", "task", "estimator", "association", "phase")): r
+            for r in rows_of(scores.metrics)
+        }
+
+    def look(self, trial: Trial, run: Run) -> Judged:
+        """A run that reached its end, on a log with true poses and ids."""
+        log, truth, p = trial.log, trial.log.truth, run.phases[0]
+        rows = {q: self._rows.get((log.name, trial.task, run.estimator, run.association, q), {}) for q in run.phases}
+        path = run.trajectory(p).pose
+        assert truth.pose is not None
+        off = position_distance(path, truth.pose)
+        people, odometry = switched_on(log)
+        removed = np.empty(0, np.int64) if run.removed is None else np.flatnonzero(run.removed >= 0)
+        size = np.empty(0) if run.state_size is None else np.asarray(run.state_size, float)
+        counts, revised = ({o: getattr(confusion_of(run, log, q), o) for o in OUTCOMES} for q in ("online", "final"))
+        return Judged(
+            log.name,
+            run.estimator,
+            run.association,
+            run.status,
+            self.usable(trial, run),
+            people,
+            odometry,
+            maintained=trial.variant_of is not None,
+            implausible_from=None if run.implausible is None else run.implausible.frame,
+            errors={q: value_of(row, "rmse_position_m") for q, row in rows.items()},
+            inside=value_of(rows[p], "inside_3sigma"),
+            nees=value_of(rows[p], "nees_pose"),
+            largest=float(np.nanmax(off)),
+            last=float(off[np.isfinite(off)][-1]),
+            reach=reach(path),
+            pairings=look(run, log) if p == "online" else None,
+            landmarks=0 if run.map is None else len(run.map),
+            removed=len(removed),
+            removed_people=int((landmark_true_ids(run.created, truth, removed) == CLUTTER).sum()),
+            state=float(size.mean()) if len(size) else math.nan,
+            entries=float((size**2).sum()) if len(size) else math.nan,
+            revised=revised if revised != counts else {},
+        )
+
+    def usable(self, trial: Trial, run: Run) -> bool:
+        """Whether the judgement of the log calls a run, in its first phase, usable."""
+        if id(trial) not in self._unusable:
+            judged = judge(trial, self._scores).runs
+            self._unusable[id(trial)] = {(r.estimator, r.association, r.phase) for r in judged if not r.usable}
+        return (run.estimator, run.association, run.phases[0]) not in self._unusable[id(trial)]
+
+    def runs(self, trial: Trial | None) -> Runs:
+        """By association the run whose decisions answer: the filter's, or else iSAM2's."""
+        found: dict[str, Judged] = {}
+        if trial is not None:
+            for method, estimator in itertools.product(METHODS, OWN_DECISIONS):
+                run = trial.find(estimator, method)
+                if run is not None and run.failure is None and method not in found:
+                    found[method] = self.look(trial, run)
+        return found

@@ -1,0 +1,186 @@
+"""The corridor lab in the report: the answers of a lab that is handed in, or the questions that its runs answer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import pandas as pd
+
+from eval.plan.flags.options import Options
+from eval.plan.flags.table import Output
+from eval.plan.unfinished import Unfinished
+from eval.plan.work import Job, work
+from eval.referee.confusion import OUTCOMES
+from eval.referee.consistency import ASTRAY_NEES
+from eval.referee.score import Scores, Trial
+from eval.report.page.blocks import Block, Folded, Picture, Section, Table
+from eval.report.page.files import written_table
+from eval.report.words import paragraph
+from wings.labs.corridor import BLIND, BLIND_PEOPLE, METHODS, ODOMETRY, PEOPLE, Lab, find_lab
+from wings.labs.pictures import NEEDED, UPDATE_TIME, draw
+from wings.labs.questions import NEAR, Ambiguity, Answers, ambiguity, answers, primed
+from wings.labs.seeds import OverSeeds, Seed, over_seeds, seed_jobs, seeds_table
+from wings.labs.visual import visual_hand_in
+
+TEMPLATE = "labs/corridor"
+LAB = ("nn", "singles", "jcbb-first")
+
+
+class Question(NamedTuple):
+    """A question of the assignment."""
+
+    name: str  # of its facts in `Answers` and of its macros
+    heading: str  # in a lab that is handed in, `short`: in the section of other reports (blank: not asked there)
+    short: str
+    shown: tuple[tuple[bool, bool, bool], ...]  # conditions (people, odometry, maintained) of its table, and methods
+    methods: tuple[str, ...]
+    pictures: tuple[str, ...]
+
+
+PLAIN, CROWDED, TIDIED = (*ODOMETRY, False), (*PEOPLE, False), (*PEOPLE, True)
+NOT_READ = ((*BLIND, False), (*BLIND_PEOPLE, False))
+NN, PEOPLE_DO = "Why does nearest neighbour (NN) fail?", "What do people do to NN and SINGLES?"
+JCBB = "Why does JCBB cope better?"
+NO_WHEELS, UPKEEP = "What happens without odometry?", "What does map maintenance change?"
+QUESTIONS = (
+    Question("nn", NN, "Why does NN fail?", (PLAIN,), ("known", "nn"), ("first-wrong",)),
+    Question("singles", "Does SINGLES do better?", "", (PLAIN,), LAB, ("errors",)),
+    Question("people", PEOPLE_DO, "Why do people break NN and SINGLES?", (PLAIN, CROWDED), LAB[:2], ("people",)),
+    Question("jcbb", JCBB, JCBB, (CROWDED,), METHODS, ("methods",)),
+    Question("blind", NO_WHEELS, NO_WHEELS, NOT_READ, METHODS, ("paths",)),
+    Question("maintenance", UPKEEP, UPKEEP, (CROWDED, TIDIED), LAB, ("maintenance", UPDATE_TIME)),
+)
+HEADS = (
+    "Online. TP to FN: outcomes of the decisions; RMSE: of the position; in 3σ: frames [%] with the position error"
+    " inside 3σ (98.9 expected); landmarks: at the end; state: mean number of state entries; usable: no, if the run is"
+    " implausible, lost, or mean pose NEES is above "
+    f"{ASTRAY_NEES:g}. "
+)
+LOST = "A run that this question needs stopped before the end; see Failures."
+NAMES_OF_METHODS = (
+    "Methods by their names on the command line: known: by labels; jcbb-first: the lab's JCBB, keeps the first of"
+    " equally large hypotheses; jcbb: the one with the least joint distance; jcbb-hindsight: revises decisions"
+    " (final: after the last frame)."
+)
+
+
+def hand_in(folder: Path, options: Options, trials: Sequence[Trial], scores: Scores, lost: Unfinished) -> list[Section]:
+    """The answers to a lab's questions, the first sections of its report; nothing without `--lab`."""
+    if options.selection.lab is None:
+        return []
+    if any(t.log.evidence is not None for t in trials):
+        return visual_hand_in(folder, options.output, trials)
+    lab = find_lab(trials, named=False)
+    return [] if lab is None else _corridor(folder, options, lab, answers(lab, scores), lost)
+
+
+def _corridor(folder: Path, options: Options, lab: Lab, facts: Answers, lost: Unfinished) -> list[Section]:
+    """Six sections, their pictures drawn in parallel."""
+    output = options.output
+    wanted = [] if output.no_plots else [k for q in QUESTIONS for k in q.pictures if NEEDED[k](lab)]
+    setup = options.setup.settled(next(iter(lab.trials.values())).log.labels_are_sensed)
+    busy = next((t.log for t in lab.trials.values() if facts.jcbb.jcbb and t.log.name == facts.jcbb.jcbb.log), None)
+    jobs = [Job(kind, draw, (folder, kind, lab, setup, output.formats)) for kind in wanted]
+    if busy is not None and facts.jcbb.jcbb is not None and facts.jcbb.jcbb.estimator == "ekf":
+        jobs += seed_jobs(busy, replace(setup, maintain=False))
+    done = dict(work(jobs, options.execution, lost=lambda kind, why: lost.say("picture", why, name=f"lab: {kind}")))
+    made: dict[str, Picture] = {kind: found for kind, found in done.items() if isinstance(found, Picture)}
+    if busy is not None:
+        repeated = over_seeds(busy, [s for s in done.values() if isinstance(s, Seed)])
+        facts = replace(facts, jcbb=replace(facts.jcbb, repeated=repeated))
+    sections = []
+    for n, question in enumerate(QUESTIONS, start=1):
+        q = getattr(facts, question.name)
+        caption = f"Question {n}. {HEADS}{NAMES_OF_METHODS}" if n == 1 else f"Question {n}; columns as in Table 1."
+        more = {"measured": f"tables/lab-{UPDATE_TIME}.csv"} if question.name == "maintenance" else {}
+        line = paragraph(f"{TEMPLATE}#{question.name}_line", q=q)
+        blocks: list[Block] = [
+            f"**{line}**",
+            *(made[kind] for kind in question.pictures if kind in made),
+            written_table(_numbers(question, facts), folder, f"lab-question-{n}", caption, output),
+            *(_seeds(folder, facts.jcbb.repeated, output) if question.name == "jcbb" else ()),
+            LOST if q.lack else Folded("In detail", (paragraph(f"{TEMPLATE}#{question.name}", q=q, **more),)),
+        ]
+        answer = f"{n}. {question.heading} {line}"
+        sections.append(Section(f"Question {n}: {question.heading}", tuple(blocks), facts=q, answer=answer))
+    return sections
+
+
+def _seeds(folder: Path, found: OverSeeds | None, output: Output) -> list[Block]:
+    if found is None or not found.mean:
+        return []
+    caption = paragraph(f"{TEMPLATE}#seeds", found=found)
+    return [written_table(seeds_table(found), folder, "lab-seeds", caption, output)]
+
+
+def _numbers(question: Question, facts: Answers) -> pd.DataFrame:
+    """Outcomes and errors, online, of the runs that a question's table shows."""
+    rows = []
+    for r in (r for condition in question.shown for r in facts.rows(condition, question.methods)):
+        switches = (("people", r.people), ("no odometry", not r.odometry), ("maintained", r.maintained))
+        rows.append(
+            {
+                "condition": ", ".join(what for what, on in switches if on) or "no people",
+                "method": r.association,
+                **{c.upper(): getattr(r.p, c) for c in OUTCOMES},
+                "RMSE [m]": r.rmse,
+                "in 3σ [%]": 100.0 * r.inside,
+                "landmarks": r.landmarks,
+                "state": None if math.isnan(r.state) else round(r.state),
+                "usable": "yes" if r.usable else "no",
+            }
+        )
+        if question.name == "jcbb" and r.revised:
+            revised = {c.upper(): n for c, n in r.revised.items()}
+            rows.append({**dict.fromkeys(rows[-1]), **revised, "condition": rows[-1]["condition"]})
+            rows[-1]["method"] = f"{r.association}, final"
+    return pd.DataFrame(rows, dtype=object)
+
+
+def lab_sections(trials: Sequence[Trial], scores: Scores, *, answered_above: bool = False) -> list[Section]:
+    """The section with its questions, or (`answered_above`) only further ones; nothing without a corridor."""
+    lab = find_lab(trials)
+    if lab is None:
+        return []
+    beyond, prior = _ambiguity_sections(ambiguity(lab)), primed(lab, scores)
+    changes = []
+    if prior is not None:
+        words = (paragraph(f"{TEMPLATE}#primed", q=prior),)
+        changes.append(Section("What does a motion prior change?", words, 3, facts=prior))
+    if answered_above:
+        return [Section("More on the lab", ()), *beyond, *changes] if beyond or changes else []
+    facts = answers(lab, scores)
+    asked = [(q, getattr(facts, q.name)) for q in QUESTIONS if q.short]
+    if all(q.lack for _, q in asked) and not lab.primed:
+        return []
+    sections = [Section("The lab's questions", (paragraph(f"{TEMPLATE}#logs", names=facts.logs),))]
+    for question, q in asked:
+        line = paragraph(f"{TEMPLATE}#lack", q=q.lack) if q.lack else paragraph(f"{TEMPLATE}#{question.name}_line", q=q)
+        blocks: list[Block] = [line]
+        blocks += [] if q.lack else [Folded("In detail", (paragraph(f"{TEMPLATE}#{question.name}", q=q),))]
+        section = Section(question.short, tuple(blocks), 3, facts=q)
+        sections += [*beyond, section, *changes] if question.name == "blind" else [section]
+    return sections
+
+
+def _ambiguity_sections(q: Ambiguity | None) -> list[Section]:
+    """What the readings alone leave open: text, and a table of the moves that explain one scan."""
+    if q is None:
+        return []
+    blocks: list[Block] = [paragraph(f"{TEMPLATE}#ambiguity", q=q)]
+    if q.pair is not None:
+        best = max(p.likelihood for p in q.pair.peaks)
+        columns: dict[str, list[object]] = {
+            "step [m]": [f"{p.step:+.2f}" for p in q.pair.peaks],
+            f"readings that fit, of {q.pair.readings}": [p.fitting for p in q.pair.peaks],
+            "log-likelihood − largest": [f"{p.likelihood - best:.1f}" for p in q.pair.peaks],
+        }
+        if q.posterior:
+            columns["with the prior − largest"] = [f"{v - max(q.posterior):.1f}" for v in q.posterior]
+        caption = paragraph(f"{TEMPLATE}#ambiguity_caption", q=q, near=NEAR)
+        blocks.append(Table(pd.DataFrame(columns), caption))
+    return [Section("Do two scans determine the motion?", tuple(blocks), 3, facts=q)]
