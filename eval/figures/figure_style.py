@@ -15,7 +15,7 @@ USUAL_TYPE = 8.0  # pt, of titles and labels
 class FigureStyle:
     """What is wished for: width [in] (None: as usual), fonts by preference, type size [pt], LaTeX, pgf, PDF files.
 
-    titles: whether a figure has a title inside, beside those of its panels. data: write its data and a script, too.
+    titles: whether a figure has a title inside, beside those of its panels. data: write its data, too.
     """
 
     width: float | None = None

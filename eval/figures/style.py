@@ -19,7 +19,7 @@ from matplotlib.typing import RcKeyType
 from PIL import Image
 
 from data.result import Run, Trajectory
-from eval.figures import redrawn
+from eval.figures import figure_data
 from eval.figures.figure_style import current
 from eval.figures.paper import refit, translate, untitle
 from eval.referee.given.runs import GivenRun
@@ -227,7 +227,7 @@ def save(fig: Figure, folder: Path, stem: str, formats: Sequence[str] | None = N
         if not current().titles:
             untitle(fig)
         if current().data:
-            written += redrawn.write(fig, folder, stem)
+            written += figure_data.write(fig, folder, stem)
         if current().usetex:
             translate(fig, escape=True)
         refit(fig)

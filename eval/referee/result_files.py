@@ -247,8 +247,8 @@ OTHERS = (
     File(
         "figures/<name>.<type>",
         "Figures: `png`, `pdf` (`--formats pdf`, `--write-up` and other options for papers), `svg` (small maps),"
-        " `pgf` (`--pgf`), `webm` (`--animate`); for papers also their data (`csv`) and a script (`py`) that draws them"
-        " anew; none with `--no-plots`.",
+        " `pgf` (`--pgf`), `webm` (`--animate`); for papers also their data (`csv`);"
+        " none with `--no-plots`.",
     ),
     File("write-up.tex", "Answers, tables and figures for pdflatex, one page per log.", when="`--write-up`"),
     File("provenance.json", "Command, versions, seed, and the SHA-256 of every input."),

@@ -84,7 +84,7 @@ class Study:
         if len(lengths) != 1:
             raise UsageError("no good run" if not lengths else "the logs differ in length, so there is no common time")
         average = {name: np.mean([x.nees_pose for x in last[name]], axis=0) for name in s.estimators if name in last}
-        runs, title = len(self.done.seeds), f"{s.name}, {task}"
+        runs, title = min(len(last[name]) for name in average), f"{s.name}, {task}"
         d = self.done
         return anees_figure(d.time, average, DOF["pose"], runs, title=title, time_is_index=d.time_is_index)
 

@@ -211,9 +211,8 @@ def _by_run(consistency: pd.DataFrame, cell: Callable[[TableRow], tuple[str, str
     for r in rows_of(consistency.astype(object)):
         key = tuple(str(r[c]) for c in names)
         (head, text), word = cell(r), str(r["verdict"])
-        rows.setdefault(key, dict(zip(names, key, strict=True)))[head] = text + (
-            f" ({MARKS[word]})" if (word := str(r["verdict"])) in MARKS else ""
-        )
+        mark = f" ({MARKS[word]})" if word in MARKS else ""
+        rows.setdefault(key, dict(zip(names, key, strict=True)))[head] = text + mark
     made = pd.DataFrame(list(rows.values()), dtype=object)
     return made[[c for c in made.columns if c not in ("task", "association") or made[c].nunique() > 1]]
 

@@ -165,7 +165,7 @@ def _picture(folder: Path, study: Study, task: str, association: str, kind: str)
     keys = {name: keys[name] for name in study.scenario.estimators if name in keys and study.good(keys[name])}
     if not keys:
         return None
-    s, runs = study.scenario, len(study.seeds)
+    s, runs = study.scenario, min(len(study.good(k)) for k in keys.values())
     what = f"{s.name}, {task}" + (f", {association}" if len(s.association) > 1 else "")
     stem = folder_name(f"{s.name}-{task}-{association}-{kind}" if len(s.association) > 1 else f"{s.name}-{task}-{kind}")
     if kind == "anees":

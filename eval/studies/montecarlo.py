@@ -219,12 +219,14 @@ class EstimatorJudgement:
 
     @property
     def word(self) -> str:
-        """The first of `WORDS` among the marked means; else `UNEVEN`, or `consistent`."""
+        """The first of `WORDS` among the marked means; else `UNEVEN`, or `consistent`; empty without NEES of poses."""
         words = {j.verdict.word for j in self.judged if j.quantity in self.marks}
         if words:
             return next(word for word in WORDS if word in words)
-        if not self.judged or any(j.verdict.word == consistency.TOO_FEW for j in self.judged):
-            return consistency.TOO_FEW if self.judged else ""
+        if any(j.verdict.word == consistency.TOO_FEW for j in self.judged):
+            return consistency.TOO_FEW
+        if not any(j.quantity in QUANTITIES for j in self.judged):
+            return ""
         return UNEVEN if self.outside > OUTSIDE else consistency.CONSISTENT
 
     def mean(self, quantity: str) -> float:

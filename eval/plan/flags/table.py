@@ -327,7 +327,7 @@ class Output:
 
 @dataclass(frozen=True)
 class Drawing:
-    """Figures for a paper: with any of these flags also as PDF, with their data (CSV) and a script that draws it."""
+    """Figures for a paper: with any of these flags also as PDF, with their data (CSV)."""
 
     no_titles: bool = free_switch("figures without a title inside, as a caption says what they show")
     figure_width: str | None = free_row(

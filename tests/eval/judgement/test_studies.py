@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.referee.consistency import CONSISTENT, MARKS, MIN_RUNS, OVERCONFIDENT, TOO_FEW
+from eval.referee.consistency import CONSISTENT, FIT, MARKS, MIN_RUNS, OVERCONFIDENT, TOO_FEW, WHITE
 from eval.referee.score import score
-from eval.report import comparison
+from eval.report import calls, comparison
 from eval.report.terminal import groups_of, lines
 from eval.report.words import say
 from eval.studies.montecarlo import UNEVEN, Sample, consistency_table, judge, judge_estimators, study_of
@@ -55,13 +56,14 @@ def test_terminal_table_and_rows_agree_with_the_word(factors, runs, failed, whit
     assert set(e.marks) == marked
     assert (e.word == CONSISTENT) == (not marked and runs >= MIN_RUNS)
     assert e.word in {*rows["verdict"], UNEVEN}
+    assert calls.Study(found).verdicts.equals(rows)
     table = comparison.verdicts_table(rows[~rows["quantity"].str.startswith("coverage")])
     cells = {head: str(table[head].iloc[0]) for head in table.columns}
     assert {h.split(" (")[0] for h, text in cells.items() if text.endswith(("(+)", "(−)"))} == marked
     shown = "\n".join(lines(groups_of((), score([]), [found], judged)))
     assert re.search(rf"ekf, online .* {re.escape(e.word)}$", shown, re.MULTILINE)
     words = say("studies#words", found=[e])
-    assert f"`ekf` (localization, known): {e.word}" in words
+    assert f"`ekf` (localization, known, online): {e.word}" in words
     for quantity, mark in e.marks.items():
         for text in (words, shown):
             assert re.search(rf"{quantity} \S+ \({re.escape(mark)}\)", text)
@@ -81,6 +83,20 @@ def test_a_covariance_that_is_right_on_average_alone_is_not_consistent():
     assert (e.word, e.outside) == (UNEVEN, 1.0)
     assert "ekf: 100 % of the instants" in "\n".join(lines(groups_of((), score([]), [found], judge(found))))
     assert judge_estimators(study({}), judge(study({})))[0].outside < 0.2
+
+
+def test_innovations_that_fit_do_not_make_an_estimator_without_covariances_consistent():
+    found = study(dict.fromkeys(("pose", "position", "heading", "landmarks"), math.nan))
+    (e,) = judge_estimators(found, judge(found))
+    assert (e.word, {j.verdict.word for j in e.judged}) == ("", {FIT, WHITE})
+
+
+def test_the_figure_has_the_band_of_the_runs_that_it_averages():
+    """The share of instants outside it is that of the judgement, though some runs failed."""
+    found = replace(study({}, 80, failed=60), time=np.arange(40.0))
+    (e,) = judge_estimators(found, judge(found))
+    (legend,) = calls.Study(found).figure().legends
+    assert f", {100 * e.outside:.0f} % outside" in legend.get_texts()[0].get_text()
 
 
 @pytest.mark.parametrize("runs", [1, 20])
