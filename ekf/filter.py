@@ -17,7 +17,7 @@ from data.result import PoseEstimate, Updated
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
 from ekf import kernels, pose_updates, systematic, updates
-from ekf.pose_updates import Clones, Measured, PoseRule
+from ekf.pose_updates import Clones, MeasurementModel, PoseRule
 from ekf.walls import WallFrame
 
 
@@ -185,7 +185,7 @@ class Filter:
         """
         return self._absorb(pose_updates.of_closures(self._frame, closures, self._clones.now), gate)
 
-    def _absorb(self, measured: Sequence[Measured], gate: float | None) -> PoseUpdated:
+    def _absorb(self, measured: Sequence[MeasurementModel], gate: float | None) -> PoseUpdated:
         """Update with measurements of the pose, one after another."""
         done = not_used([len(m.rows) for m in measured])
         pending = list[Array]() if self._rule[0] == updates.ADDITIVE else None

@@ -37,7 +37,7 @@ Measure = Callable[[Array, Array], tuple[Array, Array]]
 """Innovation (m,) and Jacobian (m, q) for the states (q,) that are measured, and for those to take the Jacobian at."""
 
 
-class Measured(NamedTuple):
+class MeasurementModel(NamedTuple):
     """A measurement of the pose, or of the pose relative to an earlier one.
 
     rows: entries of (x, y, theta) that are measured, m of them; measure: of the states pose and errors, and the earlier
@@ -78,7 +78,7 @@ def absorb(
     P: Array,
     d: int,
     at: IntArray,
-    measured: Measured,
+    measured: MeasurementModel,
     rule: PoseRule,
     linearized: Array | None = None,
     pending: list[Array] | None = None,
@@ -210,24 +210,24 @@ def replace_pose(mean: Array, P: Array, d: int, at: int, first: Array) -> None:
             P[j, at + q] = P[at + q, j]
 
 
-def of_fixes(frame: SensorFrame, fixes: FrameFixes, sources: tuple[FixSource, ...]) -> list[Measured]:
+def of_fixes(frame: SensorFrame, fixes: FrameFixes, sources: tuple[FixSource, ...]) -> list[MeasurementModel]:
     """The fixes (f,) of a frame, for states in `frame`."""
     found = []
     for kind, source, z, C in zip(fixes.kind.tolist(), fixes.source.tolist(), fixes.z, fixes.covariance, strict=True):
         rows = list(MEASURED[FixKind(kind)])
         measure = measure_fix(frame, kind, sources[source], z[rows])
-        found.append(Measured(rows, measure, C[np.ix_(rows, rows)]))
+        found.append(MeasurementModel(rows, measure, C[np.ix_(rows, rows)]))
     return found
 
 
-def of_closures(frame: SensorFrame, closures: FrameClosures, now: int) -> list[Measured]:
+def of_closures(frame: SensorFrame, closures: FrameClosures, now: int) -> list[MeasurementModel]:
     """The closures (c,) known at frame `now`, for states in `frame`."""
     found = []
     both = zip(closures.frame1.tolist(), closures.frame2.tolist(), closures.relative, closures.covariance, strict=True)
     for frame1, frame2, relative, covariance in both:
         earlier = frame1 if frame2 == now else frame2
         measure = measure_closure(frame, relative, forward=earlier == frame1)
-        found.append(Measured([0, 1, 2], measure, covariance, earlier))
+        found.append(MeasurementModel([0, 1, 2], measure, covariance, earlier))
     return found
 
 
@@ -304,7 +304,7 @@ class Clones:
         for frame, last in self._last.items():
             self._ends.setdefault(last, []).append(frame)
 
-    def at(self, measured: Measured, base: int, size: int) -> IntArray | None:
+    def at(self, measured: MeasurementModel, base: int, size: int) -> IntArray | None:
         """States (q,) that are measured: pose and errors, the leading `base`, and an earlier pose from `size` on.
 
         None: the earlier pose is not in the state.

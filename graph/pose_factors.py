@@ -40,7 +40,7 @@ Expected = Callable[[Array], tuple[Array, Array]]
 """Expected measurement (d,) of the poses (q,), and its Jacobian (d, q)."""
 
 
-class Measured(NamedTuple):
+class GaussianMeasurement(NamedTuple):
     """One measurement of some poses."""
 
     entries: tuple[int, ...]  # measured ones (d,) of x, y, theta
@@ -49,7 +49,7 @@ class Measured(NamedTuple):
     expected: Expected
 
 
-def in_turn(mean: Array, P: Array, measured: Sequence[Measured | None], gate: float | None) -> PoseUpdated:
+def in_turn(mean: Array, P: Array, measured: Sequence[GaussianMeasurement | None], gate: float | None) -> PoseUpdated:
     """Test measurements (f,) of poses with mean (q,) and covariance P (q, q), world frame; None: it cannot be used."""
     done = not_used([3 if m is None else len(m.entries) for m in measured])
     for i, m in enumerate(measured):
@@ -72,7 +72,7 @@ def in_turn(mean: Array, P: Array, measured: Sequence[Measured | None], gate: fl
     return done
 
 
-def fixes_of(fixes: FrameFixes, sources: tuple[FixSource, ...]) -> list[Measured]:
+def fixes_of(fixes: FrameFixes, sources: tuple[FixSource, ...]) -> list[GaussianMeasurement]:
     """The fixes (f) of a frame as measurements of its pose."""
     found = []
     for kind, source, z, C in zip(fixes.kind.tolist(), fixes.source.tolist(), fixes.z, fixes.covariance, strict=True):
@@ -82,14 +82,14 @@ def fixes_of(fixes: FrameFixes, sources: tuple[FixSource, ...]) -> list[Measured
         def expected(pose: Array, kind: int = kind, source: int = source) -> tuple[Array, Array]:
             return expected_fix(pose, kind, sources[source])
 
-        found.append(Measured(entries, z[rows], C[np.ix_(rows, rows)], expected))
+        found.append(GaussianMeasurement(entries, z[rows], C[np.ix_(rows, rows)], expected))
     return found
 
 
-def closures_of(closures: FrameClosures, frames: IntArray) -> list[Measured | None]:
+def closures_of(closures: FrameClosures, frames: IntArray) -> list[GaussianMeasurement | None]:
     """The closures (c) of a frame as measurements of the poses of `frames` (k,), stacked; None: a frame is missing."""
     place = {frame: 3 * i for i, frame in enumerate(frames.tolist())}
-    found = list[Measured | None]()
+    found = list[GaussianMeasurement | None]()
     ends = zip(closures.frame1.tolist(), closures.frame2.tolist(), closures.relative, closures.covariance, strict=True)
     for first, second, relative, C in ends:
         if first not in place or second not in place:
@@ -102,7 +102,7 @@ def closures_of(closures: FrameClosures, frames: IntArray) -> list[Measured | No
             H[:, a : a + 3], H[:, b : b + 3] = H1, H2
             return z_hat, H
 
-        found.append(Measured((0, 1, 2), relative, C, expected))
+        found.append(GaussianMeasurement((0, 1, 2), relative, C, expected))
     return found
 
 

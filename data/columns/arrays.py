@@ -20,7 +20,7 @@ from data.columns.named import COVARIANCE, INLIER, SOURCE
 from data.columns.parts import (
     IDS,
     MEAN,
-    Measured,
+    PoseTables,
     frames_in,
     frames_of,
     inputs_of,
@@ -135,7 +135,7 @@ def parts_of_arrays(
             header.closures,
             key,
         )
-    measured = Measured(fixed, closed)
+    measured = PoseTables(fixed, closed)
     if (increments is None) == (odometry is None):
         raise fault("either increments or odometry is needed")
     if odometry is not None:

@@ -40,7 +40,7 @@ class Motion(NamedTuple):
     stamp: Array | None = None
 
 
-class Measured(NamedTuple):
+class PoseTables(NamedTuple):
     """Fixes and closures without frames; None: there are none."""
 
     fixes: FixTable | None = None
@@ -154,7 +154,7 @@ def frames_in(table: Table, key: str, time: Array, *, by_stamp: bool | None = No
     return frame
 
 
-def instants(observations: Table, measured: Measured) -> list[tuple[Table, str]]:
+def instants(observations: Table, measured: PoseTables) -> list[tuple[Table, str]]:
     """Tables and their columns of stamps, whose instants are frames of a log with odometry.csv."""
     found = [(observations, "t")]
     if measured.fixes is not None:
@@ -187,7 +187,7 @@ def inputs_of(
 
 
 def with_measured(
-    inputs: Inputs, measured: Measured, key: str
+    inputs: Inputs, measured: PoseTables, key: str
 ) -> tuple[Inputs, tuple[IntArray | None, IntArray | None]]:
     """The inputs with fixes and closures, and the true inliers of both."""
     fixes, closures, time = measured.fixes, measured.closures, inputs.time

@@ -29,7 +29,7 @@ LOG = "park:0:spacing=3.3+frames={}"  # a landmark for every ten frames, five to
 MEGABYTE = 1024.0  # KiB, the unit of `ru_maxrss`
 
 
-class Measured(NamedTuple):
+class RunCost(NamedTuple):
     """One run, its size, and its cost."""
 
     estimator: str
@@ -45,7 +45,7 @@ class Measured(NamedTuple):
     status: str
 
 
-def measure(estimator: str, name: str) -> Measured:
+def measure(estimator: str, name: str) -> RunCost:
     """One estimator with labels on one simulated log, in this process."""
     from association.decide import known_decisions
     from eval.compare import compare
@@ -76,17 +76,17 @@ def measure(estimator: str, name: str) -> Measured:
     rmse = math.sqrt(float(np.mean(np.sum((pose - log.truth.pose)[:, :2] ** 2, axis=1))))
     landmarks = int((known_decisions(inputs)[1] >= 0).sum())
     readings = len(inputs.observations.frame)
-    return Measured(estimator, len(inputs), landmarks, readings, seconds, whole, cpu, peak, before, rmse, status)
+    return RunCost(estimator, len(inputs), landmarks, readings, seconds, whole, cpu, peak, before, rmse, status)
 
 
-def measured_apart(estimator: str, name: str) -> Measured:
+def measured_apart(estimator: str, name: str) -> RunCost:
     """The same in its own process, whose peak memory is this run's."""
     command = [sys.executable, "-m", "eval.benchmarks.large", estimator, name]
     done = subprocess.run(command, check=True, capture_output=True, text=True)
-    return Measured(*json.loads(done.stdout.splitlines()[-1]))
+    return RunCost(*json.loads(done.stdout.splitlines()[-1]))
 
 
-def measure_all(sizes: Sequence[int] = SIZES, estimators: Sequence[str] = ESTIMATORS) -> Iterator[Measured]:
+def measure_all(sizes: Sequence[int] = SIZES, estimators: Sequence[str] = ESTIMATORS) -> Iterator[RunCost]:
     """Every estimator at every size, the small ones first."""
     for frames in sizes:
         for estimator in estimators:
@@ -100,15 +100,15 @@ def slope(sizes: Sequence[float], values: Sequence[float]) -> float:
     return float(np.polyfit(x[last], y[last], 1)[0])
 
 
-def write(found: Sequence[Measured], path: Path) -> None:
+def write(found: Sequence[RunCost], path: Path) -> None:
     """The measurements as CSV."""
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(Measured._fields)
+        writer.writerow(RunCost._fields)
         writer.writerows(found)
 
 
-def line_of(m: Measured) -> str:
+def line_of(m: RunCost) -> str:
     """A measurement as a line of text."""
     return (
         f"{m.estimator:10s} {m.frames:7d} frames {m.landmarks:6d} landmarks {m.readings:7d} observations:"
@@ -122,11 +122,11 @@ PEERS = {BARE: ("isam2", "bare gtsam loop"), BARE_BATCH: ("batch", "bare gtsam b
 """Estimator that each bare loop is compared with, and its label."""
 
 
-def scaling_figure(found: Sequence[Measured]) -> Figure:
+def scaling_figure(found: Sequence[RunCost]) -> Figure:
     """Wall time and peak memory above that of the log, over the number of frames, both axes logarithmic."""
     with drawing():
         fig = Figure(figsize=(page_width(), 3.5))
-        panels: tuple[tuple[str, Callable[[Measured], float]], ...] = (
+        panels: tuple[tuple[str, Callable[[RunCost], float]], ...] = (
             ("wall time [s]", lambda m: m.seconds),
             ("memory without the log [MB]", lambda m: max(m.peak_mb - m.log_mb, 1.0)),
         )

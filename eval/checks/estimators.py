@@ -222,7 +222,7 @@ def removal(text: str, task: str) -> Iterator[str]:
     yield f"landmark 0 left the map, seen again it is number {made[0] if made else 'none'}"
 
 
-class Kept(NamedTuple):
+class HandedOut(NamedTuple):
     """An array that was handed out, and a copy from before."""
 
     name: str
@@ -262,8 +262,8 @@ def purity(text: str, task: str) -> Iterator[str]:
     yield f"{len(kept)} arrays that it was handed are as they were"
 
 
-def _kept(name: str, handed: Any) -> Kept:
-    return Kept(name, handed, handed.copy())
+def _kept(name: str, handed: Any) -> HandedOut:
+    return HandedOut(name, handed, handed.copy())
 
 
 def _writable(locked: Any) -> Any:

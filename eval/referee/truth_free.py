@@ -36,7 +36,7 @@ COORDINATES = ("x", "y", "theta")
 Key = tuple[str, str]  # estimator and statistic
 
 
-class Measured(NamedTuple):
+class Statistic(NamedTuple):
     """A statistic with its expected value (NaN: unknown), standard error (NaN) and frame (-1)."""
 
     value: float
@@ -96,25 +96,27 @@ def _correlation(covariance: Array) -> tuple[Array, Array]:
     return covariance / (sigma[:, :, None] * sigma[:, None, :]), sigma
 
 
-def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[str, Measured]:
+def filter_smoother(found: Difference, prefix: str = "filter_smoother") -> dict[str, Statistic]:
     """Mean and median of the quadratic form, share semidefinite, and d in stated sigmas."""
-    result: dict[str, Measured] = {}
+    result: dict[str, Statistic] = {}
     here = np.isfinite(found.square)
     if here.any():
         dof = found.dof[here]
-        result["mean"] = Measured(float(found.square[here].mean()), float(dof.mean()))
-        result["median"] = Measured(float(np.median(found.square[here])), _median(dof))
+        result["mean"] = Statistic(float(found.square[here].mean()), float(dof.mean()))
+        result["median"] = Statistic(float(np.median(found.square[here])), _median(dof))
     if found.comparable.any():
-        result["semidefinite"] = Measured(float(found.semidefinite[found.comparable].mean()), 1.0)
+        result["semidefinite"] = Statistic(float(found.semidefinite[found.comparable].mean()), 1.0)
     in_sigmas = found.d / found.sigma
     for i, name in enumerate(COORDINATES):
         u = in_sigmas[np.isfinite(in_sigmas[:, i]), i]
         if len(u):
-            result[f"rms_{name}"] = Measured(math.sqrt(float(np.mean(u**2))), 1.0)
-            result[f"inside_{name}"] = Measured(float(np.mean(np.abs(u) <= 3.0)), float(1.0 - 2.0 * special.ndtr(-3.0)))
+            result[f"rms_{name}"] = Statistic(math.sqrt(float(np.mean(u**2))), 1.0)
+            result[f"inside_{name}"] = Statistic(
+                float(np.mean(np.abs(u) <= 3.0)), float(1.0 - 2.0 * special.ndtr(-3.0))
+            )
     if np.isfinite(in_sigmas).any():
         frame, axis = np.unravel_index(np.nanargmax(np.abs(in_sigmas)), in_sigmas.shape)
-        result["largest"] = Measured(float(abs(in_sigmas[frame, axis])), frame=int(frame))
+        result["largest"] = Statistic(float(abs(in_sigmas[frame, axis])), frame=int(frame))
     return {f"{prefix}_{name}": m for name, m in result.items()}
 
 
@@ -125,20 +127,20 @@ def _median(dof: Array) -> float:
     return float(scipy.optimize.brentq(lambda x: float(share @ special.chdtr(kinds, x)) - 0.5, 1e-9, 10.0))
 
 
-def _nis(run: Run, phase: str) -> dict[str, Measured]:
+def _nis(run: Run, phase: str) -> dict[str, Statistic]:
     total = nis_of(run, phase)
-    return {"nis": Measured(total[0] / total[1], gated(run, phase)[0])} if total is not None and total[1] > 0 else {}
+    return {"nis": Statistic(total[0] / total[1], gated(run, phase)[0])} if total is not None and total[1] > 0 else {}
 
 
-def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measured]:
+def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Statistic]:
     """Statistics of an online estimator; `smoother`: batch under the same decisions, if it ran."""
-    result: dict[str, Measured] = {}
+    result: dict[str, Statistic] = {}
     i = run.innovations
     if i is not None:
         result |= _nis(run, "online")
         r, error = lag1_correlation(i.white, inputs.observations.frame, run.decisions)
         if math.isfinite(r):
-            result["innovation_lag1"] = Measured(r, 0.0, error)
+            result["innovation_lag1"] = Statistic(r, 0.0, error)
     for source in sources_of(inputs):
         result |= _of_source(score_source(run, source, "online"), source_residuals.key_of(source))
     if run.online is not None and smoother is not None and smoother.final is not None:
@@ -148,21 +150,21 @@ def of_online(run: Run, smoother: Run | None, inputs: Inputs) -> dict[str, Measu
     return result
 
 
-def _of_source(scored: SourceScore, key: str) -> dict[str, Measured]:
+def _of_source(scored: SourceScore, key: str) -> dict[str, Statistic]:
     """NIS, correlation and the largest innovation of the fixes or closures of a source, rejected ones included.
 
     The largest is compared with its median; its standard error is that of a Gaussian with the same probability.
     """
-    found: dict[str, Measured] = {}
+    found: dict[str, Statistic] = {}
     if scored.nis_dof:
-        found[f"nis_{key}"] = Measured(scored.nis_mean, scored.expected)
+        found[f"nis_{key}"] = Statistic(scored.nis_mean, scored.expected)
     if math.isfinite(scored.lag1):
-        found[f"innovation_{key}_lag1"] = Measured(scored.lag1, 0.0, scored.lag1_se)
+        found[f"innovation_{key}_lag1"] = Statistic(scored.lag1, 0.0, scored.lag1_se)
     if scored.formed:
         median = float(special.chdtri(scored.dof, -math.expm1(math.log(0.5) / scored.formed)))
         sigmas = -float(special.ndtri(max(scored.chance, LEAST_CHANCE)))
         error = (scored.largest - median) / sigmas if sigmas else math.nan
-        found[f"{LARGEST}{key}"] = Measured(scored.largest, median, error)
+        found[f"{LARGEST}{key}"] = Statistic(scored.largest, median, error)
     return found
 
 
@@ -170,7 +172,7 @@ def _of_source(scored: SourceScore, key: str) -> dict[str, Measured]:
 class Smoothed:
     """Statistics of a batch smoother's run."""
 
-    statistics: dict[str, Measured]  # of its cost, residuals, and slopes of systematic errors
+    statistics: dict[str, Statistic]  # of its cost, residuals, and slopes of systematic errors
     typical: dict[str, float]  # spread of the residuals without outliers by component, in stated sigmas
 
 
@@ -184,7 +186,7 @@ def of_smoother(run: Run, inputs: Inputs) -> Smoothed:
     found = residuals.smoothed_residuals(rest, path, used)
     every = residuals.summaries(found, rest, used) | source_residuals.summaries(rest, path, used)
     for name, value in every.items():
-        result[name] = Measured(value, 0.0 if name.endswith("_mean") else math.nan)
+        result[name] = Statistic(value, 0.0 if name.endswith("_mean") else math.nan)
     for name, (value, error) in effects.scored(inputs, path, used, run.errors_final).slopes().items():
-        result[f"slope_{name}"] = Measured(value, 0.0, error)
+        result[f"slope_{name}"] = Statistic(value, 0.0, error)
     return Smoothed(result, residuals.typical(found) | source_residuals.typical(rest, path, used))

@@ -29,7 +29,7 @@ from eval.referee.score import frame_of
 from eval.referee.source_explanations import left_out, of_outliers, outlying, source_corrected, source_explanations
 from eval.referee.sources.residuals import of_sources
 from eval.referee.sources.scored import has_sources
-from eval.referee.truth_free import Key, Measured
+from eval.referee.truth_free import Key, Statistic
 from eval.replay.batch import batch
 from eval.replay.settings import Setup
 from eval.studies.sampled import PLAIN, STAND_IN, Sample
@@ -48,7 +48,7 @@ class Row:
 
     estimator: str
     statistic: str
-    measured: Measured
+    measured: Statistic
     expected: float
     twins: int
     p: float
@@ -110,7 +110,7 @@ def judged(log: Log, task: str, association: str, real: Sample, twins: Sequence[
     return replace(made, blame=_blame(log, made, inputs_of(log, task, association), smoother, drawn))
 
 
-def _in_errors(m: Measured) -> float:
+def _in_errors(m: Statistic) -> float:
     """A statistic in its own standard errors from what is expected."""
     return (m.value - m.expected) / m.se if m.se > 0.0 and math.isfinite(m.expected) else math.nan
 
@@ -416,7 +416,7 @@ def _replicated(log: Log, task: str, inputs: Inputs, smoother: Run) -> list[trut
     return [s for s in found if s is not None]
 
 
-def _statistics(measured: Mapping[Key, Measured]) -> dict[str, float]:
+def _statistics(measured: Mapping[Key, Statistic]) -> dict[str, float]:
     """The smoother's statistics, slopes in standard errors."""
     return _plain({name: m for (estimator, name), m in measured.items() if estimator == PLAIN})
 
@@ -425,7 +425,7 @@ def _statistics_of(smoothed: truth_free.Smoothed) -> dict[str, float]:
     return _plain(smoothed.statistics)
 
 
-def _plain(measured: Mapping[str, Measured]) -> dict[str, float]:
+def _plain(measured: Mapping[str, Statistic]) -> dict[str, float]:
     return {n: m.value / m.se if n.startswith("slope_") and m.se > 0.0 else m.value for n, m in measured.items()}
 
 

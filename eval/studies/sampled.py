@@ -19,7 +19,7 @@ from eval.compare import compare
 from eval.referee import consistency, errors, truth_free
 from eval.referee.plausibility import with_plausibility
 from eval.referee.score import confusion_of
-from eval.referee.truth_free import Key, Measured
+from eval.referee.truth_free import Key, Statistic
 from eval.replay.batch import batch
 from eval.replay.settings import FILTERS, steps
 from eval.studies.twins import Source, inputs_of, twin
@@ -39,7 +39,7 @@ class Sample:
         counts: tp, tn, fp, fn of the final decisions by estimator (of a twin).
     """
 
-    measured: Mapping[Key, Measured]  # the statistics; none of a failed estimator
+    measured: Mapping[Key, Statistic]  # the statistics; none of a failed estimator
     failures: Mapping[str, str] = field(default_factory=dict)  # reasons, by estimator
     typical: Mapping[str, float] = field(default_factory=dict)
     apart: Mapping[str, float] = field(default_factory=dict)
@@ -80,7 +80,7 @@ def sample_of(
     `smoother`: see `smoother_of`; `smoothed`: result of `truth_free.of_smoother`, if known already.
     """
     inputs = inputs_of(log, task, association)
-    measured: dict[Key, Measured] = {}
+    measured: dict[Key, Statistic] = {}
     failures: dict[str, str] = {}
     apart: dict[str, float] = {}
     for run in runs:
@@ -153,7 +153,7 @@ def load(path: Path) -> Sample | None:
     """A kept sample; None if it is missing or damaged."""
     try:
         kept = json.loads(path.read_bytes())
-        measured = {(e, name): Measured(*m) for e, name, *m in kept["measured"]}
+        measured = {(e, name): Statistic(*m) for e, name, *m in kept["measured"]}
         nees = {(e, phase): v for e, phase, v in kept["nees"]}
         counts = {e: (tp, tn, fp, fn) for e, (tp, tn, fp, fn) in kept["counts"].items()}
         return Sample(measured, nees=nees, counts=counts, **{name: kept[name] for name in PLAIN_FIELDS})

@@ -54,7 +54,7 @@ Rows = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Seen:
+class WallObservations:
     """Walls that a packet completes, in its body frame: z (m, 2) rho [m] and alpha [rad], R (m, 2, 2), and the sonars'
     rows (m,).
     """
@@ -143,7 +143,7 @@ class WallObserver:
         self._first = 0  # number of the packet that the odometry begins with
         self._runs = [_Run(self._sigma) for _ in SONARS]
 
-    def observe(self, packet: Packet) -> Seen:
+    def observe(self, packet: Packet) -> WallObservations:
         """The walls that this packet completes."""
         if not packet.joined:
             self._restart()
@@ -163,7 +163,7 @@ class WallObserver:
         z = np.array([[line.rho, line.alpha] for line in lines]).reshape(-1, 2)
         R = np.array([line.cov for line in lines]).reshape(-1, 2, 2)
         R = 0.5 * (R + R.transpose(0, 2, 1))
-        return Seen(z, R, np.array(rows, np.int64))
+        return WallObservations(z, R, np.array(rows, np.int64))
 
     def _forget(self) -> None:
         """Drop packets older than `LONGEST` or `OLDEST`."""

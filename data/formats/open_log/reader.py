@@ -44,8 +44,8 @@ from data.columns.parts import (
     MEAN,
     STAMP,
     FrameTable,
-    Measured,
     Motion,
+    PoseTables,
     frames_in,
     frames_of,
     inputs_of,
@@ -198,7 +198,7 @@ def load_folder(path: str | PathLike[str], relations: Path | None = None) -> Log
     )
 
 
-def _measured(folder: Path, header: Header, key: str) -> Measured:
+def _measured(folder: Path, header: Header, key: str) -> PoseTables:
     """fixes.csv and closures.csv, checked except for range and order of `key` (frame or t)."""
     for name, table, sources in (
         (FIXES, fixes_file.TABLE, header.fixes),
@@ -210,7 +210,7 @@ def _measured(folder: Path, header: Header, key: str) -> Measured:
             raise DataError.at(folder / name, what)
         if sources and not there:
             raise DataError.at(folder / name, f"no such file; [[{table}]] of {HEADER} needs it")
-    return Measured(
+    return PoseTables(
         read_fixes(folder / FIXES, header.fixes, key) if (folder / FIXES).exists() else None,
         read_closures(folder / CLOSURES, header.closures, key) if (folder / CLOSURES).exists() else None,
     )
@@ -223,7 +223,7 @@ def _frames(path: Path, prior: MotionPrior | None) -> Motion:
     return frames_of(read_table(path, columns, (*motion, STAMP)), prior)
 
 
-def _observations(path: Path, header: Header, key: str, measured: Measured) -> FrameTable:
+def _observations(path: Path, header: Header, key: str, measured: PoseTables) -> FrameTable:
     """observations.csv, checked except for range and order of `key` (frame or t)."""
     if not header.sensors and (path.exists() or not measured):
         needed = f"{OBSERVATIONS} needs one" if path.exists() else f"one, {FIXES} or {CLOSURES} is needed"

@@ -49,7 +49,7 @@ FORBIDDEN = set(',"')
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class PoseRows:
     """Fixes or closures in the order of their (later) stamps.
 
     Attributes:
@@ -75,7 +75,7 @@ class Measured:
         """One of them, in a message."""
         return "fix" if self.what == "fixes" else "closure"
 
-    def part(self, rows: IntArray) -> Measured:
+    def part(self, rows: IntArray) -> PoseRows:
         """Some of them, in this order."""
         return replace(
             self, table=self.table.part(rows), at=self.at[rows], z=self.z[rows], sigma=self.sigma[rows],
@@ -102,7 +102,7 @@ class Measured:
         return Closures(frame[:, 0], frame[:, 1], self.z, self.covariance, self.source, self.names)
 
 
-def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[str]) -> Measured:
+def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[str]) -> PoseRows:
     """The fixes of a file: of each row the position (x, y), the heading, or both."""
     columns, role = wanted.columns, "fixes"
     key = "t" if odometry.stamped and columns.find(file, role, "t") is not None else "frame"
@@ -136,7 +136,7 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
     return found.part(order[filled[order]].astype(np.int64))
 
 
-def read_closures(file: TextTable, wanted: Wanted, odometry: Odometry) -> Measured:
+def read_closures(file: TextTable, wanted: Wanted, odometry: Odometry) -> PoseRows:
     """The closures of a file, by their later end."""
     columns, role = wanted.columns, "closures"
     stamped = odometry.stamped and columns.find(file, role, "t1") is not None
@@ -164,7 +164,7 @@ def _rows(table: Table, key: str, odometry: Odometry) -> IntArray:
 def _measured(
     role: str, table: Table, source: Sequence[str] | None, path: Path, at: Array, stamped: bool, z: Array,
     default: Array | None,
-) -> Measured:  # fmt: skip
+) -> PoseRows:  # fmt: skip
     """With the sigma of each row, else the stated one, and the sources by name: that of the column, else the file."""
     sigma = np.tile(np.full(3, np.nan) if default is None else default, (len(z), 1))
     for k, name in enumerate(SIGMAS):
@@ -186,10 +186,10 @@ def _measured(
         if FORBIDDEN & set(name) or not name.isprintable():
             raise table.error(row, "source", f"{name!r} holds a comma or a quote; a plain name is needed")
     number = {name: k for k, name in enumerate(names)}
-    return Measured(role, table, at, stamped, z, sigma, np.array([number[n] for n in given], np.int64), names)
+    return PoseRows(role, table, at, stamped, z, sigma, np.array([number[n] for n in given], np.int64), names)
 
 
-Part = FrameObservations | Measured
+Part = FrameObservations | PoseRows
 KIND = "kind"
 """Column of the map."""
 
@@ -246,7 +246,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
         odometry, parts = _from_truth_on(odometry, parts, true, notes)
     time, parts = _frames(odometry, parts, wanted, notes)
     seen = [part for part in parts if isinstance(part, FrameObservations)]
-    found = {part.what: part for part in parts if isinstance(part, Measured)}
+    found = {part.what: part for part in parts if isinstance(part, PoseRows)}
     measured = [found["closures"].closures(time)] if "closures" in found else []
     if second is not None and wanted.second is not None:
         taken = [name for closures in measured for name in closures.sources]

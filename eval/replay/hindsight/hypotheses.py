@@ -27,7 +27,7 @@ from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING, Sensor
 from ekf import kernels, updates
 from ekf.filter import DEFAULT, FilterDivergedError, FilterOptions
-from ekf.pose_updates import Clones, Measured, PoseRule, absorb, of_closures, of_fixes
+from ekf.pose_updates import Clones, MeasurementModel, PoseRule, absorb, of_closures, of_fixes
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.noise import learned, log_density, stated
 
@@ -134,7 +134,7 @@ class Hypotheses:
         """Update all with relative poses, which also weigh them; the result is the leader's."""
         return self._absorb(of_closures(self._frame, closures, self._clones.now), gate)
 
-    def _absorb(self, measured: Sequence[Measured], gate: float | None) -> PoseUpdated:
+    def _absorb(self, measured: Sequence[MeasurementModel], gate: float | None) -> PoseUpdated:
         """One after another; one outside a hypothesis's gate is as likely there as at the gate."""
         done = not_used([len(m.rows) for m in measured])
         for i, m in enumerate(measured):

@@ -64,7 +64,7 @@ class ScanSlam:
         self._graph = PoseGraph(prior) if least is None else ThinnedPoseGraph(prior)
         self._beams, self._nothing = beams_of(scanner, beams), np.zeros(beams)
         self._waiting, self._far, self._updated, self._count = False, False, 0, 0
-        self._places = Seen()
+        self._places = ScannedCells()
         self._covariance = prior.covariance if with_covariance else None
 
     def step(self, increment: Increment | None, ranges: Array | None, seconds: float = 0.0) -> Array:
@@ -171,7 +171,7 @@ class ScanSlam:
         return bool(removed.any())
 
 
-class Seen:
+class ScannedCells:
     """The cells of the world that key scans end in, laid out anew where a key pose has moved."""
 
     def __init__(self) -> None:

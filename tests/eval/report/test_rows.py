@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from eval.judgement.runs import judged_runs
-from eval.referee.truth_free import Measured
+from eval.referee.truth_free import Statistic
 from eval.report.answer import answer
 from eval.report.terminal import Group, MainNumbers, lines
 from eval.studies.diagnosis import Trust
@@ -50,9 +50,9 @@ def replicates(nis, lag1=0.0) -> Trust:
     rng = np.random.default_rng(0)
     drawn = [
         Sample({
-            ("ekf", "nis"): Measured(nis + 0.03 * rng.standard_normal()),
-            ("batch", "nis"): Measured(nis - 0.1 + 0.03 * rng.standard_normal()),
-            ("ekf", "innovation_lag1"): Measured(lag1 + 0.02 * rng.standard_normal()),
+            ("ekf", "nis"): Statistic(nis + 0.03 * rng.standard_normal()),
+            ("batch", "nis"): Statistic(nis - 0.1 + 0.03 * rng.standard_normal()),
+            ("ekf", "innovation_lag1"): Statistic(lag1 + 0.02 * rng.standard_normal()),
         })
         for _ in range(60)
     ]  # fmt: skip

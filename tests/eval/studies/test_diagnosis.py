@@ -18,7 +18,7 @@ from eval.referee.attribution import (
     estimator_errors,
     innovation_errors,
 )
-from eval.referee.truth_free import Measured
+from eval.referee.truth_free import Statistic
 from eval.replay.run import compare
 from eval.replay.settings import Setup
 from eval.studies.diagnosis import SHARES, _estimators, judged
@@ -92,7 +92,7 @@ def test_beside_wrong_labels_a_systematic_error_is_found_with_its_size(arena):
 @pytest.mark.slow
 def test_an_estimator_that_is_off_by_its_poses_is_convicted_once(arena):
     _, twins = arena
-    sizes = [Measured(1.3 + 0.001 * i, 1.0) for i in range(len(twins))]
+    sizes = [Statistic(1.3 + 0.001 * i, 1.0) for i in range(len(twins))]
     drawn = [
         replace(s, nees={("ekf", "online"): 6.0 + 0.1 * i}, measured={(name, "nis"): m for name in ("ekf", "isam2")})
         for i, (s, m) in enumerate(zip(twins, sizes))

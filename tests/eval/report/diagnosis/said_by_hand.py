@@ -6,20 +6,20 @@ import math
 from dataclasses import replace
 
 from eval.referee.attribution import NOISE, NOTHING, Finding
-from eval.referee.truth_free import Measured
+from eval.referee.truth_free import Statistic
 from eval.studies.diagnosis import Blame, Row, Trust
 from eval.studies.sampled import Sample
 
 MEASURED = {
-    ("ekf", "nis"): Measured(0.91, 1.0),
-    ("ekf", "filter_smoother_median"): Measured(30.3, 1.46),
-    ("ekf", "filter_smoother_semidefinite"): Measured(0.09, 1.0),
-    ("ekf", "filter_smoother_largest"): Measured(108.0, frame=61),
-    ("batch", "nis"): Measured(0.88, 1.0),
-    ("batch", "residual_z1_mean"): Measured(0.04, 0.0),
-    ("batch", "residual_z1_spread"): Measured(0.4),
-    ("batch", "slope_odometry_theta_turn"): Measured(-0.05, 0.0, 0.001),
-    ("batch", "slope_z1_range"): Measured(0.001, 0.0, 0.001),
+    ("ekf", "nis"): Statistic(0.91, 1.0),
+    ("ekf", "filter_smoother_median"): Statistic(30.3, 1.46),
+    ("ekf", "filter_smoother_semidefinite"): Statistic(0.09, 1.0),
+    ("ekf", "filter_smoother_largest"): Statistic(108.0, frame=61),
+    ("batch", "nis"): Statistic(0.88, 1.0),
+    ("batch", "residual_z1_mean"): Statistic(0.04, 0.0),
+    ("batch", "residual_z1_spread"): Statistic(0.4),
+    ("batch", "slope_odometry_theta_turn"): Statistic(-0.05, 0.0, 0.001),
+    ("batch", "slope_z1_range"): Statistic(0.001, 0.0, 0.001),
 }
 TURN = Finding(NOISE, "systematic", "odometry_theta_turn", -0.05, 0.001, 900.0)
 

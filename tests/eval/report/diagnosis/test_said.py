@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from eval.referee.truth_free import Measured
+from eval.referee.truth_free import Statistic
 from eval.report.diagnosis import Decided, Terms, facts_of
 from eval.report.words import distance
 from tests.eval.report.diagnosis.said_by_hand import blamed, said
@@ -58,11 +58,11 @@ MEDIAN, SHARE = ("ekf", "filter_smoother_median"), ("ekf", "filter_smoother_semi
     ("measured", "median", "semidefinite"),
     [
         ({}, (), None),
-        ({MEDIAN: Measured(2, 1.5)}, (2, 1.5), None),
-        ({MEDIAN: Measured(math.nan, 1.5)}, (), None),
-        ({MEDIAN: Measured(2.0)}, (), None),
-        ({SHARE: Measured(0.25, 1.0)}, (), 0.25),
-        ({SHARE: Measured(math.nan, 1.0)}, (), None),
+        ({MEDIAN: Statistic(2, 1.5)}, (2, 1.5), None),
+        ({MEDIAN: Statistic(math.nan, 1.5)}, (), None),
+        ({MEDIAN: Statistic(2.0)}, (), None),
+        ({SHARE: Statistic(0.25, 1.0)}, (), 0.25),
+        ({SHARE: Statistic(math.nan, 1.0)}, (), None),
     ],
 )
 def test_of_the_difference_only_what_is_known_is_a_fact(measured, median, semidefinite):
@@ -71,7 +71,7 @@ def test_of_the_difference_only_what_is_known_is_a_fact(measured, median, semide
 
 
 def slopes(**sizes):
-    return with_measured(said(), {("batch", f"slope_{name}"): Measured(*m) for name, m in sizes.items()})
+    return with_measured(said(), {("batch", f"slope_{name}"): Statistic(*m) for name, m in sizes.items()})
 
 
 def test_systematic_errors_beyond_three_standard_errors_are_named_the_largest_first():
@@ -85,7 +85,7 @@ def test_systematic_errors_beyond_three_standard_errors_are_named_the_largest_fi
         ("z1_range", 20.0), ("z1_constant", 7.0), ("odometry_theta_turn", 3.0),
     ]  # fmt: skip
     assert (found[0].size, found[0].error, found[0].unit) == (pytest.approx(-20.0), pytest.approx(1.0), "%")
-    other = with_measured(said(), {("batch", "residual_z1_mean"): Measured(5.0, 0.0, 0.1)})
+    other = with_measured(said(), {("batch", "residual_z1_mean"): Statistic(5.0, 0.0, 0.1)})
     assert facts_of(other, POLAR).asked == ()
 
 

@@ -11,7 +11,7 @@ from data.result import Trajectory
 from eval.plan.flags.table import Output
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
-from eval.referee.truth_free import Measured
+from eval.referee.truth_free import Statistic
 from eval.report.diagnosis import MOST, Terms, first_page_words, of_trial, statistic_words, trust_frame, trust_section
 from eval.report.page.blocks import Folded, Table
 from eval.report.pictures import FILTER_SMOOTHER, draw, kinds
@@ -49,7 +49,7 @@ def test_what_is_furthest_from_its_twins_stands_first():
     # the twins have 0.91 to 1.10 and 30.3 to 30.49, so one spread is as large as the other
     for nis, median, first in ((0.2, 30.55, "NIS"), (1.2, 80.0, "median")):
         measured = trust.real.measured | {
-            ("ekf", "nis"): Measured(nis), ("ekf", "filter_smoother_median"): Measured(median),
+            ("ekf", "nis"): Statistic(nis), ("ekf", "filter_smoother_median"): Statistic(median),
         }  # fmt: skip
         rows = [replace(r, measured=measured[r.estimator, r.statistic]) for r in trust.rows]
         frame = trust_frame(replace(trust, real=replace(trust.real, measured=measured), rows=tuple(rows)), terms=POLAR)

@@ -14,7 +14,7 @@ from eval.judgement.judgement import Gauge, Online, Verdict, conclusion
 from eval.judgement.methods import MethodOutcome, Methods
 from eval.judgement.runs import Counts, RunJudgement
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
-from eval.referee.truth_free import Measured
+from eval.referee.truth_free import Statistic
 from eval.report.overview import associations, claims, drawn, gauge_statement, introduction, trust_mark
 from eval.report.page.blocks import Value
 from eval.studies.diagnosis import Blame, Trust
@@ -113,13 +113,13 @@ def trust(cause=None, *findings, measured=None, objected=()):
         (trust(NOISE, Finding(NOISE, "sigma", "odometry_x", 2.0)), "odometry"),
         (trust(NOISE, Finding(NOISE, "tails", "readings", 12)), "sensor"),
         (trust(NOISE, objected=[("batch", "residual_odometry_x_lag1")]), "odometry"),
-        (trust(measured={("batch", "slope_z1_constant"): Measured(0.4, 0.0, 0.01)}), "sensor"),
-        (trust(measured={("batch", "slope_z1_constant"): Measured(0.02, 0.0, 0.01)}), "nothing"),
+        (trust(measured={("batch", "slope_z1_constant"): Statistic(0.4, 0.0, 0.01)}), "sensor"),
+        (trust(measured={("batch", "slope_z1_constant"): Statistic(0.02, 0.0, 0.01)}), "nothing"),
         (
             trust(
                 measured={
-                    ("batch", "slope_z1_constant"): Measured(0.01, 0.0, 0.01),
-                    ("batch", "slope_odometry_theta_turn"): Measured(-0.4, 0.0, 0.01),
+                    ("batch", "slope_z1_constant"): Statistic(0.01, 0.0, 0.01),
+                    ("batch", "slope_odometry_theta_turn"): Statistic(-0.4, 0.0, 0.01),
                 }
             ),
             "odometry",
@@ -127,21 +127,21 @@ def trust(cause=None, *findings, measured=None, objected=()):
         (
             trust(
                 measured={
-                    ("batch", "slope_z1_constant"): Measured(0.3, 0.0, 0.01),
-                    ("batch", "slope_odometry_theta_turn"): Measured(0.9, 0.0, 0.1),
-                    ("batch", "slope_odometry_x_way"): Measured(9.0, 0.0, 0.0),
-                    ("batch", "residual_odometry_theta_spread"): Measured(1.8),
+                    ("batch", "slope_z1_constant"): Statistic(0.3, 0.0, 0.01),
+                    ("batch", "slope_odometry_theta_turn"): Statistic(0.9, 0.0, 0.1),
+                    ("batch", "slope_odometry_x_way"): Statistic(9.0, 0.0, 0.0),
+                    ("batch", "residual_odometry_theta_spread"): Statistic(1.8),
                 }
             ),
             "sensor",
         ),
-        (trust(measured={("batch", "residual_odometry_theta_spread"): Measured(1.8)}), "odometry"),
+        (trust(measured={("batch", "residual_odometry_theta_spread"): Statistic(1.8)}), "odometry"),
         (
             trust(
                 measured={
-                    ("batch", "residual_odometry_theta_spread"): Measured(1.8),
-                    ("batch", "residual_z1_spread"): Measured(2.8),
-                    ("batch", "residual_z2_spread"): Measured(math.nan),
+                    ("batch", "residual_odometry_theta_spread"): Statistic(1.8),
+                    ("batch", "residual_z1_spread"): Statistic(2.8),
+                    ("batch", "residual_z2_spread"): Statistic(math.nan),
                 }
             ),
             "sensor",
@@ -169,7 +169,7 @@ def test_the_cause_is_one_word_also_without_twins(said, word):
 def test_a_rejected_nis_is_named_where_nothing_else_was_found(nis, tone, note):
     blank = {"rmse_position_m": None}
     own = {"nis": nis, "nis_lower": 0.88, "nis_upper": 1.03}
-    slight = trust(measured={("batch", "slope_z1_constant"): Measured(0.02, 0.0, 0.01)})
+    slight = trust(measured={("batch", "slope_z1_constant"): Statistic(0.02, 0.0, 0.01)})
     mark = trust_mark(facts(EKF | blank | own, BATCH | blank, BLIND, slight))
     assert (mark.word, mark.tone, mark.note) == ("path: smoother", tone, note)
 
