@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import gtsam
@@ -69,7 +70,13 @@ def smooth(
         places = start.landmark.copy()
         places[found.map.number if inputs.map is None else _rows_of(inputs.map, found.map.number)] = found.map.xy
     end = Start(found.trajectory.pose, places, None if found.systematic is None else found.systematic.mean)
-    return optimize(problem, start_values(problem, end), loss=loss, with_shares=with_shares)
+    again = optimize(problem, start_values(problem, end), loss=loss, with_shares=with_shares)
+    done = again.closures
+    if done is None:
+        return again
+    # no gate rejected them: it is the loss that gives them no weight
+    gated = np.zeros(len(done.used), bool) if rejected.closures is None else rejected.closures
+    return replace(again, closures=replace(done, used=done.used | (cut & ~gated)))
 
 
 CUT = 30.0

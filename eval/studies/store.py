@@ -25,7 +25,7 @@ from eval.studies.scenario import Scenario
 
 PACKAGES = (
     *("data", "association", "ekf", "graph", "wings"),
-    *("eval/__init__.py", "eval/replay", "eval/referee", "eval/studies"),
+    *("eval/__init__.py", "eval/compare.py", "eval/replay", "eval/referee", "eval/studies"),
 )
 """Code that a run may execute."""
 LIBRARIES = ("gtsam", "numba", "numpy", "pandas", "scipy")

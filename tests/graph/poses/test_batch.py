@@ -93,8 +93,8 @@ def test_from_cauchys_optimum_on_closures_far_off_have_no_weight(monkeypatch):
     none_false = world.optimum(start(world), loss="cauchy").trajectory.pose
     off = [np.abs(pose_error(each.trajectory.pose, none_false)).max() for each in (cut, whole)]
     assert off[0] < 0.2 * off[1]
-    assert not cut.closures.used.all()
-    assert whole.closures.used.all()
+    for found in (cut, whole):  # no gate rejects any
+        assert found.closures.used.all()
 
 
 def test_a_chain_without_loops_is_its_dead_reckoning_and_bad_starts_are_refused():

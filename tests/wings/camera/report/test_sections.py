@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from data.truth_windows import scored
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.page.blocks import Formula, Picture, Report, Table
@@ -61,7 +62,7 @@ def test_tiles_hold_the_frame_in_rgb_with_its_detections_and_what_was_missed():
 
 # section
 def trials(**what) -> list[Trial]:
-    log = replace(circle_log(known_map=True, name="visual:1"), evidence=evidence(**what))
+    log = scored(replace(circle_log(known_map=True, name="visual:1"), evidence=evidence(**what)))
     localized = (
         run_with_error(
             np.full(3, 0.3), estimator="dead-reckoning", association="none", task="localization", mapped=False
