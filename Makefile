@@ -8,8 +8,8 @@ LOCK_ARGS ?=
 BIN := .venv/bin
 PACKAGES := association data ekf eval graph wings
 
-# Kernels are compiled again where their source changed, or that of a module they use (eval/plan/stale_kernels.py).
-KERNELS := $(shell grep -lsr --include=*.py numba $(wildcard $(PACKAGES))) $(wildcard eval/warm.py eval/plan/warming.py)
+# Kernels are compiled again where their source changed, or that of a module they use (data/compiled.py).
+KERNELS := $(shell grep -lsr --include=*.py njit $(wildcard $(PACKAGES))) $(wildcard eval/warm.py eval/plan/warming.py)
 
 export MPLBACKEND := Agg
 # Without bytecode, every process and test worker would compile everything again.

@@ -10,13 +10,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache, partial
 
-import numba
 import numpy as np
 import scipy
 from scipy.special import chdtrc, gammaincinv
 
 from association.appearance import Evidence, Unlike
 from data.blocks import add_to_diagonal, diagonal_blocks, of_points
+from data.compiled import njit
 from data.inputs import IntArray
 from data.se2 import Array
 
@@ -74,7 +74,7 @@ def plain_residual(z: Array, z_hat: Array) -> Array:
     return difference
 
 
-@numba.njit(cache=True)
+@njit
 def _distances(
     nu: Array, HPHt: Array, R: Array, frame: IntArray, observed_frame: IntArray, d2: Array, det: Array
 ) -> int:

@@ -13,10 +13,10 @@ import math
 import warnings
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from association.expectation import SINGULAR, Expectation, SingularInnovationError
+from data.compiled import njit
 from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, BoolArray
@@ -28,7 +28,7 @@ SINGULAR_JOINT = 2
 TIE = 1e-12  # joint distances within this relative difference are equal, so that rounding cannot choose between them
 
 
-@numba.njit(cache=True)
+@njit
 def _factor(a: float, b: float, c: float, scale_a: float, scale_c: float) -> tuple[float, float, float]:
     """Cholesky factor (l00, l10, l11) of [[a, b], [b, c]]; l00 = 0 where it is singular relative to its scale."""
     if not a > SINGULAR * scale_a:
@@ -49,7 +49,7 @@ class Given(NamedTuple):
     D: Array  # (m + 1, k, 3) remaining covariance (xx, xy, yy)
 
 
-@numba.njit(cache=True)
+@njit
 def _pairings(compatible: BoolArray) -> tuple[IntArray, IntArray]:
     """Compatible pairs by observation, those of i from `first[i]` to `first[i + 1]`, and each one's candidate."""
     m, k = compatible.shape
@@ -68,7 +68,7 @@ def _pairings(compatible: BoolArray) -> tuple[IntArray, IntArray]:
     return first, candidate
 
 
-@numba.njit(cache=True)
+@njit
 def _whitened(i: int, j: int, q: int, nu: Array, R: Array, given: Given) -> tuple[float, float, float, float, float]:
     """Innovation (x, y) of observation i and candidate j given q pairings, whitened by its factor (l00, l10, l11)."""
     D, shift = given.D, given.shift
@@ -86,7 +86,7 @@ def _whitened(i: int, j: int, q: int, nu: Array, R: Array, given: Given) -> tupl
     return x, y, l00, l10, l11
 
 
-@numba.njit(cache=True)
+@njit
 def _condition(
     i: int, j: int, q: int, nu: Array, C: Array, R: Array, given: Given, need: BoolArray
 ) -> tuple[float, float]:
@@ -116,7 +116,7 @@ def _condition(
     return x, y
 
 
-@numba.njit(cache=True)
+@njit
 def search_best(
     nu: Array, compatible: BoolArray, C: Array, R: Array, unlike: Array, thresholds: Array, budget: int
 ) -> tuple[IntArray, float, int, int, int]:
@@ -249,7 +249,7 @@ def search_best(
     return best_choice, best_d2, best, nodes, COMPLETE
 
 
-@numba.njit(cache=True)
+@njit
 def search_first(
     nu: Array, compatible: BoolArray, C: Array, R: Array, unlike: Array, thresholds: Array, budget: int
 ) -> tuple[IntArray, float, int, int, int]:

@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy
-from numba import njit
 from scipy.special import chdtr, ndtri
 
 from association.appearance import Evidence
 from association.expectation import threshold_with
 from association.methods import ALPHA, RATIO
+from data.compiled import njit
 from data.se2 import Array
 
 DRAWS = 64  # innovations drawn per frame, which add 1/64 to the variance of a run's NIS
@@ -119,7 +119,7 @@ def _points(dimension: int) -> Array:
     return np.ascontiguousarray(ndtri(sobol.random(POINTS)))
 
 
-@njit(cache=True)
+@njit
 def _sums(
     S: Array, W: Array, white: Array, x: Array, y: Array, gates: tuple[float, float, float]
 ) -> tuple[int, float, float]:  # pragma: no cover - compiled

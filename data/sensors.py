@@ -15,10 +15,10 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-import numba
 import numpy as np
 
 from data import se2
+from data.compiled import njit
 from data.locked import IntArray
 from data.se2 import Array, BoolArray
 
@@ -33,10 +33,10 @@ BLIND = 10.0
 MIN_RANGE = 1e-6
 """m. A nearer landmark has no direction: its Jacobians are zero, so it carries no information."""
 
-wrap_angle_jit = numba.njit(cache=True)(se2.wrap_angle)
+wrap_angle_jit = njit(se2.wrap_angle)
 
 
-@numba.njit(cache=True)
+@njit
 def _measure_line(extrinsic: Array, pose: Array, rho: float, alpha: float, z_hat: Array, Hx: Array, Hl: Array) -> None:
     """`measure` for a wall: z = (distance, direction of the normal towards the wall).
 
@@ -56,7 +56,7 @@ def _measure_line(extrinsic: Array, pose: Array, rho: float, alpha: float, z_hat
     Hl[1, 0], Hl[1, 1] = 0.0, 1.0
 
 
-@numba.njit(cache=True)
+@njit
 def _invert_line(extrinsic: Array, pose: Array, d: float, phi: float, line: Array, Gx: Array, Gz: Array) -> None:
     """`invert` for a wall: alpha = phi + theta - rotation, rho = d + n(alpha) . p - n(phi) . T."""
     alpha = phi + pose[2] - extrinsic[0]
@@ -71,7 +71,7 @@ def _invert_line(extrinsic: Array, pose: Array, d: float, phi: float, line: Arra
     Gz[1, 0], Gz[1, 1] = 0.0, 1.0
 
 
-@numba.njit(cache=True)
+@njit
 def measure(
     kind: int, extrinsic: Array, pose: Array, first: float, second: float, z_hat: Array, Hx: Array, Hl: Array
 ) -> None:
@@ -123,7 +123,7 @@ def measure(
     Hx[1, 2] = b10 * by - b11 * bx
 
 
-@numba.njit(cache=True)
+@njit
 def invert(
     kind: int, extrinsic: Array, pose: Array, z0: float, z1: float, landmark: Array, Gx: Array, Gz: Array
 ) -> None:
@@ -159,7 +159,7 @@ def invert(
     Gz[1, 1] = m10 * a01 + m11 * a11
 
 
-@numba.njit(cache=True)
+@njit
 def residual(kind: int, z0: float, z1: float, z_hat: Array) -> tuple[float, float]:
     """Innovation z - z_hat of z = (z0, z1); the only place that wraps a measured angle.
 
@@ -173,7 +173,7 @@ def residual(kind: int, z0: float, z1: float, z_hat: Array) -> tuple[float, floa
     return z0 - z_hat[0], turn
 
 
-@numba.njit(cache=True)
+@njit
 def name_as_read(kind: int, angle: float, z_hat: Array, Hx: Array, Hl: Array) -> None:
     """Give a wall's expectation and Jacobians the sign of a measurement with this angle, in place.
 
@@ -189,14 +189,14 @@ def name_as_read(kind: int, angle: float, z_hat: Array, Hx: Array, Hl: Array) ->
             Hl[0, j] = -Hl[0, j]
 
 
-@numba.njit(cache=True)
+@njit
 def measure_all(kind: int, extrinsic: Array, pose: Array, landmarks: Array, z_hat: Array, Hx: Array, Hl: Array) -> None:
     """`measure` landmarks (n, 2), each from its own pose (n, 3)."""
     for i in range(len(landmarks)):
         measure(kind, extrinsic, pose[i], landmarks[i, 0], landmarks[i, 1], z_hat[i], Hx[i], Hl[i])
 
 
-@numba.njit(cache=True)
+@njit
 def invert_all(kind: int, extrinsic: Array, pose: Array, z: Array, landmark: Array, Gx: Array, Gz: Array) -> None:
     """`invert` measurements (n, 2), each from its own pose (n, 3)."""
     for i in range(len(z)):

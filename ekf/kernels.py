@@ -13,9 +13,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from data.compiled import njit
 from data.inputs import IntArray
 from data.se2 import Array
 from data.sensors import LINE, invert, measure, name_as_read, residual, wrap_angle_jit
@@ -46,7 +46,7 @@ class Innovation(NamedTuple):
     S: Array
 
 
-@numba.njit(cache=True)
+@njit
 def predict(mean: Array, P: Array, d: int, motion: Array, M: Array, first: Array) -> None:
     """Move by a body-frame increment `motion` (3,) with covariance M (3, 3): P <- F P F' + G M G', map unchanged. F
     differs from I only in its third column: with first estimates, the displacement between predicted positions.
@@ -83,7 +83,7 @@ def predict(mean: Array, P: Array, d: int, motion: Array, M: Array, first: Array
         first[0], first[1], first[2] = mean[0], mean[1], mean[2]
 
 
-@numba.njit(cache=True)
+@njit
 def innovate(
     kind: int,
     extrinsic: Array,
@@ -139,7 +139,7 @@ def innovate(
             S[i, i - i % 2 + j] += R[begin + i // 2, i % 2, j]
 
 
-@numba.njit(cache=True)
+@njit
 def measure_landmark(
     kind: int,
     extrinsic: Array,
@@ -166,7 +166,7 @@ def measure_landmark(
         name_as_read(kind, z_hat[1], at_first, Hx, Hl)
 
 
-@numba.njit(cache=True)
+@njit
 def healthy(mean: Array, P: Array) -> int:
     """Status of the pose: finite, and no variance negative beyond rounding (1e-12 of the trace)."""
     trace = P[0, 0] + P[1, 1] + P[2, 2]
@@ -178,7 +178,7 @@ def healthy(mean: Array, P: Array) -> int:
     return OK
 
 
-@numba.njit(cache=True)
+@njit
 def augment(
     kind: int, extrinsic: Array, mean: Array, P: Array, d: int, z: Array, R: Array, variance: float, first: Array
 ) -> None:
@@ -217,7 +217,7 @@ def augment(
     P[d, d + 1], P[d + 1, d] = mid, mid
 
 
-@numba.njit(cache=True)
+@njit
 def expect(
     kind: int,
     extrinsic: Array,
@@ -242,7 +242,7 @@ def expect(
         propagate(H, columns, 3 if a < 0 else 5, P, blocks[i])
 
 
-@numba.njit(cache=True)
+@njit
 def propagate(H: Array, columns: IntArray, n: int, P: Array, out: Array) -> None:
     """H P H' (2, 2) of the first n of the states `columns`."""
     for q in range(2):

@@ -48,11 +48,11 @@ import math
 from functools import cached_property
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from association.candidates import gate_radius
 from data.blocks import coordinates
+from data.compiled import njit
 from data.inputs import FrameObservations, IntArray
 from data.se2 import Array, BoolArray
 from data.sensors import LINE, Sensor, measure, residual
@@ -124,7 +124,7 @@ class Query(NamedTuple):
     within: float
 
 
-@numba.njit(cache=True)
+@njit
 def _search(
     kind: int,
     extrinsic: Array,
@@ -284,7 +284,7 @@ def whitened(C: Array, L: Array) -> Array:
     return D
 
 
-@numba.njit(cache=True)
+@njit
 def _forward(D: Array, L: Array, begin: int, end: int) -> None:
     """Solve the rows of D for their columns from `begin` before `end` by forward substitution, in place."""
     for r in range(len(D)):

@@ -14,9 +14,9 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from data.compiled import njit
 from data.inputs import IntArray
 from data.motion.systematic import SensorFrame
 from data.pose_measurements import (
@@ -142,7 +142,7 @@ def _innovation(
     return nu, H, L, np.asarray(np.linalg.solve(L, nu), np.float64)
 
 
-@numba.njit(cache=True)
+@njit
 def correct_all(
     mean: Array, P: Array, d: int, V: Array, white: Array, retraction: int, clones: int, clones_end: int
 ) -> int:
@@ -175,7 +175,7 @@ def correct_all(
     return healthy(mean, P)
 
 
-@numba.njit(cache=True)
+@njit
 def append_pose(mean: Array, P: Array, d: int, first: Array) -> None:
     """Append a copy of the pose with its correlations; the buffers have room for d + 3 states."""
     for q in range(3):
@@ -190,7 +190,7 @@ def append_pose(mean: Array, P: Array, d: int, first: Array) -> None:
             P[d + q, d + p] = P[q, p]
 
 
-@numba.njit(cache=True)
+@njit
 def replace_pose(mean: Array, P: Array, d: int, at: int, first: Array) -> None:
     """Marginalize the pose at offset `at` out; the last three of the d states take its place."""
     last = d - 3

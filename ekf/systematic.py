@@ -13,9 +13,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from data.compiled import njit
 from data.inputs import IntArray, Prior, Systematic
 from data.motion.systematic import BETWEEN_KNOTS, SensorFrame, correct, forgotten, knot, places, sandwich
 from data.result import MapState, Systematics
@@ -57,7 +57,7 @@ def begin(prior: Prior, systematic: Systematic | None, frame: SensorFrame) -> tu
     return frame.prior_in(prior, systematic.sigma)
 
 
-@numba.njit(cache=True)
+@njit
 def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, first: Array, errors: Errors) -> None:
     """`ekf.kernels.predict` by an increment whose systematic errors are states."""
     p = len(errors.place)
@@ -99,7 +99,7 @@ def predict_with_errors(mean: Array, P: Array, d: int, motion: Array, M: Array, 
             P[j, r] = P[r, j]
 
 
-@numba.njit(cache=True)
+@njit
 def hold_known(mean: Array, P: Array, d: int, known: Array, begin: int, end: int, first: Array, errors: Errors) -> None:
     """Append the known landmarks (K, 2), world frame, from row `begin` before `end` as states in the sensor's frame;
     the buffers have room for them. They depend on the range error alone: l' = o + (l - o) (1 + range).
@@ -117,7 +117,7 @@ def hold_known(mean: Array, P: Array, d: int, known: Array, begin: int, end: int
             P[r, r] = away * P[a, r]
 
 
-@numba.njit(cache=True)
+@njit
 def expect_known(
     kind: int,
     extrinsic: Array,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from data.compiled import njit
 from data.se2 import Array, BoolArray
 from data.sensors import wrap_angle_jit
 from ekf.kernels import NOT_PSD, OK, Innovation, Pairings, healthy, innovate
@@ -42,7 +42,7 @@ class Outcome(NamedTuple):
     white: Array  # (k, 2) innovations divided by their standard deviations, NaN where not used
 
 
-@numba.njit(cache=True)
+@njit
 def cholesky(S: Array, L: Array, n: int) -> bool:
     """Lower Cholesky factor of the leading n x n block of S; False where S is not positive definite."""
     for i in range(n):
@@ -59,7 +59,7 @@ def cholesky(S: Array, L: Array, n: int) -> bool:
     return True
 
 
-@numba.njit(cache=True)
+@njit
 def forward(L: Array, rows: Array) -> None:
     """Each row of `rows` (m, n) <- L^-1 of it, for a lower triangle L (n, n)."""
     for r in range(len(rows)):
@@ -70,7 +70,7 @@ def forward(L: Array, rows: Array) -> None:
             rows[r, i] = total / L[i, i]
 
 
-@numba.njit(cache=True)
+@njit
 def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, how: UpdateRule) -> int:
     """The Kalman update: mean += K nu (or see `move`), P -= W W' with W = PHt L^-T, S = L L'. Adds NIS and
     log-likelihood to `stats` (2,). P stays symmetric to the bit. Returns a status.
@@ -104,7 +104,7 @@ def correct(mean: Array, P: Array, d: int, found: Innovation, stats: Array, how:
     return healthy(mean, P)
 
 
-@numba.njit(cache=True)
+@njit
 def subtract(P: Array, d: int, W: Array) -> None:
     """P -= W W' on the leading d entries, W (d, n): the lower triangle, then mirrored.
 
@@ -141,7 +141,7 @@ def subtract(P: Array, d: int, W: Array) -> None:
                     P[c, r] = P[r, c]
 
 
-@numba.njit(cache=True)
+@njit
 def move(mean: Array, P: Array, d: int, shift: Array, base: int, clones: int, clones_end: int) -> None:
     """Move pose and landmarks by exp(xi) for the additive correction `shift` (d,), and transform P.
 
@@ -186,7 +186,7 @@ def move(mean: Array, P: Array, d: int, shift: Array, base: int, clones: int, cl
     mean[2] += angle
 
 
-@numba.njit(cache=True)
+@njit
 def _exponential(angle: float) -> tuple[float, float]:
     """a, b of V = [[a, -b], [b, a]], the integral of the rotations up to an angle."""
     if abs(angle) < 1e-4:  # series; (1 - c) / angle would lose digits
@@ -194,7 +194,7 @@ def _exponential(angle: float) -> tuple[float, float]:
     return math.sin(angle) / angle, (1.0 - math.cos(angle)) / angle
 
 
-@numba.njit(cache=True)
+@njit
 def _step(mean: Array, shift: Array, r: int, angle: float, a: float, b: float, step: Array, column: Array) -> None:
     """The step of the point at offset r, and its column of N; see `move`."""
     c, s = math.cos(angle), math.sin(angle)
@@ -205,7 +205,7 @@ def _step(mean: Array, shift: Array, r: int, angle: float, a: float, b: float, s
     column[r], column[r + 1] = -step[r + 1], step[r]
 
 
-@numba.njit(cache=True)
+@njit
 def iterate(
     kind: int,
     extrinsic: Array,
@@ -256,7 +256,7 @@ def iterate(
             return
 
 
-@numba.njit(cache=True)
+@njit
 def update(
     kind: int,
     extrinsic: Array,
@@ -297,7 +297,7 @@ def update(
     return OK
 
 
-@numba.njit(cache=True)
+@njit
 def gate(found: Innovation, threshold: float, begin: int, done: Outcome) -> int:
     """Which pairings from `begin` on have a squared Mahalanobis distance below `threshold`, by their own blocks of S,
     and their whitened innovations; returns the number.
@@ -320,7 +320,7 @@ def gate(found: Innovation, threshold: float, begin: int, done: Outcome) -> int:
     return count
 
 
-@numba.njit(cache=True)
+@njit
 def passed(found: Innovation, begin: int, count: int, done: Outcome) -> Innovation:
     """The part of an innovation that passed the gate."""
     nu, PHt, S = found
@@ -341,7 +341,7 @@ def passed(found: Innovation, begin: int, count: int, done: Outcome) -> Innovati
     return part
 
 
-@numba.njit(cache=True)
+@njit
 def chosen(seen: Pairings, begin: int, count: int, done: Outcome) -> Pairings:
     """The `count` pairings from `begin` on that passed the gate."""
     part = Pairings(np.empty(count, np.int64), np.empty((count, 2)), np.empty((count, 2)), np.empty((count, 2, 2)))

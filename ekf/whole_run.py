@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from data.blocks import diagonal_blocks
+from data.compiled import njit
 from data.inputs import Inputs, IntArray, Systematic
 from data.motion.systematic import SensorFrame
 from data.result import DISCARD, NEW, MapState, Systematics, map_with
@@ -218,7 +218,7 @@ class Track(NamedTuple):
     white: Array
 
 
-@numba.njit(cache=True)
+@njit
 def run(
     kind: int, extrinsic: Array, mean: Array, P: Array, d: int, steps: Steps, rules: Rules, errors: Errors, track: Track
 ) -> tuple[int, int, int]:

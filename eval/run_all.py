@@ -24,7 +24,6 @@ from eval.plan import first_use
 from eval.plan.console import Console
 from eval.plan.flags.help import PROG
 from eval.plan.flags.options import read_options
-from eval.plan.stale_kernels import forget_in_checkout
 
 MARK = "provenance.json"
 
@@ -48,7 +47,6 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG, positional: str = 
         with heeding_interruption() as check, first_use.stopping():
             options = read_options(arguments, prog, positional)
             consoles.append(Console(options))
-            forget_in_checkout()
             if line := first_use.start(options):
                 consoles[0].say(line)
             check()

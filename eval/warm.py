@@ -23,13 +23,12 @@ def main(argv: Sequence[str] | None = None, prog: str = PROG) -> int:
 def _warm(background: bool) -> None:
     if background:
         os.nice(19)
-    from eval.plan.warming import compile_all, mark
+    from data.compiled import base
+    from eval.plan.warming import compile_all
 
     begin = time.monotonic()
     compile_all(quiet=background, background=background)
-    place = mark()
-    where = "" if place is None else f"; in {place.parent} and the folders beside it"
-    sys.stdout.write(f"all kernels are compiled ({time.monotonic() - begin:.0f} s){where}\n")
+    sys.stdout.write(f"all kernels are compiled ({time.monotonic() - begin:.0f} s), in {base()}\n")
 
 
 if __name__ == "__main__":

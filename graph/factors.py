@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 
 import gtsam
-import numba
 import numpy as np
 from gtsam.symbol_shorthand import L, X
 
+from data.compiled import njit
 from data.errors import DataError, SlamrefError
 from data.inputs import IntArray, Prior
 from data.se2 import Array, BoolArray, covariances_in_body, world_from_body
@@ -142,7 +142,7 @@ def root_information(covariance: Array) -> tuple[Array, Array]:
     return R, pivot
 
 
-@numba.njit(cache=True)
+@njit
 def _root_information(covariance: Array) -> tuple[Array, Array]:
     n, d = len(covariance), covariance.shape[1]
     R, pivot = np.zeros((n, d, d)), np.empty(n)

@@ -6,11 +6,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import gtsam
-import numba
 import numpy as np
 from gtsam.symbol_shorthand import X
 
 from data.blocks import diagonal_blocks
+from data.compiled import njit
 from data.inputs import Increment, IntArray, Prior
 from data.motion.velocity import compose_in_place
 from data.result import MapState, PoseEstimate, Systematics
@@ -21,7 +21,7 @@ from graph.factors import Factor, ObservationFactors, between_factors, is_exact,
 from graph.problem import Problem
 
 
-@numba.njit(cache=True)
+@njit
 def advance(mean: Array, P: Array, Q: Array, motion: Array, M: Array) -> tuple[Array, Array, Array]:
     """Pose (3,), its covariance P and the covariance Q gathered since the anchor, one increment later."""
     moved, new_P, new_Q = np.empty(3), np.empty((3, 3)), np.empty((3, 3))

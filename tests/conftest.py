@@ -28,13 +28,6 @@ settings.load_profile("quick")
 gc.disable()
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    if not hasattr(config, "workerinput"):  # once, before the workers
-        from eval.plan.stale_kernels import forget_in_checkout
-
-        forget_in_checkout()
-
-
 def pytest_collection_finish() -> None:
     gc.freeze()
     gc.enable()

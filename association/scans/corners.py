@@ -10,10 +10,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from association.scans.points import Beams, beams_of
+from data.compiled import njit
 from data.inputs import IntArray, Scanner
 from data.se2 import Array
 
@@ -42,7 +42,7 @@ def corners(ranges: Array, scanner: Scanner) -> tuple[Array, Array]:
     return xy[:m].copy(), R[:m].copy()
 
 
-@numba.njit(cache=True)
+@njit
 def _corners(ranges: Array, beams: Beams, max_range: float, sigma: float, xy: Array, R: Array) -> int:
     """Fill xy and R; returns the number of corners."""
     direction, origin, step = beams.direction, beams.origin, beams.step
@@ -84,7 +84,7 @@ def _corners(ranges: Array, beams: Beams, max_range: float, sigma: float, xy: Ar
     return count
 
 
-@numba.njit(cache=True)
+@njit
 def _farthest(p: Array, a: int, b: int) -> tuple[int, float]:
     """The point between two that is farthest from their chord, and its distance."""
     ex, ey = p[b, 0] - p[a, 0], p[b, 1] - p[a, 1]
@@ -97,7 +97,7 @@ def _farthest(p: Array, a: int, b: int) -> tuple[int, float]:
     return where, worst
 
 
-@numba.njit(cache=True)
+@njit
 def _vertices(p: Array, ranges: Array, step: float, tolerance: float, vertex: IntArray) -> int:
     """Fill `vertex` with the vertices of a polyline that fits the points from vertex[0] to vertex[1], ends included;
     returns their number.
@@ -140,7 +140,7 @@ def _vertices(p: Array, ranges: Array, step: float, tolerance: float, vertex: In
     return count
 
 
-@numba.njit(cache=True)
+@njit
 def _line(p: Array, direction: Array, outer: int, middle: int, c: Array, sigma: float, line: Array) -> bool:
     """Fit the points between a vertex and the beam of the corner c; false if they make no good line.
 
@@ -188,7 +188,7 @@ def _line(p: Array, direction: Array, outer: int, middle: int, c: Array, sigma: 
     return True
 
 
-@numba.njit(cache=True)
+@njit
 def _meet(one: Array, two: Array, c: Array, S: Array) -> bool:
     """Fill c (2,) with the intersection of two lines and S (2, 2) with its covariance; false if they are too parallel.
 
@@ -209,7 +209,7 @@ def _meet(one: Array, two: Array, c: Array, S: Array) -> bool:
     return True
 
 
-@numba.njit(cache=True)
+@njit
 def _beam_of(c: Array, origin: Array, direction: Array, first: int, last: int) -> int:
     """The beam between two whose direction is nearest to that of a point."""
     best, where = -2.0, first
@@ -221,7 +221,7 @@ def _beam_of(c: Array, origin: Array, direction: Array, first: int, last: int) -
     return where
 
 
-@numba.njit(cache=True)
+@njit
 def _ends_near(p: Array, line: Array, c: Array, step: float, ranges: Array) -> bool:
     """Whether a line comes near the corner; otherwise it cannot be recognized."""
     i = int(line[6])

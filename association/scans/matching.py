@@ -10,11 +10,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
 from association.scans.points import Points
+from data.compiled import njit
 from data.inputs import IntArray
 from data.se2 import Array, wrap_angle
 
@@ -54,7 +54,7 @@ def best_pose(points: Array, reference: Pyramid, centre: Array, window: Array, l
     return best, score / max(len(points) * HIGHEST, 1)
 
 
-@numba.njit(cache=True)
+@njit
 def _pyramid(xy: Array, side: int) -> NDArray[np.uint8]:
     grid = np.zeros((LEVELS, side, side), np.uint8)
     half = 0.5 * side * CELL
@@ -80,7 +80,7 @@ def _pyramid(xy: Array, side: int) -> NDArray[np.uint8]:
     return grid
 
 
-@numba.njit(cache=True)
+@njit
 def _score(cells: IntArray, a: int, grid: NDArray[np.uint8], level: int, bx: int, by: int) -> int:
     side = grid.shape[1]
     reach = 1 << level
@@ -93,7 +93,7 @@ def _score(cells: IntArray, a: int, grid: NDArray[np.uint8], level: int, bx: int
     return total
 
 
-@numba.njit(cache=True)
+@njit
 def _search(
     points: Array, grid: NDArray[np.uint8], half: float, centre: Array, angles: Array, reach: IntArray, floor: float
 ) -> tuple[Array, float]:
@@ -198,7 +198,7 @@ class NearestGrid:
         return Reference(xy, normal, self._index, self.half, self.cell)
 
 
-@numba.njit(cache=True)
+@njit
 def _draw(
     index: NDArray[np.int32],
     distance: NDArray[np.float32],
@@ -261,7 +261,7 @@ def match(
     return Match(pose, np.asarray(np.linalg.inv(hessian), np.float64), cost, share)
 
 
-@numba.njit(cache=True)
+@njit
 def _match(
     points: Points, reference: Reference, start: Array, prior: MotionPrior, sigma: float, prior_scale: float
 ) -> tuple[Array, Array, float, float]:
@@ -335,7 +335,7 @@ def _match(
     return step, H, cost / max(len(xy), 1), inliers / max(len(xy), 1)
 
 
-@numba.njit(cache=True)
+@njit
 def _solve(H: Array, b: Array, x: Array) -> None:
     """Solve H x = b for a positive definite H (3, 3), of which the lower triangle is read, by H = L D L'."""
     l10, l20 = H[1, 0] / H[0, 0], H[2, 0] / H[0, 0]

@@ -10,10 +10,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from data.compiled import njit
 from data.inputs import Scanner
 from data.locked import read_only
 from data.se2 import Array, compose, inverse
@@ -52,7 +52,7 @@ class Grid:
         return x, x + w * self.resolution, y, y + h * self.resolution
 
 
-@numba.njit(cache=True)
+@njit
 def _add_scans(
     origins: Array, ends: Array, reach: NDArray[np.int8], log_odds: Array, touched: NDArray[np.int32]
 ) -> None:
@@ -194,7 +194,7 @@ def contradiction(
     return float(against / max(seen, 1))
 
 
-@numba.njit(cache=True)
+@njit
 def _compare(
     ranges: Array,
     others: Array,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from data.compiled import njit
 from data.inputs import Scanner
 from data.se2 import Array
 
@@ -54,7 +54,7 @@ def scan_points(ranges: Array, beams: Beams, max_range: float) -> Points:
     return Points(xy, normal)
 
 
-@numba.njit(cache=True)
+@njit
 def _points(ranges: Array, beams: Beams, max_range: float) -> tuple[Array, Array]:
     direction, step, origin = beams.direction, beams.step, beams.origin
     n = len(ranges)

@@ -9,10 +9,10 @@ import heapq
 import math
 from typing import NamedTuple, TypeVar
 
-import numba
 import numpy as np
 from scipy.special import gammaln
 
+from data.compiled import njit
 from data.inputs import IntArray
 from data.motion.velocity import compose_in_place
 from data.se2 import Array, BoolArray, between, wrap_angle
@@ -110,7 +110,7 @@ def _doubled(array: AnyArray) -> AnyArray:
     return np.concatenate([array, np.zeros_like(array)])
 
 
-@numba.njit(cache=True)
+@njit
 def _project(
     root: int,
     wanted: IntArray,
@@ -173,7 +173,7 @@ def _project(
     return found
 
 
-@numba.njit(cache=True)
+@njit
 def _invert(pose: Array, covariance: Array, z: Array, C: Array) -> None:
     c, s = math.cos(pose[2]), math.sin(pose[2])
     z[0], z[1], z[2] = -c * pose[0] - s * pose[1], s * pose[0] - c * pose[1], -pose[2]

@@ -24,9 +24,9 @@ import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from data.compiled import njit
 from data.inputs import ERRORS, Increment, Inputs, IntArray, Prior, Systematic
 from data.result import Systematics
 from data.se2 import Array, BoolArray, compose, inverse, wrap_angle
@@ -52,7 +52,7 @@ def places(systematic: Systematic) -> IntArray:
     return np.array([list(ERRORS).index(n) for n in systematic.names], np.int64)
 
 
-@numba.njit(cache=True)
+@njit
 def correct(motion: Array, errors: Array, mount: Array, mean: Array, A: Array, G: Array) -> None:
     """The corrected increment `mean` (3,) of odometry's `motion` (3,) under all errors (7,).
 
@@ -93,7 +93,7 @@ def correct(motion: Array, errors: Array, mount: Array, mean: Array, A: Array, G
     G[2, 0], G[2, 1], G[2, 2] = 0.0, 0.0, 1.0
 
 
-@numba.njit(cache=True)
+@njit
 def sandwich(G: Array, M: Array, out: Array) -> None:
     """G M G', (3, 3) each, into `out`."""
     for i in range(3):
@@ -104,7 +104,7 @@ def sandwich(G: Array, M: Array, out: Array) -> None:
             out[i, j] = a * G[j, 0] + b * G[j, 1] + c * G[j, 2]
 
 
-@numba.njit(cache=True)
+@njit
 def _correct_all(
     motion: Array, noise: Array, errors: Array, place: IntArray, mount: Array, mean: Array, covariance: Array, A: Array
 ) -> None:
@@ -134,7 +134,7 @@ def corrected_all(mean: Array, covariance: Array, errors: Array, place: IntArray
     return found
 
 
-@numba.njit(cache=True)
+@njit
 def knot(since: float, x: float, y: float, step: float) -> tuple[float, float]:
     """Metres ended by a new knot before an increment by (x, y) m, 0 for none, and metres since the last knot after it.
 
@@ -146,7 +146,7 @@ def knot(since: float, x: float, y: float, step: float) -> tuple[float, float]:
     return ended, since + math.hypot(x, y)
 
 
-@numba.njit(cache=True)
+@njit
 def _knots(mean: Array, step: float, of: IntArray, ended: Array) -> int:
     since, count = 0.0, 0
     for k in range(1, len(mean)):
@@ -165,14 +165,14 @@ def knots(systematic: Systematic, mean: Array) -> tuple[IntArray, Array]:
     return of, ended[:count].copy()
 
 
-@numba.njit(cache=True)
+@njit
 def forgotten(ended: float, length: float) -> tuple[float, float]:
     """Correlation of the drift over `ended` metres, and the share of its variance that is new."""
     kept = math.exp(-ended / length)
     return kept, 1.0 - kept * kept
 
 
-@numba.njit(cache=True)
+@njit
 def stated(way: Array, errors: Array, mount: Array, leftwards: bool, m: Array, by_way: Array, by_errors: Array) -> None:
     """Noise-free odometry m (3,) under all errors (7,) for the motion `way` (3,) of the sensor at `mount` (3,).
 
@@ -220,7 +220,7 @@ def stated(way: Array, errors: Array, mount: Array, leftwards: bool, m: Array, b
         by_errors[0, e], by_errors[1, e], by_errors[2, e] = xx * vx + xy * vy, yx * vx + yy * vy, tx * vx + ty * vy
 
 
-@numba.njit(cache=True)
+@njit
 def _stated_all(
     way: Array, errors: Array, mount: Array, leftwards: BoolArray, m: Array, by_way: Array, by_errors: Array
 ) -> None:

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-import numba
 import numpy as np
 
+from data.compiled import njit
 from data.inputs import Increments
 from data.se2 import Array
 
@@ -28,7 +28,7 @@ MAX_HOLD = 1.0
 """s, longest hold of a sample (zero-order hold); then follows a gap."""
 
 
-@numba.njit(cache=True)
+@njit
 def sinc(a: float) -> float:
     """sin(a) / a, smooth through 0."""
     if abs(a) < 1e-4:
@@ -36,7 +36,7 @@ def sinc(a: float) -> float:
     return math.sin(a) / a
 
 
-@numba.njit(cache=True)
+@njit
 def sinc_slope(a: float) -> float:
     """d/da of sin(a) / a; a series where the closed form cancels."""
     if abs(a) < 0.1:
@@ -45,7 +45,7 @@ def sinc_slope(a: float) -> float:
     return (math.cos(a) - math.sin(a) / a) / a
 
 
-@numba.njit(cache=True)
+@njit
 def step(model: int, displacement: float, rotation: float, mean: Array, G: Array) -> None:
     """Body-frame increment `mean` (3,) of D m along an arc of A rad, and its Jacobian G (3, 2) to (D, A).
 
@@ -67,7 +67,7 @@ def step(model: int, displacement: float, rotation: float, mean: Array, G: Array
     G[0, 1], G[1, 1], G[2, 1] = displacement * d_along, displacement * d_across, 1.0
 
 
-@numba.njit(cache=True)
+@njit
 def carried(heading: float, motion: Array) -> tuple[float, float, Array, Array]:
     """A pose of this heading after an increment `motion` (3,): displacement in x and y, and Jacobians (3, 3).
 
@@ -80,7 +80,7 @@ def carried(heading: float, motion: Array) -> tuple[float, float, Array, Array]:
     return wx, wy, F, B
 
 
-@numba.njit(cache=True)
+@njit
 def compose_in_place(pose: Array, covariance: Array, z: Array, C: Array, out_pose: Array, out: Array) -> None:
     """Compose a pose (3,) with the motion z, and their covariances, into `out_pose` and `out`, which may be the inputs.
 
@@ -101,7 +101,7 @@ def compose_in_place(pose: Array, covariance: Array, z: Array, C: Array, out_pos
     out_pose[0], out_pose[1], out_pose[2] = pose[0] + dx, pose[1] + dy, pose[2] + z[2]
 
 
-@numba.njit(cache=True)
+@njit
 def _preintegrate(
     model: int,
     lateral: bool,

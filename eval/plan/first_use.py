@@ -1,22 +1,21 @@
 """First runs after an installation: a small log is replayed by interpreted kernels while a child process compiles.
 
-Numba keeps compiled kernels beside the modules, or in the user's cache. A mark beside them names the versions for which
-all are compiled. This module does not import numba, which decides on import whether to compile (`NUMBA_DISABLE_JIT`).
+`data.compiled` says where kernels are kept, and whether all are compiled. This module does not import numba, which
+decides on import whether to compile (`NUMBA_DISABLE_JIT`).
 """
 
 from __future__ import annotations
 
 import os
-import platform
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import IO
 
+from data.compiled import base, mark
 from data.terminal import ROOT
 from eval.plan.flags.table import Options
 
@@ -32,34 +31,9 @@ LINES = 200_000  # most bytes in observations.csv of a small log, with at least 
 NOTICE = "first run: interpreted; compiling in the background, later runs are faster"
 
 
-def mark_name() -> str:
-    """Name of the mark: versions of slamref, Python and numba, and the processor."""
-    import llvmlite.binding  # type: ignore[import-untyped]
-
-    try:
-        ours = version("slamref")
-    except PackageNotFoundError:  # a checkout that was never installed
-        ours = "checkout"
-    python = f"{sys.implementation.name}{sys.version_info.major}.{sys.version_info.minor}"
-    machine = f"{platform.machine()}-{llvmlite.binding.get_host_cpu_name()}"
-    return f".slamref-{ours}-{python}-numba-{version('numba')}-{machine}"
-
-
-def _caches() -> Iterator[Path]:
-    """Folders in which numba may keep the kernels of `ekf`."""
-    if own := os.environ.get("NUMBA_CACHE_DIR"):
-        yield from Path(own).glob("*")
-        return
-    yield ROOT / "ekf" / "__pycache__"
-    user = Path(os.environ.get("XDG_CACHE_HOME", "~/.cache")).expanduser()
-    for place in (user, Path("~/Library/Caches").expanduser(), Path(os.environ.get("LOCALAPPDATA", "~")).expanduser()):
-        yield from (place / "numba").glob("*")
-
-
 def is_compiled() -> bool:
     """Whether a mark shows that all kernels are compiled."""
-    name = mark_name()
-    return any((place / name).exists() and any(place.glob("*.nbi")) for place in _caches())
+    return mark().exists() and any(base().rglob("*.nbi"))
 
 
 def start(options: Options) -> str:
@@ -68,7 +42,7 @@ def start(options: Options) -> str:
     Returns:
         A message for the user; empty if kernels are compiled when needed.
     """
-    if "numba" in sys.modules or INTERPRETED in os.environ or is_compiled() or not is_small(options):
+    if "numba" in sys.modules or INTERPRETED in os.environ or not is_small(options) or is_compiled():
         return ""
     compile_in_background()
     os.environ[INTERPRETED] = "1"

@@ -19,6 +19,7 @@ from association.scans.constraints import SCAN
 from association.scans.corners import corners
 from association.scans.matching import best_pose, pyramid
 from association.scans.occupancy import occupancy_grid
+from data.compiled import base, mark
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder
 from data.inputs import Systematic
@@ -27,8 +28,7 @@ from data.terminal import ROOT
 from data.worlds.arena import Arena, simulate
 from data.worlds.registry import named_log
 from eval.compare import compare
-from eval.plan.first_use import alone, mark_name
-from eval.plan.stale_kernels import forget_stale, note_sources
+from eval.plan.first_use import alone, is_compiled, kernels
 from eval.replay.estimators import make_estimator
 from eval.replay.hindsight.placement import candidates
 from eval.replay.hindsight.relocalize import Scan, relocalize
@@ -127,18 +127,9 @@ BESIDE = ("laser", "place recognition")
 """Those that a second process compiles at the same time: half of the work, and little of it in common."""
 
 
-def mark() -> Path | None:
-    """The file that marks the kernels as compiled; None if numba compiles or caches nothing."""
-    from ekf.kernels import predict
-
-    stats = getattr(predict, "stats", None)  # a plain function where compilation is switched off
-    return Path(stats.cache_path) / mark_name() if stats is not None and stats.cache_path else None
-
-
 def compile_if_needed(quiet: bool = False) -> None:
     """On the first use, compile everything and report it on stderr."""
-    place = mark()
-    if place is None or _is_there(place):
+    if kernels() == "interpreted" or is_compiled():
         return
     if not quiet:
         sys.stderr.write("first use: compiling the numerical kernels, once; this takes a minute or two\n")
@@ -147,25 +138,18 @@ def compile_if_needed(quiet: bool = False) -> None:
         sys.stderr.write("compiled; later runs start at once\n")
 
 
-def _is_there(place: Path) -> bool:
-    return place.exists() and any(place.parent.glob("*.nbi"))
-
-
 def compile_all(quiet: bool = False, background: bool = False) -> None:
     """Compile every kernel and write the mark; progress is a bar on a terminal, else a line per part.
 
     If another process is compiling, wait for it; in the `background`, do nothing.
     """
-    place = mark()
-    if place is None:
-        return
-    with alone(place.parent, wait=not background) as first:
-        if first and not (background and _is_there(place)):
-            forget_stale()
+    with alone(base(), wait=not background) as first:
+        if first and kernels() == "compiled" and not is_compiled():
             _compile(quiet, os.cpu_count() if not background else 1)
-            note_sources()
             with suppress(OSError):  # without the mark, the next run checks again
-                place.touch()
+                for old in base().glob(mark().with_suffix(".*").name):
+                    old.unlink()
+                mark().touch()
 
 
 def _compile(quiet: bool, cores: int | None) -> None:

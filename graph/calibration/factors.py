@@ -12,10 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import gtsam
-import numba
 import numpy as np
 from gtsam.symbol_shorthand import X
 
+from data.compiled import njit
 from data.inputs import FrameObservations, Increment, IntArray, Prior
 from data.motion.systematic import forgotten
 from data.se2 import Array, world_from_body
@@ -110,7 +110,7 @@ def pinned_landmark_factors(
 Residual = Callable[[gtsam.CustomFactor, gtsam.Values, list[Array] | None], Array]
 
 
-@numba.njit(cache=True)
+@njit
 def tangent(
     pose: Array,
     at: Array,

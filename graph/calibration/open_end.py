@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import gtsam
-import numba
 import numpy as np
 from gtsam.symbol_shorthand import X
 
 from data.blocks import diagonal_blocks
+from data.compiled import njit
 from data.inputs import Increment, Increments, IntArray, Prior
 from data.motion.systematic import correct, forgotten, knot
 from data.motion.velocity import carried
@@ -28,7 +28,7 @@ from graph.problem import Problem
 from graph.systematic import Calibrated, Errors, drift_key
 
 
-@numba.njit(cache=True)
+@njit
 def forget(b: Array, P: Array, F: Array, Q: Array, drift: int, stays: float, fresh: float) -> None:
     """Decay the drift, at `drift` among errors b (p,), at a new knot in place, and add its fresh variance."""
     i = 3 + drift
@@ -40,7 +40,7 @@ def forget(b: Array, P: Array, F: Array, Q: Array, drift: int, stays: float, fre
     F[i] *= stays
 
 
-@numba.njit(cache=True)
+@njit
 def advance(
     mean: Array, b: Array, P: Array, F: Array, Q: Array, motion: Array, M: Array, place: IntArray, mount: Array
 ) -> tuple[Array, Array, Array, Array]:

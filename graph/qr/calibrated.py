@@ -18,10 +18,10 @@ import math
 from collections.abc import Sequence
 
 import gtsam
-import numba
 import numpy as np
 from gtsam.symbol_shorthand import X
 
+from data.compiled import njit
 from data.inputs import IntArray
 from data.motion.systematic import forgotten, stated
 from data.result import MapState, Systematics, Trajectory
@@ -35,7 +35,7 @@ from graph.systematic import CONSTANTS, Calibrated, drift_key
 SMALL = 1e-3  # rad. Below this turn the functions of the logarithm use their series, accurate to 1e-15
 
 
-@numba.njit(cache=True)
+@njit
 def _logarithm(theta: float) -> tuple[float, float]:
     """(theta/2) cot(theta/2), and (1 - that) / theta^2."""
     if abs(theta) < SMALL:
@@ -45,7 +45,7 @@ def _logarithm(theta: float) -> tuple[float, float]:
     return a, (1.0 - a) / (theta * theta)
 
 
-@numba.njit(cache=True)
+@njit
 def _product(left: Array, right: Array, out: Array) -> None:
     """Left @ right, (3, 3) each, into `out`."""
     for i in range(3):
@@ -53,7 +53,7 @@ def _product(left: Array, right: Array, out: Array) -> None:
             out[i, j] = left[i, 0] * right[0, j] + left[i, 1] * right[1, j] + left[i, 2] * right[2, j]
 
 
-@numba.njit(cache=True)
+@njit
 def _adjoint(x: float, y: float, theta: float, out: Array) -> None:
     """Adjoint of the inverse of the pose (x, y, theta), into `out` (3, 3)."""
     c, s = math.cos(theta), math.sin(theta)
@@ -62,7 +62,7 @@ def _adjoint(x: float, y: float, theta: float, out: Array) -> None:
     out[2, 0], out[2, 1], out[2, 2] = 0.0, 0.0, 1.0
 
 
-@numba.njit(cache=True)
+@njit
 def linearize_increments(
     pose: Array, motion: Array, root: Array, errors: Array, place: IntArray, mount: Array
 ) -> tuple[Array, Array, Array, Array]:

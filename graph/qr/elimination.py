@@ -18,9 +18,9 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import gtsam
-import numba
 import numpy as np
 
+from data.compiled import njit
 from data.inputs import IntArray
 from data.se2 import Array
 
@@ -73,7 +73,7 @@ def structure(variable: IntArray, dim: IntArray, order: IntArray) -> Structure:
     return Structure(order[post], column, parent, children, ahead[moved], after, first, block)
 
 
-@numba.njit(cache=True)
+@njit
 def _separators(ends: IntArray, size: int) -> tuple[IntArray, IntArray, IntArray]:
     """Parent and separator of each position, from blocks of positions `ends` (B, k), the least first."""
     count = np.zeros(size + 1, np.int64)
@@ -132,7 +132,7 @@ def _separators(ends: IntArray, size: int) -> tuple[IntArray, IntArray, IntArray
     return parent, start, out[:used].copy()
 
 
-@numba.njit(cache=True)
+@njit
 def _postorder(parent: IntArray) -> IntArray:
     """Positions with children before their parents, subtree by subtree."""
     n = len(parent)
@@ -242,7 +242,7 @@ def triangular(blocks: Blocks, s: Structure, share: float, least: Array) -> Tria
     return Triangle(R, S, d, at_R, at_S, diagonal, left, free)
 
 
-@numba.njit(cache=True)
+@njit
 def reflect(F: Array, bound: Array) -> IntArray:
     """Householder reflections that make the first columns of F (m, n) upper triangular, in place.
 
@@ -286,7 +286,7 @@ def reflect(F: Array, bound: Array) -> IntArray:
     return row
 
 
-@numba.njit(cache=True)
+@njit
 def put_places(s: Structure, v: int, place: IntArray) -> int:
     """Number the columns of a front in `place` (N,): its own, then those of its separator; returns how many."""
     own = s.column[v + 1] - s.column[v]
@@ -298,7 +298,7 @@ def put_places(s: Structure, v: int, place: IntArray) -> int:
     return side
 
 
-@numba.njit(cache=True)
+@njit
 def _eliminate(
     blocks: Blocks, s: Structure, share: float, least: Array, at_R: IntArray, at_S: IntArray
 ) -> tuple[Array, Array, Array, Array]:

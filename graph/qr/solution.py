@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
+from data.compiled import njit
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from graph.qr.elimination import Rows, Structure, Triangle, columns_of, put_places
@@ -56,7 +56,7 @@ def joint_covariances(s: Structure, t: Triangle, sets: Sequence[IntArray]) -> li
     return [out[e - n * k * k : e].reshape(n, k, k) for e, n, k in zip(ends, size, wide, strict=True)]
 
 
-@numba.njit(cache=True)
+@njit
 def forward(s: Structure, t: Triangle, right: Array, some: BoolArray) -> Array:
     """Solution (N, c) of  R' y = right, which is overwritten; products of its columns are those of `right` with the
     covariance between. `some` (V,): positions at which `right` is not zero; those above them are added.
@@ -93,7 +93,7 @@ def forward(s: Structure, t: Triangle, right: Array, some: BoolArray) -> Array:
     return y
 
 
-@numba.njit(cache=True)
+@njit
 def backward(s: Structure, t: Triangle, right: Array) -> Array:
     """Solution (N, c) of  R x = right, zero in columns left out."""
     first_of, start, after = s.column, s.start, s.after
@@ -120,7 +120,7 @@ def backward(s: Structure, t: Triangle, right: Array) -> Array:
     return x
 
 
-@numba.njit(cache=True)
+@njit
 def _product(A: Array, B: Array) -> Array:
     out = np.zeros((len(A), B.shape[1]))
     for r in range(len(A)):
@@ -131,7 +131,7 @@ def _product(A: Array, B: Array) -> Array:
     return out
 
 
-@numba.njit(cache=True)
+@njit
 def _covariances(
     s: Structure,
     t: Triangle,

@@ -16,9 +16,9 @@ import pytest
 from PIL import Image
 
 import data.convert.__main__ as convert
-import slamref
+from data import compiled
 from eval import inspect, run_all, step, tune, twin
-from eval.plan import warming
+from eval.plan import first_use, warming
 from eval.studies import store
 
 ROOT = Path(__file__).parents[2]
@@ -173,26 +173,22 @@ def test_who_interrupts_a_study_hears_what_is_kept(tmp_path, monkeypatch, capsys
 
 
 def test_the_first_use_compiles_with_progress_and_later_ones_do_not(tmp_path, monkeypatch, capsys):
-    mark = tmp_path / "cache" / ".slamref"
-    monkeypatch.setattr(warming, "mark", lambda: mark)
+    monkeypatch.setattr(compiled, "base", lambda: tmp_path)
+    for module in (warming, first_use):
+        monkeypatch.setattr(module, "base", lambda: tmp_path)
     monkeypatch.setattr("eval.plan.warming.PARTS", {"one": lambda: None, "two": lambda: None})
     warming.compile_if_needed()
     said = capsys.readouterr().err
     assert said.splitlines()[0].startswith("first use: compiling the numerical kernels")
     assert "compiling, part 2 of 2: two\n" in said
-    assert mark.exists()
-    (mark.parent / "kernel.nbi").touch()
+    assert compiled.mark().exists()
+    (tmp_path / "ekf.kernels-0").mkdir()
+    (tmp_path / "ekf.kernels-0" / "kernel.nbi").touch()
     warming.compile_if_needed()
     assert capsys.readouterr() == ("", "")
-    (mark.parent / "kernel.nbi").unlink()  # a cache that was cleared is no cache
+    (tmp_path / "ekf.kernels-0" / "kernel.nbi").unlink()  # a cache that was cleared is no cache
     warming.compile_if_needed(quiet=True)
     assert capsys.readouterr() == ("", "")
-
-
-def test_the_mark_stands_for_versions(tmp_path):
-    name = warming.mark().name
-    assert slamref.__version__ in name
-    assert "numba-" in name
 
 
 def test_tune_is_interrupted_with_a_word(monkeypatch, capsys):

@@ -15,7 +15,6 @@ os.environ["OPENBLAS_NUM_THREADS"] = "1"
 os.environ.setdefault("MPLBACKEND", "Agg")
 
 from data.command import Parser
-from eval.plan.stale_kernels import forget_in_checkout
 from tests.net.cases import CASES
 from tests.net.digest import appeared, columns_of, compare, left_out, watched
 from tests.net.record import RECORDED, Done, Record, done
@@ -61,7 +60,6 @@ def main(argv: list[str] | None = None) -> int:
             _say(f"{n:22} {'short' if CASES[n].short else '     '}  {CASES[n].covers}\n{'':29} {CASES[n].words}")
         return 0
     moved, seconds = 0, 0.0
-    forget_in_checkout()
     with ProcessPoolExecutor(PROCESSES, mp_context=get_context("spawn")) as pool:
         for name, case in zip(names, pool.map(done, names, [args.save] * len(names)), strict=True):
             if args.record and not isinstance(case, str):

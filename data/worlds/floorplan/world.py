@@ -13,10 +13,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-import numba
 import numpy as np
 
 from data import se2
+from data.compiled import njit
 from data.errors import UsageError
 from data.inputs import Increments, Inputs, IntArray, Observations, Scanner, Scans
 from data.log import Log
@@ -118,7 +118,7 @@ NOTHING = -1
 """Index of a beam without a hit."""
 
 
-@numba.njit(cache=True)
+@njit
 def _cast(
     poses: Array, angle_min: float, angle_step: float, walls: Array, discs: Array, ranges: Array, hit: IntArray
 ) -> None:

@@ -14,12 +14,12 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from association.expectation import gate_threshold
 from data import se2
 from data.blocks import blocks_of, coordinates, diagonal_blocks, of_points
+from data.compiled import njit
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from ekf.slam import EkfSlam
@@ -131,7 +131,7 @@ def _agreeing(new: Landmarks, old: Landmarks, cross: Array, i: IntArray, j: IntA
     return i[:0], j[:0]
 
 
-@numba.njit(cache=True)
+@njit
 def _vote(
     x: Array, y: Array, allowed: BoolArray, tolerance: Array, max_turn: float, long: float, fewest: int, kept: int
 ) -> tuple[IntArray, IntArray, Array]:

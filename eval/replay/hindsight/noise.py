@@ -20,11 +20,11 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from association.candidates import holding
 from association.expectation import gate_threshold
+from data.compiled import njit
 from data.inputs import Frame, FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, notice
 from data.se2 import Array
@@ -185,7 +185,7 @@ def fitted(steps: list[Step]) -> Shares:
     return found if others.mean() < constants.DENSE else AS_STATED
 
 
-@numba.njit(cache=True)
+@njit
 def _fit(
     first: IntArray,
     covariance: Array,
@@ -256,7 +256,7 @@ def _fit(
     return share
 
 
-@numba.njit(cache=True)
+@njit
 def _normal(x: Array, S: Array) -> float:
     """Density at x (2,) of a normal variable of covariance S (2, 2)."""
     det = S[0, 0] * S[1, 1] - S[0, 1] * S[1, 0]

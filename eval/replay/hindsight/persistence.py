@@ -22,8 +22,8 @@ from math import exp, log
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from data.compiled import njit
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from eval.replay.hindsight import constants
@@ -139,13 +139,13 @@ def _packed(opportunities: Opportunities) -> tuple[IntArray, IntArray]:
     return np.frombuffer(b"".join(opportunities), np.uint8).astype(np.int64), begin
 
 
-@njit(cache=True)
+@njit
 def _log_sum(terms: Array) -> float:
     top = terms.max()
     return float(top + log(np.exp(terms - top).sum()))
 
 
-@njit(cache=True)
+@njit
 def _before(opportunities: IntArray) -> int:
     """How many opportunities were before the first detection."""
     k = 0
@@ -154,7 +154,7 @@ def _before(opportunities: IntArray) -> int:
     return k
 
 
-@njit(cache=True)
+@njit
 def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Array) -> Array:
     """Log-likelihoods (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
 
@@ -198,7 +198,7 @@ def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Arra
     return result
 
 
-@njit(cache=True)
+@njit
 def _evidences(opportunities: IntArray, begin: IntArray, p: Array, fixed: Array) -> Array:
     result, expected = np.empty(len(begin) - 1), np.empty(4)
     for i in range(len(result)):
@@ -209,7 +209,7 @@ def _evidences(opportunities: IntArray, begin: IntArray, p: Array, fixed: Array)
     return result
 
 
-@njit(cache=True)
+@njit
 def _posterior(opportunities: IntArray, p: Array, fixed: Array, expected: Array) -> Array:
     """Probabilities (3,) of the kinds of a landmark; `expected` as of `_likelihoods`."""
     terms = _likelihoods(opportunities, p, fixed, expected)
@@ -220,7 +220,7 @@ def _posterior(opportunities: IntArray, p: Array, fixed: Array, expected: Array)
     return weight
 
 
-@njit(cache=True)
+@njit
 def _probabilities(opportunities: IntArray, begin: IntArray, p: Array, fixed: Array) -> Array:
     result, expected = np.empty((3, len(begin) - 1)), np.empty(4)
     for i in range(len(begin) - 1):
@@ -228,7 +228,7 @@ def _probabilities(opportunities: IntArray, begin: IntArray, p: Array, fixed: Ar
     return result
 
 
-@njit(cache=True)
+@njit
 def _fitted(opportunities: IntArray, begin: IntArray, prior: Array, fixed: Array, least: float, rounds: int) -> Array:
     """`Persistence` as an array (8,); prior (2, 8): mean and weight of each."""
     p: Array = prior[0].copy()

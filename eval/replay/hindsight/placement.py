@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from association.conditional import conditional_expectation, conditional_newness, prune
@@ -24,6 +23,7 @@ from association.expectation import Expectation, gate_threshold
 from association.jcbb import search
 from data import se2
 from data.blocks import block_diagonal
+from data.compiled import njit
 from data.inputs import Increment, IntArray
 from data.result import NEW
 from data.se2 import Array
@@ -61,7 +61,7 @@ def candidates(e: Expectation, sensor: Sensor, motion: Array) -> list[tuple[floa
     return kept
 
 
-@numba.njit(cache=True)
+@njit
 def _poses(
     seen: Array,
     sigma: Array,

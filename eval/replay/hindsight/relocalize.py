@@ -15,12 +15,12 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from association.expectation import gate_threshold
 from data import se2
 from data.blocks import add_to_diagonal, blocks_of, coordinates, diagonal_blocks, of_points
+from data.compiled import njit
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.se2 import Array
 from data.sensors import Sensor
@@ -217,7 +217,7 @@ def _verify(xy: Array, P: Array, landmarks: Array, choice: IntArray, area: float
     return _Fit(pose, covariance, score + (len(xy) - len(paired)) * math.log(constants.SCAN_STRAY / area))
 
 
-@numba.njit(cache=True)
+@njit
 def _search(
     xy: Array, tolerance: Array, landmarks: Array, fewest: int, slack: int, kept: int, budget: int
 ) -> tuple[IntArray, bool]:
@@ -303,7 +303,7 @@ def _search(
     return found[:h], True
 
 
-@numba.njit(cache=True)
+@njit
 def _side(a: Array, b: Array, p: Array) -> float:
     """Signed distance of p from the line through a and b; 0 if these are one point."""
     dx, dy = b[0] - a[0], b[1] - a[1]
