@@ -16,7 +16,7 @@ import numpy as np
 from data.appearance import Appearance
 from data.locked import IntArray as IntArray
 from data.locked import Locked, read_only
-from data.pose_measurements import Closures, Fixes, FrameClosures, FrameFixes
+from data.pose_measurements import Closures, Fixes
 from data.se2 import Array, BoolArray, inverse
 from data.sensors import EachSensor, Sensor
 
@@ -161,8 +161,8 @@ class Frame(NamedTuple):
     observations: FrameObservations
     label: IntArray | None
     first: int
-    fixes: FrameFixes | None = None
-    closures: FrameClosures | None = None
+    fixes: Fixes | None = None
+    closures: Closures | None = None
     sensor: IntArray | None = None
     appearance: Appearance | None = None
 

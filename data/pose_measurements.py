@@ -6,7 +6,7 @@ Both have a covariance each and a named source. Neither is ground truth: `data.t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -44,19 +44,9 @@ class FixSource:
     rotation: float = 0.0
 
 
-class FrameFixes(NamedTuple):
-    """Fixes of one frame: kind, source (f,), z (f, 3), covariance (f, 3, 3), as of `Fixes`; first: row of the first."""
-
-    kind: IntArray
-    source: IntArray
-    z: Array
-    covariance: Array
-    first: int
-
-
 @dataclass(frozen=True, eq=False)
 class Fixes(Locked):
-    """Absolute measurements of the pose, or of part of it.
+    """Absolute measurements of the pose, or of part of it: of a log, or of one of its frames.
 
     Attributes:
         frame: (F,) ascending.
@@ -65,6 +55,7 @@ class Fixes(Locked):
         z: (F, 3) x, y [m], theta [rad] in the world frame, zero in the entries that its kind does not measure.
         covariance: (F, 3, 3) of z in the world frame, zero in the rows and columns that are not measured.
         sources: where they come from.
+        first: row of the first in the log.
     """
 
     frame: IntArray
@@ -73,19 +64,33 @@ class Fixes(Locked):
     z: Array
     covariance: Array
     sources: tuple[FixSource, ...]
+    first: int = 0
 
     def __len__(self) -> int:
         return len(self.frame)
 
-    def of(self, frame: int) -> FrameFixes | None:
+    def of(self, frame: int) -> Fixes | None:
         """The fixes of a frame; None: there are none."""
         a, b = np.searchsorted(self.frame, (frame, frame + 1)).tolist()
-        return None if a == b else FrameFixes(self.kind[a:b], self.source[a:b], self.z[a:b], self.covariance[a:b], a)
+        return None if a == b else self._part(a, b)
 
     def before(self, frame: int) -> Fixes:
         """Those of earlier frames."""
-        k = slice(int(np.searchsorted(self.frame, frame)))
-        return Fixes(self.frame[k], self.kind[k], self.source[k], self.z[k], self.covariance[k], self.sources)
+        return self._part(0, int(np.searchsorted(self.frame, frame)))
+
+    def _part(self, a: int, b: int) -> Fixes:
+        k = slice(a, b)
+        return Fixes(self.frame[k], self.kind[k], self.source[k], self.z[k], self.covariance[k], self.sources, a)
+
+    @property
+    def rows(self) -> IntArray:
+        """Their rows (F,) in the log."""
+        return np.arange(self.first, self.first + len(self))
+
+    @property
+    def dof(self) -> IntArray:
+        """Degrees of freedom (F,) of each."""
+        return np.array([len(MEASURED[FixKind(kind)]) for kind in self.kind.tolist()], np.int64)
 
 
 def expected_fix(pose: Array, kind: int, source: FixSource) -> tuple[Array, Array]:
@@ -100,27 +105,10 @@ def expected_fix(pose: Array, kind: int, source: FixSource) -> tuple[Array, Arra
     return z_hat[rows], H[rows]
 
 
-class FrameClosures(NamedTuple):
-    """Closures known at one frame; arrays as of `Closures`, and row (c,): their rows there."""
-
-    frame1: IntArray
-    frame2: IntArray
-    relative: Array
-    covariance: Array
-    source: IntArray
-    row: IntArray
-
-    def only(self, chosen: NDArray[np.bool_]) -> FrameClosures:
-        """A selection (c,) of them."""
-        return FrameClosures(
-            self.frame1[chosen], self.frame2[chosen], self.relative[chosen], self.covariance[chosen],
-            self.source[chosen], self.row[chosen],
-        )  # fmt: skip
-
-
 @dataclass(frozen=True, eq=False)
 class Closures(Locked):
     """Measured relative poses of two frames: loop closures, scan matches, edges of a pose graph, a second odometry.
+    Those of a log, or those that are known at one of its frames.
 
     Attributes:
         frame1, frame2: (K,) different frames, in either order; ascending by the later one.
@@ -128,6 +116,7 @@ class Closures(Locked):
         covariance: (K, 3, 3) of its additive error, in the frame of frame1.
         source: (K,) row in `sources`.
         sources: names of where they come from.
+        row: (K,) of each in the log; left out: they are all of it.
     """
 
     frame1: IntArray
@@ -136,6 +125,12 @@ class Closures(Locked):
     covariance: Array
     source: IntArray
     sources: tuple[str, ...]
+    row: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+
+    def __post_init__(self) -> None:
+        if len(self.row) != len(self.frame1):
+            object.__setattr__(self, "row", np.arange(len(self.frame1)))
+        super().__post_init__()
 
     def __len__(self) -> int:
         return len(self.frame1)
@@ -150,22 +145,21 @@ class Closures(Locked):
         """The earlier frame (K,) of each."""
         return np.minimum(self.frame1, self.frame2)
 
-    def of(self, frame: int) -> FrameClosures | None:
+    def of(self, frame: int) -> Closures | None:
         """The closures known at a frame; None: there are none."""
-        rows = slice(*np.searchsorted(self.later, (frame, frame + 1)).tolist())
-        number = np.arange(rows.start, rows.stop)
-        if not len(number):
-            return None
-        return FrameClosures(
-            self.frame1[rows], self.frame2[rows], self.relative[rows], self.covariance[rows], self.source[rows], number
-        )
+        a, b = np.searchsorted(self.later, (frame, frame + 1)).tolist()
+        return None if a == b else self.only(slice(a, b))
 
     def before(self, frame: int) -> Closures:
         """Those known before a frame."""
-        k = slice(int(np.searchsorted(self.later, frame)))
+        return self.only(slice(int(np.searchsorted(self.later, frame))))
+
+    def only(self, chosen: slice | NDArray[np.bool_]) -> Closures:
+        """A selection of them."""
         return Closures(
-            self.frame1[k], self.frame2[k], self.relative[k], self.covariance[k], self.source[k], self.sources
-        )
+            self.frame1[chosen], self.frame2[chosen], self.relative[chosen], self.covariance[chosen],
+            self.source[chosen], self.sources, self.row[chosen],
+        )  # fmt: skip
 
     def last_use(self) -> dict[int, int]:
         """The frame at which each earlier frame is used last: a filter keeps its pose until then."""
@@ -184,38 +178,36 @@ def expected_closure(pose1: Array, pose2: Array) -> tuple[Array, Array, Array]:
     return z_hat, H1, H2
 
 
-@dataclass(frozen=True, eq=False)
-class PoseInnovations(Locked):
-    """What an estimator did with the fixes, or the closures, of a log.
+class PoseUpdated(NamedTuple):
+    """What an estimator did with the fixes, or the closures, of a frame, or of a log.
 
     Attributes:
         used: (F,) accepted.
         nis: (F,) normalized innovation squared of each by itself, at its turn; NaN: not formed, or not reached.
         dof: (F,) its degrees of freedom.
         white: (F, 3) innovations whitened by the Cholesky factor of their covariance; NaN: not measured or not formed.
+        S: (F, 3, 3) covariance of the innovations; NaN: not measured, not formed, or not kept.
         gate: chi-square probability of the gate; None: there was none.
-        S: (F, 3, 3) covariance of the innovations; NaN: not measured or not formed; None: not kept.
     """
 
     used: NDArray[np.bool_]
     nis: Array
     dof: IntArray
     white: Array
-    gate: float | None = None
-    S: Array | None = None
-
-
-class PoseUpdated(NamedTuple):
-    """Result of an update with the fixes, or the closures, of a frame; arrays (f,) as of `PoseInnovations`."""
-
-    used: NDArray[np.bool_]
-    nis: Array
-    dof: IntArray
-    white: Array
     S: Array
+    gate: float | None = None
+
+    def enter(self, rows: IntArray | NDArray[np.bool_], part: PoseUpdated) -> None:
+        """Write the result of an update with those of some rows."""
+        for into, own in ((self.used, part.used), (self.nis, part.nis), (self.white, part.white), (self.S, part.S)):
+            into[rows] = own
+
+    def of(self, rows: IntArray | NDArray[np.bool_]) -> PoseUpdated:
+        """The result of those of some rows."""
+        return PoseUpdated(self.used[rows], self.nis[rows], self.dof[rows], self.white[rows], self.S[rows], self.gate)
 
 
-def not_used(dof: Sequence[int]) -> PoseUpdated:
+def not_used(dof: IntArray | Sequence[int]) -> PoseUpdated:
     """The result of an update with measurements (f,) of these degrees of freedom before any is used."""
     f = len(dof)
     nothing = np.full((f, 3), np.nan)

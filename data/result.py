@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from data.inputs import IntArray, LandmarkMap
 from data.locked import Locked
 from data.notice import Notice
-from data.pose_measurements import PoseInnovations
+from data.pose_measurements import PoseUpdated
 from data.se2 import Array
 
 NEW = -1
@@ -74,8 +74,8 @@ class Finished(NamedTuple):
     iterations: int | None = None
     last_step_sigma: float | None = None
     systematic: Systematics | None = None
-    fixes: PoseInnovations | None = None
-    closures: PoseInnovations | None = None
+    fixes: PoseUpdated | None = None
+    closures: PoseUpdated | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,10 +271,10 @@ class Run(Locked):
     begun: IntArray | None = None
     gated_final: tuple[float, float] | None = None
     left: IntArray | None = None
-    fixes: PoseInnovations | None = None
-    closures: PoseInnovations | None = None
-    fixes_final: PoseInnovations | None = None
-    closures_final: PoseInnovations | None = None
+    fixes: PoseUpdated | None = None
+    closures: PoseUpdated | None = None
+    fixes_final: PoseUpdated | None = None
+    closures_final: PoseUpdated | None = None
     handed_in: ClassVar[bool] = False
     """Whether it is another program's result."""
 

@@ -12,7 +12,7 @@ from association.expectation import Expectation, gate_threshold
 from data.blocks import coordinates_from
 from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic
 from data.motion.systematic import SensorFrame, sensor_frame
-from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated, not_used
+from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, not_used
 from data.result import PoseEstimate, Updated
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
@@ -174,11 +174,11 @@ class Filter:
         """Before the first frame: the frames that later closures name, each with the frame of its last use."""
         self._clones.keep(last_use)
 
-    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+    def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """Update with absolute measurements of the pose, one after another; those outside the gate are not used."""
         return self._absorb(pose_updates.of_fixes(self._frame, fixes, sources), gate)
 
-    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+    def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """Update with relative poses, one after another; those outside the gate are not used.
 
         Nor are those of a frame whose pose is not in the state.
@@ -200,11 +200,10 @@ class Filter:
                 poses = (at < 3) | (at >= self.base)  # errors have no first estimates
                 linearized[poses] = self._first[at[poses]]
             rule = PoseRule(gate_threshold(gate, len(m.rows)), *self._rule, *self._clone_range)
-            found = pose_updates.absorb(self._mean, self._P, self._used, at, m, rule, linearized, pending)
-            if found.status != kernels.OK:
-                raise FilterDivergedError(kernels.FAILURES[found.status])
-            done.used[i], done.nis[i], done.white[i, m.rows] = found.used, found.nis, found.white
-            done.S[i][np.ix_(m.rows, m.rows)] = found.S
+            mean, P, d = self._mean, self._P, self._used
+            status, _ = pose_updates.absorb(mean, P, d, at, m, rule, done, i, linearized, pending)
+            if status != kernels.OK:
+                raise FilterDivergedError(kernels.FAILURES[status])
         status = pose_updates.settle(self._mean, self._P, self._used, pending or [], self._clone_range)
         if status != kernels.OK:
             raise FilterDivergedError(kernels.FAILURES[status])

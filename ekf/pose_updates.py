@@ -21,10 +21,11 @@ from data.inputs import IntArray
 from data.motion.systematic import SensorFrame
 from data.pose_measurements import (
     MEASURED,
+    Closures,
+    Fixes,
     FixKind,
     FixSource,
-    FrameClosures,
-    FrameFixes,
+    PoseUpdated,
     expected_closure,
     expected_fix,
 )
@@ -60,19 +61,6 @@ class PoseRule(NamedTuple):
     clones_end: int
 
 
-class PoseOutcome(NamedTuple):
-    """Result of one measurement; white (m,) whitened innovation, its covariance S (m, m) and log det S, of the first
-    linearization.
-    """
-
-    status: int
-    used: bool
-    nis: float
-    white: Array
-    S: Array
-    log_det: float = math.nan
-
-
 def absorb(
     mean: Array,
     P: Array,
@@ -80,10 +68,14 @@ def absorb(
     at: IntArray,
     measured: MeasurementModel,
     rule: PoseRule,
+    done: PoseUpdated,
+    row: int,
     linearized: Array | None = None,
     pending: list[Array] | None = None,
-) -> PoseOutcome:
-    """Update `d` states with one measurement of the states `at` (q,), if it is inside the gate.
+) -> tuple[int, float]:
+    """Update `d` states with one measurement of the states `at` (q,), if it is inside the gate. Its NIS, innovation and
+    covariance, of the first linearization, are written to a row of `done`; returns a status, and log det of that
+    covariance.
 
     `linearized` (q,): where to take the Jacobian; None: at the mean. As `ekf.updates.correct`: P -= W W', which stays
     symmetric to the bit. `pending`: of an additive retraction, the W' (m, d) that `settle` will subtract at once, since
@@ -92,28 +84,28 @@ def absorb(
     (_, measure, R, _), prior, rows = measured, mean[at], P[at, :d]
     for W in pending or ():
         rows -= W[:, at].T @ W
-    nu, H, L, white = _innovation(measure, prior, prior, prior if linearized is None else linearized, rows[:, at], R)
+    _, H, L, white = _innovation(measure, prior, prior, prior if linearized is None else linearized, rows[:, at], R)
     if L is None:
-        return PoseOutcome(NOT_PSD, False, math.nan, np.full(len(nu), math.nan), np.full((len(nu),) * 2, math.nan))
-    S: Array = L @ L.T
-    nis, own, log_det = float(white @ white), white, 2.0 * float(np.log(np.diag(L)).sum())
-    if not nis < rule.threshold:
-        return PoseOutcome(OK, False, nis, own, S, log_det)
+        return NOT_PSD, math.nan
+    nis, log_det = float(white @ white), 2.0 * float(np.log(np.diag(L)).sum())
+    done.used[row], done.nis[row], done.white[row, measured.rows] = nis < rule.threshold, nis, white
+    done.S[row][np.ix_(measured.rows, measured.rows)] = L @ L.T
+    if not done.used[row]:
+        return OK, log_det
     point, sigma = prior, np.sqrt(np.maximum(rows[np.arange(len(at)), at], 0.0))
     for _ in range(rule.iterations - 1):
         moved, point = point, prior + np.linalg.solve(L, H @ rows[:, at]).T @ white
-        nu, H, L, white = _innovation(measure, prior, point, point, rows[:, at], R)
+        _, H, L, white = _innovation(measure, prior, point, point, rows[:, at], R)
         if L is None:
-            return PoseOutcome(NOT_PSD, False, nis, own, S)
+            return NOT_PSD, log_det
         if (np.abs(point - moved) <= 1e-6 * sigma).all():
             break
     V = np.ascontiguousarray(np.linalg.solve(L, H @ rows))
     if pending is not None:
         mean[:d] += white @ V
         pending.append(V)
-        return PoseOutcome(OK, True, nis, own, S, log_det)
-    status = correct_all(mean, P, d, V, white, rule.retraction, rule.clones, rule.clones_end)
-    return PoseOutcome(status, True, nis, own, S, log_det)
+        return OK, log_det
+    return correct_all(mean, P, d, V, white, rule.retraction, rule.clones, rule.clones_end), log_det
 
 
 def settle(mean: Array, P: Array, d: int, pending: list[Array], clones: tuple[int, int]) -> int:
@@ -210,7 +202,7 @@ def replace_pose(mean: Array, P: Array, d: int, at: int, first: Array) -> None:
             P[j, at + q] = P[at + q, j]
 
 
-def of_fixes(frame: SensorFrame, fixes: FrameFixes, sources: tuple[FixSource, ...]) -> list[MeasurementModel]:
+def of_fixes(frame: SensorFrame, fixes: Fixes, sources: tuple[FixSource, ...]) -> list[MeasurementModel]:
     """The fixes (f,) of a frame, for states in `frame`."""
     found = []
     for kind, source, z, C in zip(fixes.kind.tolist(), fixes.source.tolist(), fixes.z, fixes.covariance, strict=True):
@@ -220,7 +212,7 @@ def of_fixes(frame: SensorFrame, fixes: FrameFixes, sources: tuple[FixSource, ..
     return found
 
 
-def of_closures(frame: SensorFrame, closures: FrameClosures, now: int) -> list[MeasurementModel]:
+def of_closures(frame: SensorFrame, closures: Closures, now: int) -> list[MeasurementModel]:
     """The closures (c,) known at frame `now`, for states in `frame`."""
     found = []
     both = zip(closures.frame1.tolist(), closures.frame2.tolist(), closures.relative, closures.covariance, strict=True)

@@ -11,7 +11,6 @@ import numpy as np
 from data.errors import UsageError
 from data.inputs import Inputs, IntArray, LandmarkMap
 from data.motion.systematic import sensor_frame
-from data.pose_measurements import FrameClosures, FrameFixes
 from data.se2 import Array, BoolArray, between, pose_error
 from graph.factors import LOSSES, ObservationFactors, between_factors, known_landmark_factors, landmark_factors
 from graph.optimum import Smoothed, optimize
@@ -76,7 +75,7 @@ def smooth(
         return again
     # no gate rejected them: it is the loss that gives them no weight
     gated = np.zeros(len(done.used), bool) if rejected.closures is None else rejected.closures
-    return replace(again, closures=replace(done, used=done.used | (cut & ~gated)))
+    return replace(again, closures=done._replace(used=done.used | (cut & ~gated)))
 
 
 CUT = 30.0
@@ -153,11 +152,9 @@ def _of_poses(inputs: Inputs, loss: str, rejected: Rejected) -> list[PoseFactor]
     """Fixes and closures as factors."""
     found = list[PoseFactor]()
     if (f := inputs.fixes) is not None:
-        every = FrameFixes(f.kind, f.source, f.z, f.covariance, 0)
-        found += _without(fix_factors(f.frame.tolist(), every, f.sources, loss), rejected.fixes)
+        found += _without(fix_factors(f.frame.tolist(), f, f.sources, loss), rejected.fixes)
     if (c := inputs.closures) is not None:
-        whole = FrameClosures(c.frame1, c.frame2, c.relative, c.covariance, c.source, np.arange(len(c)))
-        found += _without(closure_factors(whole, c.sources, loss), rejected.closures)
+        found += _without(closure_factors(c, loss), rejected.closures)
     return found
 
 

@@ -234,11 +234,34 @@ def between_factors(first_frame: int, mean: Array, covariance: Array) -> tuple[l
     for a singular covariance.
     """
     roots, pivot = increment_roots(first_frame, covariances_in_body(mean[:, 2], covariance))
-    factors = [
-        gtsam.BetweenFactorPose2(X(k - 1), X(k), pose2(m), noise.Gaussian.SqrtInformation(R))
-        for k, (m, R) in enumerate(zip(mean, roots, strict=True), first_frame)
+    frame = np.arange(first_frame, first_frame + len(mean))
+    return factors_between(frame - 1, frame, mean, roots), pivot
+
+
+def relative_factors(
+    key1: IntArray,
+    key2: IntArray,
+    relative: Array,
+    covariance: Array,
+    name: Callable[[int], str],
+    loss: str = "gaussian",
+) -> tuple[list[gtsam.BetweenFactorPose2], float, Array]:
+    """As `between_factors`, of any two poses; also the roots (n, 3, 3) of the information at the ends.
+
+    `name` of each, for the DataError.
+    """
+    roots, pivot = invertible_roots(covariances_in_body(relative[:, 2], covariance), name, "its inverse")
+    return factors_between(key1, key2, relative, roots, loss), pivot, roots
+
+
+def factors_between(
+    key1: IntArray, key2: IntArray, relative: Array, roots: Array, loss: str = "gaussian"
+) -> list[gtsam.BetweenFactorPose2]:
+    """Relative poses (n, 3) of poses key2 (n,) in the frames of key1 (n,), with the roots of their information."""
+    return [
+        gtsam.BetweenFactorPose2(X(a), X(b), pose2(m), with_loss(noise.Gaussian.SqrtInformation(R), loss))
+        for a, b, m, R in zip(key1.tolist(), key2.tolist(), relative, roots, strict=True)
     ]
-    return factors, pivot
 
 
 def with_loss(model: gtsam.noiseModel.Base, loss: str) -> gtsam.noiseModel.Base:

@@ -10,7 +10,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior, Systematic
-from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
+from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated
 from data.result import Finished, Trajectory
 from data.sensors import Sensor
 from graph.engine import Window
@@ -81,13 +81,13 @@ class FixedLagSmoother(Isam2Smoother):
         super()._extend(observations, number, again=again)
         self._marginalize_old()
 
-    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+    def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """As `Isam2Smoother.fix`, then marginalize what is too old."""
         done = super().fix(fixes, sources, gate)
         self._marginalize_old(but=1)
         return done
 
-    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+    def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """As `fix`, with closures of the newest pose to frames in the window; others are not used."""
         done = super().close_loops(closures, gate)
         self._marginalize_old(but=1)

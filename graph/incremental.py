@@ -17,7 +17,7 @@ from association.candidates import SIGMAS, in_view, view_radius
 from association.expectation import Expectation
 from data.blocks import block_diagonal, coordinates
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior, Systematic
-from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
+from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated
 from data.result import NEW, Finished, MapState, PoseEstimate, Updated, map_with
 from data.se2 import Array, BoolArray, world_from_body, worlds_from_bodies
 from data.sensors import Sensor
@@ -259,7 +259,7 @@ class Isam2Smoother:
         handles = add([*motion, *self._observed.add(seen, values, late=late)], values)
         self._observed.hold(seen, handles[len(motion) :])
 
-    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+    def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """Add the fixes of the newest pose that are inside the gate. Raises UsageError beside errors of the sensor."""
         self._refuse()
         done = in_turn(self._end.mean, self._end.P, fixes_of(fixes, sources), gate)
@@ -278,13 +278,13 @@ class Isam2Smoother:
     def keep(self, last_use: dict[int, int]) -> None:
         """Every frame stays in the graph."""
 
-    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+    def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """As `fix`, with closures of the newest pose."""
         self._refuse()
         ends = np.unique(np.concatenate([closures.frame1, closures.frame2]))
         frames = self._held(ends)
         measured = closures_of(closures, frames)
-        factors = closure_factors(closures, ("closures",), self.loss)
+        factors = closure_factors(closures, self.loss)
         if all(m is None for m in measured):
             done = in_turn(np.empty(0), np.empty((0, 0)), measured, gate)
             self._note(factors, done)

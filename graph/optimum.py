@@ -27,7 +27,7 @@ import numpy as np
 from gtsam.symbol_shorthand import L, X
 
 from data.inputs import IntArray
-from data.pose_measurements import PoseInnovations
+from data.pose_measurements import PoseUpdated, not_used
 from data.result import MapState, Systematics, Trajectory
 from data.se2 import Array, covariances_in_world
 from graph.factors import CAUCHY, HUBER, UnderConstrained, pose_array
@@ -50,7 +50,7 @@ def pairs_of(factors: Sequence[PoseFactor]) -> IntArray:
 
 def innovations(
     factors: Sequence[PoseFactor], rows: Rows, blocks: IntArray, covariance: Array, across: Array, loss: str
-) -> tuple[PoseInnovations | None, PoseInnovations | None]:
+) -> tuple[PoseUpdated | None, PoseUpdated | None]:
     """Innovations of all fixes and closures; None: there are none.
 
     Args:
@@ -105,20 +105,20 @@ def left_by(A: Array, covariance: Array, pairs: IntArray, across: Array) -> Arra
     return np.asarray(np.clip(np.linalg.eigvalsh(np.eye(2) - 0.5 * (M + M.transpose(0, 2, 1))), 0.0, 1.0))
 
 
-def _of(factors: Sequence[PoseFactor], some: Sequence[int], white: Array) -> PoseInnovations | None:
+def _of(factors: Sequence[PoseFactor], some: Sequence[int], white: Array) -> PoseUpdated | None:
     """The innovations of some of the factors, by their rows in the log."""
     if not some:
         return None
     row = np.array([factors[i].row for i in some])
     size = int(row.max()) + 1
-    used, nis, dof = np.zeros(size, np.bool_), np.full(size, np.nan), np.zeros(size, np.int64)
-    spread = np.full((size, 3), np.nan)
+    done = not_used(np.zeros(size, np.int64))
     for k, i in zip(row.tolist(), some, strict=True):
         p = factors[i]
-        used[k], dof[k] = p.used, len(p.entries)
-        spread[k, list(p.entries)] = white[i, : dof[k]]
-        nis[k] = float(white[i, : dof[k]] @ white[i, : dof[k]])
-    return PoseInnovations(used, nis, dof, spread)
+        d = len(p.entries)
+        done.used[k], done.dof[k] = p.used, d
+        done.white[k, list(p.entries)] = white[i, :d]
+        done.nis[k] = float(white[i, :d] @ white[i, :d])
+    return done
 
 
 def _weight(square: Array, loss: str) -> Array:
@@ -189,8 +189,8 @@ class Smoothed:
     suspect: bool  # the cost is so high that there may be a lower minimum elsewhere
     robust: bool  # the cost is of a robust loss
     systematic: Systematics | None = None  # the systematic errors, if estimated
-    fixes: PoseInnovations | None = None  # of each by itself, against all other data; None: there are none
-    closures: PoseInnovations | None = None
+    fixes: PoseUpdated | None = None  # of each by itself, against all other data; None: there are none
+    closures: PoseUpdated | None = None
     gated: tuple[float, float] | None = None  # mean and variance of chi-square per dof, if measurements were truncated
     # (m, 2) variances of the residuals of observations over those of their noise, principal ones; None: see `optimize`
     residual_share: Array | None = None

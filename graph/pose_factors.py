@@ -24,17 +24,17 @@ from association.expectation import gate_threshold
 from data.inputs import IntArray
 from data.pose_measurements import (
     MEASURED,
+    Closures,
+    Fixes,
     FixKind,
     FixSource,
-    FrameClosures,
-    FrameFixes,
     PoseUpdated,
     expected_closure,
     expected_fix,
     not_used,
 )
-from data.se2 import Array, compose, inverse, world_from_body, wrap_angle
-from graph.factors import Factor, invertible_roots, noise, pose2, with_loss
+from data.se2 import Array, compose, inverse, world_from_body, worlds_from_bodies, wrap_angle
+from graph.factors import Factor, invertible_roots, noise, pose2, relative_factors, with_loss
 
 Expected = Callable[[Array], tuple[Array, Array]]
 """Expected measurement (d,) of the poses (q,), and its Jacobian (d, q)."""
@@ -72,7 +72,7 @@ def in_turn(mean: Array, P: Array, measured: Sequence[GaussianMeasurement | None
     return done
 
 
-def fixes_of(fixes: FrameFixes, sources: tuple[FixSource, ...]) -> list[GaussianMeasurement]:
+def fixes_of(fixes: Fixes, sources: tuple[FixSource, ...]) -> list[GaussianMeasurement]:
     """The fixes (f) of a frame as measurements of its pose."""
     found = []
     for kind, source, z, C in zip(fixes.kind.tolist(), fixes.source.tolist(), fixes.z, fixes.covariance, strict=True):
@@ -86,7 +86,7 @@ def fixes_of(fixes: FrameFixes, sources: tuple[FixSource, ...]) -> list[Gaussian
     return found
 
 
-def closures_of(closures: FrameClosures, frames: IntArray) -> list[GaussianMeasurement | None]:
+def closures_of(closures: Closures, frames: IntArray) -> list[GaussianMeasurement | None]:
     """The closures (c) of a frame as measurements of the poses of `frames` (k,), stacked; None: a frame is missing."""
     place = {frame: 3 * i for i, frame in enumerate(frames.tolist())}
     found = list[GaussianMeasurement | None]()
@@ -128,7 +128,7 @@ class PoseFactor:
 
 
 def fix_factors(
-    frames: list[int], fixes: FrameFixes, sources: tuple[FixSource, ...], loss: str = "gaussian"
+    frames: list[int], fixes: Fixes, sources: tuple[FixSource, ...], loss: str = "gaussian"
 ) -> list[PoseFactor]:
     """Fixes (f) of frames (f,). Raises DataError for a singular covariance."""
     found = []
@@ -181,23 +181,17 @@ def _antenna(
     return residual
 
 
-def closure_factors(closures: FrameClosures, sources: tuple[str, ...], loss: str = "gaussian") -> list[PoseFactor]:
+def closure_factors(closures: Closures, loss: str = "gaussian") -> list[PoseFactor]:
     """Closures (c) as factors. Raises DataError for a singular covariance."""
     first, second = closures.frame1.tolist(), closures.frame2.tolist()
     # the error in the frame of frame1, from gtsam's in that of frame2
-    turn = np.array([world_from_body(a) for a in closures.relative[:, 2].tolist()]).reshape(-1, 3, 3)
-    body = turn.transpose(0, 2, 1) @ closures.covariance @ turn
+    turn = worlds_from_bodies(closures.relative[:, 2])
 
     def named(i: int) -> str:
-        source = int(closures.source[i])
-        of = f" of {sources[source]}" if source < len(sources) else ""
-        return f"closure{of} between frames {first[i]} and {second[i]}"
+        return f"closure of {closures.sources[closures.source[i]]} between frames {first[i]} and {second[i]}"
 
-    roots, _ = invertible_roots(body, named, "its inverse")
+    c = closures
+    factors, _, roots = relative_factors(c.frame1, c.frame2, c.relative, c.covariance, named, loss)
     unwhiten = -turn @ np.linalg.inv(roots)
-    found = []
-    for i, (a, b) in enumerate(zip(first, second, strict=True)):
-        model = with_loss(noise.Gaussian.SqrtInformation(roots[i]), loss)
-        factor = gtsam.BetweenFactorPose2(X(a), X(b), pose2(closures.relative[i]), model)
-        found.append(PoseFactor((a, b), int(closures.row[i]), factor, unwhiten[i], (0, 1, 2)))
-    return found
+    each = zip(first, second, c.row.tolist(), factors, unwhiten, strict=True)
+    return [PoseFactor((a, b), row, factor, back, (0, 1, 2)) for a, b, row, factor, back in each]

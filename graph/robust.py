@@ -162,7 +162,7 @@ def _truncated(result: Smoothed, problem: Problem, believed: BoolArray, probabil
     dims = np.array([s.dims for s in problem.observations] + [len(p.entries) for p in problem.pose_factors])[believed]
     each = np.array([truncated_square(gate_threshold(probability, int(d)), int(d)) for d in dims]).reshape(-1, 2)
     mean, variance = (each.sum(axis=0) / max(int(dims.sum()), 1)).tolist()
-    fixes, closures = (None if of is None else replace(of, gate=probability) for of in (result.fixes, result.closures))
+    fixes, closures = (None if of is None else of._replace(gate=probability) for of in (result.fixes, result.closures))
     return replace(result, gated=(mean, variance) if len(dims) else None, fixes=fixes, closures=closures)
 
 

@@ -15,7 +15,7 @@ closure, blank unknown (for scoring alone). relations.csv has the same for scori
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -45,20 +45,11 @@ RELATIVE = ("dx", "dy", "dtheta")
 UPPER = np.triu_indices(3)
 
 
-class Stated(NamedTuple):
-    """A [[closure]]: name, and sigma (3,) of its source, None: not stated."""
-
-    name: str
-    sigma: Array | None
-
-
-def stated(tables: Sequence[TomlTable]) -> tuple[Stated, ...]:
-    """The sources that `log.toml` states."""
+def stated(tables: Sequence[TomlTable]) -> dict[str, Array | None]:
+    """Sigma (3,) of each source, by the name of its [[closure]]; None: not stated."""
     what = "three numbers > 0 [m, m, rad] are"
-    return tuple(
-        Stated(name, table.numbers("sigma", 3, what, positive) if "sigma" in table else None)
-        for name, table in zip(names_of(tables), tables, strict=True)
-    )
+    sigma = [table.numbers("sigma", 3, what, positive) if "sigma" in table else None for table in tables]
+    return dict(zip(names_of(tables), sigma, strict=True))
 
 
 class ClosureTable(NamedTuple):
@@ -85,33 +76,33 @@ class ClosureTable(NamedTuple):
         return closures, None if self.inlier is None else self.inlier[by]
 
 
-def read_closures(path: Path, sources: Sequence[Stated], key: str) -> ClosureTable:
+def read_closures(path: Path, sources: Mapping[str, Array | None], key: str) -> ClosureTable:
     """closures.csv, checked except for the range of its ends; `key`: frame or t."""
     optional = (*COVARIANCE, SOURCE, INLIER)
     table = read_table(path, (*ENDS[key], *RELATIVE), optional, may_be_blank=(SOURCE, INLIER), words=(SOURCE,))
     return closures_of(table, sources, key)
 
 
-def closures_of(table: Table, sources: Sequence[Stated], key: str) -> ClosureTable:
+def closures_of(table: Table, sources: Mapping[str, Array | None], key: str) -> ClosureTable:
     """Closures of a table with the columns of closures.csv, checked except for the range of its ends."""
     table.require_finite((*ENDS[key], *RELATIVE))
     missing = [name for name in COVARIANCE if name not in table]
     if 0 < len(missing) < len(COVARIANCE):
         raise table.error(-1, missing[0], f"no such column; {','.join(COVARIANCE)} come together")
-    source = source_rows(table, [s.name for s in sources], TABLE)
-    stated_by = sources or (Stated(TABLE, None),)
+    source = source_rows(table, list(sources), TABLE)
+    stated_by: Mapping[str, Array | None] = sources or {TABLE: None}
+    names, sigmas = tuple(stated_by), list(stated_by.values())
     if not missing:
         table.require_finite(COVARIANCE)
         covariance = table.symmetric(COVARIANCE)
         require_definite(table, np.arange(len(table)), covariance)
     else:
         for row, k in enumerate(source.tolist()):
-            if stated_by[k].sigma is None:
-                what = f"no such column, and no sigma in [[{TABLE}]] {stated_by[k].name!r} of log.toml"
+            if sigmas[k] is None:
+                what = f"no such column, and no sigma in [[{TABLE}]] {names[k]!r} of log.toml"
                 raise table.error(row, COVARIANCE[0], f"{what}; one of them is needed")
-        sigma = np.array([s.sigma if s.sigma is not None else np.zeros(3) for s in stated_by])
+        sigma = np.array([s if s is not None else np.zeros(3) for s in sigmas])
         covariance = (sigma**2)[source][:, :, None] * np.eye(3)
-    names = tuple(s.name for s in stated_by)
     return ClosureTable(table, ENDS[key], table.stack(RELATIVE), covariance, source, inliers(table), names)
 
 

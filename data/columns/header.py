@@ -40,7 +40,7 @@ In format 2 [sensor] may be left out where there is no observations.csv.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,7 @@ from data.errors import DataError
 from data.inputs import Prior, Scanner
 from data.motion.motion_prior import PRIORS, MotionPrior
 from data.motion.velocity import MODELS, NOISES, WITH_ALPHAS, VelocityModel, VelocityNoise
+from data.se2 import Array
 from data.sensors import RangeBearing
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 
@@ -101,7 +102,7 @@ class Header:
     motion_prior: MotionPrior | None = None
     scanner: Scanner | None = None
     fixes: tuple[fixes.Stated, ...] = ()
-    closures: tuple[closures.Stated, ...] = ()
+    closures: Mapping[str, Array | None] = field(default_factory=dict)
 
 
 def _name(top: TomlTable) -> str:

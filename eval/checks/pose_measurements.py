@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from data.inputs import Increments, Inputs, Prior
-from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, FixSource, PoseInnovations, expected_fix
+from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, FixSource, PoseUpdated, expected_fix
 from data.result import Run
 from data.se2 import Array, between, wrap_angle
 from eval.checks import worlds
@@ -43,7 +43,7 @@ class Part(NamedTuple):
 
     verb: str
     name: str
-    of: Callable[[Run], PoseInnovations | None]
+    of: Callable[[Run], PoseUpdated | None]
     mistakes: dict[str, Callable[[Inputs], Inputs]]
 
 
@@ -186,7 +186,7 @@ def _likely(inputs: Inputs, task: str, part: Part, pose: Array, P: Array, worst:
     return cause if each[cause] < CLOSE * worst else None
 
 
-def _stated(part: Part, done: PoseInnovations, known: PoseInnovations, far: float) -> Iterator[Finding]:
+def _stated(part: Part, done: PoseUpdated, known: PoseUpdated, far: float) -> Iterator[Finding]:
     """The NIS that it states, which is not needed."""
     name, stated = f"{part.name}, NIS", np.isfinite(done.nis)
     if not stated.any():

@@ -12,7 +12,7 @@ import numpy as np
 from association.expectation import Expectation
 from data.errors import UsageError, did_you_mean
 from data.inputs import FrameObservations, Increment, Inputs, IntArray
-from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
+from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated
 from data.result import DISCARD, Finished, MapState, PoseEstimate, Run, Trajectory, Updated
 from data.se2 import Array
 from data.sensors import Sensor
@@ -197,7 +197,7 @@ class Delaying(Protocol):
 class Fixable(Protocol):
     """It can use absolute measurements of the pose."""
 
-    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+    def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """Update with those inside the gate (a chi-square probability, None: all), one after another.
 
         Called between `predict` (with `stamp`) and `expect`, before the closures.
@@ -211,7 +211,7 @@ class Closable(Protocol):
     def keep(self, last_use: dict[int, int]) -> None:
         """Before the first frame: the frames that later closures name, each with the frame of its last use."""
 
-    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+    def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """Update with those inside the gate, one after another; not used: those of a frame that is no longer known."""
 
 

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from data.inputs import Frame
 from data.notice import Code, Notice, notice
-from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, FrameClosures, PoseInnovations, PoseUpdated
-from data.se2 import BoolArray
+from data.pose_measurements import Closures, Fixes, PoseUpdated, not_used
 from eval.replay.estimators import Closable, Fixable
 from eval.replay.settings import Given
 
@@ -43,55 +40,26 @@ class PoseMeasurements:
         return [notice(Code.POSES_UNUSED, fixes=fixes, closures=closures)] if fixes or closures else []
 
 
-class PoseRecord:
-    """Fixes, or closures, by row: which were used, and their innovations; those not reached stay blank."""
-
-    def __init__(self, dof: list[int]) -> None:
-        """`dof` of each."""
-        n = len(dof)
-        self._used, self._nis = np.zeros(n, np.bool_), np.full(n, np.nan)
-        self._dof, self._white, self._given = np.array(dof, np.int64), np.full((n, 3), np.nan), False
-        self._S = np.full((n, 3, 3), np.nan)
-
-    def enter(self, rows: slice, done: PoseUpdated) -> None:
-        """The result of an update with those of these rows."""
-        self._given = True
-        self._used[rows], self._nis[rows], self._white[rows] = done.used, done.nis, done.white
-        self._S[rows] = done.S
-
-    @property
-    def rejected(self) -> BoolArray:
-        """Those (f,) that were not used."""
-        return ~self._used
-
-    def innovations(self, gate: float | None) -> PoseInnovations | None:
-        """Of all; None: they were not used."""
-        found = PoseInnovations(self._used, self._nis, self._dof, self._white, gate, self._S)
-        return found if self._given else None
-
-
 class PoseRecords:
-    """The records of a log's fixes and closures."""
+    """What became of a log's fixes and closures, by row; those not reached stay blank."""
 
     def __init__(self, fixes: Fixes | None, closures: Closures | None) -> None:
-        kinds = [] if fixes is None else fixes.kind.tolist()
+        self.fixes = not_used([] if fixes is None else fixes.dof)
+        self.closures = not_used([3] * (0 if closures is None else len(closures)))
+        self._fixed = self._closed = False  # whether any were handed on
         self._gate: float | None = None
-        self.fixes = PoseRecord([len(MEASURED[FixKind(kind)]) for kind in kinds])
-        self.closures = PoseRecord([3] * (0 if closures is None else len(closures)))
 
     def enter(self, frame: Frame, poses: PoseMeasurements) -> None:
         """Those of a frame."""
         self._gate = poses.gate
         if frame.fixes is not None and poses.fixed is not None:
-            first = frame.fixes.first
-            self.fixes.enter(slice(first, first + len(frame.fixes.kind)), poses.fixed)
+            self._fixed = True
+            self.fixes.enter(frame.fixes.rows, poses.fixed)
         if frame.closures is not None and poses.closed is not None:
-            self.closures.enter(_rows(frame.closures), poses.closed)
+            self._closed = True
+            self.closures.enter(frame.closures.row, poses.closed)
 
-    def innovations(self) -> tuple[PoseInnovations | None, PoseInnovations | None]:
-        """Of fixes and of closures."""
-        return self.fixes.innovations(self._gate), self.closures.innovations(self._gate)
-
-
-def _rows(closures: FrameClosures) -> slice:
-    return slice(int(closures.row[0]), int(closures.row[-1]) + 1)
+    def innovations(self) -> tuple[PoseUpdated | None, PoseUpdated | None]:
+        """Of fixes and of closures; None: they were not used."""
+        fixes, closures = (done._replace(gate=self._gate) for done in (self.fixes, self.closures))
+        return fixes if self._fixed else None, closures if self._closed else None

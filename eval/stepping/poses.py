@@ -14,7 +14,7 @@ import numpy as np
 from association.expectation import gate_threshold
 from data.inputs import IntArray
 from data.log import Log
-from data.pose_measurements import PoseInnovations, PoseUpdated
+from data.pose_measurements import PoseUpdated
 from data.result import Run
 from data.se2 import Array
 
@@ -68,11 +68,10 @@ def of_frame(log: Log, k: int, fixed: PoseUpdated | None, closed: PoseUpdated | 
     found: list[PoseStep] = []
     r, t = log.recorded, log.truth
     if fixed is not None and r.fixes is not None and (fixes := r.fixes.of(k)) is not None:
-        rows = np.arange(fixes.first, fixes.first + len(fixes.kind))
-        names = [r.fixes.sources[s].name for s in fixes.source.tolist()]
-        found += _steps("fix", names, [()] * len(rows), fixed, t.fix_inlier, rows)
+        names = [fixes.sources[s].name for s in fixes.source.tolist()]
+        found += _steps("fix", names, [()] * len(fixes), fixed, t.fix_inlier, fixes.rows)
     if closed is not None and r.closures is not None and (closures := r.closures.of(k)) is not None:
-        names = [r.closures.sources[s] for s in closures.source.tolist()]
+        names = [closures.sources[s] for s in closures.source.tolist()]
         ends = list(zip(closures.frame1.tolist(), closures.frame2.tolist(), strict=True))
         found += _steps("closure", names, ends, closed, t.closure_inlier, closures.row)
     return found
@@ -101,17 +100,10 @@ def of_run(log: Log, run: Run, k: int) -> tuple[list[PoseStep], float | None]:
     r = log.recorded
     fixes = None if r.fixes is None else r.fixes.of(k)
     closures = None if r.closures is None else r.closures.of(k)
-    fixed = None if fixes is None else _part(run.fixes, np.arange(fixes.first, fixes.first + len(fixes.kind)))
-    closed = None if closures is None else _part(run.closures, closures.row)
+    fixed = None if fixes is None or run.fixes is None else run.fixes.of(fixes.rows)
+    closed = None if closures is None or run.closures is None else run.closures.of(closures.row)
     gate = next((each.gate for each in (run.fixes, run.closures) if each is not None), None)
     return of_frame(log, k, fixed, closed), gate
-
-
-def _part(of: PoseInnovations | None, rows: IntArray) -> PoseUpdated | None:
-    if of is None:
-        return None
-    S = np.full((len(rows), 3, 3), np.nan) if of.S is None else of.S[rows]
-    return PoseUpdated(of.used[rows], of.nis[rows], of.dof[rows], of.white[rows], S)
 
 
 def rows_of(steps: Sequence[PoseStep], gate: float | None) -> Rows:

@@ -15,33 +15,22 @@ import numpy as np
 from gtsam.symbol_shorthand import X
 
 from data.inputs import IntArray, Prior
-from data.se2 import Array, compose, covariances_in_body, world_from_body
+from data.se2 import Array, compose, world_from_body
 from graph.engine import Engine, Window
 from graph.factors import (
     LOSSES,
     Factor,
-    invertible_roots,
     is_exact,
     noise,
     pose2,
     prior_factor,
+    relative_factors,
     root_information,
     with_loss,
 )
 from graph.incremental import DELICATE, SETTLE
 from graph.open_end import transport
 from graph.optimum import in_world
-
-
-def roots_at_end(relative: Array, covariance: Array, what: str) -> tuple[Array, float]:
-    """Roots (n, 3, 3) of the information of relative poses (n, 3), at their ends, and the smallest pivot.
-
-    Covariances (n, 3, 3) are of the additive error in the start frame; at the end, where gtsam has it, the error is
-    turned back by the relative heading. Raises DataError for a singular one; `what` names it.
-    """
-    body = covariances_in_body(relative[:, 2], covariance)
-    return invertible_roots(body, lambda i: f"{what}, number {i}" if len(relative) > 1 else what, "its inverse")
-
 
 THRESHOLD = 0.05  # m, rad. Relinearize what moved further than this, ...
 SKIP = 1  # ... anywhere in the graph, in every update
@@ -72,12 +61,12 @@ class PoseGraph:
 
     def add_key(self, motion: Array, covariance: Array) -> None:
         """The next key pose, `motion` (3,) from the newest one; raises DataError for a singular covariance (3, 3)."""
-        roots, pivot = roots_at_end(motion[None], covariance[None], f"motion into key pose {self.keys}")
+        key, what = np.array([self.keys]), f"motion into key pose {self.keys}"
+        factors, pivot, _ = relative_factors(key - 1, key, motion[None], covariance[None], lambda _: what)
         if pivot < DELICATE:
             self._engine.use_qr()
         self._tip = compose(self._tip, motion)
-        model = noise.Gaussian.SqrtInformation(roots[0])
-        self._factors.append(gtsam.BetweenFactorPose2(X(self.keys - 1), X(self.keys), pose2(motion), model))
+        self._factors += factors
         self._values.insert(X(self.keys), pose2(self._tip))
         self.keys += 1
 
@@ -87,11 +76,10 @@ class PoseGraph:
         """
         if len(key1) and not (min(key1.min(), key2.min()) >= 0 and max(key1.max(), key2.max()) < self.keys):
             raise ValueError(f"a loop closure is between key poses 0 ... {self.keys - 1}")
-        roots, _ = roots_at_end(relative, covariance, "loop closure")
-        for a, b, pose, root in zip(key1.tolist(), key2.tolist(), relative, roots, strict=True):
-            model = with_loss(noise.Gaussian.SqrtInformation(root), self.loss)
-            self._factors.append(gtsam.BetweenFactorPose2(X(a), X(b), pose2(pose), model))
-            self._loops = True
+        ends = key1, key2, relative, covariance
+        factors, _, _ = relative_factors(*ends, lambda i: f"loop closure, number {i}", self.loss)
+        self._factors += factors
+        self._loops |= bool(factors)
 
     def update(self) -> None:
         """One update of iSAM2; after loop closures more of them, until the newest pose stays."""

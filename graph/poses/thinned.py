@@ -19,9 +19,9 @@ from gtsam.symbol_shorthand import X
 from association.scans.uncertainty import LEVER, compose_covariances, inverse_covariance
 from data.inputs import IntArray, Prior
 from data.se2 import Array, compose, inverse, wrap_angle
-from graph.factors import Factor, noise, pose2
+from graph.factors import Factor, pose2, relative_factors
 from graph.incremental import DELICATE
-from graph.poses.online import PoseGraph, roots_at_end
+from graph.poses.online import PoseGraph
 
 Link = tuple[Array, Array]  # relative pose (3,) and the covariance (3, 3) of its additive error
 
@@ -114,10 +114,11 @@ class ThinnedPoseGraph(PoseGraph):
 
     def _factor(self, a: int, b: int) -> Factor:
         relative, covariance = self._links[a][b]
-        roots, pivot = roots_at_end(relative[None], covariance[None], f"motion from key pose {a} to {b}")
+        ends, what = (np.array([a]), np.array([b])), f"motion from key pose {a} to {b}"
+        (factor,), pivot, _ = relative_factors(*ends, relative[None], covariance[None], lambda _: what)
         if pivot < DELICATE:
             self._engine.use_qr()
-        return gtsam.BetweenFactorPose2(X(a), X(b), pose2(relative), noise.Gaussian.SqrtInformation(roots[0]))
+        return factor
 
     def poses(self) -> Array:
         """All key poses (K, 3) after the last update, NaN for those that were removed."""

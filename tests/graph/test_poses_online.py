@@ -10,7 +10,7 @@ import pytest
 from data import se2
 from data.errors import UsageError
 from data.inputs import FrameObservations, Increment, LandmarkMap, Prior, Systematic
-from data.pose_measurements import FrameFixes, expected_closure
+from data.pose_measurements import Fixes, expected_closure
 from data.sensors import RelativePoint
 from graph.fixed_lag import FixedLagSmoother
 from graph.incremental import Isam2Smoother
@@ -56,7 +56,8 @@ def first(inputs, n):
 
 
 def _some(measured, which):
-    arrays = {name: getattr(measured, name)[which] for name in measured.__dataclass_fields__ if name != "sources"}
+    names = set(measured.__dataclass_fields__) - {"sources", "first"}
+    arrays = {name: getattr(measured, name)[which] for name in names}
     return replace(measured, **arrays)
 
 
@@ -237,7 +238,7 @@ def test_a_robot_that_was_turned_unseen_is_found_where_it_was_placed_after_its_p
     s = Isam2Smoother(Prior(np.zeros(3), 0.01 * np.eye(3)), sensor, known, **TIGHT)
     s.predict(Increment(np.array([3.0, 2.0, 0.0]), 0.01 * np.eye(3)))
     one = np.array([0])
-    position = FrameFixes(one, one, np.array([[3.0, 2.0, 0.0]]), np.diag([0.01, 0.01, 0.0])[None], 0)
+    position = Fixes(one, one, one, np.array([[3.0, 2.0, 0.0]]), np.diag([0.01, 0.01, 0.0])[None], SOURCES)
     assert s.fix(position, SOURCES, 0.99).used.all()
     s.inflate(np.diag([100.0, 100.0, np.pi**2]))
     seen = FrameObservations(sensor.predict(truth, known.xy), np.tile(1e-4 * np.eye(2), (3, 1, 1)))

@@ -20,7 +20,7 @@ from association.truncated import truncated_square
 from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.notice import Code, Notice, Value, notice
-from data.pose_measurements import FixKind, PoseInnovations
+from data.pose_measurements import FixKind, PoseUpdated
 from data.result import Run
 from data.se2 import BoolArray
 from data.truth import Truth
@@ -108,7 +108,7 @@ class SourceScore:
     chance: float = math.nan
 
 
-def innovations_of(run: Run, source: Source, phase: str) -> PoseInnovations | None:
+def innovations_of(run: Run, source: Source, phase: str) -> PoseUpdated | None:
     """What became of the log's fixes, or closures, in a phase; None: they were not used."""
     online, final = (run.closures, run.closures_final) if source.of_closures else (run.fixes, run.fixes_final)
     return online if phase == "online" or final is None else final

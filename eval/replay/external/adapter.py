@@ -17,11 +17,9 @@ from association.expectation import Expectation
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
 from data.pose_measurements import (
-    MEASURED,
-    FixKind,
+    Closures,
+    Fixes,
     FixSource,
-    FrameClosures,
-    FrameFixes,
     PoseUpdated,
     not_used,
 )
@@ -186,7 +184,7 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
     )
 
 
-def pose_updated_of(who: str, given: Any, dof: list[int]) -> PoseUpdated:
+def pose_updated_of(who: str, given: Any, dof: IntArray) -> PoseUpdated:
     """The result of an update with fixes or closures (f,) of these degrees of freedom.
 
     None, or a mapping of some of the fields of `PoseUpdated`: all were used, innovations are not known.
@@ -286,15 +284,14 @@ class Adapter:
         self._created += int((found.created >= 0).sum())
         return found
 
-    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+    def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """Use absolute measurements of the pose."""
-        dof = [len(MEASURED[FixKind(kind)]) for kind in fixes.kind.tolist()]
-        return pose_updated_of(f"{self.name}.fix", self._call("fix", fixes, sources, gate), dof)
+        return pose_updated_of(f"{self.name}.fix", self._call("fix", fixes, sources, gate), fixes.dof)
 
-    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+    def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """Use relative poses."""
-        dof = [3] * len(closures.row)
-        return pose_updated_of(f"{self.name}.close_loops", self._call("close_loops", closures, gate), dof)
+        done = self._call("close_loops", closures, gate)
+        return pose_updated_of(f"{self.name}.close_loops", done, np.full(len(closures), 3))
 
     def parked_xy(self) -> Array:
         """Positions (b, 2) of the parked landmarks."""

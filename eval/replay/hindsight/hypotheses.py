@@ -21,7 +21,7 @@ from data.appearance import Appearance
 from data.blocks import coordinates_from
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap, Prior
 from data.motion.systematic import sensor_frame
-from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated, not_used
+from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, not_used
 from data.result import DISCARD, PoseEstimate
 from data.se2 import Array, BoolArray
 from data.sensors import RANGE_BEARING, Sensor
@@ -126,11 +126,11 @@ class Hypotheses:
         """See `Filter.keep`."""
         self._clones.keep(last_use)
 
-    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+    def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """Update all with absolute measurements of the pose, which also weigh them; the result is the leader's."""
         return self._absorb(of_fixes(self._frame, fixes, sources), gate)
 
-    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+    def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """Update all with relative poses, which also weigh them; the result is the leader's."""
         return self._absorb(of_closures(self._frame, closures, self._clones.now), gate)
 
@@ -143,11 +143,10 @@ class Hypotheses:
                 continue
             rule = PoseRule(gate_threshold(gate, len(m.rows)), updates.ADDITIVE, self._how.iterations, 0, 0)
             for h in reversed(self.members):
-                found = absorb(h.mean, h.P, len(h.mean), at, m, rule)
-                if found.status != kernels.OK:
-                    raise FilterDivergedError(kernels.FAILURES[found.status])
-                h.weight -= 0.5 * (min(found.nis, rule.threshold) + found.log_det)
-            done.used[i], done.nis[i], done.white[i, m.rows] = found.used, found.nis, found.white
+                status, log_det = absorb(h.mean, h.P, len(h.mean), at, m, rule, done, i)
+                if status != kernels.OK:
+                    raise FilterDivergedError(kernels.FAILURES[status])
+                h.weight -= 0.5 * (min(float(done.nis[i]), rule.threshold) + log_det)
         self._keep(self.members)
         return done
 

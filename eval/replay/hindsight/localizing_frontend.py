@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,7 +20,7 @@ from association.truncated import Acceptance
 from data.errors import UsageError
 from data.inputs import Frame, FrameObservations, Increment, IntArray, Prior
 from data.notice import Code, Notice, notice
-from data.pose_measurements import MEASURED, FixKind, FixSource, FrameClosures, FrameFixes, PoseUpdated, not_used
+from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, not_used
 from data.result import DISCARD, Event, Finished, MapState, PoseEstimate, Systematics, Trajectory, Updated
 from data.se2 import Array, BoolArray, pose_error
 from ekf.filter import FilterOptions
@@ -211,23 +212,21 @@ class Stretches:
             mine = {frame - first: last - first for frame, last in last_use.items() if frame >= first}
             self._can.closable.keep(mine)
 
-    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+    def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """Update with absolute measurements of the pose."""
         if self._can.fixable is None:
-            return not_used([len(MEASURED[FixKind(kind)]) for kind in fixes.kind.tolist()])
+            return not_used(fixes.dof)
         return self._can.fixable.fix(fixes, sources, gate)
 
-    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+    def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """Update with relative poses; not used: those of a frame of an earlier stretch."""
         done = not_used([3] * len(closures.row))
         mine = np.minimum(closures.frame1, closures.frame2) >= self._first
         if self._can.closable is None or not mine.any():
             return done
         part = closures.only(mine)
-        moved = part._replace(frame1=part.frame1 - self._first, frame2=part.frame2 - self._first)
-        found = self._can.closable.close_loops(moved, gate)
-        for every, own in zip(done, found, strict=True):
-            every[mine] = own
+        moved = replace(part, frame1=part.frame1 - self._first, frame2=part.frame2 - self._first)
+        done.enter(mine, self._can.closable.close_loops(moved, gate))
         return done
 
     def amend(self, frames: IntArray, observations: FrameObservations, decisions: IntArray) -> None:
@@ -349,8 +348,7 @@ class LocalizingFrontEnd(FrontEnd):
         lacking = np.isnan(own.nis) & np.isfinite(theirs.nis)
         if lacking.any():
             self._reset()
-            for each, other in zip(own, theirs, strict=True):
-                each[lacking] = other[lacking]
+            own.enter(lacking, theirs.of(lacking))
 
     def decide(self, expectation: Expectation, method: str | None = None) -> Decided:
         """Decisions by the hypotheses, or by another method for comparison; a smoother gets only candidates

@@ -9,7 +9,7 @@ filters get the same decisions. The likelihood ratio of their innovations is a s
 from __future__ import annotations
 
 from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic
-from data.pose_measurements import FixSource, FrameClosures, FrameFixes, PoseUpdated
+from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated
 from data.result import Updated
 from data.se2 import Array
 from data.sensors import Sensor
@@ -61,12 +61,12 @@ class TwoModels:
         for each in self._kept:
             each.keep(last_use)
 
-    def fix(self, fixes: FrameFixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
+    def fix(self, fixes: Fixes, sources: tuple[FixSource, ...], gate: float | None) -> PoseUpdated:
         """See `Filter.fix`; returns the result of the believed filter."""
         done = {each: each.fix(fixes, sources, gate) for each in self._kept}
         return done[self.believed]
 
-    def close_loops(self, closures: FrameClosures, gate: float | None) -> PoseUpdated:
+    def close_loops(self, closures: Closures, gate: float | None) -> PoseUpdated:
         """See `Filter.close_loops`; returns the result of the believed filter."""
         done = {each: each.close_loops(closures, gate) for each in self._kept}
         return done[self.believed]

@@ -356,7 +356,7 @@ class WholeLog:
     def _smooth_once(self, number: IntArray, start: Start, by: Assumed) -> Smoothed:
         """Smooth and re-associate, with the landmarks as they are."""
         log = self._inputs(by)
-        out = Rejected(self.poses.fixes.rejected, self.poses.closures.rejected)
+        out = Rejected(~self.poses.fixes.used, ~self.poses.closures.used)
         found = smooth(log, number, np.full(len(number), -1), start, rejected=out, with_shares=True)
         assert found.map is not None
         assert found.residual_share is not None

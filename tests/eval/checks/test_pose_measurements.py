@@ -89,17 +89,17 @@ class Deaf(EkfSlam):
 
 class Scaled(EkfSlam):
     def fix(self, fixes, sources, gate):
-        return super().fix(fixes._replace(covariance=2.0 * fixes.covariance), sources, gate)
+        return super().fix(replace(fixes, covariance=2.0 * fixes.covariance), sources, gate)
 
 
 class Swapped(EkfSlam):
     def close_loops(self, closures, gate):
-        return super().close_loops(closures._replace(frame1=closures.frame2, frame2=closures.frame1), gate)
+        return super().close_loops(replace(closures, frame1=closures.frame2, frame2=closures.frame1), gate)
 
 
 class Diagonal(EkfLocalizer):
     def close_loops(self, closures, gate):
-        return super().close_loops(closures._replace(covariance=closures.covariance * np.eye(3)), gate)
+        return super().close_loops(replace(closures, covariance=closures.covariance * np.eye(3)), gate)
 
 
 class Open(EkfLocalizer):

@@ -10,7 +10,7 @@ import scipy.stats
 from data.log import shortened
 from data.logs import open_log
 from data.notice import Code
-from data.pose_measurements import Closures, Fixes, FixKind, FixSource, PoseInnovations
+from data.pose_measurements import Closures, Fixes, FixKind, FixSource, PoseUpdated
 from data.words import sentence
 from eval.judgement.judgement import Verdict, judge
 from eval.judgement.runs import Objection
@@ -48,7 +48,7 @@ def drawn(rng, count, dof, *, gate=None, scale=1.0):
     white[:, columns] = scale * rng.standard_normal((count, dof))
     nis = np.nansum(white**2, axis=1)
     used = np.ones(count, bool) if gate is None else nis < scipy.stats.chi2.ppf(gate, dof)
-    return PoseInnovations(used, nis, np.full(count, dof), white, gate)
+    return PoseUpdated(used, nis, np.full(count, dof), white, np.full((count, 3, 3), np.nan), gate)
 
 
 def log_with(of_fixes=None, of_closures=None, **truth):
@@ -93,13 +93,13 @@ def test_correlated_fixes_are_said_to_be():
     for i in range(1, 60):  # AR(1) with unit variance
         found.white.setflags(write=True)
         found.white[i, :2] = 0.9 * found.white[i - 1, :2] + np.sqrt(1 - 0.81) * found.white[i, :2]
-    assert scored(replace(found, nis=np.nansum(found.white**2, axis=1)), log_with(fixes())).verdict == "correlated"
+    assert scored(found._replace(nis=np.nansum(found.white**2, axis=1)), log_with(fixes())).verdict == "correlated"
 
 
 def test_decisions_are_counted_against_truth():
     used = np.array([True, True, False, False, True, False])
     assert outcomes_of(used, np.array([1, 0, 0, 1, -1, -1])) == (1, 1, 1, 1)
-    found = replace(drawn(np.random.default_rng(0), 4, 3), used=np.array([True, False, True, True]))
+    found = drawn(np.random.default_rng(0), 4, 3)._replace(used=np.array([True, False, True, True]))
     log = log_with(of_closures=closures(4), closure_inlier=np.array([1, 0, 0, 1]))
     rows = score([Trial(log, "slam", (run_with(closures=found),))]).sources
     assert rows[["source", "kind", "count", "used", "tp", "tn", "fp", "fn"]].values.tolist() == [
@@ -144,7 +144,7 @@ def test_a_source_with_many_outliers_is_said_to_be_rejected():
     found = drawn(rng, 60, 2, gate=0.99)
     used = found.used.copy()
     used[:10] = False
-    (notice,) = source_notices(run_with(fixes=replace(found, used=used)), log.recorded)
+    (notice,) = source_notices(run_with(fixes=found._replace(used=used)), log.recorded)
     assert notice.code == Code.SOURCE_REJECTED
     assert notice.named["rejected"] >= 10
     assert notice.named["expected"] == pytest.approx(0.6)
@@ -180,7 +180,7 @@ def test_only_an_estimate_that_used_closures_is_more_than_dead_reckoning():
     found = drawn(np.random.default_rng(0), 20, 3)
     assert unused(replace(run, closures=found), log.recorded) is None
     assert unused(replace(run, closures_final=found), log.recorded) is None
-    rejected = replace(found, used=np.zeros(20, bool))
+    rejected = found._replace(used=np.zeros(20, bool))
     assert unused(replace(run, closures=rejected), log.recorded).code == Code.UNUSED
 
 
@@ -206,7 +206,7 @@ def test_the_largest_innovation_of_a_source_has_the_significance_of_the_largest_
     found = drawn(rng, 60, 2, gate=0.9999)
     nis, used = found.nis.copy(), found.used.copy()
     nis[5], used[5] = 30.0, False
-    m = statistics(replace(found, nis=nis, used=used), log)["largest_position:gps"]
+    m = statistics(found._replace(nis=nis, used=used), log)["largest_position:gps"]
     p = 1.0 - scipy.stats.chi2.cdf(30.0, 2) ** 60
     assert scipy.stats.norm.sf((m.value - m.expected) / m.se) == pytest.approx(p, rel=1e-6)
 

@@ -202,7 +202,7 @@ def test_a_fix_decides_between_hypotheses():
     fixes = inputs.fixes.of(0)
     z = fixes.z.copy()
     z[0, :2] = true
-    frame = inputs.frame(0)._replace(fixes=fixes._replace(z=z), closures=None)
+    frame = inputs.frame(0)._replace(fixes=replace(fixes, z=z), closures=None)
     localizer.poses._fixes = replace(inputs.fixes, sources=(FixSource("gps"), FixSource("compass")))
     localizer.use_poses(frame)
     assert np.hypot(*(localizer.pose().mean[:2] - true)) < 0.5
