@@ -221,8 +221,8 @@ class Judgement:
 
     @property
     def others(self) -> tuple[RunJudgement, ...]:
-        """Estimators of somebody else that something objects to, beside the two compared."""
-        return tuple(r for r in self.last if r.named and r.objections and r not in self.compared.pair)
+        """Foreign estimators that something objects to, beside the two compared."""
+        return tuple(r for r in self.last if r.foreign and r.objections and r not in self.compared.pair)
 
     @property
     def usable(self) -> tuple[bool, bool]:
@@ -279,11 +279,10 @@ def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust]
     )
     own = [t for t in diagnoses if (t.log, t.task) == (trial.log.name, trial.task)]
     related = _relations(scores, trial.log.name) if trial.log.truth.relations is not None else {}
-    truth = trial.log.truth
     runs = judged_runs(
         metrics,
         outcomes,
-        measured=truth.known_poses > 0 or truth.relations is not None,
+        measured=_measured(trial),
         related=related,
         idle=frozenset((r.estimator, r.association) for r in trial.runs if unused(r, trial.log.recorded)),
         diagnoses=own,
@@ -296,7 +295,7 @@ def judgement_of(
 ) -> Judgement:
     """The judgement of a trial whose runs are judged one by one; differences: rows of `Scores.differences`."""
     log, slam = trial.log, trial.task == "slam"
-    measured = log.truth.known_poses > 0 or log.truth.relations is not None
+    measured = _measured(trial)
     compared = compared_of(trial, runs, differences, trust)
     terms, blame = terms_of(log.recorded), None if trust is None else trust.blame
     cause = None
@@ -327,6 +326,11 @@ def judgement_of(
         log_faults,
         tuple(sorted({r.estimator for r in trial.runs if r.handed_in})),
     )
+
+
+def _measured(trial: Trial) -> bool:
+    """Whether any error can be known."""
+    return trial.log.truth.known_poses > 0 or trial.log.truth.relations is not None
 
 
 def compared_of(

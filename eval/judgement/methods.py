@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from eval.judgement.runs import Counts, RunJudgement, filters_in
+from eval.judgement.runs import RunJudgement, filters_in
 from eval.replay.settings import steps
 
 SAME = 0.02  # relative difference of two RMSE values below which they are called equal
@@ -14,22 +14,14 @@ USABLE = 0.9  # an association method is usable whose path has less than this sh
 
 
 @dataclass(frozen=True)
-class MethodOutcome:
-    """A run that decided without labels, in its last phase."""
-
-    run: RunJudgement
-    counts: Counts
-
-
-@dataclass(frozen=True)
 class Methods:
-    """How the association methods without labels did on one log and task."""
+    """How the association methods without labels did on one log and task: runs in their last phase, with counts."""
 
-    first: MethodOutcome  # first, worst: by their decisions alone, the same if there is one
-    worst: MethodOutcome
-    best: MethodOutcome  # by its decisions, of those with a usable path (of all, where none has one)
+    first: RunJudgement  # first, worst: by their decisions alone, the same if there is one
+    worst: RunJudgement
+    best: RunJudgement  # by its decisions, of those with a usable path (of all, where none has one)
     usable: bool  # whether one has: a usable run, and nearer to the truth than dead reckoning
-    nearest: MethodOutcome | None  # whose path is clearly nearer to the truth than that of the best, if one is
+    nearest: RunJudgement | None  # whose path is clearly nearer to the truth than that of the best, if one is
     measured: bool  # whether errors of paths are known
     dead_reckoning: float  # its RMSE [m], or NaN
     labelled: int | None = None  # landmarks that the log's ids tell apart
@@ -37,23 +29,22 @@ class Methods:
     @property
     def decides(self) -> bool:
         """Whether one of them gives a usable path and pairs rightly more often than not."""
-        return self.usable and not self.best.counts.mostly_wrong
+        return self.usable and self.best.counts is not None and not self.best.counts.mostly_wrong
 
 
-def deciding(runs: Sequence[RunJudgement]) -> list[MethodOutcome]:
+def deciding(runs: Sequence[RunJudgement]) -> list[RunJudgement]:
     """The plausible runs that decided without labels, in their last phase."""
     filters = filters_in(runs)
     own = [
-        MethodOutcome(r, r.counts)
+        r
         for r in runs
         if r.association not in ("known", "none")
         and r.status == "ok"
-        and r.counts is not None
         and r.phase == ("online" if r.estimator in filters else "final")
     ]
     # batch smoothers take the decisions of another run, which speaks for itself where it is there
-    own = [w for w in own if steps(w.run.estimator)] or own
-    return [w for w in own if math.isfinite(w.counts.f1)]
+    own = [r for r in own if steps(r.estimator)] or own
+    return [r for r in own if r.counts is not None and math.isfinite(r.counts.f1)]
 
 
 def methods_of(runs: Sequence[RunJudgement], labelled: int | None = None) -> Methods | None:
@@ -62,16 +53,21 @@ def methods_of(runs: Sequence[RunJudgement], labelled: int | None = None) -> Met
     if not own:
         return None
     reckoned = next((r.rmse for r in runs if r.estimator == "dead-reckoning"), math.nan)
-    usable = [w for w in own if w.run.usable and not w.run.rmse >= USABLE * reckoned]
-    best = max(usable or own, key=lambda w: w.counts.quality)
-    nearest = min(usable, key=lambda w: w.run.rmse, default=best)
+    usable = [r for r in own if r.usable and not r.rmse >= USABLE * reckoned]
+    best = max(usable or own, key=_quality)
+    nearest = min(usable, key=lambda r: r.rmse, default=best)
     return Methods(
-        first=max(own, key=lambda w: w.counts.quality),
-        worst=min(own, key=lambda w: w.counts.quality),
+        first=max(own, key=_quality),
+        worst=min(own, key=_quality),
         best=best,
         usable=bool(usable),
-        nearest=nearest if nearest.run.rmse < (1.0 - SAME) * best.run.rmse else None,
+        nearest=nearest if nearest.rmse < (1.0 - SAME) * best.rmse else None,
         measured=any(math.isfinite(r.rmse) for r in runs),
         dead_reckoning=reckoned,
         labelled=labelled,
     )
+
+
+def _quality(run: RunJudgement) -> tuple[float, int]:
+    """By which association methods are ordered: F1, then the number of wrong decisions."""
+    return (-1.0, 0) if run.counts is None else (run.counts.f1, -run.counts.fp - run.counts.fn)

@@ -110,11 +110,6 @@ class Counts:
         """Whether more decisions about pairings are wrong than right."""
         return self.f1 < 0.5
 
-    @property
-    def quality(self) -> tuple[float, int]:
-        """By which association methods are ordered."""
-        return self.f1, -self.fp - self.fn
-
 
 @dataclass(frozen=True)
 class RunJudgement:
@@ -163,8 +158,8 @@ class RunJudgement:
         return not any(o.objection in UNUSABLE for o in self.objections)
 
     @property
-    def named(self) -> bool:
-        """Whether it is an estimator of somebody else."""
+    def foreign(self) -> bool:
+        """Whether the estimator is none of ours."""
         return self.estimator not in ESTIMATORS
 
     @property
@@ -185,7 +180,7 @@ class RunJudgement:
         found = {o.objection for o in self.objections}
         if Objection.LOST in found or Objection.IDLE in found:
             return "lost" if Objection.LOST in found else "dead reckoning"
-        if found & {Objection.NEES, Objection.ASTRAY} or overconfident(self.nees, self.nees_lower):
+        if found & {Objection.NEES, Objection.ASTRAY}:
             return OVERCONFIDENT
         return self.nis_verdict
 
@@ -321,7 +316,7 @@ def smoothers_in(runs: Sequence[RunJudgement]) -> tuple[str, ...]:
 
 def _others(runs: Sequence[RunJudgement], *, final: bool) -> list[str]:
     finals = {r.estimator for r in runs if r.phase == "final"}
-    names = dict.fromkeys(r.estimator for r in runs if r.named)
+    names = dict.fromkeys(r.estimator for r in runs if r.foreign)
     return [name for name in names if (name in finals) == final]
 
 

@@ -137,7 +137,7 @@ def associations(j: Judgement) -> tuple[Value | None, Value | None]:
     m = j.methods
     if m is None:
         return None, None
-    best, worst = (Value(w.run.association, paragraph("overview#association", w=w)) for w in (m.best, m.worst))
+    best, worst = (Value(w.association, paragraph("overview#association", w=w)) for w in (m.best, m.worst))
     if m.nearest is not None or not m.decides:
         best = Value(*(paragraph(f"overview#{part}", m=m) for part in ("disputed", "disputes")))
     return best, None if m.best == m.worst else worst

@@ -11,7 +11,7 @@ import pytest
 from data.inputs import Observations
 from eval.judgement.causes import cause_word
 from eval.judgement.judgement import Gauge, Online, Verdict, conclusion
-from eval.judgement.methods import MethodOutcome, Methods
+from eval.judgement.methods import Methods
 from eval.judgement.runs import Counts, RunJudgement
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, NOISE, NOTHING, UNTELLABLE, Finding
 from eval.referee.truth_free import Statistic
@@ -237,7 +237,7 @@ def test_a_small_map_shows_every_path_inside_its_frame_and_is_the_same_each_time
 def test_no_association_method_is_called_the_best_where_path_and_decisions_disagree():
     """Seen: the one with the fewest wrong decisions called the best, though its path was the worst."""
     hindsight, first, jcbb = (
-        MethodOutcome(RunJudgement("ekf", name, "online", rmse=rmse), Counts(*counts))
+        RunJudgement("ekf", name, "online", rmse=rmse, counts=Counts(*counts))
         for name, rmse, counts in (
             ("jcbb-hindsight", 17.1, (205, 125, 200, 71)),
             ("jcbb-first", 9.22, (0, 194, 356, 51)),
