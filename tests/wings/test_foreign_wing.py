@@ -1,4 +1,4 @@
-"""A wing of somebody else, installed beside slamref, adds a command, a world, a kind of log; a broken one is named."""
+"""A wing of somebody else, as the page on extending has it, adds a command, a world, a kind of log; a broken one is named."""
 
 from __future__ import annotations
 
@@ -10,16 +10,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-WING = """
-from data.wing import Wing, World
-
-wing = Wing(
-    "pond",
-    commands={"ducks": ("pond.things:main", "count ducks")},
-    worlds={"pond": World("pond.things", "Pond", "pond:0")},
-    logs=("pond.things:opened",),
-)
-"""
+PAGE = (ROOT / "docs" / "extending.md").read_text()
+WING = PAGE.partition("# pond/__init__.py\n")[2].partition("```")[0]
 THINGS = '''
 from dataclasses import dataclass, replace
 from data.logs import open_log
