@@ -98,9 +98,6 @@ class MapManagement:
         return frames
 
 
-KEPT = 10  # frames; a landmark paired or restored within these stays (5 and 20 take as long)
-
-
 class Parking:
     """Parks landmarks of an estimator and restores them."""
 
@@ -172,6 +169,9 @@ class Parking:
         return [notice(Code.PARKED, after=after, largest=self.largest, restored=self.restored)]
 
 
+KEPT = 10  # frames; a landmark paired or restored within these stays (5 and 20 take as long)
+
+
 class AutomaticParking:
     """Parks landmarks that the next frames do not need, while that is faster; decisions and estimates do not change.
 
@@ -231,7 +231,7 @@ class AutomaticParking:
         parked = 2 * len(slam.parked)
         cost = PRODUCT * parked**2 * slam.carried + MOVED * (parked + 2 * len(idle)) * len(idle)
         if len(idle) and self._excess > cost:
-            slam.park(idle, begin_epoch=True)
+            slam.park(idle)
             self._excess = 0.0
 
     def park(self, numbers: IntArray) -> None:
