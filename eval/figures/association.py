@@ -16,8 +16,7 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
-from eval.figures.paper import NARROW, page_width, points
-from eval.figures.style import TRUTH_COLOUR, drawing, settle, style_of
+from eval.figures.style import NARROW, TRUTH_COLOUR, drawing, page_width, points, settle, style_of
 from eval.referee.confusion import Confusion
 from eval.referee.score import Trial, confusion_of
 

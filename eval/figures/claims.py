@@ -31,8 +31,19 @@ from eval.figures.error import (
     ticks,
     time_axis,
 )
-from eval.figures.paper import page_width
-from eval.figures.style import BAND, DASHED, LONG_HANDLE, SOLID, TRUTH_COLOUR, Line, Style, drawing, series, style_of
+from eval.figures.style import (
+    BAND,
+    DASHED,
+    LONG_HANDLE,
+    SOLID,
+    TRUTH_COLOUR,
+    Line,
+    Style,
+    drawing,
+    page_width,
+    series,
+    style_of,
+)
 from eval.referee.consistency import anees_band, mean_or_nan, nees, nis_bounds
 from eval.referee.given.runs import log_of
 from eval.referee.truth_free import Difference, difference

@@ -17,8 +17,7 @@ from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.result import Run, Trajectory
 from data.se2 import Array, pose_error
-from eval.figures.paper import across, page_width, points
-from eval.figures.style import Series, drawing, series
+from eval.figures.style import Series, across, drawing, page_width, points, series
 from eval.referee.given.runs import log_of, match
 
 MOST_PANELS = 4

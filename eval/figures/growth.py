@@ -16,9 +16,19 @@ from data.result import Run
 from data.se2 import Array
 from data.words import number
 from eval.figures.error import longest_sigma, ticks, time_axis
-from eval.figures.paper import page_width, points
 from eval.figures.plane import SIGMAS, longest_axis
-from eval.figures.style import DASHDOT, DASHED, DOTTED, SOLID, Line, colour_of_method, drawing, style_of
+from eval.figures.style import (
+    DASHDOT,
+    DASHED,
+    DOTTED,
+    SOLID,
+    Line,
+    colour_of_method,
+    drawing,
+    page_width,
+    points,
+    style_of,
+)
 from eval.referee.score import Trial
 from eval.replay.run import landmark_sigmas
 

@@ -15,9 +15,8 @@ from data.log import Log
 from data.result import DISCARD, NEW, Run
 from data.se2 import Array, BoolArray, dead_reckoned
 from data.terminal import counted
-from eval.figures.paper import page_width
 from eval.figures.plane import draw_start, draw_walls, feet
-from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing, settle, style_of
+from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing, page_width, settle, style_of
 
 SEEN_COLOUR = "#56B4E9"
 CLUTTER_COLOUR = "#D55E00"

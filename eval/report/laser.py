@@ -29,9 +29,8 @@ from eval.referee.given.runs import GivenRun
 from eval.referee.result_files import LOOPS
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
-from eval.report.page.files import written_table
+from eval.report.page.files import stem, written_table
 from eval.report.page.tables import number
-from eval.report.rows import stem
 from eval.report.words import say
 
 FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205  # as map_saver writes them

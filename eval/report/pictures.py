@@ -16,9 +16,8 @@ from eval.figures.claims import claims_figure, filter_smoother_figure, nees_figu
 from eval.figures.error import difference_figure, error_figure, longest_sigma
 from eval.figures.growth import closing_frame, growth_figure, state_figure, state_is_informative
 from eval.figures.log import loop_state_figure
-from eval.figures.map import map_figure
+from eval.figures.map import map_figure, space_figure
 from eval.figures.plane import SIGMAS, longest_axis
-from eval.figures.space import space_figure
 from eval.figures.style import save
 from eval.referee.given.runs import GivenRun
 from eval.referee.score import Trial, confusion_of
@@ -26,8 +25,8 @@ from eval.referee.truth_free import SHARE
 from eval.report import shown_runs
 from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, laser_kinds, laser_picture
 from eval.report.page.blocks import Picture
+from eval.report.page.files import SYSTEMATIC, stem
 from eval.report.results import aligned_statement
-from eval.report.rows import SYSTEMATIC, stem
 from eval.report.words import paragraph
 
 FILTER_SMOOTHER = "filter-smoother"

@@ -29,8 +29,8 @@ from eval.referee.score import Trial, confusion_of
 from eval.replay.settings import Setup
 from eval.report.laser import write_laser_files
 from eval.report.page.blocks import Film, Picture
+from eval.report.page.files import stem, variants
 from eval.report.pictures import draw, kinds
-from eval.report.rows import stem, variants
 from eval.report.words import paragraph
 from eval.stepping.text import lab_block, run_text
 

@@ -33,9 +33,8 @@ from eval.referee.score import Trial, metrics_row
 from eval.referee.space_scores import CONVENTIONS, columns_in_space
 from eval.referee.space_scores import ERRORS as NAMED
 from eval.report.page.blocks import Table
-from eval.report.page.files import written_table
+from eval.report.page.files import stem, written_table
 from eval.report.page.tables import drop_blank_columns
-from eval.report.rows import stem
 from eval.report.words import one_line, paragraph, say
 from eval.studies.montecarlo import Sample, verdicts
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from data.result import Run
 from eval.figures.error import MOST_PANELS, panels
-from eval.figures.paper import across
+from eval.figures.style import across
 from eval.judgement.runs import associations
 from eval.referee.errors import position_distance, rms
 from eval.referee.given.runs import log_of

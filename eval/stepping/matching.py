@@ -18,9 +18,8 @@ from matplotlib.ticker import MaxNLocator
 from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, BoolArray
-from eval.figures.paper import page_width
-from eval.figures.style import drawing
-from eval.stepping.plane import (
+from eval.figures.style import drawing, page_width
+from eval.stepping.pictures import (
     BAD,
     DASHES,
     DULL,

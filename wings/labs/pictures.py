@@ -21,9 +21,8 @@ from data.result import Run
 from data.se2 import Array
 from data.words import number
 from eval.figures.error import error_figure, ticks, time_label
-from eval.figures.paper import page_width
 from eval.figures.plane import true_landmarks
-from eval.figures.style import DASHED, SOLID, Line, colour_of_method, drawing, save
+from eval.figures.style import DASHED, SOLID, Line, colour_of_method, drawing, page_width, save
 from eval.referee.errors import landmark_true_ids, named, position_distance, rms
 from eval.referee.score import Trial
 from eval.replay.frontend import FrontEnd
@@ -32,7 +31,7 @@ from eval.replay.settings import Setup
 from eval.report.page.blocks import Picture
 from eval.report.page.files import write_table
 from eval.stepping.matching import closer_figure, methods_figure, wrong_of
-from eval.stepping.plane import BAD, FAINT
+from eval.stepping.pictures import BAD, FAINT
 from eval.stepping.problem import Matching, problems_of
 from wings.labs.corridor import (
     BLIND,

@@ -85,7 +85,7 @@ def test_results_without_covariance_alone_end_in_no_empty_words(tmp_path, capsys
 
 def test_results_in_space_have_a_table_a_file_and_two_projections(tmp_path):
     from data.formats.results.reading import read_path
-    from eval.figures.space import space_figure
+    from eval.figures.map import space_figure
     from eval.referee.given.runs import TruePath, truth_log
     from eval.report.pictures import kinds
     from eval.report.results import space_rows
