@@ -10,8 +10,7 @@ import numpy as np
 
 from data import se2
 from data.columns.appearance import of_landmarks, together
-from data.columns.named import is_name
-from data.csv_table import Table
+from data.csv_table import Table, is_name
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
 from data.formats.open_log.writer import Recording, Samples
@@ -263,7 +262,7 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     pose = None if true is None else _at_frames(true, texts["truth"], wanted, time)
     columns.check_used(list(dict.fromkeys(texts.values())))
     observed, labels = joined(seen, time)
-    looks, known_looks = together(observed.appearance, None if known is None else known.appearance)
+    looks, known_looks = together([observed.appearance, None if known is None else known.appearance])
     observed = replace(observed, appearance=looks)
     known = None if known is None else replace(known, appearance=known_looks)
     sensors = tuple(sensor_of(part, notes) for part in seen) or (RangeBearing(),)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from data.columns.named import is_name
+from data.csv_table import is_name
 from data.errors import DataError
 from data.formats.recordings.laser import TravelNoise
 from data.formats.second_odometry import closures_between, covered, own_name

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from data.columns.appearance import Noise
-from data.columns.named import is_name
+from data.csv_table import is_name
 from data.errors import DataError, UsageError, unknown
 from data.formats.tables.files import ROLES, Columns, TextTable, read_text
 from data.formats.tables.values import POSE, Given, numbers, sigmas, words
