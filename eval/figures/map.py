@@ -21,6 +21,18 @@ from data.pose_measurements import FixKind
 from data.result import MapEstimate, Run
 from data.se2 import Array, dead_reckoned
 from eval.figures import plane
+from eval.figures.kinds import (
+    FRONT,
+    Facts,
+    Variants,
+    aligned_statement,
+    figure,
+    finished,
+    for_map,
+    left_out,
+    same,
+    worst,
+)
 from eval.figures.style import (
     DOTTED,
     SOLID,
@@ -36,6 +48,7 @@ from eval.figures.style import (
 )
 from eval.referee.ambiguity import ambiguous
 from eval.referee.given.runs import GivenRun, is_truth_alone
+from eval.referee.score import Trial
 
 MOST_IDS = 30
 LONG_LABEL = 24
@@ -287,3 +300,21 @@ def space_figure(runs: Sequence[Run]) -> Figure:
 
 def _line(ax: Axes, xy: Array, colour: str, line: Line, width: float, label: str) -> None:
     ax.plot(*xy.T, color=colour, linestyle=line, linewidth=width, label=label or "_")
+
+
+@figure("map", lambda trial, _: True, FRONT, quick=True)
+def _map(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    drawn, astray = for_map(trial), worst(trial)
+    shown = astray is not None and len(drawn) < len(trial.runs) and any(same(r, astray) for r in drawn)
+    facts = {"runs": drawn, "astray": astray if shown else None, "aligned": aligned_statement(trial)}
+    return map_figure(trial.log, drawn), {**facts, "others": left_out(trial, drawn)}
+
+
+def _spatial(trial: Trial) -> list[Run]:
+    """Results in space with their truth."""
+    return [r for r in finished(trial) if isinstance(r, GivenRun) and r.space]
+
+
+@figure("space", lambda trial, _: bool(_spatial(trial)), FRONT, quick=True)
+def _space(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    return space_figure(_spatial(trial)), {}

@@ -29,7 +29,6 @@ from eval.judgement.causes import (
     systematic,
     terms_of,
 )
-from eval.judgement.runs import associations
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee import battery
@@ -37,11 +36,10 @@ from eval.referee.attribution import Finding
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
 from eval.replay.external.spec import name_of
-from eval.replay.settings import BATCH, FILTERS, HINDSIGHT
+from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, associations
 from eval.report.page.blocks import Block, Picture, Section, folded
 from eval.report.page.files import SYSTEMATIC, stem, written_table
 from eval.report.page.tables import drop_blank_columns, number
-from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.words import fine_print, plus_minus, say
 from eval.studies.diagnosis import Blame, Row, Trust
 
@@ -166,7 +164,7 @@ def trust_section(
             frame, fine = trust_frame(trust, terms=terms), fine_print("Consistency without ground truth")
             blocks.append(written_table(frame, folder, name, caption, wanted, fine=fine))
         blocks += more
-    blocks += [p for p in pictures if p.stem == stem(trial, FILTER_SMOOTHER)]
+    blocks += [p for p in pictures if p.stem == stem(trial, "filter-smoother")]
     heading = f"{HEADING}: {trial.log.name}, {trial.task}"
     return [Section(heading, tuple(blocks), 3, tuple(facts), page=stem(trial))] if blocks else []
 

@@ -17,6 +17,7 @@ from data.notice import Code, Notice, Severity
 from data.result import DISCARD, NEW, Event, Run
 from data.wing import of_all
 from eval.figures.association import Example, revision_figure
+from eval.figures.kinds import DETAILS, FRONT, aligned_statement
 from eval.figures.style import save
 from eval.judgement.judgement import Comparison, Judgement
 from eval.plan.calibrate import Calibration
@@ -37,14 +38,13 @@ from eval.report.comparison import (
     summary_table,
 )
 from eval.report.diagnosis import first_page_words, systematic_section, trust_section
-from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, against_relations
+from eval.report.laser import against_relations
 from eval.report.overview import gauge_statement, in_short
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
-from eval.report.page.files import SYSTEMATIC, stem, variants, written_table
+from eval.report.page.files import stem, variants, written_table
 from eval.report.page.tables import drop_blank_columns, interval
-from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.publish import films_of
-from eval.report.results import aligned_statement, results_statement, space_tables
+from eval.report.results import results_statement, space_tables
 from eval.report.words import fine_print, of_runs, one_line, paragraph, say
 from eval.studies.diagnosis import Trust
 
@@ -281,9 +281,6 @@ def gate_sentence(setup: Setup, *, sensed: bool) -> str:
 IN_FULL, WHY_MISSING = "The comparison in words", "Why intervals are missing"
 IN_SUMMARY = {"errors": "rmse_position_m", "nees": "nees_pose", "nis": "nis", "decided": "fp"}
 VARIANTS, NOTES = "Additional variants", "Notes on the log and its runs"  # what folded texts are called
-IN_FRONT = ("map", "space", "error", "nees", "difference", "claims")
-"""Pictures of the report itself; the others are on the log's page."""
-ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC, GRID_PICTURE, LOOP_PICTURE)  # pictures of other sections
 
 
 def of_trial(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
@@ -317,20 +314,19 @@ def trial_sections(
             continue
         group = (trial, *variants(trial, trials))
         j = next(own)
-        kinds = {p: p.stem.removeprefix(f"{stem(trial)}-") for p in pictures}
         wide = _comparison(folder, output, trial, group, scores)
         about_log = [n for n in found if n.log == trial.log.name and n.task in ("", trial.task)]
         blocks = _front(trial, j, about_log, scores, first_page_words(trial, trust))
         blocks.append(_summary(trial, group, scores, wide))
         blocks += space_tables(folder, output, trial)
-        blocks += [p for p, kind in kinds.items() if kind in IN_FRONT]
+        blocks += [p for p in pictures if p.place == FRONT]
         blocks += [film for t in group for film in films_of(folder, t)] if output.animate else []
         blocks.append(paragraph("comparison#details", page=stem(trial)))
         sections.append(Section(_where(trial), tuple(blocks), facts=j))
         sections += source_section(folder, output, trial, scores, about_log)
         sections += systematic_section(folder, output, trial, pictures, calibrations)
         details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
-        details += [p for p, kind in kinds.items() if kind not in (*IN_FRONT, *ELSEWHERE)]
+        details += [p for p in pictures if p.place == DETAILS]
         about = tuple(paragraph("comparison#variant", name=t.log.name, about=t.about) for t in group[1:])
         details += [Folded(VARIANTS, about)] if about else []
         notes = of_runs(n for n in about_log if n.severity is Severity.INFO)

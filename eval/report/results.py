@@ -17,7 +17,7 @@ from data.formats.results.space import ignored
 from data.formats.results.tables import Companions
 from data.log import Log
 from data.logs import Reading, is_world, open_scored, unknown_world
-from data.notice import Code, Severity, notice
+from data.notice import Severity
 from data.questions.asked import truth_windows
 from data.se2 import Array
 from data.words import sentence
@@ -25,7 +25,6 @@ from eval.plan.flags.table import Output, Scoring
 from eval.plan.results import TRUTH, Result, manner_of, offset_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
-from eval.referee.given.in_space import NONE
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.result_files import Row, is_blank, value_of
@@ -245,13 +244,3 @@ def phases_of(trial: Trial, rows: Sequence[Row]) -> list[Phase]:
 def results_statement(trial: Trial, rows: Sequence[Row]) -> str:
     """A sentence on each result of a trial, from its rows of metrics.csv; empty where none was handed in."""
     return one_line(say("results#statement", phases=phases_of(trial, rows)))
-
-
-def aligned_statement(trial: Trial) -> str:
-    """Which results were moved onto the truth, for captions; empty where none was."""
-    moved = [r for r in trial.runs if isinstance(r, GivenRun) and r.aligned != NONE]
-    if not moved:
-        return ""
-    names, how = dict.fromkeys(r.estimator for r in moved), moved[0].aligned
-    about = sentence(notice(Code.ALIGNED, how=how, in_space=bool(moved[0].space)))
-    return " " + say("results#aligned", names=list(names), about=about, how=how)

@@ -17,6 +17,7 @@ from typing import Any
 
 from data.command import Command
 from data.errors import UsageError
+from eval.figures import FIGURES
 from eval.plan.flags.help import ABOUT, EXAMPLES, GROUPS, PROG, show_everyday
 from eval.replay.external.spec import FORM, own_or_foreign
 from eval.replay.flag import (
@@ -40,11 +41,7 @@ from eval.studies.shipped import scenarios
 FORMATS = ("csv", "md", "tex")
 KNOWN_FORMATS = (*FORMATS, "pdf")
 FACTORS = ("1", "2", "5", "10", "20", "50", "auto")
-FIGURES = (
-    *("map", "grid", "loops", "error", "nees", "difference", "claims", "fate", "filter-smoother", "systematic"),
-    *("growth", "state", "association"),
-)
-"""Kinds of figures of a log."""
+KINDS = (FIGURES[0], "grid", "loops", *FIGURES[1:])  # of figures of a log
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
 TWINS = 99  # replicates of a log: a share of the level of 5 % still leaves ranks to those statistics that need them
@@ -287,7 +284,7 @@ class Output:
         free_row,
     )
     figures: tuple[str, ...] = free_row(
-        (), names(FIGURES), "LIST", f"only these figures of logs, of {', '.join(FIGURES)} (default: all that apply)"
+        (), names(KINDS), "LIST", f"only these figures of logs, of {', '.join(KINDS)} (default: all that apply)"
     )
     show: tuple[str, ...] = free_row(
         (), names(), "LIST", "draw only these estimators, as in ekf,batch; tables have all (default: all that fit)"

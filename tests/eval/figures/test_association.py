@@ -14,7 +14,7 @@ from eval.figures.association import OUTCOME_COLOURS, PARTS, bars, confusion_fig
 from eval.figures.error import longest_sigma
 from eval.figures.growth import closing_frame, growth_figure, state_figure, state_is_informative
 from eval.referee.score import Trial
-from eval.report.pictures import draw, kinds
+from eval.report.publish import draw, kinds
 from tests.eval.figures.looks import SEEN_BY, lab, within
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run

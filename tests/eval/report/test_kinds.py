@@ -9,11 +9,11 @@ import pytest
 
 from data.inputs import Systematic
 from data.result import MapEstimate, Systematics, Trajectory
+from eval.figures.association import has_outcomes
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
-from eval.report import pictures, publish
-from eval.report.pictures import draw, has_outcomes, kinds
-from eval.report.publish import publish_runs
+from eval.report import publish
+from eval.report.publish import draw, kinds, publish_runs
 from tests.eval.handmade import FRAMES, circle_log, run_with_error
 
 ZERO, OFF = np.zeros(3), np.array([0.1, -0.1, 0.02])
@@ -30,7 +30,7 @@ def trial(*runs, log=None, task="slam", **more):
 @pytest.fixture
 def saved(monkeypatch):
     found = []
-    monkeypatch.setattr(pictures, "save", lambda fig, folder, stem, formats=None: found.append((fig, stem, formats)))
+    monkeypatch.setattr(publish, "save", lambda fig, folder, stem, formats=None: found.append((fig, stem, formats)))
     return found
 
 
