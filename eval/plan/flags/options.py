@@ -9,8 +9,7 @@ from pathlib import Path
 
 from data.errors import UsageError, did_you_mean
 from eval.figures.figure_style import FigureStyle
-from eval.plan.flags.help import PROG
-from eval.plan.flags.table import Drawing, Options, Output, inches, parser
+from eval.plan.flags.table import PROG, Drawing, Options, Output, inches, parser
 from eval.replay.external.spec import names_of
 from eval.replay.flag import Flag, filled, read_values, rows
 from eval.replay.settings import Setup, check_gates
