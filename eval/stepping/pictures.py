@@ -168,14 +168,12 @@ def legend(fig: Figure, place: tuple[float, float] | None, handles: Sequence[Lin
         fig.legend(handles=handles, loc="lower center", ncols=4)
 
 
-def background(ax: Axes, p: Plane) -> None:
-    """Expected landmarks and observations with their ellipses, compatible pairs in grey, and the robot."""
+def background(ax: Axes, p: Plane, size: float = 4.5) -> None:
+    """Expected landmarks (marks of a `size` [pt]) and observations with their ellipses, compatible pairs in grey."""
     outlines(ax, p.landmarks, p.Pl, DULL, 1.5, 0.08)
-    ax.plot(*p.landmarks.T, "+", color=DULL, markersize=4.5, markeredgewidth=0.7, zorder=3)
+    ax.plot(*p.landmarks.T, "+", color=DULL, markersize=size, markeredgewidth=0.15 * size, zorder=3)
     outlines(ax, p.xy, p.P, GOOD, 2.0, 0.08)
-    mark_robot(ax, np.zeros(3), "black", "robot")
     lines(ax, p, [(int(i), int(j)) for i, j in np.argwhere(p.near)], color=FAINT, linewidth=0.8, zorder=2.5)
-    fit(ax, p.shown, 0.1)
 
 
 def lines(ax: Axes, p: Plane, pairs: Sequence[tuple[int, int]], **look: Any) -> None:

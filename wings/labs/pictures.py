@@ -30,7 +30,7 @@ from eval.replay.run import front_end
 from eval.replay.settings import Setup
 from eval.report.page.blocks import Picture
 from eval.report.page.files import write_table
-from eval.stepping.matching import closer_figure, methods_figure, wrong_of
+from eval.stepping.matching import enlarged_figure, wrong_of
 from eval.stepping.pictures import BAD, FAINT
 from eval.stepping.problem import Matching, problems_of
 from wings.labs.corridor import (
@@ -296,7 +296,7 @@ def _first_wrong(lab: Lab, setup: Setup) -> Drawn:
     m = problems_of(s.log, "slam", s.run.estimator, s.run.association, setup, [frame], ("nn",), title)[frame]
     what = "the last frame; NN pairs nothing wrongly" if first is None else "the first frame in which NN pairs wrongly"
     return (
-        closer_figure(m, "nn"),
+        enlarged_figure(m, ["nn"], compatibility=True),
         f"`{s.log.name}`, {what}, zoomed, seen from the robot: what is compatible, with d²; what NN makes of it.",
         f"Compatibility and matching of NN in frame {frame} of {s.log.name}, observations and landmarks numbered",
     )
@@ -335,7 +335,7 @@ def _methods(lab: Lab, setup: Setup) -> Drawn:
 
     frame = max(found, key=lambda k: (gained(found[k]), -k))
     return (
-        methods_figure(found[frame], names),
+        enlarged_figure(found[frame], names),
         f"`{s.log.name}`, the frame in which JCBB gains most over NN, zoomed: what each makes of the same map.",
         f"Decisions of NN, SINGLES and JCBB in frame {frame} of {s.log.name}, side by side",
     )
