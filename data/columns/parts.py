@@ -109,7 +109,7 @@ def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
         many = counted(gaps, "gap")
         notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
     observations, ids = _observations(tables.get(OBSERVATIONS), header, *frames.get(OBSERVATIONS, ()))
-    known, landmarks = _landmarks(tables[LANDMARKS]) if LANDMARKS in tables else (None, None)
+    known, landmarks = landmarks_of(tables[LANDMARKS]) if LANDMARKS in tables else (None, None)
     if known is not None and known.sigma is not None and not all(s.sensor.sees_points for s in header.sensors):
         known = known.exact
         notes.append(f"{LANDMARKS}: sigmas of walls are not used; estimators take the map as exact")
@@ -221,7 +221,7 @@ def _observations(
     return Observations(frame, z, R, sensor=sensor, appearance=seen), ids
 
 
-def _landmarks(table: Table) -> tuple[LandmarkMap, LandmarkMap | None]:
+def landmarks_of(table: Table) -> tuple[LandmarkMap, LandmarkMap | None]:
     """The map, ascending by id, and the true landmarks; None: they are the map."""
     table.require_finite(("x", "y"))
     sigmas, placed = table.together(SIGMAS), table.together(TRUE_PLACE)
