@@ -10,7 +10,7 @@ import numpy as np
 
 from association.expectation import Expectation, gate_threshold
 from data.blocks import coordinates_from
-from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic
+from data.inputs import FrameObservations, Increment, IntArray, Prior, Systematic, not_estimable
 from data.motion.systematic import SensorFrame, sensor_frame
 from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, not_used
 from data.result import PoseEstimate, Updated
@@ -61,22 +61,20 @@ def frame_of(
 ) -> SensorFrame:
     """The frame of a filter's state. Raises ValueError for options that walls exclude (see `lack`)."""
     if not sensor.sees_points:
-        if why := lack(options, systematic, slam=slam):
+        if why := lack(options, sensor, systematic, slam=slam):
             raise ValueError(why)
         if slam:
             return WallFrame(np.zeros(3), np.array(prior.mean[:2]), -1, -1)
     return sensor_frame(systematic, sensor, prior)
 
 
-def lack(options: FilterOptions, systematic: Systematic | None, *, slam: bool) -> str | None:
+def lack(options: FilterOptions, sensor: Sensor, systematic: Systematic | None, *, slam: bool) -> str | None:
     """Why a filter with these options and errors cannot use walls, in a sentence; None if it can."""
     if slam and options.invariant:
         return "the invariant correction moves landmarks as points; walls need another filter"
     if slam and (options.new_variance is not None or options.new_variance_per_square is not None):
         return "a new wall has a distance and a direction, which have no variance in common"
-    if systematic is not None and systematic.of_sensor:
-        return "errors of range and bearing need a sensor of points; with walls only odometry's errors can be estimated"
-    return None
+    return not_estimable(systematic, None, sensor)
 
 
 class Filter:

@@ -405,11 +405,9 @@ class EkfSlam(Filter):
         self._version += 1
         e, a, b = self._used, self._at(merged), self._at(kept)
         P, mean = self._P[:e, :e], self._mean[:e]
-        apart, sign = mean[a] - mean[b], np.ones(len(a))
-        if not self.sensor.sees_points:
-            apart = self.sensor.residual(mean[a].reshape(-1, 2), mean[b].reshape(-1, 2)).ravel()
-            turned = np.cos(mean[a[1::2]] - mean[b[1::2]]) < 0.0  # the same wall with the other normal
-            sign[0::2] = np.where(turned, -1.0, 1.0)
+        difference, opposite = self.sensor.difference(mean[a].reshape(-1, 2), mean[b].reshape(-1, 2))
+        apart, sign = difference.ravel(), np.ones(len(a))
+        sign[0::2] = np.where(opposite, -1.0, 1.0)
         PHt = sign * P[:, a] - P[:, b]
         S = sign[:, None] * PHt[a] - PHt[b] + JOINED**2 * np.eye(len(a))
         gain = np.linalg.solve(S, PHt.T).T

@@ -8,7 +8,7 @@ import numpy as np
 
 from data.blocks import diagonal_blocks
 from data.compiled import njit
-from data.inputs import Inputs, IntArray, Systematic
+from data.inputs import Inputs, IntArray, Systematic, not_estimable
 from data.motion.systematic import SensorFrame
 from data.result import DISCARD, NEW, MapState, Systematics, map_with
 from data.se2 import Array, BoolArray
@@ -165,8 +165,8 @@ def joining_of(inputs: Inputs, decided: IntArray) -> Joining | None:
     known = inputs.map
     if known is None or known.sigma is None:
         return None
-    if not inputs.sensor.sees_points or (inputs.systematic is not None and "range" in inputs.systematic.names):
-        raise ValueError("an uncertain map needs a sensor of points, without a range error to estimate")
+    if why := not_estimable(inputs.systematic, known, inputs.sensor):
+        raise ValueError(why)
     rows = np.flatnonzero(decided >= 0)
     rows = rows[known.sigma[decided[rows]].any(axis=1)]
     row, first = np.unique(decided[rows], return_index=True)

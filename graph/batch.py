@@ -15,9 +15,9 @@ from data.se2 import Array, BoolArray, between, pose_error
 from graph.factors import LOSSES, ObservationFactors, between_factors, known_landmark_factors, landmark_factors
 from graph.optimum import Smoothed, optimize
 from graph.pose_factors import PoseFactor, closure_factors, fix_factors
-from graph.problem import Problem, landmark_priors, refuse_uncertain
+from graph.problem import Problem, landmark_priors, refuse
 from graph.systematic import Calibrated, refuse_pose_measurements
-from graph.walls import line_factors, refuse
+from graph.walls import line_factors
 
 
 class Start(NamedTuple):
@@ -119,8 +119,7 @@ def build(
 ) -> Problem:
     """The factors of a log under given decisions."""
     calibrated, sensor = None, inputs.sensor
-    refuse(inputs.systematic, sensor)
-    refuse_uncertain(inputs.map, inputs.systematic, sensor)
+    refuse(inputs.systematic, inputs.map, sensor)
     exact = inputs.map is not None and inputs.map.sigma is None
     of_poses = _of_poses(inputs, loss, rejected)
     if inputs.systematic is None:
