@@ -144,8 +144,3 @@ def _off(kind: str, shares: Sequence[tuple[str, Array]], band: tuple[float, floa
 
 def _median(values: Sequence[float]) -> float:
     return float(np.median(values)) if len(values) else math.nan
-
-
-def _spread(values: Array) -> float:
-    known = values[np.isfinite(values)]
-    return float(known.std(ddof=1)) if len(known) > 1 else math.nan

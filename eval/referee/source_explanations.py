@@ -27,7 +27,8 @@ from eval.referee.explanations import (
     of_variance,
     penalty,
 )
-from eval.referee.sources.residuals import ENTRIES, OfSource, correlation, entries_of, key_of, of_sources
+from eval.referee.residuals import correlation
+from eval.referee.sources.residuals import ENTRIES, OfSource, entries_of, key_of, of_sources
 from eval.referee.sources.scored import CLOSURE, sources_of
 
 OUTLIERS = "outliers"
@@ -58,7 +59,7 @@ def _correlated(e: Evidence, of: OfSource) -> list[Explanation]:
     name, both, ordered = key_of(of.source), list[float](), 0.0
     for entry, values in zip(entries_of(of.source), of.white.T, strict=True):
         usual = e.lag1.get(f"{name}/{ENTRIES[entry]}", 0.0)
-        r = correlation(values)
+        r = correlation(values[:-1], values[1:])
         r = (r - usual) / (1.0 - r * usual)
         both.append(r)
         ordered -= 0.5 * (len(values) - 1) * math.log1p(-min(r * r, 0.9999))

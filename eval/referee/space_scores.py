@@ -28,7 +28,7 @@ from eval.referee.given.in_space import (
     relative_columns,
 )
 from eval.referee.intervals import SEED, run_intervals
-from eval.referee.proper_scores import crps, energy_score_in_space, log_score
+from eval.referee.proper_scores import crps, energy_score, log_score
 
 CONVENTIONS = {LOCAL: "left-invariant", LEFT: "right-invariant", WORLD: "decoupled", MIXED: "decoupled"}
 """Error whose covariance a file states, by the frame of the covariance."""
@@ -125,7 +125,5 @@ def _proper(world: Errors) -> dict[str, float]:
             found[f"crps_{axis}_3d_{unit}"] = float(crps(world.value[known, k], np.sqrt(variance[known, k])).mean())
     part = np.isfinite(squared_distance(world.value[:, :3], world.covariance[:, :3, :3]))
     if part.any():
-        found["energy_score_3d_m"] = float(
-            energy_score_in_space(world.value[part, :3], world.covariance[part, :3, :3]).mean()
-        )
+        found["energy_score_3d_m"] = float(energy_score(world.value[part, :3], world.covariance[part, :3, :3]).mean())
     return found
