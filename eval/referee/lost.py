@@ -13,6 +13,7 @@ from data.notice import Code, Notice, notice
 from data.result import Run
 from data.se2 import Array, BoolArray
 from eval.referee.consistency import gated
+from eval.referee.sources.scored import uses_sources
 
 FRAMES = 10  # least number of frames with observations in a stretch
 OBSERVATIONS = 30  # least number of observations, or of expected ones, in a stretch
@@ -24,6 +25,8 @@ ABSURD = 100.0  # NIS per degree of freedom, or squared innovation in sigmas: 10
 CHANCE, USED = 1.8, 0.7
 """Factor of the expected NIS, and share of paired observations: pairings by chance fill the gate evenly, while sigmas
 stated at half give 1.9 and pair nearly all."""
+UNUSED = 0.1  # share of paired observations below which an estimate is dead reckoning
+FEWEST = 20  # least number of observations, or twice the landmarks, to ask about
 TOGETHER = 3  # successive absurd innovations; fewer may be wrong labels
 
 
@@ -154,3 +157,19 @@ def _stretch(
 
 def _decisions(run: Run) -> IntArray:
     return run.decisions if run.online is not None else run.final_decisions
+
+
+def unused(run: Run, inputs: Inputs | None = None) -> Notice | None:
+    """A notice where hardly any observation was paired, or (with `inputs`) where the log has none to pair.
+
+    None where fixes or closures were used: that is no dead reckoning.
+    """
+    if run.association == "none" or run.failure is not None or uses_sources(run):
+        return None
+    used, seen = int((run.final_decisions >= 0).sum()), len(run.final_decisions)
+    nothing = not seen and inputs is not None and inputs.scans is None and not run.handed_in
+    if not nothing and (seen < FEWEST or used >= UNUSED * seen):
+        return None
+    moves = inputs is None or bool(np.any(inputs.increments.mean))
+    found = notice(Code.UNUSED, used=used, readings=seen, task=run.task, moves=moves)
+    return found.about(estimator=run.estimator, association=run.association)

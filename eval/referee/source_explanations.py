@@ -16,7 +16,7 @@ from scipy import special
 
 from data.inputs import Inputs
 from data.se2 import Array, BoolArray
-from eval.referee.attribution import NOISE, Finding
+from eval.referee.attribution import NOISE, Finding, of_variance
 from eval.referee.explanations import (
     CORRELATION,
     FEWEST,
@@ -24,7 +24,6 @@ from eval.referee.explanations import (
     UNINFORMATIVE,
     Evidence,
     Explanation,
-    of_variance,
     penalty,
 )
 from eval.referee.residuals import correlation

@@ -44,6 +44,11 @@ class Statistic(NamedTuple):
     se: float = math.nan
     frame: int = -1
 
+    @property
+    def off(self) -> float:
+        """Standard errors from what is expected; NaN: unknown."""
+        return (self.value - self.expected) / self.se if self.se > 0.0 and math.isfinite(self.expected) else math.nan
+
 
 @dataclass(frozen=True, eq=False)
 class Difference:

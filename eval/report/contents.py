@@ -37,7 +37,6 @@ from eval.report.studies import study_sections
 from eval.report.words import LOST, described, paragraph, say, status_of, together, whose
 from eval.studies.diagnosis import trust_table
 from eval.studies.montecarlo import Judged, consistency_table
-from eval.studies.reproduced import published_frame
 
 FEW = 3  # warnings in front of the folded ones
 TITLE = "Filter or smoother: which estimate can be trusted?"
@@ -76,7 +75,7 @@ def write_results(
     if in_space := space_rows(trials):
         result_files.SPACE.write(result_files.SPACE.table(in_space), folder)
     if outcome.published:
-        result_files.PUBLISHED.write(published_frame(outcome.published), folder)
+        result_files.PUBLISHED.write(result_files.PUBLISHED.table(outcome.published), folder)
     (folder / "runs").mkdir()
     write_truths(folder, trials)
     published = publish(folder, output, options.setup, trials, lost, options.execution, progress)

@@ -10,8 +10,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from data import se2, se3
+from data import se3
 from data.errors import DataError
 from data.formats.results.clock import ASSUMED, DIGITS, RATE, ROWS, Clock
 from data.formats.results.frames import Tree, bare, in_frame
@@ -22,7 +23,7 @@ from data.notice import Code, Notice, notice
 from data.questions.asked import FASTEST, SHARE, changes, per_second
 from data.se2 import Array, BoolArray, wrap_angle
 from eval.referee.consistency import nees
-from eval.referee.errors import align, rms
+from eval.referee.errors import aligned_distance, rms
 from eval.referee.given.in_space import NONE, SAME_VERTICAL, SE3, YAW, InSpace, Poses, aligning, poses, tilts
 
 FEW = 5
@@ -320,9 +321,7 @@ def _scale(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     unit = next((r for r in RATIOS if abs(ratio / r - 1.0) < NEAR), None)
     if unit is None:
         return
-    turn = math.atan2(float(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])), float(np.sum(a * b)))
-    off = a @ se2.rotation(turn).T / ratio - b
-    if math.sqrt(float(np.mean(np.sum(off**2, axis=1)))) < FITS * size_b:
+    if rms(aligned_distance(a / ratio, b)) < FITS * size_b:
         metric = METRIC.get(unit if unit > 1.0 else 1.0 / unit, "")
         other = unit < 1.0 and pair.truth is not None
         file = pair.truth.file if other and pair.truth is not None else pair.estimate.file
@@ -364,10 +363,7 @@ def _mirrored(pair: Pair, known: BoolArray) -> Iterator[Notice]:
     a, b = pair.estimate.pose[known, :2], pair.at[known, :2]
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     spread = math.sqrt(float(np.mean(np.sum(b**2, axis=1))))
-    off = []
-    for sign in (1.0, -1.0):
-        R, t = align(a * [1.0, sign], b)
-        off.append(math.sqrt(float(np.mean(np.sum(((a * [1.0, sign]) @ R.T + t - b) ** 2, axis=1)))))
+    off = [rms(aligned_distance(a * [1.0, sign], b)) for sign in (1.0, -1.0)]
     if off[0] > FITS * spread and off[1] < REFLECTED * off[0]:
         yield notice(Code.PATH_MIRRORED, estimate=pair.estimate.file, direct=off[0], mirrored=off[1])
 
@@ -401,17 +397,7 @@ def _same_vertical(ours: Poses, theirs: Poses) -> bool:
 
 def _w_first(ours: Array, theirs: Array) -> bool:
     """Whether quaternions fit the truth's tilt when their first number is w."""
-    phi = se3.log_rotation(ours)
-    half = 0.5 * np.linalg.norm(phi, axis=1, keepdims=True)
-    q = np.column_stack([0.5 * phi * np.sinc(half / np.pi), np.cos(half)])
-    other = np.column_stack([q[:, 1:], q[:, :1]])
-    R = se3.exp_rotation(_rotation_vectors(other))
+    w_last = np.roll(Rotation.from_matrix(ours).as_quat(), -1, axis=1)
+    R = Rotation.from_quat(w_last).as_matrix()
     tilt = np.arccos(np.clip((theirs @ np.swapaxes(R, -1, -2))[:, 2, 2], -1.0, 1.0))
     return bool(np.median(tilt) < 0.5 * TILTED)
-
-
-def _rotation_vectors(q: Array) -> Array:
-    """Rotation vectors (n, 3) of quaternions x, y, z, w (n, 4)."""
-    sine = np.linalg.norm(q[:, :3], axis=1, keepdims=True)
-    angle = 2.0 * np.arctan2(sine, q[:, 3:])
-    return np.asarray(q[:, :3] / np.maximum(sine, 1e-12) * angle)
