@@ -30,11 +30,11 @@ import scipy
 from association.decide import known_decisions
 from association.expectation import gate_threshold
 from data import se2
-from data.columns.fixes import POSE
 from data.columns.header import HEADER, read_header
+from data.columns.parts import ODOMETRY, TRUTH
+from data.columns.poses import POSE
 from data.csv_table import read_table
 from data.errors import DataError, UsageError, unknown
-from data.formats.open_log.reader import ODOMETRY, TRUTH
 from data.inputs import Increments, Inputs, IntArray, LabelledObservations
 from data.log import Log
 from data.motion.velocity import MAX_HOLD, WITH_ALPHAS, VelocityModel, preintegrate
