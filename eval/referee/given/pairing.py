@@ -14,11 +14,22 @@ from scipy.spatial.transform import Rotation
 
 from data import se3
 from data.errors import DataError
-from data.formats.results.clock import ASSUMED, DIGITS, RATE, ROWS, Clock
 from data.formats.results.frames import Tree, bare, in_frame
-from data.formats.results.matrices import translation_first
-from data.formats.results.path import LEFT, LOCAL, ROTATION, WORLD, GivenPath, Spatial, restamped
-from data.formats.results.space import flattened
+from data.formats.results.path import (
+    ASSUMED,
+    DIGITS,
+    LEFT,
+    LOCAL,
+    RATE,
+    ROTATION,
+    ROWS,
+    WORLD,
+    Clock,
+    GivenPath,
+    Spatial,
+    restamped,
+)
+from data.formats.results.space import flattened, translation_first
 from data.notice import Code, Notice, notice
 from data.questions.asked import FASTEST, SHARE, changes, per_second
 from data.se2 import Array, BoolArray, wrap_angle
