@@ -61,7 +61,7 @@ def convert(args: argparse.Namespace) -> Log | str:
     from data.formats.bags.reading import collect
     from data.formats.bags.topics import chosen, listed, topics_of
     from data.formats.recordings.laser import TravelNoise
-    from data.formats.tables.files import POSE, TRAVEL, numbers, sigmas
+    from data.formats.tables.files import POSE, TRAVEL, numbers
 
     topics = chosen(
         args.source, topics_of(args.source), odometry=args.odom, scans=args.scan, truth=args.truth,
@@ -76,7 +76,7 @@ def convert(args: argparse.Namespace) -> Log | str:
         text = getattr(args, flag.replace("-", "_"))
         if text is None:
             return None
-        return float(sigmas(text, (dimension,), flag, "a standard deviation", zero=False)[0])
+        return float(numbers(text, (dimension,), flag, "a standard deviation", zero=False)[0])
 
     second = None
     if args.second_odom_sigma is not None:
@@ -84,10 +84,12 @@ def convert(args: argparse.Namespace) -> Log | str:
             text = f"--second-odom-sigma {args.second_odom_sigma}"
             raise UsageError(f"{text}: there is none; --second-odom TOPIC names it")
         what = "of travel [m] per sqrt(m) and sqrt(rad), of the heading [rad] per sqrt(m) and sqrt(rad)"
-        second = TravelNoise(*sigmas(args.second_odom_sigma, TRAVEL, "second-odom-sigma", what).tolist())
+        second = TravelNoise(*numbers(args.second_odom_sigma, TRAVEL, "second-odom-sigma", what, zero=True).tolist())
     wanted = Wanted(
         None if args.prior is None else numbers(args.prior, POSE, "prior", "x, y [m], heading [rad]"),
-        None if args.prior_sigma is None else sigmas(args.prior_sigma, POSE, "prior-sigma", "of x, y [m], heading"),
+        None
+        if args.prior_sigma is None
+        else numbers(args.prior_sigma, POSE, "prior-sigma", "of x, y [m], heading", zero=True),
         sigma("point-sigma", "length"),
         sigma("bearing-sigma", "angle"),
         sigma("position-sigma", "length"),
