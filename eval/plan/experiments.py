@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from association.decide import METHODS
+from association.names import METHODS
 from association.scans.constraints import SCAN
 from data.command import stretch
 from data.errors import UsageError
@@ -19,12 +19,15 @@ from eval.plan.experiment import (
     Experiment,
     Work,
     check_maintained,
+    check_possible,
     check_possible_on,
+    check_scenario,
     default_task,
     default_task_line,
+    introduce_all,
+    load_all,
 )
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
-from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
 from eval.replay.estimators import FOR_SEVERAL, FOR_WALLS, NO_HINDSIGHT_OF_SEVERAL, NO_HINDSIGHT_OF_WALLS
 from eval.replay.laser.backends import NAMES as BACK_ENDS

@@ -16,11 +16,10 @@ from data.log import folder_name
 from data.notice import Notice
 from data.result import Run, Trajectory
 from data.se2 import Array
-from eval.figures import FIGURES
-from eval.figures.kinds import KINDS, Kind, Variants
+from eval.figures.kinds import Kind, Variants, every
 from eval.figures.style import save
+from eval.plan.experiment import MISSING_RUN, Unfinished
 from eval.plan.flags.table import Execution, Output
-from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, work
 from eval.player.document import played, write_player
 from eval.referee import result_files
@@ -44,8 +43,9 @@ DRAWING, WRITING = 0.5, 1e-3
 
 def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> dict[str, Kind]:
     """The figures that a trial gets, with its variants, in the order of the report."""
-    every = {FIGURES[0]: KINDS[FIGURES[0]], "grid": GRID, "loops": LOOPS, **{name: KINDS[name] for name in FIGURES[1:]}}
-    return {n: kind for n, kind in every.items() if (kind.in_quick or not quick) and kind.applies(trial, variants)}
+    (first, of_map), *rest = every().items()
+    all_kinds = {first: of_map, "grid": GRID, "loops": LOOPS, **dict(rest)}
+    return {n: kind for n, kind in all_kinds.items() if (kind.in_quick or not quick) and kind.applies(trial, variants)}
 
 
 def draw(folder: Path, trial: Trial, name: str, variants: Variants = ()) -> Picture:

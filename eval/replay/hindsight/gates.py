@@ -29,6 +29,7 @@ from ekf.slam import EkfSlam
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.ledger import Ledger
 from eval.replay.hindsight.noise import NoiseScale
+from eval.replay.hindsight.record import Epoch
 from eval.replay.settings import Setup
 
 
@@ -220,7 +221,7 @@ class Paired(NamedTuple):
 def pair(e: Expectation, slam: EkfSlam, ledger: Ledger, scales: Scales, setup: Setup) -> Paired:
     """Joint compatibility; an ambiguous pairing counts only if its frame as a whole supports it.
 
-    e: landmarks in view under the stated noise; after an ambiguous frame the epoch may be another one than the ledger's.
+    e: landmarks in view under the stated noise. After an ambiguous frame the epoch may not be the ledger's.
     """
     real, epoch = scaled(e, scales), ledger.epoch
     found = Paired(e, *jcbb_conditional(real, setup.gate, setup.new_gate), epoch)
