@@ -49,10 +49,10 @@ class Plan(NamedTuple):
     plain: float
 
 
-def landmark_numbers(decisions: IntArray) -> tuple[IntArray, int]:
-    """Landmark number (M,) that each observation is paired with or initializes, negative for none, and their number."""
+def landmark_numbers(decisions: IntArray) -> IntArray:
+    """Landmark number (M,) that each observation is paired with or initializes, negative for none."""
     new = decisions == NEW
-    return np.where(new, np.cumsum(new) - 1, decisions), int(new.sum())
+    return np.where(new, np.cumsum(new) - 1, decisions)
 
 
 def plan(decisions: IntArray, start: IntArray) -> Plan:
@@ -61,7 +61,7 @@ def plan(decisions: IntArray, start: IntArray) -> Plan:
     Each epoch has the length of least mean cost per frame: a longer one has a longer state, a shorter one updates the
     whole map more often. Greedy, from one epoch to the next.
     """
-    number, _ = landmark_numbers(decisions)
+    number = landmark_numbers(decisions)
     created = np.concatenate([[0], np.cumsum(decisions == NEW)])[start]
     paired = np.diff(np.concatenate([[0], np.cumsum(decisions >= 0)])[start])
     step = STEP + PAIRING * paired
@@ -120,7 +120,7 @@ def run_in_epochs(
 ) -> FilterRun:
     """The result of `ekf.whole_run.run_filter` for EKF-SLAM, up to rounding; arguments as there."""
     n, o = len(inputs), inputs.observations
-    number, total = landmark_numbers(decisions)
+    number, total = landmark_numbers(decisions), int((decisions == NEW).sum())
     decided = np.array(decisions, np.int64)
     of = inputs.systematic
     frame = frame_of(of, inputs.sensor, inputs.prior, options, slam=True)

@@ -27,7 +27,7 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def convert(args: argparse.Namespace) -> Log:
     """The log of the flags; its source has every parameter."""
-    from data.worlds.erring import described
+    from data.worlds.parameters import described
 
     kind = parameters_of(args.kind)
     values = kind(**{f.name: getattr(args, f.name) for f in fields(kind)})
