@@ -21,6 +21,7 @@ Method = Callable[[Expectation, float | None], IntArray]
 PLAIN: dict[str, Method] = {"nn": nn, "ml": ml, "ml-ratio": ml_ratio, "singles": singles, "gnn": gnn}
 """Methods without a search budget."""
 SEARCHES = {"jcbb": False, "jcbb-first": True}  # node budget; whether the first hypothesis wins
+SCAN = "scan"  # name of the association method that pairs the scans of a laser log, not observations
 METHODS = (*PLAIN, *SEARCHES)  # names of all methods that decide from the estimate; `known` decides from labels
 OWN_NEWNESS = "ml-ratio"  # the method that decides itself which observations are new
 

@@ -14,7 +14,7 @@ from association.scans.occupancy import contradiction
 from data.inputs import IntArray, Scans
 from data.locked import read_only
 from data.result import Run
-from data.se2 import Array, between
+from data.se2 import Array, BoolArray, between
 
 NEAR, APART, BESIDE = 3.0, 12, 3
 """m between two key poses whose scans are compared; key poses between them: revisits, and neighbours at most."""
@@ -109,7 +109,7 @@ class Loops:
         return len(self.key1)
 
 
-SCAN = "scan"  # name of the association method of laser logs: scan matching with loop closures
+KEPT = 0.05  # weight below which a loop closure is rejected: Cauchy's at 4.4 sigma; GNC's weights are 0 or 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,3 +129,18 @@ class LaserRun(Run):
     def decides(self) -> bool:
         """False: it decides about loop closures, not about observations of its log."""
         return False
+
+    def counts(self, phase: str) -> dict[str, int]:
+        """Numbers of loop closures that were tested, believed and not."""
+        if self.loops is None:
+            return {}
+        believed = self.kept(phase)
+        accepted = int(believed.sum())
+        return {"observations": len(believed), "accepted": accepted, "rejected": len(believed) - accepted}
+
+    def kept(self, phase: str) -> BoolArray:
+        """Which loop closures (L,) are believed: online those that joined the graph, finally those that kept weight."""
+        if self.loops is None:
+            return np.zeros(0, np.bool_)
+        believed: BoolArray = self.loops.believed >= 0
+        return believed & ~(self.weight < KEPT) if phase == "final" and self.weight is not None else believed

@@ -213,3 +213,10 @@ def range_unit(log: Log) -> list[Notice]:
 
 
 CHECKS = (no_odometry, odometry_unit, range_unit, returns, mounting)
+
+
+def questions(log: Log) -> list[Notice]:
+    """Questions about a laser log; none of another."""
+    if log.recorded.scans is None or len(log.recorded.scans.frame) < FEWEST:
+        return []
+    return [question for check in CHECKS for question in check(log)]

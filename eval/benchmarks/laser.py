@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from joblib import Parallel, delayed
 
-from association.scans.constraints import SCAN, LaserRun
+from association.decide import SCAN
+from association.scans.constraints import LaserRun
 from data.se2 import Array
 from data.worlds.registry import named_log
 from eval.compare import compare
@@ -115,3 +116,8 @@ def plan_lines(found: Sequence[PlanRun]) -> list[str]:
     speed = [r.span / r.seconds for r in found]
     lines.append(f"front end: {np.median(speed):.0f} times real time")
     return lines
+
+
+def lines(quick: bool) -> list[str]:
+    """The measurements of all plans, of a tenth of them if `quick`."""
+    return plan_lines(measure_plans(range(SEEDS // 10 if quick else SEEDS)))

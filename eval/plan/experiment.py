@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from association.scans.constraints import SCAN
+from association.decide import SCAN
 from data.errors import UsageError
 from data.log import Log
 from eval.replay.external.spec import is_foreign

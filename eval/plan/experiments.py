@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from association.decide import METHODS
-from association.scans.constraints import SCAN
+from association.decide import SCAN
 from data.command import stretch
 from data.errors import UsageError
 from data.formats.recordings.esde import NAME, find_esde
@@ -26,10 +26,9 @@ from eval.plan.experiment import (
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
 from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
-from eval.plan.variants import maintained, sparser
+from eval.plan.variants import maintained
 from eval.replay.estimators import FOR_SEVERAL, FOR_WALLS, NO_HINDSIGHT_OF_SEVERAL, NO_HINDSIGHT_OF_WALLS
-from eval.replay.laser.backends import NAMES as BACK_ENDS
-from eval.replay.settings import HINDSIGHT
+from eval.replay.settings import HINDSIGHT, OF_SCANS
 from eval.studies.scenario import Scenario, load_scenario
 from eval.studies.shipped import scenarios
 
@@ -93,7 +92,6 @@ def make_plan(options: Options, say: Callable[[str], None]) -> Plan:
             for task in _tasks(log, s)
         ]
     if not options.output.quick:
-        experiments += [sparse for e in experiments for sparse in sparser(e)]
         experiments += [e for of_wing in of_all("variants") for e in of_wing(options, tuple(experiments))]
     _check_names(list(dict.fromkeys((id(e.log), e.log.name) for e in experiments)))
     check_maintained(options.setup, [e.task for e in experiments])
@@ -174,11 +172,11 @@ def _work(log: Log, asked: Selection) -> tuple[Work, ...]:
         raise UsageError(f"--association {HINDSIGHT}: log {log.name!r} has walls; {NO_HINDSIGHT_OF_WALLS}")
     if HINDSIGHT in associations and several:
         raise UsageError(f"--association {HINDSIGHT}: log {log.name!r}: {NO_HINDSIGHT_OF_SEVERAL}")
-    scanned = tuple(e for e in asked.estimator if e in BACK_ENDS)
-    other = [e for e in asked.estimator if e not in BACK_ENDS]
+    scanned = tuple(e for e in asked.estimator if e in OF_SCANS)
+    other = [e for e in asked.estimator if e not in OF_SCANS]
     # those that cannot use scans may have the landmarks
     if SCAN in associations and other and (len(associations) == 1 or not scanned):
-        raise UsageError(f"--estimator {other[0]}: not for laser log {log.name!r}; name some of {', '.join(BACK_ENDS)}")
+        raise UsageError(f"--estimator {other[0]}: not for laser log {log.name!r}; name some of {', '.join(OF_SCANS)}")
     if asked.estimator == ALL:
         scanned = (*ALL, *ROBUST)
     return tuple(Work(a, scanned if a == SCAN else asked.estimator) for a in associations)

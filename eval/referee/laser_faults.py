@@ -15,7 +15,7 @@ from data.inputs import Inputs
 from data.notice import Code, Notice, Value, notice
 from data.result import Run
 from data.se2 import between, compose, covariances_in_world, dead_reckoned, wrap_angle
-from eval.referee.laser import errors, relation_errors
+from eval.referee.relations import errors, relation_errors
 from eval.referee.score import Trial
 
 SIGMAS, FAR, TURNED = 10.0, 0.5, 0.5
@@ -120,34 +120,32 @@ DISAGREE, LEAST = 3.0, 0.05
 """Ratio and size [m] of errors (or of distances of the paths from each other) of graphs of other sizes."""
 
 
-def sizes_disagree(trials: Sequence[Trial]) -> list[Notice]:
-    """Notices where graphs with other distances between key poses lead to other paths."""
-    found = []
-    for base in (t for t in trials if t.variant_of is None):
-        run = _mapped(base)
-        others = [(t, r) for t in trials if t.variant_of == base.log.name and (r := _mapped(t)) is not None]
-        if run is None or run.last is None or not others:
+def _sizes_disagree(base: Trial, trials: Sequence[Trial]) -> list[Notice]:
+    """A notice where graphs with other distances between key poses lead to other paths."""
+    run = _mapped(base)
+    if base.variant_of is not None or run is None or run.last is None:
+        return []
+    relations, time = base.log.truth.relations, base.log.recorded.time
+    sizes = []
+    for trial in (base, *(t for t in trials if t.variant_of == base.log.name)):
+        other = _mapped(trial)
+        if other is None or other.last is None:
             continue
-        relations, time = base.log.truth.relations, base.log.recorded.time
-        sizes = []
-        for t, r in [(base, run), *others]:
-            assert r.last is not None
-            if relations is None:
-                off = float(np.sqrt(np.nanmean(np.sum((r.last - run.last)[:, :2] ** 2, axis=1))))
-                sizes.append((off, t.log.name))
-            elif (e := relation_errors(r.last, relations, time)) is not None:
-                sizes.append((e.trans_mean_m, t.log.name))
-        if len(sizes) < 2:
-            continue
-        (best, best_name), (worst, worst_name) = min(sizes), max(sizes)
-        alike = worst <= DISAGREE * max(best, LEAST) if relations is not None else worst <= 10.0 * LEAST
-        if not alike:
-            by = notice(
-                Code.SIZES_DISAGREE, related=relations is not None, best=best, best_log=best_name, worst=worst,
-                worst_log=worst_name,
-            )  # fmt: skip
-            found.append(by.about(log=base.log.name, task=base.task, estimator=run.estimator))
-    return found
+        if relations is None:
+            off = float(np.sqrt(np.nanmean(np.sum((other.last - run.last)[:, :2] ** 2, axis=1))))
+            sizes.append((off, trial.log.name))
+        elif (e := relation_errors(other.last, relations, time)) is not None:
+            sizes.append((e.trans_mean_m, trial.log.name))
+    if len(sizes) < 2:
+        return []
+    (best, best_name), (worst, worst_name) = min(sizes), max(sizes)
+    if worst <= (DISAGREE * max(best, LEAST) if relations is not None else 10.0 * LEAST):
+        return []
+    found = notice(
+        Code.SIZES_DISAGREE, related=relations is not None, best=best, best_log=best_name, worst=worst,
+        worst_log=worst_name,
+    )  # fmt: skip
+    return [found.about(estimator=run.estimator)]
 
 
 def _mapped(trial: Trial) -> LaserRun | None:
@@ -155,20 +153,11 @@ def _mapped(trial: Trial) -> LaserRun | None:
     return min(found, key=lambda r: r.estimator != "isam2", default=None)
 
 
-def serious(trial: Trial) -> list[Notice]:
-    """What forbids to trust any path of a laser log: it leaves the wheels, or its walls are doubled."""
-    run = _mapped(trial)
-    if run is None:
-        return []
+def faults(trial: Trial, trials: Sequence[Trial] = ()) -> list[Notice]:
+    """What speaks against the runs of a laser log; its variants are among the `trials`."""
+    found: list[Notice | None] = []
     inputs = trial.log.recorded
-    return [n for n in (against_wheels(run, inputs), doubled_walls(run, inputs)) if n is not None]
-
-
-def of_run(run: Run, trial: Trial) -> list[Notice]:
-    """All notices of one run of a laser log."""
-    if not isinstance(run, LaserRun) or run.chain is None:
-        return []
-    mapped = _mapped(trial)
-    own = serious(trial) if mapped is run else []
-    more = refused(run) if mapped is run else None
-    return [n for n in (*own, more, beyond_claims(run, trial)) if n is not None]
+    if (run := _mapped(trial)) is not None:
+        found += [against_wheels(run, inputs), doubled_walls(run, inputs), refused(run)]
+    found += [beyond_claims(r, trial) for r in trial.runs if isinstance(r, LaserRun) and r.chain is not None]
+    return [n for n in (*found, *_sizes_disagree(trial, trials)) if n is not None]

@@ -142,6 +142,7 @@ STEPPING = (*FILTERS, *INCREMENTAL)
 HINDSIGHT = "jcbb-hindsight"  # decisions may be revised later (`eval.replay.hindsight`)
 BATCH = ("batch", "batch-huber", "batch-cauchy", "gnc")
 ESTIMATORS = ("dead-reckoning", *STEPPING, *BATCH)
+OF_SCANS = ("dead-reckoning", "ekf", *INCREMENTAL, *BATCH)  # estimators on loop closures of a laser log
 ASSOCIATIONS = ("known", "nn", "ml", "ml-ratio", "singles", "jcbb", "jcbb-first", "gnn", HINDSIGHT, "scan")
 
 

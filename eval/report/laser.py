@@ -13,7 +13,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from association.scans.constraints import SCAN, LaserRun, Loops
+from association.decide import SCAN
+from association.scans.constraints import LaserRun, Loops
 from association.scans.occupancy import MOST_CELLS, Grid, occupancy_grid
 from data.formats.g2o import MOTION
 from data.formats.g2o_out import written
@@ -114,7 +115,7 @@ def write_laser_files(folder: Path, trial: Trial) -> None:
     write_map(grid, place)
     figure = map_picture(grid, run.last, name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
     save(figure, place, "map", ("png",))
-    LOOPS.write(loops_table(run.loops, run.weight), place)
+    result_files.LOOPS.write(loops_table(run), place)
     (place / GRAPH).write_text(graph_of(run), encoding="utf-8")
 
 
@@ -126,49 +127,48 @@ def graph_of(run: LaserRun) -> str:
     chain, loops = run.chain, run.loops
     keys = range(len(run.key_pose))
     edges = [(MOTION, k - 1, k, chain.motion[k], chain.covariance[k]) for k in keys[1:]]
-    for i in np.flatnonzero(laser.kept(loops, run.weight, "final")).tolist():
+    for i in np.flatnonzero(run.kept("final")).tolist():
         edges.append((MOTION, int(loops.key1[i]), int(loops.key2[i]), loops.relative[i], loops.covariance[i]))
     return written((keys, run.key_pose), ((), np.zeros((0, 2))), (0,), edges)
 
 
-def loops_table(loops: Loops, weight: Array | None) -> pd.DataFrame:
+def loops_table(run: LaserRun) -> pd.DataFrame:
     """loops.csv: every loop closure looked at; accepted: it joined the graph, final: it kept its weight."""
-    rows, columns = np.triu_indices(3)
-    loop_state = [laser.kept(loops, weight, phase).astype(int) for phase in ("online", "final")]
+    assert run.loops is not None
+    loops, (rows, columns) = run.loops, np.triu_indices(3)
+    loop_state = [run.kept(phase).astype(int) for phase in ("online", "final")]
     covariance = loops.covariance[:, rows, columns].T
     values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *loop_state]
-    return pd.DataFrame(dict(zip(LOOPS.names, values, strict=True)))
+    return pd.DataFrame(dict(zip(result_files.LOOPS.names, values, strict=True)))
 
 
 GRID_PICTURE, LOOP_PICTURE = "grid", "loops"
 
 
-def laser_kinds(trial: Trial) -> tuple[str, ...]:
-    """Which of these pictures a trial gets."""
+def _grid_figure(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     run = mapping_run(trial)
-    if run is None:
-        return ()
-    return (GRID_PICTURE, LOOP_PICTURE) if run.loops is not None and len(run.loops) else (GRID_PICTURE,)
-
-
-def laser_picture(trial: Trial, kind: str) -> tuple[Figure, str, str]:
-    """Figure, caption and what it shows in a sentence."""
-    run, name = mapping_run(trial), trial.log.name
     assert run is not None
     assert run.last is not None
-    phase = phase_of(run)
-    names = {"name": name, "estimator": run.estimator, "phase": phase}
-    if kind == GRID_PICTURE:
-        figure = map_picture(grid_of(trial, run), run.last, name=name, estimator=run.estimator, phase=phase)
-        return figure, say("laser#grid", **names), f"Occupancy grid of {name} with the path of {run.estimator}"
+    facts = {"estimator": run.estimator, "phase": phase_of(run)}
+    return map_picture(grid_of(trial, run), run.last, name=trial.log.name, **facts), facts
+
+
+def _loop_figure(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    run = mapping_run(trial)
+    assert run is not None
     assert run.loops is not None
-    assert run.chain is not None
     assert run.key_pose is not None
-    truth = trial.log.truth.pose
-    false = None if truth is None else ~laser.right_closures(run.loops, truth[run.chain.frame])
-    weight = np.ones(len(run.loops)) if run.weight is None else run.weight
-    figure = loop_picture(run.key_pose, run.loops, weight, name=name, false=false, estimator=run.estimator)
-    return figure, say("laser#loops", **names), f"Pose graph of {name} with its loop closures"
+    figure = loop_picture(run, false_loops(run, trial), name=trial.log.name)
+    return figure, {"estimator": run.estimator, "phase": phase_of(run)}
+
+
+def _has_loops(trial: Trial) -> bool:
+    run = mapping_run(trial)
+    return run is not None and run.loops is not None and len(run.loops) > 0
+
+
+GRID = Kind(lambda trial, _: mapping_run(trial) is not None, _grid_figure, in_quick=True, macro="laser#grid")
+LOOPS = Kind(lambda trial, _: _has_loops(trial), _loop_figure, macro="laser#loops")
 
 
 RELATIONS_CAPTION = "errors against the reference relations, mean ± standard deviation."
@@ -183,7 +183,12 @@ INTEL_RELATIONS = 2984  # relations of the Intel log, by whose number it is reco
 
 
 def laser_sections(
-    folder: Path, wanted: Output, trials: Sequence[Trial], published: Sequence[Sequence[Picture]]
+    folder: Path,
+    wanted: Output,
+    trials: Sequence[Trial],
+    published: Sequence[Sequence[Picture]],
+    _in_lab: bool = False,
+    _factor: int | None = 1,
 ) -> list[Section]:
     """A section for each laser log; variants are rows in the table of graph sizes."""
     sections = []
@@ -200,34 +205,6 @@ def laser_sections(
             blocks.append(_sizes(folder, wanted, [trial, *variants]))
         sections.append(Section(f"Laser: {trial.log.name}", tuple(blocks), facts=facts))
     return sections
-
-
-def against_relations(trial: Trial) -> str:
-    """Filter, smoother and wheels against the reference relations, in a sentence; empty where there are none."""
-    relations, paths = trial.log.truth.relations, against(trial)
-    return say("laser#against", relations=len(relations), paths=paths) if relations is not None and paths else ""
-
-
-def against(trial: Trial) -> list[dict[str, object]]:
-    """Errors [m, deg] of filter, smoother and wheels against the relations tied by row, and whose path that is."""
-    relations = trial.log.truth.relations
-    found: list[dict[str, object]] = []
-    for name, association, phase in (
-        ("ekf", SCAN, "online"),
-        ("ekf", SCAN, "final"),
-        ("isam2", SCAN, "online"),
-        ("isam2", SCAN, "final"),
-        ("dead-reckoning", "none", "online"),
-    ):
-        run = trial.find(name, association)
-        path = None if run is None or run.failure is not None else laser.paths_of(run).get(phase)
-        if path is None or relations is None:
-            continue
-        e = laser.relation_errors(path, relations, trial.log.recorded.time)
-        if e is not None:
-            found.append({"estimator": name, "phase": phase, "mean": e.trans_mean_m, "std": e.trans_std_m})
-            found[-1]["heading"] = e.rot_mean_deg
-    return found
 
 
 def _relations(folder: Path, wanted: Output, trial: Trial) -> list[Block]:
@@ -250,22 +227,23 @@ def _relation_rows(run: Run, log: Log) -> list[dict[str, object]]:
     if not (given or isinstance(run, LaserRun)) or run.failure is not None or log.truth.relations is None:
         return []
     rows = []
-    for phase, path in laser.paths_of(run).items():
+    for phase in run.phases:
+        path = run.trajectory(phase).pose
         row: dict[str, object] = {"estimator": run.estimator, "association": run.association, "phase": phase}
         for tie, subset in (
-            (laser.ROW, laser.ALL),
-            (laser.ROW, laser.EXACT),
-            (laser.TIME, laser.ALL),
-            (laser.TIME, laser.EXACT),
+            (ROW, ALL),
+            (ROW, EXACT),
+            (TIME, ALL),
+            (TIME, EXACT),
         ):
-            e = laser.relation_errors(path, log.truth.relations, log.recorded.time, tie=tie, subset=subset)
+            e = relation_errors(path, log.truth.relations, log.recorded.time, tie=tie, subset=subset)
             if e is not None:
                 head = f"{subset} by {tie} ({e.relations}) [m]"
                 row[head] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
-                if (tie, subset) == (laser.ROW, laser.ALL):
+                if (tie, subset) == (ROW, ALL):
                     row["heading [°]"] = f"{e.rot_mean_deg:.3f} ± {e.rot_std_deg:.3f}"
                     row["largest [m]"] = number(e.trans_max_m)
-        other = laser.relation_errors(path, log.truth.relations, log.recorded.time, order=laser.KUEMMERLE)
+        other = relation_errors(path, log.truth.relations, log.recorded.time, order=KUEMMERLE)
         if other is not None:
             row["other order [m]"] = f"{other.trans_mean_m:.4f} ± {other.trans_std_m:.4f}"
         rows.append(row)
@@ -295,7 +273,7 @@ def facts_of(trial: Trial, run: LaserRun) -> dict[str, object]:
         "keys": len(run.chain.frame),
         "loops": len(run.loops),
         "believed": int((run.loops.believed >= 0).sum()),
-        "left_out": tuple((r.estimator, int((r.weight < laser.KEPT).sum())) for r in robust if r.weight is not None),
+        "left_out": tuple((r.estimator, int((r.weight < KEPT).sum())) for r in robust if r.weight is not None),
         "scale": run.scale,  # of the variances that scan matching claims, and its error
         "ungated": _off(ekf, trial.log) if isinstance(ekf, LaserRun) and gated else None,
         "gates": tuple(_gate(g, trial.log) for g in ekf.with_gate or ()) if isinstance(ekf, LaserRun) and gated else (),
@@ -316,7 +294,7 @@ def _off(run: LaserRun, log: Log) -> dict[str, object]:
     """Error of a filter [m]: mean and standard deviation against the relations, or RMSE against the truth."""
     off: dict[str, object] = {"relations": None, "rmse": None}
     if run.last is not None and log.truth.relations is not None:
-        e = laser.relation_errors(run.last, log.truth.relations, log.recorded.time, order=laser.CARTOGRAPHER)
+        e = relation_errors(run.last, log.truth.relations, log.recorded.time)
         off["relations"] = None if e is None else (e.trans_mean_m, e.trans_std_m)
     elif run.last is not None and log.truth.pose is not None:
         off["rmse"] = rms(position_distance(run.last, log.truth.pose))
@@ -338,7 +316,7 @@ def _sizes(folder: Path, wanted: Output, trials: Sequence[Trial]) -> Block:
         }
         truth, relations = t.log.truth.pose, t.log.truth.relations
         if relations is not None:
-            e = laser.relation_errors(run.last, relations, t.log.recorded.time)
+            e = relation_errors(run.last, relations, t.log.recorded.time)
             if e is not None:
                 row["relations, all by row [m]"] = f"{e.trans_mean_m:.4f} ± {e.trans_std_m:.4f}"
         if truth is not None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 
 from data.notice import Code, Notice, Severity
-from data.wing import of_all
+from data.wing import by_name, of_all
 from eval.judgement.judgement import Judgement
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
@@ -26,12 +26,12 @@ from eval.report.comparison import (
     summary_table,
 )
 from eval.report.diagnosis import first_page_words, trust_section
-from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, against_relations
 from eval.report.overview import gauge_statement, in_short
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
 from eval.report.page.files import written_table
 from eval.report.pictures import FILTER_SMOOTHER
 from eval.report.publish import films_of
+from eval.report.relations import against_relations
 from eval.report.results import aligned_statement, results_statement, space_tables
 from eval.report.rows import SYSTEMATIC, stem, variants
 from eval.report.sources import source_section
@@ -44,7 +44,7 @@ IN_SUMMARY = {"errors": "rmse_position_m", "nees": "nees_pose", "nis": "nis", "d
 VARIANTS, NOTES = "Additional variants", "Notes on the log and its runs"  # what folded texts are called
 IN_FRONT = ("map", "space", "error", "nees", "difference", "claims")
 """Pictures of the report itself; the others are on the log's page."""
-ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC, GRID_PICTURE, LOOP_PICTURE)  # pictures of other sections
+ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC)  # pictures of other sections
 
 
 def of_trial(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
@@ -91,7 +91,7 @@ def trial_sections(
         sections += source_section(folder, output, trial, scores, about_log)
         sections += systematic_section(folder, output, trial, pictures, calibrations)
         details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
-        details += [p for p, kind in kinds.items() if kind not in (*IN_FRONT, *ELSEWHERE)]
+        details += [p for p, kind in kinds.items() if kind not in (*IN_FRONT, *ELSEWHERE, *by_name("figures"))]
         about = tuple(paragraph("comparison#variant", name=t.log.name, about=t.about) for t in group[1:])
         details += [Folded(VARIANTS, about)] if about else []
         notes = of_runs(n for n in about_log if n.severity is Severity.INFO)

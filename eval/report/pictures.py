@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.result import Run
+from data.wing import by_name
 from eval.figures.association import bars, confusion_figure
 from eval.figures.claims import claims_figure, filter_smoother_figure, nees_figure, systematic_figure
 from eval.figures.error import difference_figure, error_figure, longest_sigma
@@ -24,7 +25,6 @@ from eval.referee.given.runs import GivenRun
 from eval.referee.score import Trial, confusion_of
 from eval.referee.truth_free import SHARE
 from eval.report import shown_runs
-from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, laser_kinds, laser_picture
 from eval.report.page.blocks import Picture
 from eval.report.results import aligned_statement
 from eval.report.rows import SYSTEMATIC, stem
@@ -43,23 +43,21 @@ class Kind:
     applies: Callable[[Trial, Variants], bool]
     drawn: Callable[[Trial, Variants], tuple[Figure, Facts]]
     in_quick: bool = False
-    macro: str = ""  # of the caption, if it is not called as the kind
+    macro: str = ""  # of the caption, if it is not called as the kind; of a wing with its template
 
 
 def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> tuple[str, ...]:
     """Which pictures a trial gets, with its variants."""
-    return tuple(name for name, kind in KINDS.items() if (kind.in_quick or not quick) and kind.applies(trial, variants))
+    every = (KINDS | by_name("figures")).items()
+    return tuple(name for name, kind in every if (kind.in_quick or not quick) and kind.applies(trial, variants))
 
 
 def draw(folder: Path, trial: Trial, kind: str, variants: Variants = ()) -> Picture:
     """Draw one picture of `kinds`, as files below the result folder."""
-    name = stem(trial, kind)
-    if kind in (GRID_PICTURE, LOOP_PICTURE):
-        figure, caption, alt = laser_picture(trial, kind)
-    else:
-        figure, facts = KINDS[kind].drawn(trial, variants)
-        macro = f"pictures#{KINDS[kind].macro or kind.replace('-', '_')}"
-        caption, alt = (paragraph(m, log=trial.log.name, task=trial.task, **facts) for m in (macro, f"{macro}_alt"))
+    name, own = stem(trial, kind), KINDS.get(kind) or by_name("figures")[kind]
+    figure, facts = own.drawn(trial, variants)
+    macro = own.macro if "#" in own.macro else f"pictures#{own.macro or kind.replace('-', '_')}"
+    caption, alt = (paragraph(m, log=trial.log.name, task=trial.task, **facts) for m in (macro, f"{macro}_alt"))
     save(figure, folder / "figures", name)
     return Picture(name, caption, alt)
 
@@ -194,19 +192,8 @@ def _association(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
     return confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)), {}
 
 
-def _laser(name: str) -> Kind:
-    """Drawn and described where the laser's section is."""
-
-    def drawn(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
-        return laser_picture(trial, name)[0], {}
-
-    return Kind(lambda trial, _: name in laser_kinds(trial), drawn, in_quick=name == GRID_PICTURE)
-
-
 KINDS: Mapping[str, Kind] = {
     "map": Kind(lambda trial, _: True, _map, in_quick=True),
-    GRID_PICTURE: _laser(GRID_PICTURE),
-    LOOP_PICTURE: _laser(LOOP_PICTURE),
     "error": Kind(lambda trial, _: _measured(trial), _error, in_quick=True),
     "space": Kind(lambda trial, _: bool(_spatial(trial)), _space, in_quick=True),
     "nees": Kind(lambda trial, _: _measured(trial) and bool(_claiming(trial)), _nees),

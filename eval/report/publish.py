@@ -10,12 +10,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from association.scans.constraints import SCAN
+from association.decide import SCAN
 from data.inputs import IntArray
 from data.log import folder_name
 from data.notice import Notice
 from data.result import Run, Trajectory
 from data.se2 import Array
+from data.wing import of_all
 from eval.plan.flags.table import Execution, Output
 from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, work
@@ -27,7 +28,6 @@ from eval.referee.errors import landmark_true_ids, named
 from eval.referee.given.runs import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.replay.settings import Setup
-from eval.report.laser import write_laser_files
 from eval.report.page.blocks import Film, Picture
 from eval.report.pictures import draw, kinds
 from eval.report.rows import stem, variants
@@ -96,7 +96,8 @@ def _shown_elsewhere(trial: Trial, trials: Sequence[Trial]) -> bool:
 def publish_runs(folder: Path, output: Output, trial: Trial) -> None:
     """Write the run files of a trial, and its films if asked for."""
     if trial.variant_of is None:
-        write_laser_files(folder, trial)
+        for of_wing in of_all("files"):
+            of_wing(folder, trial)
     for run in trial.runs:
         write_run(folder, trial, run, lab_text=output.lab_text)
     if output.animate:

@@ -17,6 +17,7 @@ from typing import Any
 
 from data.command import Command
 from data.errors import UsageError
+from data.wing import wings
 from eval.plan.flags.help import ABOUT, EXAMPLES, GROUPS, PROG, show_everyday
 from eval.replay.external.spec import FORM, own_or_foreign
 from eval.replay.flag import (
@@ -41,7 +42,17 @@ FORMATS = ("csv", "md", "tex")
 KNOWN_FORMATS = (*FORMATS, "pdf")
 FACTORS = ("1", "2", "5", "10", "20", "50", "auto")
 FIGURES = (
-    *("map", "grid", "loops", "error", "nees", "difference", "claims", "fate", "filter-smoother", "systematic"),
+    *(
+        "map",
+        *(name for wing in wings() for name in wing.figures),
+        "error",
+        "nees",
+        "difference",
+        "claims",
+        "fate",
+        "filter-smoother",
+        "systematic",
+    ),
     *("growth", "state", "association"),
 )
 """Kinds of figures of a log."""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from association.expectation import gate_threshold
-from association.scans.constraints import SCAN, Chain, Loops
+from association.decide import SCAN
+from association.scans.constraints import Chain, Loops
 from association.scans.uncertainty import residuals
 from association.truncated import truncated_square
 from data.inputs import Increments, Inputs, IntArray, Observations
@@ -22,16 +22,14 @@ from data.se2 import Array, compose, covariances_in_world
 from ekf.whole_run import run_filter
 from eval.replay.batch import LOSSES, batch
 from eval.replay.estimators import dead_reckoning
+from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from graph.batch import CUT
 from graph.factors import CAUCHY, HUBER, UnderConstrained
 from graph.poses.online import FixedLagPoseGraph
 
 TASK = "slam"
-NAMES = ("dead-reckoning", "ekf", "isam2", "fixed-lag", *LOSSES, "gnc")
 PLAIN = Setup()
-Stepping = Callable[[str, Inputs, Setup], Run]
-"""A step-by-step estimator over a log of key poses, by its name."""
 NO_OBSERVATIONS = Observations(np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
 LOOP = "loop"
 """Source of the closures that are loops."""
@@ -77,12 +75,11 @@ def estimated(
     inputs: Inputs,
     chain: Chain,
     loops: Loops,
-    stepping: Stepping,
     setup: Setup = PLAIN,
     *,
     gate: float | None = None,
 ) -> Solved:
-    """One estimator, by its name in `NAMES`, over the accepted loop closures; dead reckoning is that of the wheels.
+    """One estimator, by its name in `OF_SCANS`, over the accepted loop closures; dead reckoning is that of the wheels.
 
     Online, at frame f: the estimate of its key pose at the time of f and the motion since. `gate`: the filter's
     chi-square probability (3 dof) of a loop closure, None: no gate; `setup.lag` is that of `fixed-lag`. Seconds are
@@ -94,8 +91,9 @@ def estimated(
     given = key_inputs(inputs, chain, loops)
     if name == "fixed-lag":
         run = _fixed_lag(given.inputs, setup.lag)
-    elif name in NAMES[1:3]:
-        run = stepping(name, given.inputs, replace(setup, gate_poses=gate if name == "ekf" else None))
+    elif name in ("ekf", "isam2"):
+        stepping = replace(setup, gate_poses=gate if name == "ekf" else None)
+        run = step_by_step(name, given.inputs, TASK, "jcbb", stepping)
         if name == "isam2":  # it keeps every key pose
             run = replace(run, state_size=3 * np.arange(1, len(given.inputs) + 1))
     else:

@@ -5,12 +5,13 @@ In the end frames without a scan get the odometry between two scans, adjusted to
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 
 import numpy as np
 
-from association.scans.constraints import SCAN, LaserRun
+from association.decide import SCAN
+from association.scans.constraints import LaserRun
 from association.scans.points import beams_of, scan_points
 from association.scans.redundant import redundant, without
 from data.errors import UsageError
@@ -18,11 +19,13 @@ from data.inputs import Inputs
 from data.notice import Code, Notice, notice
 from data.result import Run
 from data.se2 import Array, between, compose, dead_reckoned, transform_points
-from eval.replay.laser.backends import NAMES, Solved, Stepping, estimated, key_inputs, smoothed
+from eval.replay.laser.backends import Solved, estimated, key_inputs, smoothed
 from eval.replay.laser.front_end import FrontEndResult, Repeated
+from eval.replay.laser.landmarks import at_all_frames, corner_log
 from eval.replay.laser.parameters import LaserParameters
 from eval.replay.laser.scale import scaled, scaled_front_end
-from eval.replay.settings import Setup
+from eval.replay.run import compare
+from eval.replay.settings import OF_SCANS, Setup
 
 
 def between_scans(inputs: Inputs, pose: Array) -> Array:
@@ -50,19 +53,39 @@ def between_scans(inputs: Inputs, pose: Array) -> Array:
     return result
 
 
+def laser_runs(
+    inputs: Inputs,
+    task: str,
+    estimators: Sequence[str],
+    association: str,
+    setup: Setup,
+    judge: Callable[[Sequence[Run], Inputs], list[Run]],
+) -> list[Run] | None:
+    """The runs of `eval.replay.run.compare` on scans, matched or by the corners of walls; None of another log."""
+    if association == SCAN:
+        return judge(compare_laser(inputs, estimators, setup), inputs)
+    if inputs.scans is None or len(inputs.observations.frame):
+        return None
+    log = corner_log(inputs, setup)
+    return [
+        at_all_frames(r, log, len(inputs))
+        for r in compare(log.inputs, task, estimators, association, setup, judge=judge)
+    ]
+
+
 CONTRAST = 0.999  # gate of the filter shown for comparison with the ungated one
 
 
-def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup, stepping: Stepping) -> list[LaserRun]:
+def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup) -> list[LaserRun]:
     """The estimators on the same key poses and loop closures, in the order asked for; dead reckoning uses the wheels.
 
     Scan-matching covariances are scaled by one factor, so that the loop closures fit the graph; this changes the
     claimed covariance, not the optimum. The filter's gate on loop closures is `setup.gate_known`. Seconds include the
-    front end. `stepping` runs the step-by-step ones. Raises UsageError for one that estimates nothing from closures.
+    front end. Raises UsageError for one that estimates nothing from closures.
     """
     for name in estimators:
-        if name not in NAMES:
-            raise UsageError(f"{name} with association {SCAN}: of laser logs there are {', '.join(NAMES)}")
+        if name not in OF_SCANS:
+            raise UsageError(f"{name} with association {SCAN}: of laser logs there are {', '.join(OF_SCANS)}")
     parameters = LaserParameters(keyframe_distance=setup.keyframe_distance)
     found = scaled_front_end(inputs, parameters)
     front, repeated = found.front, found.repeated
@@ -71,12 +94,12 @@ def compare_laser(inputs: Inputs, estimators: Sequence[str], setup: Setup, stepp
     gate = setup.settled(False).label_gate
     runs = []
     for name in estimators:
-        run = _run(inputs, front, estimated(name, inputs, front.chain, front.loops, stepping, setup, gate=gate))
+        run = _run(inputs, front, estimated(name, inputs, front.chain, front.loops, setup, gate=gate))
         if found.error is not None and run.chain is not None:
             run = replace(run, scale=(found.claimed, found.error))
         if name == "ekf" and gate is None and run.failure is None:
             honest, unscaled = (
-                _run(inputs, given, estimated(name, inputs, given.chain, given.loops, stepping, setup, gate=CONTRAST))
+                _run(inputs, given, estimated(name, inputs, given.chain, given.loops, setup, gate=CONTRAST))
                 for given in (front, scaled(front, 1.0 / found.claimed))
             )
             run = replace(run, with_gate=(honest, unscaled))

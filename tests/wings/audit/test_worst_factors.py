@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.scans.constraints import SCAN, Chain, LaserRun, Loops
+from association.decide import SCAN
+from association.scans.constraints import Chain, LaserRun, Loops
 from data.result import Trajectory
 from data.worlds.registry import named_log
 from eval.plan.flags.table import Output

@@ -7,7 +7,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from association.scans.constraints import SCAN, Chain, LaserRun, Loops
+from association.decide import SCAN
+from association.scans.constraints import Chain, LaserRun, Loops
 from data.notice import stopped
 from data.result import Failure
 from data.truth import Relations
