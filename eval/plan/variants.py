@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from association.decide import SCAN
 from eval.plan.experiment import Experiment, Work
 
 

@@ -30,7 +30,7 @@ from eval.replay.estimators import make_estimator
 from eval.replay.hindsight.placement import candidates
 from eval.replay.hindsight.relocalize import Scan, relocalize
 from eval.replay.run import step_by_step
-from eval.replay.settings import BATCH, ESTIMATORS, TASKS, Setup
+from eval.replay.settings import ESTIMATORS, TASKS, Setup
 
 SENSORS = ("range_bearing", "relative_point")
 LONG = 60

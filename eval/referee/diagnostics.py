@@ -25,6 +25,7 @@ from data.questions.asked import ask
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
+from data.wing import of_all
 from data.words import sentence
 from eval.referee.ambiguity import ambiguous
 from eval.referee.errors import named, observed, position_distance, rms

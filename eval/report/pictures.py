@@ -48,7 +48,7 @@ class Kind:
 
 def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> tuple[str, ...]:
     """Which pictures a trial gets, with its variants."""
-    every = (KINDS | by_name("figures")).items()
+    every = {**KINDS, **by_name("figures")}.items()
     return tuple(name for name, kind in every if (kind.in_quick or not quick) and kind.applies(trial, variants))
 
 

@@ -17,11 +17,11 @@ from data.se2 import pose_error
 from data.worlds.arena import Arena, simulate
 from ekf.whole_run import run_filter
 from eval.benchmarks.association import GATE, PER_METRE, hard_frame, line_world, plain_jcbb
-from eval.benchmarks.laser import PlanRun, plan_lines
 from eval.benchmarks.speed import filterpy_localizer, localization_log, numpy_localizer
 from eval.benchmarks.timed import Timed, median_seconds, table
-from eval.referee.laser import ClosureCounts
 from eval.replay.estimators import make_estimator
+from wings.laser.benchmark import PlanRun, plan_lines
+from wings.laser.score import ClosureCounts
 
 
 def plan(scale: float, *, seconds=10.0, nees=3.0) -> PlanRun:

@@ -6,8 +6,7 @@ from typing import get_type_hints
 
 import pytest
 
-from association.decide import METHODS
-from association.decide import SCAN
+from association.decide import METHODS, SCAN
 from data.errors import UsageError
 from data.worlds.arena import Arena, simulate
 from eval.figures.style import STYLES

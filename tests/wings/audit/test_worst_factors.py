@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from association.decide import SCAN
-from association.scans.constraints import Chain, LaserRun, Loops
 from data.result import Trajectory
 from data.worlds.registry import named_log
 from eval.plan.flags.table import Output
@@ -15,6 +14,7 @@ from eval.replay.run import compare
 from eval.report.page.blocks import Table
 from tests.eval.handmade import circle_log
 from wings.audit.worst_factors import worst_factors_section
+from wings.laser.scans.constraints import Chain, LaserRun, Loops
 
 
 def section(tmp_path, trial):
