@@ -19,8 +19,7 @@ from data.command import Parser
 from data.log import Log
 from data.se2 import Array
 from data.worlds.registry import named_log
-from eval.figures.paper import page_width
-from eval.figures.style import BAND_COLOUR, DASHED, drawing, save, style_of
+from eval.figures.style import BAND_COLOUR, DASHED, drawing, page_width, save, style_of
 from eval.referee.consistency import nees
 from eval.replay.run import compare
 from eval.replay.settings import FILTERS

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from association.decide import METHODS, SCAN
@@ -18,14 +18,16 @@ from eval.plan.experiment import (
     Experiment,
     Work,
     check_maintained,
+    check_possible,
     check_possible_on,
+    check_scenario,
     default_task,
     default_task_line,
+    introduce_all,
+    load_all,
 )
 from eval.plan.flags.table import DEFAULT_ESTIMATORS, QUICK_RUNS, Options, Selection
-from eval.plan.foreign import check_possible, check_scenario, introduce_all, load_all
 from eval.plan.results import NOTHING, Asked, asked_results, truth_alone
-from eval.plan.variants import maintained
 from eval.replay.estimators import FOR_SEVERAL, FOR_WALLS, NO_HINDSIGHT_OF_SEVERAL, NO_HINDSIGHT_OF_WALLS
 from eval.replay.settings import HINDSIGHT, OF_SCANS
 from eval.studies.scenario import Scenario, load_scenario
@@ -240,3 +242,11 @@ def _default(options: Options, say: Callable[[str], None]) -> list[Experiment]:
             kept = lab if full else (Work("jcbb", ("ekf",)),)
             experiments.append(maintained(experiments[-1], kept))
     return experiments
+
+
+def maintained(experiment: Experiment, work: tuple[Work, ...]) -> Experiment:
+    """The variant with map maintenance."""
+    name = experiment.log.name
+    deciding = tuple(w for w in work if w.association != "known")
+    log, setup = replace(experiment.log, name=f"{name}:maintain"), replace(experiment.setup, maintain=True)
+    return Experiment(log, experiment.task, deciding, setup, name, "the same log with map maintenance (`--maintain`)")

@@ -19,8 +19,8 @@ from data.errors import SlamrefError, UsageError
 from data.notice import Code, Notice, notice
 from data.words import sentence
 from eval.figures.figure_style import FigureStyle, current, figure_style
+from eval.plan.console import say_kept
 from eval.plan.flags.table import Execution
-from eval.plan.progress import say_kept
 from eval.replay.external.spec import introduce, introduced
 from eval.replay.run import one_thread
 

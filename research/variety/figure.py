@@ -8,8 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from eval.figures.paper import page_width
-from eval.figures.style import BAND_COLOUR, DASHED, TRUTH_COLOUR, colour_of_method, drawing
+from eval.figures.style import BAND_COLOUR, DASHED, TRUTH_COLOUR, colour_of_method, drawing, page_width
 from eval.replay.settings import HINDSIGHT
 from research.variety.goals import NEAR, WORSE, World
 from research.variety.measure import JCBB

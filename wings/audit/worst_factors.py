@@ -14,9 +14,8 @@ from data.result import Run
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Section
-from eval.report.page.files import written_table
+from eval.report.page.files import stem, written_table
 from eval.report.page.tables import number
-from eval.report.rows import stem
 from eval.report.words import say
 from graph.batch import Rejected, Start
 from wings.audit.audit import FAMILY

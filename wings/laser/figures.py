@@ -16,9 +16,8 @@ from matplotlib.patheffects import withStroke
 
 from data.result import Run
 from data.se2 import Array, BoolArray
-from eval.figures.paper import page_width
 from eval.figures.plane import draw_start, plan_axes
-from eval.figures.style import DASHED, DOTTED, SOLID, Line, drawing, settle, style_of
+from eval.figures.style import DASHED, DOTTED, SOLID, Line, drawing, page_width, settle, style_of
 from eval.player.pack import Pack
 from eval.player.scene import dashes
 from eval.referee.score import Trial

@@ -18,6 +18,7 @@ from data.formats.g2o import MOTION
 from data.formats.g2o_out import written
 from data.log import Log, folder_name
 from data.result import Run
+from eval.figures.kinds import Facts, Kind, Variants
 from eval.figures.style import save
 from eval.plan.flags.table import Output
 from eval.referee import result_files
@@ -26,11 +27,9 @@ from eval.referee.given.runs import GivenRun
 from eval.referee.relations import ALL, EXACT, KUEMMERLE, ROW, TIME, relation_errors
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
-from eval.report.page.files import written_table
+from eval.report.page.files import stem, written_table
 from eval.report.page.tables import number
-from eval.report.pictures import Facts, Kind, Variants
 from eval.report.relations import against
-from eval.report.rows import stem
 from eval.report.words import say
 from wings.laser.figures import loop_picture, map_picture
 from wings.laser.scans.constraints import KEPT, LaserRun

@@ -1,24 +1,93 @@
-"""Which of many runs are drawn: few enough to read, known association and joint compatibility first."""
+"""Figures of a log: when each applies and where it stands, and which of many runs it shows, few enough to read.
+
+Known association and joint compatibility come first.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from data.notice import Code, notice
 from data.result import Run
-from eval.figures.error import MOST_PANELS, panels
-from eval.figures.paper import across
-from eval.judgement.runs import associations
+from data.words import environment, sentence
+from eval.figures import FIGURES
 from eval.referee.errors import position_distance, rms
-from eval.referee.given.runs import log_of
+from eval.referee.given.in_space import NONE
+from eval.referee.given.runs import GivenRun, log_of
 from eval.referee.score import Trial
-from eval.replay.settings import ESTIMATORS, FILTERS, HINDSIGHT
-from eval.report.words import paragraph
+from eval.replay.settings import ESTIMATORS, FILTERS, associations
+
+Variants = Sequence[Trial]
+Facts = Mapping[str, Any]
+"""What the caption of a figure speaks of, by the names that its macros have."""
+FRONT, DETAILS, SECTION = "front", "details", "section"
+"""Where a figure stands: in the report itself, on the page of the log, or in a section about its subject."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """A kind of figure: of which trials (with variants) there is one, the figure with its caption's facts."""
+
+    applies: Callable[[Trial, Variants], bool]
+    drawn: Callable[[Trial, Variants], tuple[Figure, Facts]]
+    in_quick: bool = False
+    macro: str = ""  # of the caption with its template; blank: as it is called, in `pictures.md.j2`
+    place: str = SECTION
+
+
+MODULES = ("association", "claims", "error", "growth", "log", "map")  # of this folder, which draw logs
+KINDS: dict[str, Kind] = {}
+"""By name; filled by these modules."""
+Drawn = Callable[[Trial, Variants], tuple[Figure, Facts]]
+
+
+def figure(
+    name: str, applies: Callable[[Trial, Variants], bool], place: str = DETAILS, *, quick: bool = False
+) -> Callable[[Drawn], Drawn]:
+    """Decorator of a function that draws a trial: under its name in `pictures.md.j2`, where it `applies`."""
+
+    def register(drawn: Drawn) -> Drawn:
+        KINDS[name] = Kind(applies, drawn, quick, place=place)
+        return drawn
+
+    return register
+
+
+def every() -> dict[str, Kind]:
+    """All kinds, in the order of the report."""
+    for module in MODULES:
+        import_module(f"eval.figures.{module}")
+    return {name: KINDS[name] for name in FIGURES}
+
 
 FEW = 3  # missing runs that a caption names
 MOST_PATHS = 6  # paths in one map, the dead-reckoned one included
+
+
+def measured(trial: Trial, _: Variants = ()) -> bool:
+    """Whether errors of estimates are known."""
+    return bool(trial.log.truth.known_poses and finished(trial))
+
+
+def blind(trial: Trial, _: Variants = ()) -> bool:
+    """Whether there are estimates, and no truth."""
+    return bool(not trial.log.truth.known_poses and finished(trial))
+
+
+def claiming(trial: Trial) -> list[Run]:
+    """Estimates that say how certain they are."""
+    return [r for r in finished(trial) if has_covariance(r)]
+
+
+def unclaimed(run: Run) -> str:
+    """Why one that reached its end is not shown among estimates that say how certain they are."""
+    return "room" if has_covariance(run) else "covariance"
 
 
 def finished(trial: Trial) -> list[Run]:
@@ -36,7 +105,7 @@ def has_covariance(run: Run) -> bool:
     return bool(np.isfinite(run.trajectory(run.phases[-1]).covariance).any())
 
 
-def _kind(run: Run) -> int:
+def kind_of(run: Run) -> int:
     """0 filter, 1 incremental smoother, 2 batch smoother; one that is not ours by its phases."""
     if run.estimator in FILTERS or (run.estimator not in ESTIMATORS and run.final is None):
         return 0
@@ -49,7 +118,7 @@ def _by_importance(runs: Sequence[Run], kinds: Sequence[tuple[int, int]]) -> lis
     theirs = sorted((r for r in runs if r.estimator not in ESTIMATORS), key=lambda r: _place(order, r))
     chosen = list({r.estimator: r for r in reversed(theirs)}.values())[::-1]
     for kind, place in kinds:
-        fitting = (r for r in runs if _kind(r) == kind and place < len(order) and r.association == order[place])
+        fitting = (r for r in runs if kind_of(r) == kind and place < len(order) and r.association == order[place])
         first = next(fitting, None)
         if first is not None and not any(first is c for c in chosen):
             chosen.append(first)
@@ -65,7 +134,7 @@ def _place(order: Sequence[str], run: Run) -> int:
 def _in_order(chosen: Sequence[Run]) -> list[Run]:
     """The runs by association, those of one association as they came by kind of estimator."""
     order = associations(chosen)
-    return sorted(chosen, key=lambda r: (_place(order, r), _kind(r)))
+    return sorted(chosen, key=lambda r: (_place(order, r), kind_of(r)))
 
 
 def worst(trial: Trial) -> Run | None:
@@ -104,6 +173,9 @@ def same(a: Run, b: Run) -> bool:
     return (a.estimator, a.association) == (b.estimator, b.association)
 
 
+MOST_PANELS = 4
+
+
 def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[str] = ()) -> list[Run]:
     """Runs for figures with a panel per phase: all if they fit; else filter, smoothers, and decided association first.
 
@@ -113,7 +185,8 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
         return list(runs)
     complete = [*complete, *(r.association for r in runs if r.estimator == "batch")]
     single = [
-        replace(r, final=None) if _kind(r) == 1 and len(r.phases) > 1 and r.association in complete else r for r in runs
+        replace(r, final=None) if kind_of(r) == 1 and len(r.phases) > 1 and r.association in complete else r
+        for r in runs
     ]
     if len(associations(runs)) == 1:
         ranked = _by_importance(single, ((0, 0), (1, 0), (2, 0)))
@@ -129,50 +202,6 @@ def for_panels(runs: Sequence[Run], most: int = MOST_PANELS, complete: Sequence[
     return _in_order(chosen)
 
 
-def side_by_side(runs: Sequence[Run]) -> list[Run]:
-    """Of runs chosen `for_panels`, those that have a panel of their own beside the others."""
-    kept = panels(runs, across(MOST_PANELS))[0]
-    return [r for r in runs if any(s.run is r for s in kept)]
-
-
-def for_loop_states(trial: Trial) -> list[Run]:
-    """For each association method the last smoother, else the filter: decisions in hindsight first, labels last."""
-    deciding = [
-        r
-        for r in plausible(trial)
-        if r.association != "none"
-        and len(r.decisions) == len(trial.log.recorded.observations.frame) > 0
-        and log_of(r, trial.log) is trial.log
-    ]
-    methods = sorted(associations(deciding), key=lambda a: (a == "known") - (a == HINDSIGHT))
-    return [max((r for r in deciding if r.association == method), key=_kind) for method in methods]
-
-
-def for_growth(trial: Trial) -> list[Run]:
-    """A filter and an incremental smoother under one association, known if there is one: how uncertainty grew."""
-    estimates = [r for r in plausible(trial) if r.task == "slam" and r.online is not None and r.map is not None]
-    order = associations(estimates)
-    alike = [r for r in estimates if r.association == order[0]] if order else []
-    found = [next((r for r in alike if r.estimator == name), None) for name in ("ekf", "isam2")]
-    found += [r for r in alike if r.estimator not in ESTIMATORS and has_covariance(r)]
-    return [r for r in found if r is not None]
-
-
-def for_filter_smoother(trial: Trial) -> tuple[list[Run], Run] | None:
-    """Online estimates and the batch smoother under the very same decisions, of the first association that has both."""
-    estimates = plausible(trial)
-    for name in associations(estimates):
-        alike = [r for r in estimates if r.association == name]
-        smoother = next((r for r in alike if r.estimator == "batch" and r.final is not None), None)
-        if smoother is None:
-            continue
-        same_made = [np.array_equal(r.final_decisions, smoother.final_decisions) for r in alike]
-        found = [r for r, made in zip(alike, same_made, strict=True) if made and r.online is not None]
-        if found:
-            return found, smoother
-    return None
-
-
 def left_out(trial: Trial, shown: Sequence[Run], why: Callable[[Run], str] = lambda run: "room") -> str:
     """Sentences for the caption: which runs are not shown, and why; of many who are shown; empty if all are.
 
@@ -184,7 +213,22 @@ def left_out(trial: Trial, shown: Sequence[Run], why: Callable[[Run], str] = lam
     if not any(missing.values()):
         return ""
     few = sum(map(len, missing.values())) <= FEW
-    return f" {paragraph('pictures#shown', names=_names(shown), missing=missing if few else {})}"
+    return " " + _said("shown", names=_names(shown), missing=missing if few else {})
+
+
+def aligned_statement(trial: Trial) -> str:
+    """Which results were moved onto the truth, for captions; empty where none was."""
+    moved = [r for r in trial.runs if isinstance(r, GivenRun) and r.aligned != NONE]
+    if not moved:
+        return ""
+    names, how = dict.fromkeys(r.estimator for r in moved), moved[0].aligned
+    about = sentence(notice(Code.ALIGNED, how=how, in_space=bool(moved[0].space)))
+    return " " + _said("aligned", names=list(names), about=about, how=how)
+
+
+def _said(macro: str, **facts: Any) -> str:
+    made = getattr(environment("eval.figures").get_template("pictures.md.j2").module, macro)
+    return " ".join(str(made(**facts)).split())
 
 
 def _names(runs: Sequence[Run]) -> list[str]:

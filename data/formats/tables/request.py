@@ -1,7 +1,13 @@
-"""The request of `python -m data.convert table`: flags or a mapping file, as values in SI units."""
+"""The request of `python -m data.convert table`: flags or a mapping file, as values in SI units.
+
+Without `--sensor` there is one sensor, whose observations are in the file of `--observations` or of the odometry. With
+`--sensor NAME=FILE` each has a file; flags of `OF_SENSORS` then are of one sensor (`--view camera=-30deg,30deg`) or of
+all (`--view -30deg,30deg`).
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,25 +15,196 @@ from typing import Any
 
 import numpy as np
 
+from data.columns.appearance import Noise
+from data.csv_table import is_name
 from data.errors import DataError, UsageError, did_you_mean, unknown
 from data.formats.recordings.laser import TravelNoise
-from data.formats.tables.files import ROLES, SECOND, Columns, Units, quantity_with_unit, read_text
-from data.formats.tables.motion import KINDS, Wheels, kind_of
-from data.formats.tables.second import Second
-from data.formats.tables.sensors import (
-    OF_SENSORS,
-    SENSOR,
-    TUNED,
-    TableSensor,
-    by_sensor,
-    files_of,
-    from_tables,
-    sensors_of,
+from data.formats.tables.files import (
+    POSE,
+    ROLES,
+    SECOND,
+    STAMPED,
+    TRAVEL,
+    Columns,
+    Given,
+    TextTable,
+    Units,
+    number,
+    numbers,
+    one_of,
+    pairs,
+    quantity_with_unit,
+    read_text,
+    sigmas,
+    words,
 )
-from data.formats.tables.values import POSE, STAMPED, TRAVEL, Given, numbers, one_of, pairs, sigmas
+from data.formats.tables.motion import KINDS, Second, Wheels, kind_of
 from data.motion.velocity import WITH_ALPHAS, VelocityNoise
 from data.se2 import Array
 from data.toml_table import load_toml
+
+SENSOR, OBSERVATIONS = "sensor", "observations"
+LOOKS = {"descriptor": "descriptor-sigma", "class": "class-error"}
+"""Columns of appearance, and the flag that states the noise of each; without it the column is not read."""
+OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees", *LOOKS.values())
+"""Flags with a value for each sensor."""
+FILE = "file"
+"""Key of a table [sensor.NAME] of a mapping file, beside those flags."""
+TUNED = "`slamref tune LOG OUT` fits it afterwards where the log has labels"
+
+
+@dataclass(frozen=True, eq=False)
+class TableSensor:
+    """A sensor of tables, in SI units.
+
+    Attributes:
+        role: of its file, among the files and in keys of columns: the name, or "observations" of the only one.
+        name: blank: the only one.
+        sigma: (2,) of an observation; alone: "range" or "bearing", where nothing else is measured.
+        pose: (3,) in the body frame.
+        max_range: m, view: rad, least and largest bearing; None: as observed.
+        sees: kind of landmark; blank: all.
+        looks: noise of descriptors and classes; what is None is not read.
+    """
+
+    role: str
+    name: str
+    sigma: Array
+    alone: str | None
+    pose: Array
+    max_range: float | None
+    view: tuple[float, float] | None
+    sees: str
+    looks: Noise
+
+    @property
+    def looked(self) -> tuple[str, ...]:
+        """Columns of appearance to read."""
+        return tuple(q for q, noise in zip(LOOKS, self.looks, strict=True) if noise is not None)
+
+
+def by_sensor(value: object, flag: str) -> dict[str, str]:
+    """Text by sensor, "" of all, of a flag that is a text, or several, or a table by sensor."""
+    if isinstance(value, Mapping):
+        return {str(k): str(v) for k, v in value.items()}
+    found: dict[str, str] = {}
+    for text in map(str, value if isinstance(value, list) else [value]):
+        name, equals, rest = text.partition("=")
+        name, rest = (name.strip(), rest.strip()) if equals else ("", text)
+        if name and name in found:
+            raise UsageError(f"--{flag}: {name} is named twice")
+        found[name] = rest
+    return found
+
+
+def files_of(given: Given) -> dict[str, Path]:
+    """The file of each sensor by name; none without `--sensor`. UsageError for a name that cannot be one."""
+    found: dict[str, Path] = {}
+    for name, text in by_sensor(given.get(SENSOR, {}), SENSOR).items():
+        if not name or not text:
+            raise UsageError(f"--{SENSOR} {text or name}: NAME=FILE is needed, as in lidar=cones.csv")
+        if not is_name(name) or "." in name or name in ROLES:
+            what = f"other than {', '.join(ROLES)}" if name in ROLES else "without dots, commas and quotes"
+            raise UsageError(f"--{SENSOR} {name}={text}: a name {what} is needed")
+        found[name] = Path(text)
+    if found and OBSERVATIONS in given:
+        raise UsageError(f"--{OBSERVATIONS} beside --{SENSOR}: name this one, too, as in --{SENSOR} lidar=FILE")
+    return found
+
+
+def from_tables(path: Path, tables: object) -> dict[str, dict[str, str]]:
+    """The tables [sensor.NAME] of a mapping file as flags, by sensor; DataError for an unknown key."""
+    found: dict[str, dict[str, str]] = {SENSOR: {}}
+    if not isinstance(tables, Mapping):
+        raise DataError.at(path, f'{SENSOR}: tables are needed, as [{SENSOR}.lidar] with file = "cones.csv"')
+    for name, table in tables.items():
+        where = f"[{SENSOR}.{name}]"
+        if not isinstance(table, Mapping):
+            raise DataError.at(path, f'{SENSOR}.{name}: a table is needed, as {where} with file = "cones.csv"')
+        if FILE not in table:
+            raise DataError.at(path, f'{where}: no {FILE}; as in {FILE} = "cones.csv"')
+        for key, value in table.items():
+            flag = key.replace("_", "-")
+            if flag != FILE and flag not in OF_SENSORS:
+                raise DataError.at(path, f"{where}: key {key!r}: {unknown(flag, (FILE, *OF_SENSORS))}")
+            if isinstance(value, bool) or not isinstance(value, str | int | float | list):
+                raise DataError.at(path, f"{where} {key} = {value}: a text, a number or a list is needed")
+            text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+            if flag == FILE:
+                found[SENSOR][name] = str(path.parent / text)
+            else:
+                found.setdefault(flag, {})[name] = text
+    return found
+
+
+def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns) -> tuple[TableSensor, ...]:
+    """The sensors with a file among `files`, in their order. UsageError for missing or invalid values."""
+    names = list(files_of(given))
+    texts = {flag: by_sensor(given[flag], flag) for flag in OF_SENSORS if flag in given}
+    for flag, found in texts.items():
+        for name in found:
+            if name and name not in names:
+                known = unknown(name, names) if names else f"no sensor; --{SENSOR} {name}=FILE names one"
+                raise UsageError(f"--{flag} {name}={found[name]}: {name!r} is {known}")
+    roles = names or [role for role in (OBSERVATIONS,) if role in files]
+    return tuple(_sensor(role, role if names else "", texts, files[role], columns) for role in roles)
+
+
+def _sensor(
+    role: str, name: str, texts: Mapping[str, Mapping[str, str]], file: TextTable, columns: Columns
+) -> TableSensor:
+    """One of them, by what is stated of it, or else of all."""
+    of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
+    found = [q for q in ("range", "bearing") if columns.find(file, role, q) is not None]
+    sigma = of.get("observation-sigma")
+    alone = found[0] if len(found) == 1 and len(words(sigma or "")) == 1 else None
+    sees = of.get("sees") or ""
+    if "sees" in of and not is_name(sees):
+        raise UsageError(f"--sees {sees}: a kind of landmark is needed, as in tree")
+    reach, view = of.get("max-range"), of.get("view")
+    farthest = None if reach is None else number(reach, "length", "max-range", "metres")
+    if farthest is not None and farthest <= 0.0:
+        raise UsageError(f"--max-range {reach}: must be more than 0")
+    low, high = math.nan, math.nan
+    if view is not None:
+        low, high = numbers(view, ("angle",) * 2, "view", "least and largest bearing, as in -60deg,60deg").tolist()
+        if not low < high:
+            raise UsageError(f"--view {view}: the smaller bearing first")
+    return TableSensor(
+        role, name, _observation_sigma(sigma, alone, name, polar=bool(found)), alone, _pose(of, "sensor-pose"),
+        farthest, None if view is None else (low, high), sees, _looks(of, role, file, columns),
+    )  # fmt: skip
+
+
+def _looks(of: Mapping[str, str | None], role: str, file: TextTable, columns: Columns) -> Noise:
+    """The noise of descriptors and classes."""
+    found: list[float | None] = []
+    for (quantity, flag), high in zip(LOOKS.items(), (math.inf, 0.5), strict=True):
+        given = of.get(flag)
+        value = None if given is None else number(given, "", flag, "one number")
+        if value is not None and not 0.0 < value < high:
+            right = "must be more than 0" if high == math.inf else "a probability above 0 and below 0.5 is needed"
+            raise UsageError(f"--{flag} {given}: {right}")
+        if value is not None and columns.find(file, role, quantity) is None:
+            what = f"the {OBSERVATIONS} have no column {quantity}"
+            raise UsageError(f"--{flag} {given}: {what}; --columns {role}.{quantity}=NAME names it")
+        found.append(value)
+    return Noise(*found)
+
+
+def _observation_sigma(given: str | None, alone: str | None, name: str, *, polar: bool) -> Array:
+    """Standard deviations (2,), 1 in the place of what is not measured."""
+    flag, of = "observation-sigma", f" of {name}" if name else ""
+    if alone is not None:
+        dimension, what = ("length", "of a range alone [m]") if alone == "range" else ("angle", "of a bearing [rad]")
+        one = sigmas(given, (dimension,), flag, what, zero=False)
+        return np.concatenate([one, [1.0]] if alone == "range" else [[1.0], one])
+    what = "of a range [m] and a bearing [rad], as in 0.1,2deg" if polar else "of x and y [m], as in 0.1,0.1"
+    if given is None:
+        form = f" {name}=S1,S2" if name else ""
+        raise UsageError(f"unknown observation noise{of}; --{flag}{form} is needed: {what}; {TUNED}")
+    return sigmas(given, ("length", "angle" if polar else "length"), flag, what, zero=False)
+
 
 FROM_TRUTH = "truth"
 """The prior's mean is the first true pose."""
@@ -38,9 +215,9 @@ class Wanted:
     """The request, in SI units.
 
     Attributes:
-        files: path by role (odometry, observations or the name of a sensor, map, truth, fixes, closures).
+        files: path by role (odometry, observations or the name of a sensor, map, truth, fixes, closures); texts: of it.
         columns: columns and units.
-        kind: of odometry; None: by its columns.
+        kind: of odometry.
         wheels: of wheel ticks.
         noise: of the odometry; model: how velocities become increments.
         sensors: of observations; none where there are none.
@@ -55,8 +232,9 @@ class Wanted:
     """
 
     files: Mapping[str, Path]
+    texts: Mapping[str, TextTable]
     columns: Columns
-    kind: str | None
+    kind: str
     wheels: Wheels | None
     noise: VelocityNoise | TravelNoise
     model: str
@@ -131,19 +309,19 @@ def settle(given: Given) -> Wanted:
     columns = Columns(
         pairs(given.get("columns", {}), "columns"), units, _offsets(given, files, several), roles=(*ROLES, *several)
     )
-    kind = given.get("odometry-kind")
-    if kind is not None and kind not in KINDS:
-        raise UsageError(f"--odometry-kind {kind}: {unknown(str(kind), KINDS)}")
-    kind = kind_of(read_text(files["odometry"]), columns, None if kind is None else str(kind))
-    second, spread = _second(given, files, columns), given.get("prior-sigma")
+    read = {path: read_text(path) for path in dict.fromkeys(files.values())}  # a file with several roles once
+    texts = {role: read[path] for role, path in files.items()}
+    kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
+    second, spread = _second(given, texts, columns), given.get("prior-sigma")
     return Wanted(
         files=files,
+        texts=texts,
         columns=columns,
         kind=kind,
         wheels=_wheels(given, kind),
         noise=_noise(given, kind),
         model=_model(given, kind),
-        sensors=sensors_of(given, files, columns),
+        sensors=sensors_of(given, texts, columns),
         prior=_prior(given),
         prior_sigma=None if spread is None else sigmas(spread, POSE, "prior-sigma", "x and y [m], heading [rad]"),
         map_pose=_pose(given, "map-transform"),
@@ -156,6 +334,16 @@ def settle(given: Given) -> Wanted:
     )
 
 
+def _kind(given: Given, file: TextTable, columns: Columns, role: str, known: Sequence[str]) -> str:
+    """The kind of an odometry: the stated one, else by its columns."""
+    kind = given.get(f"{role}-kind")
+    if kind is None:
+        return kind_of(file, columns, role)
+    if kind not in known:
+        raise UsageError(f"--{role}-kind {kind}: {unknown(str(kind), known)}")
+    return str(kind)
+
+
 def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
     """What is stated of fixes and closures."""
     for role, flags in (("fixes", ("fix-sigma", "fix-lever", "fix-rotation")), ("closures", ("closure-sigma",))):
@@ -165,8 +353,7 @@ def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
     found: dict[str, Any] = {}
     if "fix-sigma" in given:
         text = given["fix-sigma"]
-        count = len(str(text).replace(",", " ").split())
-        entries = {1: [2], 2: [0, 1]}.get(count, [0, 1, 2])
+        entries = {1: [2], 2: [0, 1]}.get(len(words(text)), [0, 1, 2])
         sigma = np.full(3, np.nan)
         what = "of x and y [m], of the heading [rad], or of all three, as in 0.5,0.5,2deg"
         sigma[entries] = sigmas(text, [POSE[k] for k in entries], "fix-sigma", what, zero=False)
@@ -179,7 +366,7 @@ def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
         found["fix_lever"] = (x, y)
     if "fix-rotation" in given:
         what = "an angle [rad, or as in 90deg]"
-        found["fix_rotation"] = float(numbers(given["fix-rotation"], ("angle",), "fix-rotation", what)[0])
+        found["fix_rotation"] = number(given["fix-rotation"], "angle", "fix-rotation", what)
     return found
 
 
@@ -209,10 +396,9 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
         return None
     if "track-width" not in given or "metres-per-tick" not in given:
         raise UsageError("wheel ticks: --track-width M and --metres-per-tick M (or LEFT,RIGHT) are needed")
-    width = float(numbers(given["track-width"], ("length",), "track-width", "the distance between the wheels")[0])
-    text = str(given["metres-per-tick"])
-    count = len(text.replace(",", " ").split())
-    metres = numbers(text, ("length",) * (2 if count == 2 else 1), "metres-per-tick", "metres a tick")
+    width = number(given["track-width"], "length", "track-width", "the distance between the wheels")
+    text = given["metres-per-tick"]
+    metres = numbers(text, ("length",) * (2 if len(words(text)) == 2 else 1), "metres-per-tick", "metres a tick")
     if width <= 0.0 or (metres == 0.0).any():
         raise UsageError(f"--track-width {width:g} --metres-per-tick {text}: wheels apart, that move, are needed")
     wrap = str(given.get("tick-wrap", "0"))
@@ -222,22 +408,18 @@ def _wheels(given: Given, kind: str) -> Wheels | None:
     return Wheels(width, (float(metres[0]), float(metres[-1])), each, int(wrap))
 
 
-def _second(given: Given, files: Mapping[str, Path], columns: Columns) -> Second | None:
+def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> Second | None:
     """What is stated of a second odometry; None: there is none."""
-    if SECOND not in files:
+    if SECOND not in texts:
         for flag in (f"{SECOND}-sigma", f"{SECOND}-kind", f"{SECOND}-noise"):
             if flag in given:
                 raise UsageError(f"--{flag} {given[flag]}: there is none; --{SECOND} FILE names it")
         return None
     known = [kind for kind in KINDS if kind != "ticks"]
-    asked = given.get(f"{SECOND}-kind")
-    if asked is not None and asked not in known:
-        raise UsageError(f"--{SECOND}-kind {asked}: {unknown(str(asked), known)}")
-    kind = kind_of(read_text(files[SECOND]), columns, None if asked is None else str(asked), SECOND)
+    kind = _kind(given, texts[SECOND], columns, SECOND, known)
     if kind == "ticks":
-        raise UsageError(
-            f"--{SECOND} {files[SECOND]}: wheel ticks; {', '.join(known)} are needed, or make it the first"
-        )
+        what = f"wheel ticks; {', '.join(known)} are needed, or make it the first"
+        raise UsageError(f"--{SECOND} {given[SECOND]}: {what}")
     return Second(kind, _noise(given, kind, SECOND))
 
 
@@ -266,7 +448,7 @@ def _noise(given: Given, kind: str, of: str = "odometry") -> VelocityNoise | Tra
     if model == "travel":
         return TravelNoise(*sigmas(text, TRAVEL, stated, what).tolist())
     if model in WITH_ALPHAS:
-        count = 6 if model == "textbook" and len(str(text).replace(",", " ").split()) == 6 else 4
+        count = 6 if model == "textbook" and len(words(text)) == 6 else 4
         return VelocityNoise(model, alphas=tuple(sigmas(text, ("",) * count, stated, what).tolist()))
     sigma_v, sigma_omega = sigmas(text, ("length", "angle"), stated, what).tolist()
     return VelocityNoise(model, sigma=(sigma_v, sigma_omega))
@@ -290,4 +472,4 @@ def _prior(given: Given) -> Array | str | None:
 
 
 def _pose(given: Given, flag: str) -> Array:
-    return numbers(given.get(flag, "0,0,0"), POSE, flag, "x, y [m], angle [rad or as in 90deg]")
+    return numbers(given.get(flag) or "0,0,0", POSE, flag, "x, y [m], angle [rad or as in 90deg]")
