@@ -54,7 +54,6 @@ from eval.report.words import LOST, asked, described, paragraph, say, status_of,
 from eval.studies import reproduced, store
 from eval.studies.diagnosis import trust_table
 from eval.studies.montecarlo import Judged, consistency_table, failed_declarations, judge, traces
-from eval.studies.reproduced import published_frame
 
 FINE, REJECTED = 0, 1
 COLOURS = {"good": "32", "fair": "33", "bad": "31"}  # ANSI colours of the trust line, by tone
@@ -209,7 +208,7 @@ def write_results(
     if in_space := space_rows(trials):
         result_files.SPACE.write(result_files.SPACE.table(in_space), folder)
     if outcome.published:
-        result_files.PUBLISHED.write(published_frame(outcome.published), folder)
+        result_files.PUBLISHED.write(result_files.PUBLISHED.table(outcome.published), folder)
     (folder / "runs").mkdir()
     write_truths(folder, trials)
     published = publish(folder, output, options.setup, trials, lost, options.execution, progress)

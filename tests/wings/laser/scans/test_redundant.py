@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from data.inputs import Prior
 from data.se2 import between, compose, dead_reckoned, inverse, pose_error
-from graph.batch import Start, smooth
+from graph.batch import smooth
+from graph.problem import Start
 from tests.graph.poses.worlds import NONE, World
 from wings.laser.scans.constraints import Chain, Loops
 from wings.laser.scans.redundant import CELL, MOST_IN_A_ROW, cells_of, least_informative, redundant, without
