@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from association.decide import METHODS, SCAN
+from association.names import METHODS, SCAN
 from data.command import stretch
 from data.errors import UsageError
 from data.formats.recordings.esde import NAME, find_esde

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from association.decide import METHODS
+from association.names import METHODS
 from data.compiled import base, mark
 from data.formats.open_log.reader import load_folder
 from data.formats.open_log.writer import write_folder

@@ -11,7 +11,7 @@ from itertools import cycle
 import numpy as np
 import pandas as pd
 
-from association.decide import SCAN
+from association.names import SCAN
 from data import card
 from data.inputs import CLUTTER, IntArray
 from data.log import Log

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from association.decide import SCAN
+from association.names import SCAN
 from data.inputs import IntArray
 from data.log import folder_name
 from data.notice import Notice

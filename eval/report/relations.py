@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from association.decide import SCAN
+from association.names import SCAN
 from eval.referee.relations import relation_errors
 from eval.referee.score import Trial
 from eval.report.words import say

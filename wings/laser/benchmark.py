@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from joblib import Parallel, delayed
 
-from association.decide import SCAN
+from association.names import SCAN
 from data.se2 import Array
 from data.worlds.registry import named_log
 from eval.compare import compare

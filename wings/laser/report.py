@@ -13,7 +13,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from association.decide import SCAN
+from association.names import SCAN
 from data.formats.g2o import MOTION
 from data.formats.g2o_out import written
 from data.log import Log, folder_name

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from association.decide import SCAN
+from association.names import SCAN
 from eval.plan.experiment import Experiment, Work
 from eval.plan.flags.table import Options
 

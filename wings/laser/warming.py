@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from association.decide import SCAN
+from association.names import SCAN
 from data.worlds.registry import named_log
 from eval.compare import compare
 from eval.replay.settings import BATCH

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from association.decide import SCAN
+from association.names import SCAN
 from data.result import Trajectory
 from data.worlds.registry import named_log
 from eval.plan.flags.table import Output

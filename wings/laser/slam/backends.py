@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from association.decide import SCAN
 from association.expectation import gate_threshold
+from association.names import SCAN
 from association.truncated import truncated_square
 from data.inputs import Increments, Inputs, IntArray, Observations
 from data.motion.velocity import floor_covariances
@@ -21,7 +21,7 @@ from ekf.whole_run import run_filter
 from eval.replay.batch import batch
 from eval.replay.estimators import dead_reckoning
 from eval.replay.run import step_by_step
-from eval.replay.settings import Setup
+from eval.replay.settings import ESTIMATOR_TABLE, STEPPING, Setup
 from graph.batch import CUT
 from graph.factors import CAUCHY, HUBER, UnderConstrained
 from wings.laser.poses.online import FixedLagPoseGraph
@@ -91,7 +91,7 @@ def estimated(
     given = key_inputs(inputs, chain, loops)
     if name == "fixed-lag":
         run = _fixed_lag(given.inputs, setup.lag)
-    elif name in ("ekf", "isam2"):
+    elif name in STEPPING:
         stepping = replace(setup, gate_poses=gate if name == "ekf" else None)
         run = step_by_step(name, given.inputs, TASK, "jcbb", stepping)
         if name == "isam2":  # it keeps every key pose
@@ -115,9 +115,10 @@ def _weights(name: str, run: Run, closures: Closures | None, pose: Array) -> Arr
     if closures is None:
         return np.empty(0)
     square = residuals(pose, closures.frame1, closures.frame2, closures.relative, closures.covariance)
-    if name == "batch-huber":
+    loss = ESTIMATOR_TABLE[name].options.get("loss")
+    if loss == "huber":
         return HUBER / np.sqrt(np.maximum(square, HUBER**2))
-    if name == "batch-cauchy":
+    if loss == "cauchy":
         return np.where(square > CUT**2, 0.0, 1.0 / (1.0 + square / CAUCHY**2))
     if name == "fixed-lag":
         return np.full(len(closures), np.nan)

@@ -10,7 +10,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from association.decide import SCAN
+from association.names import SCAN
 from data.errors import UsageError
 from data.inputs import Inputs
 from data.notice import Code, Notice, notice

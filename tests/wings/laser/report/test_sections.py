@@ -7,7 +7,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from association.decide import SCAN
+from association.names import SCAN
 from data.notice import stopped
 from data.result import Failure
 from data.truth import Relations
