@@ -13,10 +13,11 @@ from data.inputs import Inputs, IntArray
 from data.notice import Code, notice, stopped
 from data.result import DISCARD, Failure, Run, Trajectory, map_estimate, map_with
 from data.se2 import Array, BoolArray
-from graph.batch import Rejected, Start, landmark_starts, smooth
+from graph.batch import Rejected, landmark_starts, smooth
 from graph.chordal import chordal_path
 from graph.factors import UnderConstrained
 from graph.optimum import NotConvergedError, Smoothed
+from graph.problem import Start
 from graph.robust import PROBABILITY, gnc
 
 LOSSES = {"batch": "gaussian", "batch-huber": "huber", "batch-cauchy": "cauchy"}

@@ -55,7 +55,6 @@ from eval.report.words import LOST, asked, described, paragraph, say, status_of,
 from eval.studies import reproduced, store
 from eval.studies.diagnosis import trust_table
 from eval.studies.montecarlo import Judged, consistency_table, failed_declarations, judge, traces
-from eval.studies.reproduced import published_frame
 
 FINE, REJECTED = 0, 1
 COLOURS = {"good": "32", "fair": "33", "bad": "31"}  # ANSI colours of the trust line, by tone
@@ -167,7 +166,7 @@ def write_results(
         result_files.RELATIONS: scores.relations if len(scores.relations) else None,
         result_files.SOURCES: scores.sources if len(scores.sources) else None,
         result_files.SPACE: result_files.SPACE.table(rows) if (rows := space_rows(trials)) else None,
-        result_files.PUBLISHED: published_frame(outcome.published) if outcome.published else None,
+        result_files.PUBLISHED: result_files.PUBLISHED.table(outcome.published) if outcome.published else None,
     }
     for file, table in tables.items():
         if table is not None:

@@ -19,7 +19,8 @@ from eval.report.page.blocks import Block, FinePrint, Section
 from eval.report.page.files import stem, written_table
 from eval.report.page.tables import number
 from eval.report.words import say
-from graph.batch import Rejected, Start
+from graph.batch import Rejected
+from graph.problem import Start
 from wings.audit.audit import FAMILY
 from wings.audit.examined import TEN, tables
 from wings.audit.kinds import LOOP

@@ -16,11 +16,9 @@ import numpy as np
 
 from data.errors import DataError, UsageError
 from data.formats.recordings.ros import ODOMETRY, OLD_TRANSFORMS, TRANSFORMS, opened, stamp_of
-from data.formats.results.clock import STATED, Clock
 from data.formats.results.frames import Tree
-from data.formats.results.matrices import full, known_only
-from data.formats.results.path import WORLD, GivenPath, Manner, Spatial, Stated
-from data.formats.results.space import on_plane, rotations
+from data.formats.results.path import STATED, WORLD, Clock, GivenPath, Manner, Spatial, Stated
+from data.formats.results.space import full, known_only, on_plane, rotations
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 BARE = "geometry_msgs/msg/PoseStamped"
