@@ -32,6 +32,6 @@ class Locked:
     def only(self, rows: slice | NDArray[Any]) -> Self:
         """Some rows, by a slice, indices or a mask, of all its arrays, also of those of its parts."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}  # type: ignore[arg-type]
-        part = {n: v[rows] for n, v in values.items() if isinstance(v, np.ndarray)}
+        part: dict[str, Any] = {n: v[rows] for n, v in values.items() if isinstance(v, np.ndarray)}
         part |= {n: v.only(rows) for n, v in values.items() if isinstance(v, Locked)}
         return replace(self, **part)  # type: ignore[type-var]
