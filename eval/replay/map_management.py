@@ -17,8 +17,8 @@ from association.decide import horizon
 from data.inputs import FrameObservations, Increment, IntArray
 from data.notice import Code, Notice, notice
 from data.sensors import Sensor
-from ekf.epochs import LEAST, MOVED, PAIRING, PRODUCT, STEP
 from ekf.slam import EkfSlam
+from ekf.whole_run import LEAST, MOVED, PAIRING, PRODUCT, STEP
 from eval.replay.estimators import Capabilities, Estimator, needed
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import HINDSIGHT, Setup
@@ -175,7 +175,7 @@ KEPT = 10  # frames; a landmark paired or restored within these stays (5 and 20 
 class AutomaticParking:
     """Parks landmarks that the next frames do not need, while that is faster; decisions and estimates do not change.
 
-    Costs are those of `ekf.epochs`. Landmarks are parked when the excess cost of the steps since the last time exceeds
+    Costs are those of `ekf.whole_run`. Landmarks are parked when the excess cost of the steps since then exceeds
     the cost of parking.
     """
 
