@@ -175,8 +175,8 @@ KEPT = 10  # frames; a landmark paired or restored within these stays (5 and 20 
 class AutomaticParking:
     """Parks landmarks that the next frames do not need, while that is faster; decisions and estimates do not change.
 
-    Costs are those of `ekf.whole_run`. Landmarks are parked when the excess cost of the steps since then exceeds
-    the cost of parking.
+    Costs are those of `ekf.whole_run`. Landmarks are parked when the steps since the last time have cost more without
+    it than parking does.
     """
 
     def __init__(self, slam: EkfSlam, within: float) -> None:
