@@ -275,11 +275,10 @@ def _spatial(
     elif all(f"{c[0]}{c[2]}{c[1]}" in value for c in TRIANGLE):
         C = symmetric(np.column_stack([value[f"{c[0]}{c[2]}{c[1]}"] for c in TRIANGLE]), lower=True)
     kind = WELL_KNOWN.get(columns.order[:8], f"columns {', '.join(columns.order[:8])}")
-    t = columns.place["t"]
-    path = path_of(body, kind, pose, C, manner, frame=frame, stated=stated, unit=unit, column=t, notes=notes)
+    time, clock = times_of(body, value["t"], manner, unit=unit, column=columns.place["t"])
+    path = path_of(body, kind, (time, clock), pose, C, manner, frame=frame, stated=stated, notes=notes)
     if "qw" in value or "yaw" in columns.unit or manner.angles is not None:
         return path
-    time, _ = times_of(body, value["t"], manner, unit=unit, column=t)
     known = np.flatnonzero(np.isfinite(pose).all(axis=1))
     rows_kept = known[np.searchsorted(time[known], path.time, side="right") - 1]
     return replace(path, headings=value["yaw"][rows_kept])
