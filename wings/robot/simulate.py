@@ -23,10 +23,8 @@ if TYPE_CHECKING:
     from wings.robot.link import Clock
     from wings.robot.simulated.wire import Wire
 
-TRUTH_PERIOD = 0.05
-"""s of robot time between rows of the truth."""
-LONGEST_WAIT = 0.05
-"""s of real time to wait for a byte before the robot moves on."""
+TRUTH_PERIOD = 0.05  # s of robot time between rows of the truth
+LONGEST_WAIT = 0.05  # s of real time to wait for a byte before the robot moves on
 EXAMPLE = """\
 example:
   python -m data.robot.simulate --world walls:0 --link /tmp/robot &

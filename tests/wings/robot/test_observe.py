@@ -158,7 +158,7 @@ def test_after_odometry_began_anew_nothing_from_before_is_used():
     heard, _ = packets(WALL, [(STEP, 0.0)] * 60, np.random.default_rng(5))
     observer = WallObserver()
     for k, p in enumerate(heard):
-        seen = observer.observe(Packet(p.t, p.ranges, p.odometry, k % 4 != 0, p.sure, p.answer))
+        seen = observer.observe(Packet(p.t, p.ranges, p.odometry, k % 4 != 0, p.answer))
         assert not len(seen.z)
 
 

@@ -16,8 +16,7 @@ from data.worlds.floorplan.world import scan_ranges
 from wings.robot.scan_packets import Beams, Scan
 from wings.robot.simulated.room import Room
 
-SIGMA = 0.01
-"""m, standard deviation of a range, as of low-cost lidars for hobby robots."""
+SIGMA = 0.01  # m, standard deviation of a range, as of low-cost lidars for hobby robots
 
 
 @dataclass(frozen=True)

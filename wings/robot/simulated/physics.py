@@ -38,20 +38,15 @@ from wings.robot.packets import (
 from wings.robot.scan_packets import Scan
 from wings.robot.simulated.lidar import Lidar
 from wings.robot.simulated.room import Room, cast, clearance
-from wings.robot.traffic.motion import Heard, Packet, Unwrapper
+from wings.robot.traffic.motion import Packet, Unwrapper
 
-LAG = 0.1
-"""s, time constant of the motor: a geared motor of 6 V with a 65 mm wheel."""
+LAG = 0.1  # s, time constant of the motor: a geared motor of 6 V with a 65 mm wheel
 FULL_SPEED = 1.25 * FASTEST_WHEEL
 """m/s of the rim at full duty without load: 25 % above the limit, as reserve of the loop."""
-RESPONSE = 0.05
-"""s, time constant of the closed loop: half the motor's, five steps of 0.01 s."""
-PROPORTIONAL = LAG / (FULL_SPEED * RESPONSE)
-"""Duty per m/s."""
-INTEGRAL = 1.0 / (FULL_SPEED * RESPONSE)
-"""Duty per m."""
-FRICTION = 0.1
-"""Smallest duty that turns the wheel."""
+RESPONSE = 0.05  # s, time constant of the closed loop: half the motor's, five steps of 0.01 s
+PROPORTIONAL = LAG / (FULL_SPEED * RESPONSE)  # Duty per m/s
+INTEGRAL = 1.0 / (FULL_SPEED * RESPONSE)  # Duty per m
+FRICTION = 0.1  # Smallest duty that turns the wheel
 
 
 @dataclass
@@ -89,10 +84,8 @@ def turned(speed: float, duty: float, dt: float, load: float = 0.0) -> float:
     return 0.0 if abs(pushed) <= brake else pushed - math.copysign(brake, pushed)
 
 
-STEP = 0.01
-"""s, step of motion and of the firmware's encoders."""
-BRAKING = 0.1
-"""s in which the loop stops a wheel from full speed."""
+STEP = 0.01  # s, step of motion and of the firmware's encoders
+BRAKING = 0.1  # s in which the loop stops a wheel from full speed
 PATIENCE = WATCHDOG - BRAKING - 2.0 * STEP
 """s without a command after which the firmware brakes, so that the robot stands at `WATCHDOG`."""
 METRES_PER_TICK = 2.0 * math.pi * WHEEL_RADIUS / TICKS_PER_TURN
@@ -261,7 +254,7 @@ def drive(
     for k in range(round(seconds / PERIOD)):
         t = k * PERIOD
         answer = robot.answer(t)
-        packets.append(unwrapper.packet(Heard(t, answer, 1.0, robot.scan(answer)), joined=True))
+        packets.append(unwrapper.packet(t, answer, joined=True, scan=robot.scan(answer)))
         poses.append(robot.pose)
         command = command_of(*policy(packets[-1]))
         commands.append(command)

@@ -16,6 +16,7 @@ from wings.robot.packets import (
     BYTE_TIME,
     COMMAND_BYTES,
     LIDAR_BAUD,
+    MARKER,
     decode_command,
     encode_answer,
     framed,
@@ -24,10 +25,8 @@ from wings.robot.packets import (
 from wings.robot.scan_packets import encode_scan
 from wings.robot.simulated.physics import Robot
 
-COMMAND_PAUSE = 0.05
-"""s of silence after which a byte begins a command; a command is 4 ms long."""
-BETWEEN_STALLS = 6000
-"""Mean number of bytes between stalls: a minute of traffic."""
+COMMAND_PAUSE = 0.05  # s of silence after which a byte begins a command; a command is 4 ms long
+BETWEEN_STALLS = 6000  # Mean number of bytes between stalls: a minute of traffic
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Firmware:
         self._came = t
         self._pending.append(byte)
         if self._framed:
-            used, content = next_frame(self._pending, COMMAND_BYTES)
+            used, _, content = next_frame(self._pending, {MARKER: COMMAND_BYTES})
             del self._pending[:used]
         else:
             content = bytes(self._pending) if len(self._pending) == COMMAND_BYTES else None
