@@ -111,9 +111,8 @@ def _step(wish: StepOptions) -> None:
     from eval.plan.warming import compile_if_needed
 
     compile_if_needed()
-    from eval.plan.experiment import check_maintained, check_possible_on, default_task, default_task_line
+    from eval.plan.experiment import check_maintained, check_possible_on, default_task, default_task_line, load_all
     from eval.plan.experiments import reading_of
-    from eval.plan.foreign import load_all
     from eval.plan.provenance import settings_line
 
     load_all(wish.options.selection.estimator, wish.options.selection.association)
@@ -134,7 +133,7 @@ def _step(wish: StepOptions) -> None:
     from eval.replay.external.make import lack
     from eval.replay.external.spec import is_foreign, name_of
     from eval.replay.run import step_by_step
-    from eval.report.answer import gate_sentence
+    from eval.report.log_sections import gate_sentence
     from eval.report.words import asked as question_line
     from eval.stepping.pictures import ImageWriter, open_windows
     from eval.stepping.stepper import StoppedError, Walk, end

@@ -17,9 +17,9 @@ import numpy as np
 from data.command import portable
 from data.errors import UsageError
 from data.log import Log
+from eval.plan.experiment import sources_of
 from eval.plan.first_use import kernels
 from eval.plan.flags.table import Options
-from eval.plan.foreign import sources_of
 from eval.replay.external.spec import shown
 from eval.replay.flag import rows
 

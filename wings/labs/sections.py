@@ -15,10 +15,10 @@ import pandas as pd
 from data.log import Log
 from data.logs import open_scored
 from data.se2 import Array
+from eval.plan.experiment import Unfinished
 from eval.plan.flags.options import Options
 from eval.plan.flags.table import Output
 from eval.plan.provenance import input_digest
-from eval.plan.unfinished import Unfinished
 from eval.plan.work import Job, work
 from eval.referee.confusion import OUTCOMES
 from eval.referee.consistency import ASTRAY_NEES

@@ -16,7 +16,7 @@ from eval.inspect import main as inspect
 from eval.referee.diagnostics import notices, questions_of_run, unused
 from eval.referee.score import Trial
 from eval.replay.run import compare
-from eval.report.contents import warnings_section
+from eval.report.steps import warnings_section
 from eval.report.words import together
 from eval.run_all import main
 from tests.quick import slow
