@@ -168,7 +168,7 @@ def visual_sections(
         facts = (_constants(log), _detected(statistics_of(log.evidence), log.evidence.found))
         blocks = [] if in_lab else list(models(folder, wanted, log))
         own = [t for t in trials if t.log is log and not wanted.no_plots]
-        blocks += [_plan(folder, wanted, t, None if in_lab else factor) for t in own]
+        blocks += [_plan(folder, t, None if in_lab else factor) for t in own]
         blocks += _detections(folder, wanted, log, log.evidence)
         page = "" if in_lab else f"{folder_name(name)}-pictures"
         sections.append(Section(f"Pictures as landmarks: {name}", tuple(blocks), facts=facts, page=page))
@@ -207,7 +207,7 @@ def constants(log: Log) -> str:
     return say("visual#constants", c=_constants(log))
 
 
-def _plan(folder: Path, wanted: Output, trial: Trial, factor: int | None) -> Picture:
+def _plan(folder: Path, trial: Trial, factor: int | None) -> Picture:
     log, drawn, name = trial.log, for_map(trial), stem(trial, "plan")
     assert log.evidence is not None  # `visual_sections` asks for the plan of no other log
     factor = enlarged(log, drawn, factor)

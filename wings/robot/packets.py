@@ -26,14 +26,11 @@ from data.se2 import Array
 RADIUS = 0.15  # m, of the body; the sonars sit on its rim
 
 
-def _ring(count: int) -> Array:
-    angle = 2.0 * math.pi * np.arange(count) / count
-    return np.stack(
-        [RADIUS * np.cos(angle), RADIUS * np.sin(angle), np.where(angle > math.pi, angle - 2 * math.pi, angle)], axis=-1
-    )
-
-
-SONARS: Array = _ring(8)
+_around = 2.0 * math.pi * np.arange(8) / 8
+SONARS: Array = np.stack(
+    [RADIUS * np.cos(_around), RADIUS * np.sin(_around), np.where(_around > math.pi, _around - 2 * math.pi, _around)],
+    -1,
+)
 """Poses (8, 3) of the sonars on the body [m, m, rad], counter-clockwise from the one ahead.
 
 At 45 degree steps one sonar is always within 22.5 degrees of a wall's normal, the limit at which a smooth wall returns
@@ -42,7 +39,7 @@ an echo (`wings.robot.simulated.physics`).
 SONARS.setflags(write=False)
 AHEAD, RIGHT = 0, 6  # Rows of `SONARS`
 
-CONE_HALF_ANGLE = math.radians(7.5)
+CONE_HALF_around = math.radians(7.5)
 """rad. A sonar measures the nearest point inside its cone of 15 degrees, not that point's direction."""
 TIMEOUT_MM = 4000
 """mm, the distance that stands for "no echo". Eight echoes of 5.8 us/mm x 4000 mm fit into a cycle of 0.25 s."""

@@ -138,10 +138,6 @@ def _number(low: float, high: float) -> Callable[[str], float]:
     return convert
 
 
-def _terminated(*_: object) -> None:
-    raise SystemExit(0)
-
-
 def _simulate(argv: Sequence[str] | None) -> None:
     args = parser().parse_args(argv)
     world = re.fullmatch(r"walls:([0-9]{1,9})", args.world)
@@ -161,7 +157,7 @@ def _simulate(argv: Sequence[str] | None) -> None:
         robot.lidar.scan(robot.room, robot.pose, 0.0, (0, 0, 0), np.random.default_rng(0))
     wire = Wire(robot, Faults(args.drop, args.flip, args.stall), line, with_frames=args.framed)
     for name in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(name, _terminated)
+        signal.signal(name, lambda *_: sys.exit(0))
     with contextlib.ExitStack() as stack:
         truth = None if args.truth is None else stack.enter_context(args.truth.open("w", buffering=1))
         run(wire, stack.enter_context(Terminal(args.link)), Clock(args.speed), truth)

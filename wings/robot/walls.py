@@ -65,15 +65,6 @@ def echo_points(sensors: Array, ranges: Array, alpha: float | Array) -> Array:
     return np.stack([sensors[..., 0] + ranges * np.cos(way), sensors[..., 1] + ranges * np.sin(way)], axis=-1)
 
 
-def predicted_ranges(sensors: Array, rho: float, alpha: float) -> Array:
-    """Readings (N,) of an infinite wall by the model above, inf where the cone misses it."""
-    off = np.abs(wrap_angle(alpha - sensors[:, 2]))
-    distance = rho - sensors[:, 0] * math.cos(alpha) - sensors[:, 1] * math.sin(alpha)
-    slant = np.maximum(off - CONE_HALF_ANGLE, 0.0)
-    seen = (slant < 0.5 * math.pi) & (distance > 0.0)
-    return np.where(seen, distance / np.where(seen, np.cos(slant), 1.0), np.inf)
-
-
 def total_least_squares(points: Array, weights: Array, sensors: Array) -> tuple[Array, Array]:
     """(rho, alpha) (...) of the lines with least weighted squared distances from points (..., N, 2).
 

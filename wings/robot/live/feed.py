@@ -1,4 +1,4 @@
-"""Chunks for the page during a drive: one a second, joined to one a minute.
+"""The page during a drive: its server, and its chunks, one a second, joined to one a minute.
 
 The driving thread adds frames and publishes; server threads read what was published last, which never changes. Memory
 is bounded: single chunks are kept for two minutes, those of a minute up to `MOST` bytes in all. A page that asks for a
@@ -87,7 +87,7 @@ class Published:
     large: tuple[Chunk, ...] = ()  # in the order of time; a minute may be in both
     small: tuple[Chunk, ...] = ()
     ended: bool = False  # no more will come
-    grid: bytes | None = None  # the newest one, as of `wings.robot.live.grid`
+    grid: bytes | None = None  # the newest one, as of `wings.robot.live.scanning.GridPainter`
     grids: int = 0  # how many there have been
 
     @property
@@ -203,7 +203,11 @@ HEADERS = {
 
 
 class Server:
-    """Serves in its own threads; `with` ends it."""
+    """HTTP server of the page, in its own threads: read only, the page and its chunks, no files; `with` ends it.
+
+    Bound to 127.0.0.1. Other pages in the same browser cannot read it: foreign host names (even if they resolve to
+    127.0.0.1) and other origins are refused.
+    """
 
     def __init__(self, port: int, page: bytes, published: Callable[[], Published]) -> None:
         """Listen; port 0 is any free one. Raises UsageError: the port is not available."""

@@ -1,4 +1,4 @@
-"""Graph SLAM by scan matching while the robot drives: the front end of laser logs, a frame at a time.
+"""Graph SLAM by scan matching while the robot drives: the front end of laser logs, a frame at a time; its grid.
 
 Without `--least-information`, `eval.replay.laser.front_end` gives a recording the same online poses, to the bit.
 """
@@ -108,7 +108,11 @@ Keys = tuple[Array, Array, Scanner]  # poses (n, 3), scans (n, B), of one scanne
 
 
 class GridPainter:
-    """Draws the grid, a part in each period."""
+    """Draws the occupancy grid of the page anew every few seconds, from a few key scans in each period.
+
+    So the work of a period is bounded. The picture is a PNG of one colour whose opacity is the probability of a wall,
+    so it fits a light and a dark page; unknown cells are transparent. Equal scans and poses give equal bytes.
+    """
 
     def __init__(self, keys: Callable[[], Keys | None], show: Callable[[bytes], None]) -> None:
         """`keys` gives the present key scans, None before the first.
