@@ -39,7 +39,7 @@ an echo (`wings.robot.simulated.physics`).
 SONARS.setflags(write=False)
 AHEAD, RIGHT = 0, 6  # Rows of `SONARS`
 
-CONE_HALF_around = math.radians(7.5)
+CONE_HALF_ANGLE = math.radians(7.5)
 """rad. A sonar measures the nearest point inside its cone of 15 degrees, not that point's direction."""
 TIMEOUT_MM = 4000
 """mm, the distance that stands for "no echo". Eight echoes of 5.8 us/mm x 4000 mm fit into a cycle of 0.25 s."""
