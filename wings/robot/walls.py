@@ -173,9 +173,9 @@ def _turned(rho: float, alpha: float, cov: Array, weights: Array, d: Array) -> L
     return Line(rho, wrap_angle(alpha), cov, weights, d)
 
 
-def _distances(sensors: Array, ranges: Array, rho: float, alpha: float) -> Array:
+def _distances(sensors: Array, ranges: Array, rho: float | Array, alpha: float | Array) -> Array:
     points = echo_points(sensors, ranges, alpha)
-    return np.asarray(points[:, 0] * np.cos(alpha) + points[:, 1] * np.sin(alpha) - rho)
+    return np.asarray(points[..., 0] * np.cos(alpha) + points[..., 1] * np.sin(alpha) - rho)
 
 
 def _repeated_median(sensors: Array, ranges: Array) -> tuple[float, float]:

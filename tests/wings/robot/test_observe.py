@@ -33,7 +33,7 @@ def packets(place, steps, rng, sigma=0.005, slip=0.0, start=(0.0, 0.0, 0.0)):
         true = compose(true, [wheels.mean(), 0.0, (wheels[1] - wheels[0]) / WHEEL_BASE])
         echo = cast(place, compose(true, SONARS), CONE_HALF_ANGLE)
         ranges = np.where(echo.incidence < MIRROR, echo.distance, np.inf) + sigma * rng.standard_normal(8)
-        out.append(Packet(k * PERIOD, np.where(ranges < 4.0, ranges, np.inf), counted, k > 0, 1.0, RAW))
+        out.append(Packet(k * PERIOD, np.where(ranges < 4.0, ranges, np.inf), counted, k > 0, RAW))
         poses.append(true)
     return out, poses
 
