@@ -33,7 +33,6 @@ from eval.judgement.runs import (
 from eval.referee import laser_faults
 from eval.referee.attribution import NOTHING, UNTELLABLE, Finding
 from eval.referee.consistency import FIT, NEES_LIMIT
-from eval.referee.diagnostics import unused
 from eval.referee.errors import position_distance, rms
 from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.referee.score import Scores, Trial, score
@@ -284,7 +283,7 @@ def judge(trial: Trial, scores: Scores | None = None, diagnoses: Sequence[Trust]
         outcomes,
         measured=_measured(trial),
         related=related,
-        idle=frozenset((r.estimator, r.association) for r in trial.runs if unused(r, trial.log.recorded)),
+        idle=trial.unused.keys(),
         diagnoses=own,
     )
     return judgement_of(trial, runs, differences, next(iter(of_trial(trial, own)), None))

@@ -14,7 +14,8 @@ from association.scans.constraints import Chain, Loops
 from association.scans.redundant import CELL, MOST_IN_A_ROW, cells_of, least_informative, redundant, without
 from data.inputs import Prior
 from data.se2 import between, compose, dead_reckoned, inverse, pose_error
-from graph.batch import Start, smooth
+from graph.batch import smooth
+from graph.problem import Start
 from tests.graph.poses.worlds import NONE, World
 
 PRIOR = Prior(np.array([1.0, -2.0, 0.4]), np.diag([1e-2, 1e-2, 1e-3]))
