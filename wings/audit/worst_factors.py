@@ -10,14 +10,12 @@ import numpy as np
 import pandas as pd
 from threadpoolctl import threadpool_limits
 
-from association.scans.constraints import LaserRun
 from data.inputs import Inputs, IntArray
 from data.result import Run
 from data.se2 import Array, covariances_in_body
 from data.sensors import RANGE_BEARING, RELATIVE_POINT
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
-from eval.replay.laser.backends import key_inputs
 from eval.report.page.blocks import Block, FinePrint, Section
 from eval.report.page.files import stem, written_table
 from eval.report.page.tables import number
@@ -30,6 +28,8 @@ from wings.audit.audit import FAMILY, Statistics, statistics
 from wings.audit.examined import TEN, tables
 from wings.audit.kinds import LOOP, ODOMETRY, PRIOR, Kinds
 from wings.audit.linear import Group, System
+from wings.laser.scans.constraints import LaserRun
+from wings.laser.slam.backends import key_inputs
 
 HEADING = "Factors of the smoother"
 FINE = FinePrint(

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from association.scans.constraints import SCAN
+from association.names import SCAN
 from data.errors import UsageError
 from data.result import DISCARD, MapState
 from data.se2 import Array
