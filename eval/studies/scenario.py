@@ -16,10 +16,12 @@ import numpy as np
 from data.errors import UsageError, did_you_mean
 from data.log import Log
 from data.motion.priors import AUTO, PRIORS, systematic
+from data.se2 import Array
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 from data.truth_windows import scored
 from data.worlds import registry
 from data.worlds.registry import SIMULATORS, parameters_of
+from eval.referee.consistency import QUANTITIES
 from eval.replay.external.load import load
 from eval.replay.external.spec import (
     entry_points,
@@ -32,11 +34,48 @@ from eval.replay.external.spec import (
 )
 from eval.replay.flag import read_values, rows
 from eval.replay.settings import ESTIMATORS, TASKS, Setup, check_gates
-from eval.studies.published import PUBLISHABLE, Ordering, Published, Row
 from eval.studies.shipped import path_of, scenarios
 
 RECORDED = "esde"  # a stored run of others, found through `--data`
+PUBLISHABLE = (*(f"nees_{q}" for q in QUANTITIES), "rmse_position_m", "rmse_heading_deg")
 OWN = "own"  # a function of the user's makes the logs
+
+
+@dataclass(frozen=True)
+class Row:
+    """A published number with the standard error of its Monte Carlo (0: unknown)."""
+
+    estimator: str
+    quantity: str
+    value: float
+    se: float
+
+
+@dataclass(frozen=True)
+class Ordering:
+    """A published statement that one estimator's number is smaller than another's."""
+
+    quantity: str
+    smaller: str
+    larger: str
+
+
+@dataclass(frozen=True)
+class Published:
+    """Published numbers of a scenario, and the definition of their averages."""
+
+    rows: tuple[Row, ...] = ()
+    orderings: tuple[Ordering, ...] = ()  # statements where numbers cannot be compared
+    skipped_are_zero: bool = False  # frames before the scenario's first count as zeros in the average NEES
+    per_dof: bool = False  # NEES divided by its degrees of freedom
+    tolerance: tuple[tuple[str, float], ...] = ()  # of a replay: estimator, largest relative difference of any NEES
+    note: str = ""  # for the reader
+
+    def average(self, nees: Array, dof: int, from_frame: int) -> float:
+        """Average NEES (N,) of a run by this definition; NaN if a step in the average has none."""
+        used = nees[from_frame:]
+        total = float(used.sum()) / (dof if self.per_dof else 1)
+        return total / (len(nees) if self.skipped_are_zero else len(used)) if len(used) else math.nan
 
 
 @dataclass(frozen=True)
