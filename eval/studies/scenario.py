@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -234,12 +235,12 @@ def load_scenario(name: str) -> Scenario:
 
 
 @contextmanager
-def _named(fault: Fault) -> Iterator[None]:
-    """Add the name of the file to an error."""
+def _named(fault: Fault, less: str = "") -> Iterator[None]:
+    """Add the name of the file, or of the key, to an error; `less`: how the error begins without it."""
     try:
         yield
     except UsageError as wrong:
-        raise fault(str(wrong)) from None
+        raise fault(str(wrong).removeprefix(less)) from None
 
 
 def _scenario(top: TomlTable, setup: Setup, source: str, stem: str) -> Scenario:
@@ -277,10 +278,8 @@ def _maker(top: TomlTable) -> str:
     stated = top.table.get("world")
     if not isinstance(stated, str):
         return ""
-    try:
+    with _named(partial(top.error, "world"), "world = "):
         return settled("world =", stated, "world")
-    except UsageError as wrong:
-        raise top.error("world", str(wrong).removeprefix("world = ")) from None
 
 
 def _estimator_keys(top: TomlTable) -> tuple[str, ...]:
@@ -295,11 +294,9 @@ def _associations(top: TomlTable) -> tuple[str, ...]:
     given = top.table.get("association", ["known"])
     if not isinstance(given, list):
         raise top.error("association", "a list is needed")
-    try:
-        settled: tuple[str, ...] = own_or_foreign("association", least=1)("association =", given)
-    except UsageError as wrong:
-        raise top.error("association", str(wrong).removeprefix("association = ")) from None
-    return settled
+    with _named(partial(top.error, "association"), "association = "):
+        found: tuple[str, ...] = own_or_foreign("association", least=1)("association =", given)
+    return found
 
 
 def paragraph(text: str) -> str:
@@ -360,10 +357,8 @@ def _member(estimators: TomlTable, name: str, task: tuple[str, ...], kind: str) 
         raise table.error("must_be", f"only {CONSISTENT!r} can be demanded")
     tasks = table.names("task", task, task)
     world = table.optional_table("world", parameters_of_kind(kind))
-    try:
+    with _named(partial(estimators.error, name), ": "):
         text = one_settled("", name, "estimator")
-    except UsageError as wrong:
-        raise estimators.error(name, str(wrong).strip(": ")) from None
     return Member(text, tasks if "must_be" in table else (), () if world is None else parameters(world, kind))
 
 
