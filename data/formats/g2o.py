@@ -180,14 +180,12 @@ def read_graph(path: Path, noise: str | None = None) -> Graph:
     both = sorted(file.poses.keys() & file.points.keys())
     if both:
         raise DataError.at(path, f"vertex {both[0]} is repeated; ids must be unique")
-    priors = [Edge(PRIOR, (p.pose, p.pose), p.measured, p.information, p.line) for p in file.priors]
     found: dict[str, list[Edge]] = {name: [] for name in KINDS}
-    for e in (*file.edges, *priors):
-        if e.tag == PRIOR:
-            found["prior" if e.measured.size == 3 else "position"].append(e)
-        else:
-            point = "observation" if file.kind(e)[1] == POINT2 else "motion"
-            found[{BEARING: "bearing", RANGED: "polar"}.get(e.tag, point)].append(e)
+    for e in file.edges:
+        point = "observation" if file.kind(e)[1] == POINT2 else "motion"
+        found[{BEARING: "bearing", RANGED: "polar"}.get(e.tag, point)].append(e)
+    for e in file.priors:
+        found["prior" if e.tag == PRIOR else "position"].append(e)
     edges = {name: _edges(path, found[name], d) for name, d in KINDS.items()}
     polar = edges["polar"]
     edges["polar"] = replace(polar, measured=polar.measured[:, ::-1], covariance=polar.covariance[:, ::-1, ::-1])

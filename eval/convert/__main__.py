@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from data.convert.__main__ import main as convert_main
 
 if TYPE_CHECKING:
-    from data.convert.parsers import Add
+    from data.command import Add
     from data.log import Log
 
 PROG = "python -m eval.convert"

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from association.decide import METHODS
+from association.names import METHODS
 from association.scans.constraints import SCAN
 from data.command import stretch
 from data.errors import UsageError

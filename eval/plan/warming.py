@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from association.decide import METHODS
+from association.names import METHODS
 from association.scans.constraints import SCAN
 from association.scans.corners import corners
 from association.scans.matching import best_pose, pyramid

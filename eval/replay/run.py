@@ -166,7 +166,7 @@ def driven(
         for k in range(len(inputs)):
             frame = inputs.frame(k)
             through(front, frame, record.update, each=each, observer=observer)
-            record.poses.enter(frame, front.poses)
+            record.poses.enter(frame, front.poses.fixed, front.poses.closed)
             record.begin(front)
             observer.updated(front, record.decisions, record.created)
             record.estimate(front)

@@ -52,7 +52,7 @@ def draw(folder: Path, trial: Trial, name: str, variants: Variants = ()) -> Pict
     """Draw one figure of `kinds`, as files below the result folder."""
     kind = kinds(trial, variants)[name]
     figure, facts = kind.drawn(trial, variants)
-    macro = kind.macro or f"pictures#{name.replace('-', '_')}"
+    macro = kind.macro or f"pictures#figure_{name.replace('-', '_')}"
     caption, alt = (paragraph(m, log=trial.log.name, task=trial.task, **facts) for m in (macro, f"{macro}_alt"))
     save(figure, folder / "figures", stem(trial, name))
     return Picture(stem(trial, name), caption, alt, place=kind.place)

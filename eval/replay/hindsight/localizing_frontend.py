@@ -32,7 +32,7 @@ from eval.replay.hindsight import constants, hypotheses
 from eval.replay.hindsight.hypotheses import Choice, Hypotheses
 from eval.replay.hindsight.lost import Health, recovered, watch
 from eval.replay.hindsight.relocalize import EMPTY, Place, Scan, extended, moved, relocalize
-from eval.replay.poses import PoseMeasurements
+from eval.replay.poses import PoseMeasurements, keep_frames
 from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
@@ -42,15 +42,15 @@ class HindsightLocalizer:
     Fixes and closures (`use_poses`, after `move`) weigh the hypotheses.
     """
 
-    def __init__(self, given: Given, gate_poses: float | None = None) -> None:
-        """Start at the prior; `gate_poses`: of fixes and closures. Raises UsageError without a map."""
+    def __init__(self, given: Given) -> None:
+        """Start at the prior. Raises UsageError without a map."""
         if given.map is None:
             raise UsageError("hypotheses of the pose alone need a known map")
         self.sensor, self.map = given.sensor, given.map
         self.bank = Hypotheses(
             given.prior, given.sensor, given.map, FilterOptions(iterations=constants.HYPOTHESIS_ITERATIONS)
         )
-        self.poses = PoseMeasurements(given, self.bank, self.bank, gate_poses)
+        keep_frames(given, self.bank)
         self.health = Health()
         self._scans = (EMPTY, EMPTY)  # observations since each cumulative sum left zero
         self.alarms: list[int] = []  # frames in which the monitor detected a lost robot
@@ -68,11 +68,12 @@ class HindsightLocalizer:
             self.bank.predict(increment)
             self._scans = (moved(self._scans[0], increment), moved(self._scans[1], increment))
 
-    def use_poses(self, frame: Frame) -> None:
-        """Update with the frame's fixes and closures."""
+    def use_poses(self, frame: Frame, poses: PoseMeasurements) -> PoseUpdated | None:
+        """Update with the frame's fixes and closures; what became of the closures."""
         past = self.bank.members[0].past
-        self.poses.use(frame)
+        _, closed = poses.of(frame, self.bank, self.bank)
         self._revise(past, self.bank.members[0].past)
+        return closed
 
     def decide(self, frame: Frame) -> IntArray:
         """Decisions (m,) about observations of this frame: landmark id, or `DISCARD` where they are postponed."""
@@ -312,7 +313,7 @@ class LocalizingFrontEnd(FrontEnd):
 
         Raises UsageError: without a map. Raises CannotError: the estimator has no `reset`.
         """
-        self.localizer = HindsightLocalizer(given, setup.gate_poses)  # decides; its `events` are the revisions
+        self.localizer = HindsightLocalizer(given)  # decides; its `events` are the revisions
         super().__init__(estimator, association, given, setup, options)
         self._decided = np.empty(0, np.int64)
         self._was_single, self._found_again = True, False
@@ -341,8 +342,7 @@ class LocalizingFrontEnd(FrontEnd):
         closure.
         """
         super().use_poses(frame)
-        self.localizer.use_poses(frame)
-        own, theirs = self.poses.closed, self.localizer.poses.closed
+        own, theirs = self.poses.closed, self.localizer.use_poses(frame, self.poses)
         if own is None or theirs is None or self.estimator.smooths:
             return
         lacking = np.isnan(own.nis) & np.isfinite(theirs.nis)

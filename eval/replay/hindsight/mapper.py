@@ -36,7 +36,7 @@ from eval.replay.hindsight.placement import Memory, Placed, drifted, place, too_
 from eval.replay.hindsight.record import detection_rate
 from eval.replay.hindsight.two_models import TwoModels
 from eval.replay.hindsight.whole_log import Assumed, Smoothed, WholeLog
-from eval.replay.poses import PoseMeasurements
+from eval.replay.poses import PoseMeasurements, keep_frames
 from eval.replay.settings import HINDSIGHT, Given, Setup
 
 
@@ -152,7 +152,7 @@ class HindsightMapper:
         self.kidnapping = Kidnapping(self.ledger, setup)  # whether the robot was moved unseen
         self.duplicates = Duplicates(self.ledger)  # landmarks initialized twice
         self.lost = Lost(self.ledger)  # plausibility of the map; decides nothing
-        self.poses = PoseMeasurements(given, self.filters, self.filters, setup.gate_poses)
+        keep_frames(given, self.filters)
         self.whole = WholeLog(given, setup.gate)  # the log, for the final re-association
         self._end: list[Notice] = []  # messages about it
 
@@ -171,10 +171,9 @@ class HindsightMapper:
             self.motion.move(frame.increment)
             self.kidnapping.move(frame.increment)
 
-    def use_poses(self, frame: Frame) -> None:
+    def use_poses(self, frame: Frame, poses: PoseMeasurements) -> None:
         """Update with the frame's fixes and closures, after step 1."""
-        self.poses.use(frame)
-        self.whole.poses.enter(frame, self.poses)
+        self.whole.poses.enter(frame, *poses.of(frame, self.filters, self.filters))
 
     def decide(self, frame: Frame) -> Mapped:
         """Steps 2 to 7: decisions about observations of this frame, also used by the filter."""
@@ -314,7 +313,7 @@ class MappingFrontEnd(FrontEnd):
     def use_poses(self, frame: Frame) -> None:
         """Update with the frame's fixes and closures, in the mapper's own filter too."""
         super().use_poses(frame)
-        self.mapper.use_poses(frame)
+        self.mapper.use_poses(frame, self.poses)
 
     def associate(self, frame: Frame) -> Pairing:
         """Decide about this frame's observations; the mapper has its own expectation."""

@@ -20,15 +20,15 @@ from data.pose_measurements import Closures
 from data.result import DISCARD, Failure, Innovations, Run, Trajectory
 from data.se2 import Array, compose, covariances_in_world
 from ekf.whole_run import run_filter
-from eval.replay.batch import LOSSES, batch
+from eval.replay.batch import batch
 from eval.replay.estimators import dead_reckoning
-from eval.replay.settings import Setup
+from eval.replay.settings import ESTIMATOR_TABLE, STEPPING, Setup
 from graph.batch import CUT
 from graph.factors import CAUCHY, HUBER, UnderConstrained
 from graph.poses.online import FixedLagPoseGraph
 
 TASK = "slam"
-NAMES = ("dead-reckoning", "ekf", "isam2", "fixed-lag", *LOSSES, "gnc")
+NAMES = tuple(name for name, e in ESTIMATOR_TABLE.items() if e.scans)
 PLAIN = Setup()
 Stepping = Callable[[str, Inputs, Setup], Run]
 """A step-by-step estimator over a log of key poses, by its name."""
@@ -94,7 +94,7 @@ def estimated(
     given = key_inputs(inputs, chain, loops)
     if name == "fixed-lag":
         run = _fixed_lag(given.inputs, setup.lag)
-    elif name in NAMES[1:3]:
+    elif name in STEPPING:
         run = stepping(name, given.inputs, replace(setup, gate_poses=gate if name == "ekf" else None))
         if name == "isam2":  # it keeps every key pose
             run = replace(run, state_size=3 * np.arange(1, len(given.inputs) + 1))
@@ -117,9 +117,10 @@ def _weights(name: str, run: Run, closures: Closures | None, pose: Array) -> Arr
     if closures is None:
         return np.empty(0)
     square = residuals(pose, closures.frame1, closures.frame2, closures.relative, closures.covariance)
-    if name == "batch-huber":
+    loss = ESTIMATOR_TABLE[name].options.get("loss")
+    if loss == "huber":
         return HUBER / np.sqrt(np.maximum(square, HUBER**2))
-    if name == "batch-cauchy":
+    if loss == "cauchy":
         return np.where(square > CUT**2, 0.0, 1.0 / (1.0 + square / CAUCHY**2))
     if name == "fixed-lag":
         return np.full(len(closures), np.nan)
