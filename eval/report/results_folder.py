@@ -1,4 +1,4 @@
-"""`python -m eval.report.page.results_folder`: docs/results-folder.md, out of the table that the writers use."""
+"""`python -m eval.report.results_folder`: docs/results-folder.md, out of the table that the writers use."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from eval.referee.result_files import BLANKS, DIFFERENCES, OF_LOGS, OF_RUNS, OTHERS, TOP, Column, File
 from eval.report.words import say
 
-PAGE = Path(__file__).parents[3] / "docs" / "results-folder.md"
+PAGE = Path(__file__).parents[2] / "docs" / "results-folder.md"
 PARTS = {
     "At the top": TOP,
     "Of each run": OF_RUNS,
