@@ -41,7 +41,6 @@ from eval.referee.diagnostics import notices, notices_table, of_logs
 from eval.referee.given.runs import GivenRun
 from eval.referee.score import Scores, Trial, score
 from eval.replay.settings import Setup
-from eval.report.laser import laser_sections
 from eval.report.log_sections import association_sections, gate_sentence, revision_section, trial_sections
 from eval.report.overview import attribution_sections, introduction, overview
 from eval.report.page.blocks import READING, Block, Folded, Report, Section, Table
@@ -183,8 +182,8 @@ def write_results(
     sections += trial_sections(
         folder, output, trials, facts, scores, published, found.notices, outcome.trust, outcome.calibrations
     )
-    sections += laser_sections(folder, output, trials, published)
-    sections += [s for of_wing in of_all("sections") for s in of_wing(folder, output, trials, in_lab, factor)]
+    for of_wing in of_all("sections"):
+        sections += of_wing(folder, output, trials, published, in_lab, factor)
     sections += study_sections(folder, options, outcome, judged)
     if trials:
         sections += association_sections(folder, output, trials, scores)
