@@ -17,7 +17,7 @@ from data.errors import UsageError
 from data.formats.graph_file import Edge, GraphFile, graph_file_of, read_graph_file, with_information
 from data.inputs import IntArray
 from data.se2 import Array
-from wings.audit.audit import DRAWS, FAMILY, Audit, examined, firsts, places
+from wings.audit.audit import DRAWS, Audit, examined, firsts, places
 from wings.audit.examined import AuditReport, Second, reported
 from wings.audit.files import EDGES, LAST_FIRST, build, built_by, callbacks, optimized, other_starts
 from wings.audit.kinds import ODOMETRY
