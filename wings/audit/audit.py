@@ -16,7 +16,7 @@ from data.inputs import IntArray
 from data.se2 import Array
 from wings.audit.components import Components, Estimator
 from wings.audit.condition import Condition, condition, curvature
-from wings.audit.contradicting import Contradicting, contradicting, searched, without
+from wings.audit.contradicting import Contradicting, contradicting, log_p_of, searched, without
 from wings.audit.draws import family, independent, smallest_p, smallest_p_optimized
 from wings.audit.factors import (
     BRIEF,
@@ -171,10 +171,12 @@ def statistics(
     if np.any(np.delete(t.p, left) < level):
         wrong = search(rest, left, order, level, of.loops, metres)
         rest, left = (wrong.f, wrong.left) if wrong is not None else (rest, left)
-    groups = zip(rest.system.groups, axes_of(of, rest.system)[1], strict=True)
-    used = [np.where(np.isin(g.factor, left)[:, None], -1, r) for g, r in groups]
-    estimator = Estimator(rest, order, used, axis[:, 0], rng)
-    by_kind, by_axis = estimator.by_kind(), estimator.by_axis()
+    by_kind, by_axis = components(rest, left, order, of, rng)
+    if wrong is not None:  # those that are not wrong with the noise that the residuals ask for belong to it
+        theta = np.nan_to_num(by_kind.component, nan=1.0)[of.of[left]]
+        gross = left[log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < np.log(level)]
+        if len(gross) < len(left):
+            by_kind, by_axis = components(without(rest.system, gross, order), gross, order, of, rng)
     whole_rows, every = np.concatenate([each.ravel() for each in rows]), [row_redundancies(s).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
     p_of = [c.p for c in together]
@@ -189,13 +191,23 @@ def statistics(
     adjusted = holm(np.concatenate(classes), np.concatenate(weight), share)
     n, k = len(t.p), len(of.names)
     if wrong is not None:  # others are rejected beside these
-        adjusted[left] = np.fmin(adjusted[left], np.exp(wrong.log_p[left]) * alone / PARTS[0])
+        adjusted[left] = np.fmin(adjusted[left], np.exp(log_p_of(wrong.T[left], wrong.rank[left])) * alone / PARTS[0])
     p_drawn = family(t.p, drawn) if len(drawn) else np.full(n, np.nan)
     return Statistics(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
         system.rows - f.rank, f, np.flatnonzero(adjusted[:n] < FAMILY) if wrong is None else left,
     )  # fmt: skip
+
+
+def components(
+    f: Factored, left: IntArray, order: IntArray, of: Kinds, rng: np.random.Generator
+) -> tuple[Components, Components]:
+    """Variance components by kind and by axis of a system without the factors `left`."""
+    axis, rows = axes_of(of, f.system)
+    used = [np.where(np.isin(g.factor, left)[:, None], -1, r) for g, r in zip(f.system.groups, rows, strict=True)]
+    estimator = Estimator(f, order, used, axis[:, 0], rng)
+    return estimator.by_kind(), estimator.by_axis()
 
 
 def places(values: gtsam.Values, keys: Sequence[int]) -> Array:

@@ -1,10 +1,10 @@
-"""Which factors contradict all others: the fewest without which no other is rejected.
+"""Which factors contradict all others: the fewest errors without which no other factor is rejected.
 
 The factor of least p value is left out, the rest is optimized again, until no p value is small (data snooping: Baarda
 1968). Linearization alone misleads where a gross error has bent the optimum. What the rest predicts is taken back.
 Loops that vouch for each other are left out together. Many gross errors mask each other, or make right factors seem
 wrong (swamping): then the search begins again without what graduated non-convexity (Yang et al., RA-L 2020) leaves
-out, and the fewer factors win.
+out, and the fewer errors win. Loops between the same two places have one error.
 """
 
 from __future__ import annotations
@@ -16,10 +16,13 @@ from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
-from wings.audit.factors import BRIEF, SIGNIFICANCE, Directions, clusters, directions, log_tail
+from wings.audit.factors import BRIEF, NEAR, SIGNIFICANCE, Directions, clusters, directions, log_tail
 from wings.audit.files import callbacks, hold, optimized
 from wings.audit.linear import IGNORED, Factored, Graph, System, Values, factorize, linearize
 
@@ -37,14 +40,25 @@ class Contradicting:
     Attributes:
         left: their numbers.
         f: the system without them, around its own minimum.
-        log_p: (F,) logarithm of each factor's p value beside the rest, 0 where nothing sees it.
+        T, rank: (F,) of each factor beside the rest; rank 0 where nothing sees it.
         excess: of the rest's sum of squares, over its degrees of freedom.
     """
 
     left: IntArray
     f: Factored
-    log_p: Array
+    T: Array
+    rank: IntArray
     excess: float
+
+    @property
+    def errors(self) -> int:
+        """Number of errors."""
+        ends = [np.sort(v)[[0, -1]] for g in self.f.system.groups for v in g.variables[np.isin(g.factor, self.left)]]
+        if not ends:
+            return 0
+        pairs = cKDTree(np.array(ends, float)).query_pairs(NEAR, p=np.inf, output_type="ndarray")
+        same = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(ends), len(ends)))
+        return int(connected_components(same, directed=False)[0])
 
 
 Again = Callable[[IntArray], System]
@@ -96,7 +110,7 @@ def contradicting(
     for turn in range(TURNS):
         seen = directions(f, BRIEF)
         T, rank = tests(f, seen)
-        log_p: Array = np.where(rank > 0, log_tail(T, np.maximum(rank, 1)), 0.0)
+        log_p = log_p_of(T, rank)
         outside = np.isin(np.arange(len(T)), left)
         inside = np.where(outside, 0.0, log_p)
         kept = [(s, ~outside[g.factor]) for g, s in zip(f.system.groups, seen, strict=True)]
@@ -111,9 +125,15 @@ def contradicting(
             taken.update(back)
             left = np.setdiff1d(left, back)
         else:
-            return Contradicting(left, f, log_p, excess)
+            return Contradicting(left, f, T, rank, excess)
         f = without(f.system if again is None else again(left), left, order)
     return None
+
+
+def log_p_of(T: Array, rank: IntArray) -> Array:
+    """Logarithms of p values, 0 where nothing is seen."""
+    out: Array = np.where(rank > 0, log_tail(T, np.maximum(rank, 1)), 0.0)
+    return out
 
 
 def tests(f: Factored, seen: Sequence[Directions]) -> tuple[Array, IntArray]:
@@ -152,7 +172,7 @@ def searched(
         start, near = _graduated(graph, values, loops)
         again = optimizing(graph, near)
         other = contradicting(without(again(start), start, order), start, order, level, loops, metres, again)
-    return min((c for c in (found, other) if c is not None), key=lambda c: (len(c.left), c.excess))
+    return min((c for c in (found, other) if c is not None), key=lambda c: (c.errors, len(c.left), c.excess))
 
 
 def _graduated(graph: Graph, values: Values, loops: BoolArray) -> tuple[IntArray, Values]:
