@@ -29,6 +29,7 @@ from wings.audit.linear import IGNORED, Factored, Graph, System, Values, factori
 TURNS, FEW = 30, 3  # of leaving out and taking back; factors from which they may mask each other
 GROSS = 0.01
 """Share of what the residuals have too much, that a factor left out has to explain: else the noise is wrong, not it."""
+BAD = 100.0  # sum of squares over its degrees of freedom that no noise explains: 10 sigma in each
 TIED = 10.0
 """Difference of two T, below which a loop is left out rather than odometry: odds of e^5 = 150."""
 
@@ -71,13 +72,17 @@ def optimizing(graph: Graph, values: Values) -> Again:
 
     def again(left: IntArray) -> System:
         nonlocal now
-        rest = Graph(graph)
-        for i in left.tolist():
-            rest.remove(i)
-        now = optimized(rest, now)
+        now = _optimum_without(graph, now, left)
         return linearize(graph, now)
 
     return again
+
+
+def _optimum_without(graph: Graph, values: Values, left: IntArray) -> Values:
+    rest = Graph(graph)
+    for i in left.tolist():
+        rest.remove(i)
+    return optimized(rest, values)
 
 
 def without(system: System, left: IntArray, order: IntArray) -> Factored:
@@ -165,19 +170,21 @@ def searched(
 ) -> Contradicting | None:  # fmt: skip
     """As `contradicting`, with the graph optimized again; from two starts, where there are more than a few."""
     found = contradicting(f, left, order, level, loops, metres, optimizing(graph, values))
-    if found is None or len(found.left) <= FEW or callbacks(graph):
+    noise = found is None and f.square < BAD * (f.system.rows - f.rank)
+    if noise or (found is not None and len(found.left) <= FEW) or callbacks(graph):
         return found
     other = None
     with suppress(RuntimeError):  # gtsam refuses graphs that it cannot weight
         start, near = _graduated(graph, values, loops)
         again = optimizing(graph, near)
         other = contradicting(without(again(start), start, order), start, order, level, loops, metres, again)
-    return min((c for c in (found, other) if c is not None), key=lambda c: (c.errors, len(c.left), c.excess))
+    both = [c for c in (found, other) if c is not None]
+    return min(both, default=None, key=lambda c: (c.errors, len(c.left), c.excess))
 
 
 def _graduated(graph: Graph, values: Values, loops: BoolArray) -> tuple[IntArray, Values]:
-    """The loops that graduated non-convexity leaves out, and its optimum."""
-    held = Graph(graph)
+    """The loops that graduated non-convexity leaves out, and its optimum; it starts where no loop has bent the path."""
+    values, held = _optimum_without(graph, values, np.flatnonzero(loops)), Graph(graph)
     hold(held, values)
     known = [i for i in range(held.size()) if held.exists(i) and not (i < len(loops) and loops[i])]
     params = gtsam.GncLMParams(gtsam.LevenbergMarquardtParams())
