@@ -43,6 +43,7 @@ class Contradicting:
         f: the system without them, around its own minimum.
         T, rank: (F,) of each factor beside the rest; rank 0 where nothing sees it.
         excess: of the rest's sum of squares, over its degrees of freedom.
+        errors: their number; loops between the same two places have one.
     """
 
     left: IntArray
@@ -50,16 +51,7 @@ class Contradicting:
     T: Array
     rank: IntArray
     excess: float
-
-    @property
-    def errors(self) -> int:
-        """Number of errors."""
-        ends = [np.sort(v)[[0, -1]] for g in self.f.system.groups for v in g.variables[np.isin(g.factor, self.left)]]
-        if not ends:
-            return 0
-        pairs = cKDTree(np.array(ends, float)).query_pairs(NEAR, p=np.inf, output_type="ndarray")
-        same = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(ends), len(ends)))
-        return int(connected_components(same, directed=False)[0])
+    errors: int
 
 
 Again = Callable[[IntArray], System]
@@ -130,9 +122,19 @@ def contradicting(
             taken.update(back)
             left = np.setdiff1d(left, back)
         else:
-            return Contradicting(left, f, T, rank, excess)
+            return Contradicting(left, f, T, rank, excess, _errors(f, left, loops))
         f = without(f.system if again is None else again(left), left, order)
     return None
+
+
+def _errors(f: Factored, left: IntArray, loops: BoolArray) -> int:
+    some = left[loops[left]]
+    if not len(some):
+        return len(left)
+    ends = [np.sort(v)[[0, -1]] for g in f.system.groups for v in g.variables[np.isin(g.factor, some)]]
+    pairs = cKDTree(np.array(ends, float)).query_pairs(NEAR, p=np.inf, output_type="ndarray")
+    same = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (len(ends), len(ends)))
+    return len(left) - len(some) + int(connected_components(same, directed=False)[0])
 
 
 def log_p_of(T: Array, rank: IntArray) -> Array:
