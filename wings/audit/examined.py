@@ -8,7 +8,6 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import gtsam
 import numpy as np
 import pandas as pd
 from scipy.stats import chi2
@@ -19,7 +18,7 @@ from data.se2 import Array, BoolArray
 from eval.report.words import as_sentence, say
 from wings.audit.audit import DRAWS, FAMILY, Audit, Statistics, examined, left_out
 from wings.audit.factors import UNCHECKED, log_tail
-from wings.audit.kinds import AXES, Grouping
+from wings.audit.kinds import AXES, Grouping, plain_noise
 from wings.audit.linear import Graph, Values, name
 
 if TYPE_CHECKING:
@@ -397,19 +396,10 @@ def questions(a: Audit, graph: Graph) -> tuple[Question, ...]:
         rows = np.array([i for i, (of, x) in enumerate(a.axis.tolist()) if of == k and x >= 0])
         component, error = a.by_axis.component[rows], a.by_axis.error[rows]
         if np.isfinite(component).all() and (a.p_axis[rows] < FAMILY).any():
-            stated = np.mean([_stated(graph, i) for i in np.flatnonzero(a.kinds.of == k).tolist()], axis=0)
+            sigmas = [plain_noise(graph.at(i))[0].sigmas() for i in np.flatnonzero(a.kinds.of == k).tolist()]
+            stated = np.mean(2.0 * np.log(np.maximum(sigmas, np.finfo(float).tiny)), axis=0)
             out += _of_kind(kind, np.log(component), error / component, stated)
     return tuple(out)
-
-
-def _stated(graph: Graph, i: int) -> Array:
-    """Logarithms (6,) of the variances that a factor states."""
-    factor = graph.at(i)
-    assert isinstance(factor, gtsam.NoiseModelFactor)
-    model = factor.noiseModel()
-    plain = model.noise() if isinstance(model, gtsam.noiseModel.Robust) else model
-    out: Array = 2.0 * np.log(np.maximum(np.asarray(plain.sigmas()), np.finfo(float).tiny))
-    return out
 
 
 def _of_kind(kind: str, c: Array, e: Array, v: Array) -> list[Question]:

@@ -14,7 +14,7 @@ taken on the rest.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any
 
@@ -110,20 +110,17 @@ class Tested:
 def directions(f: Factored, inexact: float = INEXACT) -> list[Directions]:
     """Leverages of all factors, by group."""
     joint, x = joint_covariances(f), step(f)
-    out = [_directions(f, g.A, g.r + np.einsum("ndc,nc->nd", g.A, x[f.index(g)]), g.weight, C)
-           for g, C in zip(f.system.groups, joint, strict=True)]  # fmt: skip
+    out = []
+    for g, C in zip(f.system.groups, joint, strict=True):
+        H = np.matmul(np.matmul(g.A, C), g.A.transpose(0, 2, 1))
+        h, V = np.linalg.eigh(0.5 * (H + H.transpose(0, 2, 1)))
+        out.append(Directions(h, V, g.r + np.einsum("ndc,nc->nd", g.A, x[f.index(g)]), g.weight, C))
     total = sum(float(np.sum(1.0 - each.weight[:, None] * each.h)) for each in out)
     freedom = f.system.rows - f.rank
     quick = inexact == INEXACT and len(f.structure.parent) * f.system.rows < QUICK
     if quick or abs(total - freedom) > inexact * max(1, freedom):
         out = [_by_rows(f, k, each) for k, each in enumerate(out)]
     return out
-
-
-def _directions(f: Factored, A: Array, r: Array, weight: Array, joint: Array) -> Directions:
-    H = np.matmul(np.matmul(A, joint), A.transpose(0, 2, 1))
-    h, V = np.linalg.eigh(0.5 * (H + H.transpose(0, 2, 1)))
-    return Directions(h, V, r, weight, joint)
 
 
 def _by_rows(f: Factored, k: int, rough: Directions) -> Directions:
@@ -139,7 +136,7 @@ def _by_rows(f: Factored, k: int, rough: Directions) -> Directions:
         y = forward(f, right.reshape(f.columns, -1)).reshape(f.columns, len(part), d)
         H[part] = np.einsum("xnd,xne->nde", y, y)
     h, V = np.linalg.eigh(H)
-    return Directions(h, V, rough.r, rough.weight, rough.joint)
+    return replace(rough, h=h, V=V)
 
 
 @cache
@@ -223,8 +220,7 @@ def log_tail(square: Array | float, dof: IntArray | int) -> Array:
     return out
 
 
-LEAST_TAIL = 1e-290
-"""Probability that is told from zero."""
+LEAST_TAIL = 1e-290  # Probability that is told from zero
 
 
 def log_p_values(seen: Sequence[Directions]) -> list[Array]:

@@ -124,8 +124,7 @@ def _minima(ends: dict[str, Values], graph: Graph, ours: Values, report: AuditRe
     return tuple(out)
 
 
-LEAVE_OUT, ROBUST = "leave-out", "robust"
-"""What becomes of rejected factors."""
+LEAVE_OUT, ROBUST = "leave-out", "robust"  # What becomes of rejected factors
 
 
 def cured(before: Opened, out: Path, draws: int = DRAWS, seed: int = 0, rejected: str = LEAVE_OUT) -> pd.DataFrame:
