@@ -52,50 +52,40 @@ def run_filter(
     """
     if options.new_variance_per_square is not None:
         raise ValueError("a new landmark's variance depends on its distance only in the step-by-step filter")
-    n, slam = len(inputs), inputs.map is None
+    n, known = len(inputs), inputs.map
+    if known is None:
+        whole = [Epoch(0, n, np.empty(0, np.int64), all_active=True)]
+        return run_in_epochs(inputs, decisions, whole, threshold=threshold, options=options)
     decided = np.array(decisions, np.int64)
-    if inputs.map is not None:
-        paired = decided >= 0
-        decided[paired] = inputs.map.rows(decided[paired])
-        if np.any(decided[paired] < 0):
-            raise ValueError("decisions name a landmark the map does not have")
-        decided[~paired] = DISCARD
+    paired = decided >= 0
+    decided[paired] = known.rows(decided[paired])
+    if np.any(decided[paired] < 0):
+        raise ValueError("decisions name a landmark the map does not have")
+    decided[~paired] = DISCARD
     of = inputs.systematic
-    frame = frame_of(of, inputs.sensor, inputs.prior, options, slam=slam)
+    frame = frame_of(of, inputs.sensor, inputs.prior, options, slam=False)
     errors, sensor = systematic.as_states(of, frame), frame.sensor(inputs.sensor)
-    base = 3 + len(errors.place)
-    room = int((decided == NEW).sum())
-    if errors.range_at >= 0 and not slam:
+    base, joining = 3 + len(errors.place), joining_of(inputs, decided)
+    room = 0 if joining is None else len(joining.row)
+    if errors.range_at >= 0:
         room = int(np.bincount(inputs.observations.frame[decided >= 0]).max(initial=0))
-    joining = None if slam else joining_of(inputs, decided)
-    if joining is not None:
-        room += len(joining.row)
     capacity = base + 2 * room
     mean, P = np.zeros(capacity), np.zeros((capacity, capacity))
     mean[:base], P[:base, :base] = systematic.begin(inputs.prior, of, frame)
     track = empty_track(n, base, len(inputs.observations.z))
-    state, variance = track.pose, track.covariance
     first = mean.copy() if options.first_estimates else NEWEST
     steps = steps_of(inputs, slice(0, n), decided, base, joining)
     rules = rules_of(options, threshold, base - 3, first)
     d, status, stopped = run(sensor.kind, sensor.extrinsic, mean, P, base, steps, rules, errors, track)
     steps.put(decided, track.white)
-    failure = None
+    failure, found = None, None
     if status != kernels.OK:
         failure = (int(stopped), kernels.FAILURES[status])
-        state[stopped:], variance[stopped:] = np.nan, np.nan
-    if inputs.map is not None:
-        decided = np.where(decided >= 0, inputs.map.id[np.maximum(decided, 0)], DISCARD)
-    found = None
-    if slam:
-        count, b = (d - base) // 2, slice(3, base)
-        blocks = diagonal_blocks(P[base:d, base:d])
-        found = MapState(np.arange(count, dtype=np.int64), mean[base:d].reshape(count, 2).copy(), blocks)
-        found = systematic.landmarks(found, P[base:d, b].reshape(count, 2, base - 3), mean[b], P[b, b], frame)
-    elif joining is not None and inputs.map is not None:
-        number = inputs.map.id[joining.row[: (d - base) // 2]]
+        track.pose[stopped:], track.covariance[stopped:] = np.nan, np.nan
+    if joining is not None:
         at, blocks = mean[base:d].reshape(-1, 2), diagonal_blocks(P[base:d, base:d])
-        found = map_with(inputs.map, MapState(number, at, blocks))
+        found = map_with(known, MapState(known.id[joining.row[: len(at)]], at, blocks))
+    decided = np.where(decided >= 0, known.id[np.maximum(decided, 0)], DISCARD)
     return filter_run(track, of, frame, decided, found, failure)
 
 
