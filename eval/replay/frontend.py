@@ -29,7 +29,7 @@ from eval.replay.external.innovations import OwnInnovations
 from eval.replay.external.load import load
 from eval.replay.external.make import Method, locked
 from eval.replay.external.spec import is_foreign, name_of
-from eval.replay.map_management import AutomaticParking, MapManagement, Parking, automatic_parking
+from eval.replay.map_management import MapManagement, Parking, automatic_parking
 from eval.replay.poses import PoseMeasurements
 from eval.replay.settings import HINDSIGHT, Beginning, Given, Setup
 from eval.replay.waiting import Begun, WaitingLandmarks
@@ -122,7 +122,7 @@ class FrontEnd:
         # a graph need not park, and leaving it is no forgetting: the landmark was never seen
         kept = replace(setup, forget_after=None, deactivate_after=None) if self.estimator.smooths else setup
         self.map_management: MapManagement | None = None
-        self.parking: Parking | AutomaticParking | None = None
+        self.parking: Parking | None = None
         if self.slam and (kept.manages_map or self.revises_map):
             self.map_management = MapManagement(kept)  # which landmarks leave the map; None where all stay
             if kept.deactivate_after is not None and given.closures is None:

@@ -172,7 +172,7 @@ class Parking:
 KEPT = 10  # frames; a landmark paired or restored within these stays (5 and 20 take as long)
 
 
-class AutomaticParking:
+class AutomaticParking(Parking):
     """Parks landmarks that the next frames do not need, while that is faster; decisions and estimates do not change.
 
     Costs are those of `ekf.whole_run`. Landmarks are parked when the steps since the last time have cost more without
@@ -181,7 +181,8 @@ class AutomaticParking:
 
     def __init__(self, slam: EkfSlam, within: float) -> None:
         """No method considers landmarks beyond the squared distance `within` of every observation."""
-        self.slam, self.within = slam, within
+        self.parkable = self.slam = slam
+        self.within = within
         self._frame, self._pairings, self._excess = 0, 0, 0.0
         self._last = np.empty(0, np.int64)
         """By landmark: the last frame in which it was paired, initialized or taken back."""
@@ -199,11 +200,6 @@ class AutomaticParking:
         """Restore landmarks that an observation may be of, before the expectation."""
         if len(self.slam.parked):
             self._restore(self.slam.parked_within(observations, self.within))
-
-    def restore(self, numbers: IntArray) -> None:
-        """Restore the parked ones of landmarks (n,); other decisions are ignored."""
-        if len(parked := self.slam.parked):
-            self._restore(np.intersect1d(numbers, parked))
 
     def _restore(self, numbers: IntArray) -> None:
         if len(numbers):
