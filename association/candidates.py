@@ -59,11 +59,9 @@ def narrower(sensor: Sensor, other: Sensor) -> Sensor:
 
 
 def may_be_in_view(sensor: Sensor, pose: Array, xy: Array, sigma: Array, heading: Array) -> BoolArray:
-    """A superset of `in_view` for landmarks at xy (n, 2), without a joint covariance; all walls are in it. `sigma` (n,)
-    m, `heading` (n,) rad: bounds of the landmarks' uncertainty relative to the robot, and of its heading's.
+    """A superset of `in_view` for points at xy (n, 2), without a joint covariance. `sigma` (n,) m, `heading` (n,) rad:
+    bounds of their uncertainty relative to the robot, and of its heading's.
     """
-    if not sensor.sees_points:
-        return np.ones(len(xy), np.bool_)
     z_hat = sensor.predict(pose, xy)
     total = sigma + math.hypot(*sensor.translation) * heading
     r = np.maximum(sensor.polar(z_hat)[:, 0], MIN_RANGE)

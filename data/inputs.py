@@ -422,6 +422,16 @@ class Inputs:
         """Whether the log has several sensors, or one that does not locate its landmarks."""
         return self.observations.sensor is not None or not self.sensor.locates
 
+    @property
+    def locates_points(self) -> bool:
+        """Whether the log has one sensor, whose observations locate landmarks that are points."""
+        return self.sensor.sees_points and not self.several_or_partial
+
+    @property
+    def known_points(self) -> LandmarkMap | None:
+        """The map, if its landmarks are points."""
+        return self.map if self.sensor.sees_points else None
+
     def without_map(self) -> Inputs:
         """The same inputs without the map, for SLAM."""
         return replace(self, map=None)

@@ -248,8 +248,8 @@ def _outside(frame: IntArray, found: Sequence[tuple[int, int, float, float]]) ->
 
 def _misplaced(log: Log, seen: _Evidence, rows: BoolArray) -> tuple[MapRow, ...]:
     """Rows of the map that these observations contradict."""
-    known, pose, sensor = log.recorded.map, log.truth.pose, log.recorded.sensor
-    if known is None or pose is None or not rows.any() or not sensor.sees_points:
+    known, pose, sensor = log.recorded.known_points, log.truth.pose, log.recorded.sensor
+    if known is None or pose is None or not rows.any():
         return ()
     off = np.sqrt(_distance(log, pose[seen.frame], seen))
     point = sensor.inverse(pose[seen.frame], seen.z)[0]

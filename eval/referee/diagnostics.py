@@ -51,9 +51,7 @@ def crowded(run: Run, inputs: Inputs) -> Notice | None:
     """A notice where most landmarks are close to another one that no common frame saw."""
     if run.association == "none" or run.failure is not None:
         return None
-    if run.task != "slam" or run.map is None or 2 * len(run.map) < FEWEST or not inputs.sensor.sees_points:
-        return None
-    if inputs.several_or_partial:
+    if run.task != "slam" or run.map is None or 2 * len(run.map) < FEWEST or not inputs.locates_points:
         return None
     o, places = inputs.observations, run.map
     if not len(o.z):  # corners of scans are the landmarks

@@ -96,7 +96,7 @@ def _observations(inputs: Inputs, path: Array, used: Used) -> dict[str, Array]:
     # a displacement of the sensor is one of the pose in its own frame
     aside = Hx[:, :, :2] @ se2.worlds_from_bodies(pose[:, 2])[:, :2, :2]
     columns |= {"mount_x": aside[:, :, 0], "mount_y": aside[:, :, 1]}
-    if inputs.map is not None and sensor.sees_points:
+    if inputs.known_points is not None:
         columns["map_scale"] = -np.einsum("mij,mj->mi", Hm, landmark - used.landmarks.mean(axis=0))
     result = {}
     for name, column in columns.items():

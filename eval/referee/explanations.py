@@ -106,8 +106,7 @@ def _linear(e: Evidence, taken: Sequence[str]) -> list[Explanation]:
     plain = effects(e.inputs, e.path, e.used)
     groups: list[tuple[Finding, tuple[Effect, ...], int]]
     groups = [(Finding(NOISE, "systematic", x.name, math.nan), (x,), 1) for x in plain]
-    of_points = e.inputs.map is not None and e.inputs.sensor.sees_points
-    groups += [*_jumps(e), *_bursts(e), *(_displaced(e) if of_points else [])]
+    groups += [*_jumps(e), *_bursts(e), *(_displaced(e) if e.inputs.known_points is not None else [])]
     hypotheses = list({x.name: x for _, columns, _ in groups for x in columns}.values())
     scored = score_of(e.inputs, e.path, e.used, hypotheses)
     place = {x.name: i for i, x in enumerate(hypotheses)}

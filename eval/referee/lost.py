@@ -61,9 +61,7 @@ def _unseen(run: Run, inputs: Inputs) -> Notice | None:
     """A stretch of SLAM in which the landmarks in view are hardly ever detected."""
     if inputs.map is not None or run.map is None or run.online is None:
         return None
-    if inputs.several_or_partial:
-        return None
-    if not inputs.sensor.sees_points:  # whether a wall is in view depends on where it ends
+    if not inputs.locates_points:  # whether a wall is in view depends on where it ends
         return None
     could, did, sensed = former_observations(run, inputs)
     rate = min(1.0, did.sum() / could.sum()) if could.sum() else 0.0

@@ -16,14 +16,13 @@ from association.faces import Faces, aligned_with_observations
 from association.jcbb import BUDGET
 from association.truncated import Acceptance, acceptance, accepted_moments, truncated_square
 from data.appearance import Appearance
-from data.errors import UsageError
 from data.inputs import Frame, FrameObservations, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
 from data.result import DISCARD, NEW, Event, MapState, Updated
 from data.se2 import Array
 from ekf.filter import Filter, FilterOptions
 from ekf.localizer import EkfLocalizer
-from eval.replay.estimators import NO_HINDSIGHT_OF_WALLS, Delaying, Estimator, capabilities, make_estimator, needed
+from eval.replay.estimators import Delaying, Estimator, capabilities, make_estimator, needed
 from eval.replay.external.adapter import Adapter
 from eval.replay.external.innovations import OwnInnovations
 from eval.replay.external.load import load
@@ -95,11 +94,8 @@ class FrontEnd:
     ) -> None:
         """Make the estimator.
 
-        Raises UsageError: walls are to be paired in hindsight. Raises CannotError: the estimator lacks a capability
-        that the setup needs.
+        Raises CannotError: the estimator lacks a capability that the setup needs.
         """
-        if association == HINDSIGHT and not given.sensor.sees_points:
-            raise UsageError(NO_HINDSIGHT_OF_WALLS)
         self.given = Beginning(
             given.prior, given.sensor, given.map, given.systematic, given.fixes, given.closures, given.sensors,
             given.looks,
