@@ -28,4 +28,5 @@ METHOD_TABLE = {
     "scan": MethodRow("scan matching", "#117733", "solid", by_frame=False),
 }
 """Joint tests are blue."""
+SCAN = "scan"  # pairs the scans of a laser log, not observations
 METHODS = tuple(name for name, method in METHOD_TABLE.items() if method.by_frame)

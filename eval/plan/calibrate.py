@@ -14,7 +14,7 @@ import numpy as np
 from scipy import special
 from threadpoolctl import threadpool_limits
 
-from association.scans.constraints import SCAN
+from association.names import SCAN
 from data import se2
 from data.errors import UsageError
 from data.inputs import ERRORS, Inputs, Systematic

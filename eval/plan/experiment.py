@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from association.scans.constraints import SCAN
+from association.names import SCAN
 from data.command import portable
 from data.errors import UsageError
 from data.inputs import Inputs

@@ -25,8 +25,8 @@ from data.questions.asked import ask
 from data.result import Run
 from data.se2 import Array
 from data.sensors import RangeBearing
+from data.wing import of_all
 from data.words import sentence
-from eval.referee import laser_faults
 from eval.referee.ambiguity import ambiguous
 from eval.referee.errors import named, observed, position_distance, rms
 from eval.referee.lost import FEWEST
@@ -311,9 +311,14 @@ def notices(
             for r in trial.runs
             for n in _all(r, trial, scores)
         ]
-        of_pairs = (*minima(trial), *disputed(trial, scores))
-        found += [n.about(log=trial.log.name, task=trial.task) for n in (*own, *of_pairs)]
-    return ordered([*found, *laser_faults.sizes_disagree(trials)])
+        others = (*of_wings(trial, trials), *minima(trial), *disputed(trial, scores))
+        found += [n.about(log=trial.log.name, task=trial.task) for n in (*own, *others)]
+    return ordered(found)
+
+
+def of_wings(trial: Trial, trials: Sequence[Trial]) -> list[Notice]:
+    """Notices of wings about a trial's runs; its variants are among the `trials`."""
+    return [found for of_wing in of_all("notices") for found in of_wing(trial, trials)]
 
 
 def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:
@@ -324,7 +329,6 @@ def _all(run: Run, trial: Trial, scores: Scores) -> Iterator[Notice]:
     found = [origin(run, trial), trial.lost.get(names), naming(run, scores, trial.log.name)]
     yield from (n for n in found if n is not None)
     yield from run.notes
-    yield from laser_faults.of_run(run, trial)
     found = [trial.unused.get(names), crowded(run, trial.log.recorded)]
     yield from (n for n in found if n is not None)
     yield from ambiguity_of(run, trial.log.recorded)

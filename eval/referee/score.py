@@ -11,26 +11,27 @@ from itertools import cycle
 import numpy as np
 import pandas as pd
 
-from association.scans.constraints import SCAN, LaserRun, Loops
+from association.names import SCAN
 from data import card
 from data.inputs import CLUTTER, IntArray
 from data.log import Log
 from data.notice import Notice
-from data.result import DISCARD, MapEstimate, Run, Trajectory
+from data.result import MapEstimate, Run, Trajectory
 from data.se2 import Array
 from data.truth_windows import scored
+from data.wing import of_all
 from data.words import sentence
 from eval.referee import consistency, errors, result_files
 from eval.referee.confusion import WITHIN, Confusion, confuse, majority, majority_agreement, share_within
 from eval.referee.consistency import NEES_LIMIT, gated, nis_bounds
 from eval.referee.errors import Along, along, rpe_columns
 from eval.referee.given.in_space import plane_rmse
-from eval.referee.given.runs import GivenRun, Match, log_of, match
+from eval.referee.given.runs import GivenRun, log_of, match
 from eval.referee.intervals import SEED, difference_rows, run_intervals
-from eval.referee.laser import closure_counts, kept, relation_rows
 from eval.referee.lost import lost, unused
 from eval.referee.metrics import OF_DECISIONS, RUN
 from eval.referee.proper_scores import mean_scores
+from eval.referee.relations import relation_rows
 from eval.referee.sources.scored import source_rows
 
 HEADS = ("estimator", "association", "phase", "status", "position RMSE [m]", "pose NEES (3 expected)")
@@ -169,7 +170,7 @@ def metrics_row(run: Run, phase: str, log: Log, reference: Run | None, path: Alo
 
 def _lost_of(run: Run, log: Log) -> Notice | None:
     """Reason and first frame of a lost run; None if it is not lost, or has no decisions about this log."""
-    if isinstance(run, LaserRun) or log_of(run, log) is not log:
+    if not run.decides or log_of(run, log) is not log:
         return None
     found = lost(run, log.recorded, log.granted if run.association == "known" else None)
     if found is None or log.truth.pose is None:
@@ -191,19 +192,12 @@ def decided(run: Run, phase: str) -> tuple[IntArray, IntArray]:
 
 
 def _counts(run: Run, phase: str) -> dict[str, object]:
-    """Numbers of observations (of laser logs: loop closures), landmarks, and matched poses."""
-    row: dict[str, object] = {}
-    decisions, _ = decided(run, phase)
-    if run.decides:
-        row = {"accepted": int((decisions >= 0).sum()), "rejected": int((decisions == DISCARD).sum())}
+    """Numbers of observations (or what else it decides about), landmarks, and matched poses."""
+    row: dict[str, object] = {**run.counts(phase)}
     if run.task == "slam" and run.association not in ("none", SCAN):
         row["landmarks"] = len(run.map) if run.map is not None else 0
-    match run:
-        case LaserRun(loops=Loops() as loops):
-            believed = kept(loops, run.weight, phase)
-            row |= {"observations": len(believed), "accepted": int(believed.sum()), "rejected": int((~believed).sum())}
-        case GivenRun(match=Match() as found):
-            row |= {"matched": found.matched, "unmatched": found.unmatched}
+    if isinstance(run, GivenRun) and run.match is not None:
+        row |= {"matched": run.match.matched, "unmatched": run.match.unmatched}
     return row
 
 
@@ -278,7 +272,10 @@ def association_row(run: Run, phase: str, log: Log) -> dict[str, object] | None:
     """One row of association.csv; None for a run that failed, and without truth."""
     if run.failure is not None:
         return None
-    columns = closure_counts(run, log, phase) if isinstance(run, LaserRun) else _outcomes(run, phase, log)
+    if run.decides:
+        columns = _outcomes(run, phase, log)
+    else:
+        columns = next((c for of_wing in of_all("outcomes") if (c := of_wing(run, log, phase)) is not None), None)
     return None if columns is None else {**_key(run, log, phase), **columns}
 
 

@@ -183,6 +183,7 @@ FILTERS, INCREMENTAL, BATCH = (
 STEPPING = (*FILTERS, *INCREMENTAL)
 ESTIMATORS = tuple(ESTIMATOR_TABLE)
 HINDSIGHT = "jcbb-hindsight"  # decisions may be revised later (`eval.replay.hindsight`)
+OF_SCANS = tuple(name for name, e in ESTIMATOR_TABLE.items() if e.scans)  # on loop closures of a laser log
 ASSOCIATIONS = tuple(METHOD_TABLE)
 
 

@@ -13,7 +13,7 @@ from collections.abc import Set as AnySet
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,13 +24,13 @@ from data.result import Failure
 from data.terminal import WRONG, counted
 from data.wing import of_all
 from data.words import sentence, title
-from eval.figures.figure_style import FigureStyle, figure_style
+from eval.figures.figure_style import figure_style
 from eval.judgement.judgement import Judgement, Verdict, conclusion
 from eval.judgement.judgement import judge as judge_trial
 from eval.plan.console import Console, progress
 from eval.plan.execute import Outcome, execute
 from eval.plan.experiment import Unfinished
-from eval.plan.experiments import Plan, make_plan
+from eval.plan.experiments import make_plan
 from eval.plan.flags.options import figure_style_of, require_latex
 from eval.plan.flags.table import Options
 from eval.plan.provenance import command_of, provenance, words_of
@@ -41,7 +41,6 @@ from eval.referee.diagnostics import notices, notices_table, of_logs
 from eval.referee.given.runs import GivenRun
 from eval.referee.score import Scores, Trial, score
 from eval.replay.settings import Setup
-from eval.report.laser import laser_sections
 from eval.report.log_sections import association_sections, gate_sentence, revision_section, trial_sections
 from eval.report.overview import attribution_sections, introduction, overview
 from eval.report.page.blocks import READING, Block, Folded, Report, Section, Table
@@ -77,63 +76,41 @@ class Results:
 
 def run(options: Options, console: Console, folder: Path, command: Sequence[str], check: Callable[[], None]) -> int:
     """Fill the result folder, and return the exit status."""
-    style = _prepared(options, console)
-    plan = _planned(options, console)
-    in_lab = options.selection.lab is not None  # which prints its answers; its report has the warnings
-    warn = console.detail if in_lab else console.say
-    early = ordered(of_logs(e.log for e in plan.experiments if e.variant_of is None))
-    tell(early, (), warn)
-    with progress("estimating", console.quiet, check) as update:
-        outcome = execute(plan, options, update)
-    found = _judged(outcome, early)
-    tell([n for n in found.notices if n not in early], outcome.trials, warn)
-    _say_what_came_out(found, console)
-    if not in_lab:
-        _say_headlines(found, console)
-    with progress("writing", console.quiet, check, "part") as update, figure_style(style):
-        missing, answers = write_results(
-            folder, options, outcome, found.scores, found.judged, found.judgements, found.notices, command, update
-        )
-    for text in [*declared_lines(found.judged), *answers]:
-        console.say(text)
-    for why in missing:
-        console.complain(described(why))
-    console.say(f"report: {options.output.out / 'report.html'}  (slamref report {options.output.out})")
-    text = without_places("\n".join(console.lines), [*command, *words_of(options)])
-    (folder / "run.log").write_text(text + "\n", encoding="utf-8")
-    return WRONG if missing else REJECTED if failed_declarations(found.judged) else FINE
-
-
-def _prepared(options: Options, console: Console) -> FigureStyle:
-    """What can be refused before any work, and compiled kernels."""
     check_columns(options.output.columns)
     require_latex(options.drawing)
     style, about_style = figure_style_of(options.drawing, options.output)
     if about_style:
         console.say(about_style)
     compile_if_needed(console.quiet)
-    return style
-
-
-def _planned(options: Options, console: Console) -> Plan:
-    """The plan, with its logs said."""
-    plan = make_plan(options, console.say)
-    begin = time.time()
+    plan, begin = make_plan(options, console.say), time.time()
     console.kept = lambda: store.kept_since(options.output.kept, begin)
     for e in plan.experiments:
         console.detail(f"{e.log.name}: {e.task}, {counted(len(e.log.recorded), 'frame')}")
         for note in e.log.notes:
             console.detail(f"{e.log.name}: {note}")
-    return plan
-
-
-def _judged(outcome: Outcome, early: Iterable[Notice]) -> Results:
-    """Scores, verdicts and all notices."""
+    in_lab = options.selection.lab is not None  # which prints its answers; its report has the warnings
+    warn = console.detail if in_lab else console.say
+    early = ordered(of_logs(e.log for e in plan.experiments if e.variant_of is None))
+    tell(early, (), warn)
+    with progress("estimating", console.quiet, check) as update:
+        outcome = execute(plan, options, update)
     judged = [j for study in outcome.studies for j in judge(study)]
     scores = score(outcome.trials)
     judgements = [(t, judge_trial(t, scores, outcome.trust)) for t in outcome.trials]
     of_trust = (n.about(log=t.log, task=t.task, association=t.association) for t in outcome.trust for n in t.notices)
-    return Results(outcome, scores, judged, judgements, notices(outcome.trials, scores, [*early, *of_trust]))
+    found = Results(outcome, scores, judged, judgements, notices(outcome.trials, scores, [*early, *of_trust]))
+    tell([n for n in found.notices if n not in early], outcome.trials, warn)
+    _say(found, console, headlines=not in_lab)
+    with progress("writing", console.quiet, check, "part") as update, figure_style(style):
+        missing, answers = write_results(folder, options, found, command, update)
+    for text in [*declared_lines(judged), *answers]:
+        console.say(text)
+    for why in missing:
+        console.complain(described(why))
+    console.say(f"report: {options.output.out / 'report.html'}  (slamref report {options.output.out})")
+    text = without_places("\n".join(console.lines), [*command, *words_of(options)])
+    (folder / "run.log").write_text(text + "\n", encoding="utf-8")
+    return WRONG if missing else REJECTED if failed_declarations(judged) else FINE
 
 
 def tell(found: Iterable[Notice], trials: Sequence[Trial], say: Callable[[str], None]) -> None:
@@ -148,25 +125,21 @@ def tell(found: Iterable[Notice], trials: Sequence[Trial], say: Callable[[str], 
             say(asked(n, status))
 
 
-def _say_what_came_out(found: Results, console: Console) -> None:
-    """Lines on studies and published numbers, and tracebacks of foreign code."""
-    for flaw in flaws_of(found.outcome.trials).values():
+def _say(found: Results, console: Console, *, headlines: bool) -> None:
+    """Tracebacks of foreign code, lines on studies and published numbers, the main numbers and whom to trust."""
+    outcome = found.outcome
+    for flaw in flaws_of(outcome.trials).values():
         if flaw.trace:
             console.detail(flaw.trace.rstrip())
-    for study in found.outcome.studies:
+    for study in outcome.studies:
         for text in study_lines(study):
             console.say(text)
         for trace in traces(study):
             console.detail(trace)
-    for text in [*reproduced.lines(found.outcome.published), *found.outcome.skipped]:
+    table = lines(groups_of(found.judgements, found.scores, outcome.studies, found.judged)) if headlines else []
+    for text in [*reproduced.lines(outcome.published), *outcome.skipped, *table]:
         console.say(text)
-
-
-def _say_headlines(found: Results, console: Console) -> None:
-    """The main numbers, and which estimate can be trusted."""
-    for text in lines(groups_of(found.judgements, found.scores, found.outcome.studies, found.judged)):
-        console.say(text)
-    for trial, judgement in found.judgements:
+    for trial, judgement in found.judgements if headlines else []:
         # none of variants, nor where there are results of other programs alone
         if trial.variant_of is None and judgement.verdict is not Verdict.NOTHING:
             console.say(trust_line(judgement), COLOURS.get(judgement.tone.value, ""))
@@ -176,60 +149,47 @@ FEW = 3  # warnings in front of the folded ones
 TITLE = "Filter or smoother: which estimate can be trusted?"
 
 
-class Written(NamedTuple):
-    """What is missing from a result folder for lack of memory, and a lab's answers in a line each."""
-
-    missing: tuple[Notice, ...]
-    answers: tuple[str, ...]
-
-
 def write_results(
-    folder: Path,
-    options: Options,
-    outcome: Outcome,
-    scores: Scores,
-    judged: Sequence[Judged],
-    judgements: Sequence[tuple[Trial, Judgement]],
-    found: Sequence[Notice],
-    command: Sequence[str],
-    progress: Callable[[int, int], None],
-) -> Written:
-    """Fill the result folder; `found` are all notices but those about what is missing for lack of memory."""
+    folder: Path, options: Options, found: Results, command: Sequence[str], progress: Callable[[int, int], None]
+) -> tuple[list[Notice], list[str]]:
+    """Fill the result folder; what is missing from it for lack of memory, and a lab's answers in a line each."""
+    outcome, scores, judged = found.outcome, found.scores, found.judged
     trials, output = outcome.trials, options.output
     lost = Unfinished(options.execution.jobs, messages=list(outcome.missing))
-    result_files.METRICS.write(scores.metrics, folder)
-    result_files.DECISION_COUNTS.write(scores.association, folder)
-    result_files.TIMING.write(scores.timing, folder)
-    result_files.CONSISTENCY.write(consistency_table(judged), folder)
-    result_files.TRUST.write(trust_table(outcome.trust), folder)
-    if len(scores.relations):
-        result_files.RELATIONS.write(scores.relations, folder)
-    if len(scores.sources):
-        result_files.SOURCES.write(scores.sources, folder)
-    if in_space := space_rows(trials):
-        result_files.SPACE.write(result_files.SPACE.table(in_space), folder)
-    if outcome.published:
-        result_files.PUBLISHED.write(result_files.PUBLISHED.table(outcome.published), folder)
+    tables = {
+        result_files.METRICS: scores.metrics,
+        result_files.DECISION_COUNTS: scores.association,
+        result_files.TIMING: scores.timing,
+        result_files.CONSISTENCY: consistency_table(judged),
+        result_files.TRUST: trust_table(outcome.trust),
+        result_files.RELATIONS: scores.relations if len(scores.relations) else None,
+        result_files.SOURCES: scores.sources if len(scores.sources) else None,
+        result_files.SPACE: result_files.SPACE.table(rows) if (rows := space_rows(trials)) else None,
+        result_files.PUBLISHED: result_files.PUBLISHED.table(outcome.published) if outcome.published else None,
+    }
+    for file, table in tables.items():
+        if table is not None:
+            file.write(table, folder)
     (folder / "runs").mkdir()
     write_truths(folder, trials)
     published = publish(folder, output, options.setup, trials, lost, options.execution, progress)
-    main = [(t, j) for t, j in judgements if t.variant_of is None]
+    main = [(t, j) for t, j in found.judgements if t.variant_of is None]
     facts = [j for _, j in main]
     answers = [s for hand_in in of_all("hand_in") for s in hand_in(folder, options, trials, scores, lost)]
     first = [*answers, *attribution_sections(main, outcome.trust)]
-    sections = warnings_section(found)
+    sections = warnings_section(found.notices)
     in_lab, factor = options.selection.lab is not None, output.ellipse_factor
     sections += trial_sections(
-        folder, output, trials, facts, scores, published, found, outcome.trust, outcome.calibrations
+        folder, output, trials, facts, scores, published, found.notices, outcome.trust, outcome.calibrations
     )
-    sections += laser_sections(folder, output, trials, published)
-    sections += [s for of_wing in of_all("sections") for s in of_wing(folder, output, trials, in_lab, factor)]
+    for of_wing in of_all("sections"):
+        sections += of_wing(folder, output, trials, published, in_lab, factor)
     sections += study_sections(folder, options, outcome, judged)
     if trials:
         sections += association_sections(folder, output, trials, scores)
         sections += revision_section(folder, output, trials)
         sections += [s for last in of_all("last_sections") for s in last(trials, scores, answered_above=bool(answers))]
-    sections += _failure_section(trials, found, lost.messages)
+    sections += _failure_section(trials, found.notices, lost.messages)
     sections += [_source_section(trials, options.setup), Section(READING, (say("reading#basics"),))]
     declared = _declared(judged)
     blocks: list[Block] = [introduction(facts)]
@@ -253,8 +213,8 @@ def write_results(
     first_screen = {"conclusion": conclusion(facts), "logs": facts, "declared": declared, "missing": lost.messages}
     write_facts(folder, first_screen, [*first, *sections])
     _write_provenance(folder, options, outcome, command)
-    result_files.NOTICES.write(notices_table([*found, *lost.messages]), folder)
-    return Written(tuple(lost.messages), tuple(s.answer for s in answers if s.answer))
+    result_files.NOTICES.write(notices_table([*found.notices, *lost.messages]), folder)
+    return lost.messages, [s.answer for s in answers if s.answer]
 
 
 def warnings_section(found: Sequence[Notice]) -> list[Section]:
@@ -336,7 +296,7 @@ def _source_section(trials: Sequence[Trial], setup: Setup) -> Section:
                 "gate": gate,
             }
         )
-    frame = pd.DataFrame([{head: s[name] for name, head in SIZES.items()} for s in sources], dtype=object)
+    frame = pd.DataFrame(sources, columns=list(SIZES), dtype=object).rename(columns=SIZES)
     words = say("settings#logs", gates=gates, sensed=[s["name"] for s in sources if s["labels_are_sensed"]])
     blocks = (Table(frame, say("settings#sizes")), words)
     return Section("Logs and settings", (Folded("Sizes, sensors and gates", blocks),), facts=sources)

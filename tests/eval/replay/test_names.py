@@ -7,7 +7,7 @@ from typing import get_type_hints
 import pytest
 
 from association.decide import PLAIN, SEARCHES
-from association.scans.constraints import SCAN
+from association.names import SCAN
 from data.errors import UsageError
 from data.worlds.arena import Arena, simulate
 from eval.replay import settings
