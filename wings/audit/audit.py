@@ -4,37 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import gtsam
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array
-from wings.audit.clusters import Cluster, beside, clusters
 from wings.audit.components import Components, Estimator
 from wings.audit.condition import Condition, condition, curvature
+from wings.audit.contradicting import Contradicting, contradicting, log_p_of, searched, without
 from wings.audit.draws import family, independent, smallest_p, smallest_p_optimized
 from wings.audit.factors import (
     BRIEF,
     INEXACT,
+    UNSEEN,
+    Cluster,
     Directions,
     Tested,
+    beside,
+    clusters,
     directions,
     examine,
     holm,
-    log_p_values,
-    log_tail,
     row_redundancies,
+    rows_of,
 )
-from wings.audit.files import moved
+from wings.audit.files import moved, optimized
 from wings.audit.kinds import Grouping, Kinds, kinds, positions_of
-from wings.audit.linear import IGNORED, Factored, System, factorize, linearize, ordering
+from wings.audit.linear import Factored, Graph, System, Values, factorize, linearize, ordering, solved
 
 DRAWS = 200
 FAMILY, PARTS = 0.05, (0.5, 0.25, 0.25)  # family-wise level of a rejection; parts of factors, components, clusters
-SNOOPED = 10  # factors left out one by one before components
-Draws = Callable[[Factored, Sequence[Directions]], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,14 +118,13 @@ def examined(
     if not system.rows or not len(system.keys):
         raise DataError("the graph has no factor of a variable; at least one is needed")
     of, rng = kinds(graph, by), np.random.default_rng(seed)
-    drawn: Draws | None = None
-    if draws and full:
-        drawn = lambda _f, _seen: smallest_p_optimized(graph, values, draws, rng)  # noqa: E731
-    elif draws:
-        drawn = lambda f, seen: smallest_p(f, seen, draws, rng)  # noqa: E731
+
+    def drawn(f: Factored, seen: Sequence[Directions]) -> Array:
+        return smallest_p_optimized(graph, values, draws, rng) if full else smallest_p(f, seen, draws, rng)
+
     keys = [tuple(graph.at(i).keys()) if graph.exists(i) else () for i in range(graph.size())]
     metres = positions_of(values, system.keys)
-    s = statistics(system, keys, of, metres, rng, drawn)
+    s = statistics(system, keys, of, metres, rng, drawn if draws else None, partial(searched, graph, values))
     whole = sum(float(np.sum(g.weight[:, None] * g.r**2)) for g in system.groups)
     gained = max(whole - s.f.square, 0.0)
     bent = curvature(s.f, lambda x: float(graph.error(moved(system, s.f.at, x, values))), rng)
@@ -136,7 +139,8 @@ def statistics(
     of: Kinds,
     metres: Sequence[IntArray],
     rng: np.random.Generator,
-    draws: Draws | None = None,
+    draws: Callable[[Factored, Sequence[Directions]], Array] | None = None,
+    search: Callable[..., Contradicting | None] | None = None,
     *,
     brief: bool = False,
 ) -> Statistics:
@@ -149,30 +153,34 @@ def statistics(
         metres: per variable, the components that are a position in m.
         rng: of the probes.
         draws: smallest p value of all factors in each draw of the graph's own noise; without, none are drawn.
+        search: as `contradicting`, which searches the linear problem and is taken without.
         brief: for a report of the worst factors: see `examine`; leverages are accurate to `BRIEF`.
     """
     order = ordering(system, firsts(system))
-    f = factorize(system, order)
+    f, search = factorize(system, order), contradicting if search is None else search
     seen = directions(f, BRIEF if brief else INEXACT)
     t = examine(f, seen, metres, brief=brief)
     axis, rows = axes_of(of, system)
     drawn = np.zeros(0) if draws is None else draws(f, seen)
     tests = int(np.isfinite(t.p).sum())
     alone = min(independent(drawn), tests) if len(drawn) and tests else tests
-    together, all_ = clusters(f, seen, t, np.flatnonzero(of.loops).tolist(), metres)
-    found, systems = [], snooped(f, order, t, PARTS[0] * FAMILY / max(alone, 1), together)
-    for rest, left in systems:
-        used = [np.where(np.isin(g.factor, left)[:, None], -1, r) for g, r in zip(system.groups, rows, strict=True)]
-        estimator = Estimator(rest, order, used, axis[:, 0], rng)
-        found.append((estimator.by_kind(), estimator.by_axis()))
-    (by_kind, by_axis), *without = found
-    for of_kind, of_axis in without:
-        by_kind, by_axis = replace(by_kind, without=of_kind.p), replace(by_axis, without=of_axis.p)
+    together, all_ = clusters(f, seen, t.deleted, t.rank, np.flatnonzero(of.loops).tolist(), metres)
+    level, robust = PARTS[0] * FAMILY / max(alone, 1), t.weight < 1.0
+    left = np.flatnonzero(robust & (t.p < level))
+    rest, wrong = without(system, left, order) if robust.any() else f, None
+    if np.any(np.delete(t.p, left) < level):
+        wrong = search(rest, left, order, level, of.loops, metres)
+        rest, left = (wrong.f, wrong.left) if wrong is not None else (rest, left)
+    by_kind, by_axis = components(rest, left, order, of, rng)
+    if wrong is not None:  # those that are not wrong with the noise that the residuals ask for belong to it
+        theta = np.nan_to_num(by_kind.component, nan=1.0)[of.of[left]]
+        gross = left[log_p_of(wrong.T[left] / np.maximum(theta, 1.0), wrong.rank[left]) < np.log(level)]
+        if len(gross) < len(left):
+            by_kind, by_axis = components(without(rest.system, gross, order), gross, order, of, rng)
     whole_rows, every = np.concatenate([each.ravel() for each in rows]), [row_redundancies(s).ravel() for s in seen]
     by_axis = replace(by_axis, redundancy=np.bincount(whole_rows, np.concatenate(every), len(axis)).astype(float))
     p_of = [c.p for c in together]
-    if len(systems) > 1:
-        rest, left = systems[-1]
+    if wrong is not None:
         p_of = beside(rest, directions(rest, BRIEF), together, left)
     p_cluster = np.concatenate([p_of, np.ones(all_ - len(together))])
     of_components = np.concatenate([by_kind.p, np.where(axis[:, 1] >= 0, by_axis.p, np.nan)])
@@ -182,79 +190,42 @@ def statistics(
     share[: len(t.p)] = alone / max(tests, 1)
     adjusted = holm(np.concatenate(classes), np.concatenate(weight), share)
     n, k = len(t.p), len(of.names)
-    wrong = np.flatnonzero(adjusted[:n] < FAMILY)
-    if len(systems) > 1 and len(wrong):  # others are rejected beside these
-        wrong = np.sort(systems[-1][1])
+    if wrong is not None:  # others are rejected beside these
+        adjusted[left] = np.fmin(adjusted[left], np.exp(log_p_of(wrong.T[left], wrong.rank[left])) * alone / PARTS[0])
     p_drawn = family(t.p, drawn) if len(drawn) else np.full(n, np.nan)
     return Statistics(
         keys, of, t, adjusted[:n], p_drawn, by_kind, by_axis, axis, adjusted[n : n + k],
         adjusted[n + k : n + k + len(axis)], together, adjusted[n + k + len(axis) :][: len(together)],
-        system.rows - f.rank, f, wrong,
+        system.rows - f.rank, f, np.flatnonzero(adjusted[:n] < FAMILY) if wrong is None else left,
     )  # fmt: skip
 
 
-def snooped(
-    f: Factored, order: IntArray, t: Tested, level: float, together: Sequence[Cluster]
-) -> list[tuple[Factored, IntArray]]:
-    """The system in least squares, and the factors it lacks; then without those that are wrong on their own, if any.
-
-    What a few wrong factors do to the residuals of others would else be put down to the noise of their kind, as would
-    the weights of a robust noise, which all are 1 here. Its rejected factors are left out in both systems. In the
-    second the worst of all is, too, and the rest solved again, until none has a p value below `level` (data snooping:
-    Baarda 1968); where they are many there is no second system. A cluster of less p than any factor is left out first:
-    its factors vouch for each other, and right ones seem wrong beside it.
-    """
-    robust, log_p = t.weight < 1.0, log_tail(t.deleted, np.maximum(t.rank, 1))
-    log_p[~np.isfinite(t.p)] = np.nan
-    left, least = np.flatnonzero(robust & (t.p < level)), np.log(level)
-    rest = _without(f, left, order) if robust.any() else f
-    whole = [(rest, left)]
-    for turn in range(SNOOPED + 1):
-        if rest is not f:
-            for g, some in zip(rest.system.groups, log_p_values(directions(rest, BRIEF)), strict=True):
-                log_p[g.factor] = some
-        log_p[left] = np.nan
-        if not np.nanmin(log_p, initial=0.0) < least:
-            return [*whole, (rest, left)] if turn else whole
-        worst: Sequence[int] = (int(np.nanargmin(log_p)),)
-        if not turn and together and (best := min(together, key=lambda c: c.log_p)).log_p < log_p[worst[0]]:
-            worst = best.factors
-        left = np.append(left, np.setdiff1d(worst, left))
-        rest = _without(f, left, order)
-    return whole
-
-
-def _without(f: Factored, left: IntArray, order: IntArray) -> Factored:
-    groups = [replace(g, weight=np.where(np.isin(g.factor, left), IGNORED, 1.0)) for g in f.system.groups]
-    return factorize(replace(f.system, groups=groups), order)
+def components(
+    f: Factored, left: IntArray, order: IntArray, of: Kinds, rng: np.random.Generator
+) -> tuple[Components, Components]:
+    """Variance components by kind and by axis of a system without the factors `left`."""
+    axis, rows = axes_of(of, f.system)
+    used = [np.where(np.isin(g.factor, left)[:, None], -1, r) for g, r in zip(f.system.groups, rows, strict=True)]
+    estimator = Estimator(f, order, used, axis[:, 0], rng)
+    return estimator.by_kind(), estimator.by_axis()
 
 
 def places(values: gtsam.Values, keys: Sequence[int]) -> Array:
     """Positions (V, 3), NaN of variables without one; in the plane z is 0."""
     out = np.full((len(keys), 3), np.nan)
-    at = {key: k for k, key in enumerate(keys)}
-    planar, spatial = gtsam.utilities.allPose2s(values), gtsam.utilities.allPose3s(values)
-    for some, wide in ((planar, 2), (spatial, 3)):
-        found = list(some.keys())
-        if found:
-            extract = gtsam.utilities.extractPose2 if wide == 2 else gtsam.utilities.extractPose3
-            xyz = (
-                np.asarray(extract(some)).reshape(len(found), -1)[:, :2]
-                if wide == 2
-                else np.asarray(extract(some))[:, -3:]
-            )
-            rows = [(at[key], n) for n, key in enumerate(found) if key in at]
-            for v, n in rows:
-                out[v, :wide], out[v, wide:] = xyz[n], 0.0
-    poses = {*planar.keys(), *spatial.keys()}
+    planar, spatial = (set(f(values).keys()) for f in (gtsam.utilities.allPose2s, gtsam.utilities.allPose3s))
     dims = values.dims()
-    for key, v in at.items():
-        if key not in poses and dims[key] in (2, 3):
+    for v, key in enumerate(keys):
+        if key in planar or key in spatial:
+            place = (values.atPose2(key) if key in planar else values.atPose3(key)).translation()
+        elif dims[key] in (2, 3):
             try:
-                point = values.atPoint2(key) if dims[key] == 2 else values.atPoint3(key)
-            except RuntimeError:
+                place = values.atPoint2(key) if dims[key] == 2 else values.atPoint3(key)
+            except RuntimeError:  # another variable of that size
                 continue
-            out[v, : dims[key]], out[v, dims[key] :] = point, 0.0
+        else:
+            continue
+        out[v, : len(place)], out[v, len(place) :] = place, 0.0
     return out
 
 
@@ -266,9 +237,6 @@ def firsts(system: System) -> list[int]:
 
 def parts(system: System) -> IntArray:
     """A number (V,) of the connected part of each variable."""
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     pairs = [g.variables[:, [0, j]] for g in system.groups for j in range(1, g.variables.shape[1])]
     a, b = np.concatenate([np.zeros((0, 2), np.int64), *pairs]).T
     size = len(system.keys)
@@ -278,15 +246,59 @@ def parts(system: System) -> IntArray:
 
 def axes_of(of: Kinds, system: System) -> tuple[IntArray, list[IntArray]]:
     """Kind and axis (K, 2) of each component, axis -1 for a whole kind, and per group the component (n, d) of a row."""
-    axis: list[tuple[int, int]] = []
-    start = []
-    for k, names in enumerate(of.axes):
-        start.append(len(axis))
-        axis += [(k, a) for a in range(len(names))] or [(k, -1)]
-    begin = np.array(start)
+    axis = np.array([(k, a) for k, names in enumerate(of.axes) for a in (range(len(names)) or (-1,))])
+    begin: IntArray = np.searchsorted(axis[:, 0], np.arange(len(of.axes)))
     split = np.array([len(names) > 0 for names in of.axes])
-    rows = []
+    rows: list[IntArray] = []
     for g in system.groups:
         kind = of.of[g.factor]
-        rows.append(begin[kind][:, None] + split[kind][:, None] * np.arange(g.r.shape[1]))
-    return np.array(axis), rows
+        rows.append(begin[kind][:, None] + np.where(split[kind][:, None], np.arange(g.r.shape[1]), 0))
+    return axis, rows
+
+
+STEPS, CLOSE = 12, 1e-2  # of Newton without some factors; length in sigmas of one that ends them
+
+
+def left_out(graph: Graph, values: Values, a: Audit, sets: Sequence[Sequence[int]]) -> list[tuple[float, float]]:
+    """Of each set of factors without it: motion of the worst point in m, and decrease of the sum of squares.
+
+    `values` are the optimum of the graph, `a` is the audit of both, `sets` numbers of factors left out together.
+    Newton's steps keep the factored system of the whole graph, without the rows left out (Woodbury's identity): a step
+    costs a gradient and a solution. Where that does not descend, the graph is optimized anew.
+    """
+    where = {int(i): (k, n) for k, g in enumerate(a.f.system.groups) for n, i in enumerate(g.factor)}
+    begin = 2.0 * graph.error(values)
+    out = []
+    for some in sets:
+        rest = gtsam.NonlinearFactorGraph(graph)
+        for i in some:
+            rest.remove(int(i))
+        end = _solved(rest, values, a, [where[int(i)] for i in some])
+        apart = np.linalg.norm(places(end, a.f.system.keys) - a.place, axis=1)
+        out.append((float(np.nanmax(apart, initial=0.0)), begin - 2.0 * rest.error(end)))
+    return out
+
+
+def _solved(rest: Graph, values: Values, a: Audit, some: Sequence[tuple[int, int]]) -> Values:
+    f = a.f
+    A, _ = rows_of(f, some)
+    Z = solved(f, A.T.copy())
+    size, V = np.linalg.eigh(np.eye(len(A)) - A @ Z)
+    inverse = np.divide(1.0, size, out=np.zeros_like(size), where=size > UNSEEN)  # unseen directions stay
+    cost, now = rest.error(values), values
+    for _ in range(STEPS):
+        g = np.zeros(f.columns)
+        gradient = rest.linearize(now).gradientAtZero()
+        for v, key in enumerate(f.system.keys):
+            if gradient.exists(key):
+                g[f.at[v] : f.at[v] + f.system.dim[v]] = gradient.at(key)
+        y = solved(f, -g[:, None].copy())[:, 0]
+        x = y + Z @ (V @ (inverse * (V.T @ (A @ y))))
+        if float(-g @ x) < CLOSE**2:
+            return now
+        tried = moved(f.system, f.at, x, now)
+        new = rest.error(tried)
+        if not new < cost:
+            return optimized(rest, now, quick=True)
+        now, cost = tried, new
+    return optimized(rest, now, quick=True)
