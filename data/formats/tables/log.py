@@ -11,7 +11,8 @@ import numpy as np
 from data import se2
 from data.columns import appearance
 from data.columns.appearance import of_observations
-from data.columns.parts import landmarks_of
+from data.columns.parts import IDS, KIND, landmarks_of
+from data.columns.poses import RELATIVE
 from data.csv_table import Table, is_name
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
@@ -21,7 +22,7 @@ from data.formats.second_odometry import together
 from data.formats.tables.files import SECOND, TextTable, headings, shared
 from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures, suspicious
 from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
-from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior
+from data.inputs import CLUTTER, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
@@ -29,14 +30,9 @@ from data.se2 import Array, BoolArray
 from data.sensors import Bearing, RangeBearing, Sensor
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
-from data.truth import UNKNOWN_ID, Truth
+from data.truth import Truth
 
 SIGMAS = ("sx", "sy", "stheta")
-RELATIVE = ("dx", "dy", "dtheta")
-KIND = "kind"
-"""Column of the map."""
-IDS = {"true_id": UNKNOWN_ID, "label": UNLABELLED}
-"""Columns of ids, and the id of a blank field."""
 LONGEST = 1e6
 """s, longest log; stamps in another unit would fill the memory with keyframes."""
 
@@ -210,11 +206,7 @@ def joined(
     ids: dict[str, IntArray] = {}
     for name, blank in IDS.items():
         if any(name in p.table for p in parts):
-            every = [
-                p.table.integers(name, CLUTTER, blank=blank) if name in p.table else np.full(len(p.at), blank)
-                for p in parts
-            ]
-            ids[name] = np.concatenate(every)[by]
+            ids[name] = np.concatenate([p.table.integers(name, CLUTTER, blank=blank) for p in parts])[by]
     each = [of_observations(p.table, None, [(of.sensor.label, of.looks)]) for p, of in zip(parts, sensors, strict=True)]
     looks = appearance.every(each, [len(p.at) for p in parts])
     sensor = number[by] if len(parts) > 1 else None
