@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import fields, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from eval.checks import worlds
 from eval.checks.finding import FailedError, Finding, check, graded
 from eval.referee.errors import named
 from eval.replay.estimators import dead_reckoning
-from eval.replay.external.guard import ForeignError
+from eval.replay.external.load import ForeignError
 from eval.replay.frontend import FrontEnd
 from eval.replay.run import front_end, step_by_step
 from eval.replay.settings import Beginning, Setup
@@ -222,48 +222,35 @@ def removal(text: str, task: str) -> Iterator[str]:
     yield f"landmark 0 left the map, seen again it is number {made[0] if made else 'none'}"
 
 
-class HandedOut(NamedTuple):
-    """An array that was handed out, and a copy from before."""
-
-    name: str
-    handed: Any
-    before: Any
-
-
 @check("purity")
 def purity(text: str, task: str) -> Iterator[str]:
     """It changes none of its inputs, which are writable here; in a run they are locked, and writing raises."""
     inputs = inputs_for(worlds.arena_log(), task)
     prior: Prior = _writable(inputs.prior)
     known: LandmarkMap | None = None if inputs.map is None else _writable(inputs.map)
-    kept = [_kept("prior.mean", prior.mean), _kept("prior.covariance", prior.covariance)]
+    handed: list[tuple[str, Any]] = [("prior.mean", prior.mean), ("prior.covariance", prior.covariance)]
     if known is not None:
-        kept += [_kept("map.id", known.id), _kept("map.xy", known.xy)]
+        handed += [("map.id", known.id), ("map.xy", known.xy)]
+    kept = [(name, a, a.copy()) for name, a in handed]
     front = FrontEnd(text, "known", Beginning(prior, inputs.sensor, known), SETUP)
     for k in range(len(inputs)):
-        frame = inputs.frame(k)
-        parts: list[tuple[str, Any]] = []
+        frame, parts = inputs.frame(k), list[tuple[str, Any]]()
         if frame.increment is not None:
             increment = Increment(*(np.array(a) for a in frame.increment))
             parts += [(f"increment.{n}", a) for n, a in increment._asdict().items()]
             frame = frame._replace(increment=increment)
         observations = FrameObservations(*(np.array(a) for a in frame.observations))
         parts += [(f"observations.{n}", a) for n, a in observations._asdict().items()]
-        kept += [_kept(f"{name} of frame {k}", a) for name, a in parts]
+        kept += [(f"{name} of frame {k}", a, a.copy()) for name, a in parts]
         _through(front, frame._replace(observations=observations))
         front.estimator.estimate()
-    changed = next((k for k in kept if not np.array_equal(k.handed, k.before)), None)
-    if changed is not None:
-        by = float(np.abs(changed.handed - changed.before).max())
-        raise FailedError(
-            f"{changed.name} was changed by up to {by:.3g}: copy what is kept (in a run inputs are locked, so that "
-            "writing raises ValueError)"
-        )
+    for name, now, before in kept:
+        if not np.array_equal(now, before):
+            raise FailedError(
+                f"{name} was changed by up to {float(np.abs(now - before).max()):.3g}: copy what is kept (in a run "
+                "inputs are locked, so that writing raises ValueError)"
+            )
     yield f"{len(kept)} arrays that it was handed are as they were"
-
-
-def _kept(name: str, handed: Any) -> HandedOut:
-    return HandedOut(name, handed, handed.copy())
 
 
 def _writable(locked: Any) -> Any:

@@ -17,7 +17,7 @@ import numpy as np
 
 from association.decide import decide, known_decisions
 from association.expectation import Expectation, SingularInnovationError
-from data.blocks import block_diagonal
+from data.blocks import block_diagonal, coordinates
 from data.inputs import Frame, Inputs, IntArray
 from data.result import DISCARD, NEW
 from data.se2 import Array, wrap_angle
@@ -27,8 +27,7 @@ from eval.checks.finding import APPROXIMATE, Finding, check
 from eval.checks.kalman import NONE, Bug, Expected, Rules, State, rules_of, states_of
 from eval.replay.estimators import Estimator, Timed, capabilities, make_estimator
 from eval.replay.external.adapter import Adapter
-from eval.replay.external.guard import ForeignError, call
-from eval.replay.external.load import load
+from eval.replay.external.load import ForeignError, call, load
 from eval.replay.external.spec import is_foreign
 from eval.replay.run import DIVERGED
 from eval.replay.settings import INCREMENTAL
@@ -256,7 +255,7 @@ def parts(given: State, right: State) -> dict[Quantity, Array]:
         z_hat, joint, blocks = (np.full(a.shape, np.nan) for a in (r.z_hat, r.joint, r.blocks))
         if g is not None and np.array_equal(np.sort(g.number), r.number):
             mine = np.argsort(g.number)
-            inner = _coordinates(mine)
+            inner = coordinates(mine)
             z_hat, joint, blocks = g.z_hat[mine], g.joint[np.ix_(inner, inner)], g.blocks[mine]
         sigma = np.sqrt(np.einsum("nii->ni", r.blocks + r.R.min(axis=0)))
         found[Quantity.EXPECTED] = z_hat / sigma
@@ -320,7 +319,7 @@ def _expectations(given: State, right: State) -> dict[Quantity, float]:
     if not len(number):
         return found
     mine, theirs = _rows(g, number), _rows(r, number)
-    inner, outer = (np.ix_(_coordinates(w), _coordinates(w)) for w in (mine, theirs))
+    inner, outer = (np.ix_(coordinates(w), coordinates(w)) for w in (mine, theirs))
     S = r.blocks[theirs][None] + r.R[:, None]
     each = r.blocks[theirs] + r.R.min(axis=0)  # by candidate, with the least noise of the frame
     found[Quantity.EXPECTED] = _size((g.z_hat[mine] - r.z_hat[theirs]) / np.sqrt(np.einsum("nii->ni", each)))
@@ -338,10 +337,6 @@ def _rows(e: Expected, number: IntArray) -> IntArray:
     """Candidates by number."""
     order = np.argsort(e.number)
     return np.asarray(order[np.searchsorted(e.number, number, sorter=order)])
-
-
-def _coordinates(rows: IntArray) -> IntArray:
-    return np.asarray((2 * rows[:, None] + np.arange(2)).ravel())
 
 
 def _size(off: Array) -> float:

@@ -8,8 +8,7 @@ from pathlib import Path
 from data.command import portable
 from data.errors import UsageError
 from eval.plan.experiment import Experiment
-from eval.replay.external.guard import ForeignError
-from eval.replay.external.load import Loaded, load
+from eval.replay.external.load import ForeignError, Loaded, load
 from eval.replay.external.make import Method, lack, tasks_of
 from eval.replay.external.spec import introduce, is_foreign, name_of, place_of, shown
 from eval.replay.settings import Setup

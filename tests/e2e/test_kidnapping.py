@@ -197,7 +197,7 @@ def mapped(seed, estimator="ekf", frames=60):
 ])  # fmt: skip
 def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estimator):
     front, off = mapped(seed, estimator)
-    told = front.mapper.kidnapping
+    told = front.kidnapping
     assert [AT <= k < AT + 3 for k in told.alarms] == [True]
     assert told.found == told.alarms
     assert off[told.found[0]] < off[AT - 1] + 0.5
@@ -208,10 +208,10 @@ def test_a_robot_moved_while_it_maps_finds_its_place_in_its_own_map(seed, estima
 @pytest.mark.slow
 def test_what_was_initialized_before_the_place_was_found_is_merged_with_what_it_is():
     front, off = mapped(13, frames=70)
-    told = front.mapper.kidnapping
+    told = front.kidnapping
     assert told.alarms in ([AT], [AT + 1])
     assert told.found[0] > AT
-    assert len(front.mapper.ledger.merged) >= 3
+    assert len(front.ledger.merged) >= 3
     assert off[-1] < 0.5
 
 
@@ -226,4 +226,4 @@ def test_mapping_undisturbed_raises_no_alarm(seeds):
             if len(frame.observations.z):
                 front.update(frame, front.associate(frame))
             front.tidy()
-        assert front.mapper.kidnapping.alarms == []
+        assert front.kidnapping.alarms == []

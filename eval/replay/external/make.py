@@ -16,8 +16,7 @@ from data.inputs import IntArray
 from data.result import DISCARD, NEW
 from ekf.filter import DEFAULT, FilterOptions
 from eval.replay.external.adapter import Adapter
-from eval.replay.external.guard import ForeignError, call, whole
-from eval.replay.external.load import Loaded, load
+from eval.replay.external.load import ForeignError, Loaded, call, load, whole
 from eval.replay.external.spec import is_foreign
 from eval.replay.settings import HINDSIGHT, TASKS, Given, Setup
 

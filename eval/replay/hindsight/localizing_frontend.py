@@ -3,13 +3,17 @@
 An estimator uses decisions that may be revised. A filter is reset to the mixture of the hypotheses whenever there are
 several. A smoother gets the decisions of the majority by weight; postponed decisions are handed over later, and
 contradicted ones are replaced. A smoother that still ends up elsewhere is restarted there (`Stretches`).
+
+A kidnapped robot leaves observations unpaired or pairs them badly. For both, every frame adds the log-likelihood ratio
+of "lost" against "healthy" to a cumulative sum, which never falls below zero (Page, Biometrika 41, 1954). The trouble
+began where the sum last left zero.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,15 +29,73 @@ from data.result import DISCARD, Event, Finished, MapState, PoseEstimate, System
 from data.se2 import Array, BoolArray, pose_error
 from ekf.filter import FilterOptions
 from eval.replay.estimators import Estimator, capabilities, make_estimator, needed
-from eval.replay.external.innovations import OwnInnovations
+from eval.replay.external.adapter import OwnInnovations
 from eval.replay.external.spec import is_foreign
 from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.hindsight import constants, hypotheses
 from eval.replay.hindsight.hypotheses import Choice, Hypotheses
-from eval.replay.hindsight.lost import Health, recovered, watch
 from eval.replay.hindsight.relocalize import EMPTY, Place, Scan, extended, moved, relocalize
 from eval.replay.poses import PoseMeasurements
 from eval.replay.settings import HINDSIGHT, Given, Setup
+
+
+@dataclass(frozen=True)
+class Health:
+    """State of the test after a frame."""
+
+    unpaired: float = 0.0  # cumulative sums, 0 while nothing indicates a lost robot
+    misfit: float = 0.0
+    # expected in a healthy frame: share of paired observations, ...
+    share: float = field(default_factory=lambda: constants.HEALTH_START[0])
+    strays: float = 0.0  # ... number of unpaired ones, ...
+    scale: float = field(default_factory=lambda: constants.HEALTH_START[1])  # ... NIS per degree of freedom
+    # weight of what was learned, in observations
+    learned: float = field(default_factory=lambda: constants.HEALTH_WEIGHT)
+    lost: bool = False  # one of the sums has reached the threshold
+
+
+def watch(before: Health, offered: int, paired: int, nis: float, dof: int) -> Health:
+    """The state after a frame with `paired` of `offered` observations paired, and the NIS of these with its dof.
+
+    Expectations are learned from all frames except those of a lost robot. The expected NIS is at least its chi-square
+    mean, so that conservative noise does not speed up the test.
+    """
+    if offered == 0:
+        return before
+    unpaired = before.unpaired + _against_strays(before, offered, offered - paired)
+    # one instant full of misfits is one piece of evidence: its errors are not independent
+    r = constants.LOST_SCALE
+    fit = 0.5 * (nis / max(before.scale, 1.0) * (1.0 - 1.0 / r) - dof * math.log(r))
+    misfit = before.misfit + min(fit, constants.MISFIT_MOST * constants.ALARM)
+    unpaired, misfit = max(0.0, unpaired), max(0.0, misfit)
+    after = replace(before, unpaired=unpaired, misfit=misfit)
+    if max(unpaired, misfit) >= constants.ALARM:
+        return replace(after, lost=True)
+    weight = min(before.learned + offered, constants.NOISE_MEMORY)
+    gain, scale = offered / weight, before.scale
+    if dof > 0:
+        scale += 0.5 * dof / weight * (nis / dof - scale)
+    share = before.share + gain * (paired / offered - before.share)
+    strays = before.strays + gain * (offered - paired - before.strays)
+    return replace(after, lost=False, share=share, strays=strays, scale=scale, learned=weight)
+
+
+def _against_strays(before: Health, offered: int, left: int) -> float:
+    """Log-likelihood ratio of "lost" for `left` of the `offered` observations unpaired.
+
+    The smaller of a binomial model (share of what is observed) and a Poisson model (clutter, a constant number).
+    """
+    share = min(max(before.share, constants.HEALTH_SHARE_LEAST), constants.HEALTH_SHARE_MOST)
+    binomial = (offered - left) * math.log(constants.LOST_SHARE)
+    binomial += left * math.log((1.0 - constants.LOST_SHARE * share) / (1.0 - share))
+    usual = max(before.strays, constants.HEALTH_STRAYS_LEAST * offered)
+    more = max(usual, (1.0 - constants.LOST_SHARE * share) * offered)
+    return min(binomial, left * math.log(more / usual) - (more - usual))
+
+
+def recovered(before: Health) -> Health:
+    """The state after the pose was found again: sums are zero, expectations stay."""
+    return replace(before, unpaired=0.0, misfit=0.0, lost=False)
 
 
 class HindsightLocalizer:

@@ -22,6 +22,7 @@ from math import exp, log
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from data.compiled import njit
 from data.inputs import IntArray
@@ -60,25 +61,40 @@ class Kinds(NamedTuple):
 
 def persistence(opportunities: Opportunities) -> Persistence:
     """Fit to the landmarks (n) of a log; the prior if there are none."""
-    fitted = _fitted(
-        *_packed(opportunities), np.array([constants.PERSISTENCE_MEANS, constants.PERSISTENCE_WORTH]), _fixed(),
-        constants.PERSISTENCE_LATER_LEAST, constants.PERSISTENCE_ROUNDS,
-    )  # fmt: skip
-    return Persistence(*fitted.tolist())
+    every, begin = _packed(opportunities)
+    mean, worth = np.array([constants.PERSISTENCE_MEANS, constants.PERSISTENCE_WORTH])
+    n, of, detected = len(begin) - 1, np.repeat(np.arange(len(begin) - 1), np.diff(begin)), every % 2 == 1
+    before, last = np.bincount(of[every == BEFORE], minlength=n), np.full(n, -1)
+    np.maximum.at(last, of[detected], np.flatnonzero(detected))
+    counts = (every != BEFORE) & (np.arange(len(every)) <= last[of])  # later it may have left
+    of, viewpoint, detected = of[counts], every[counts] // 2, detected[counts]
+    p = mean
+    for _ in range(constants.PERSISTENCE_ROUNDS):
+        terms, (at_once, not_at_once, later, lasted) = _terms(every, begin, p, _fixed())
+        transient = scipy.special.softmax(terms, axis=0)[2]
+        real = 1.0 - transient
+        yes = np.array([
+            real.sum(), transient @ at_once, transient @ later,
+            *np.bincount(viewpoint, real[of] * detected, minlength=3), real.sum(), transient.sum(),
+        ])  # fmt: skip
+        total = np.array([
+            n, transient @ (at_once + not_at_once), transient @ (later + lasted),
+            *np.bincount(viewpoint, real[of], minlength=3), real @ (before + 1), transient @ (before + 1),
+        ])  # fmt: skip
+        p = (mean * worth + yes) / (worth + total)
+        p[2] = max(p[2], constants.PERSISTENCE_LATER_LEAST)
+    return Persistence(*p.tolist())
 
 
 def kinds(opportunities: Opportunities, p: Persistence, leaving: float | None = None) -> Kinds:
     """The probability of each kind, of landmarks (n); `leaving`: before an opportunity, None: `PERSISTENCE_LEAVING`."""
-    fixed = _fixed()
-    if leaving is not None:
-        fixed[2] = leaving
-    return Kinds(*_probabilities(*_packed(opportunities), np.array(p), fixed))
+    return Kinds(*scipy.special.softmax(_terms(*_packed(opportunities), np.array(p), _fixed(leaving))[0], axis=0))
 
 
 def evidence(opportunities: Opportunities) -> Array:
     """Log-likelihood (n,) of each landmark's opportunities, whatever its kind, with the parameters fitted to them."""
     p = np.array(persistence(opportunities))
-    return _evidences(*_packed(opportunities), p, _fixed())
+    return np.asarray(scipy.special.logsumexp(_terms(*_packed(opportunities), p, _fixed())[0], axis=0))
 
 
 class Kept(NamedTuple):
@@ -128,9 +144,10 @@ def kept_at_end(opportunities: Opportunities, observations: IntArray, spans: Int
     return Kept(keep & ~left, left, True, np.zeros_like(keep))
 
 
-def _fixed() -> Array:
-    """What is not fitted, for the kernels: weight of the common rates, chance detection, and leaving."""
-    return np.array([constants.PERSISTENCE_OWN, constants.PERSISTENCE_CHANCE, constants.PERSISTENCE_LEAVING])
+def _fixed(leaving: float | None = None) -> Array:
+    """What is not fitted, for the kernel: weight of the common rates, chance detection, and leaving."""
+    rare = constants.PERSISTENCE_LEAVING if leaving is None else leaving
+    return np.array([constants.PERSISTENCE_OWN, constants.PERSISTENCE_CHANCE, rare])
 
 
 def _packed(opportunities: Opportunities) -> tuple[IntArray, IntArray]:
@@ -146,15 +163,6 @@ def _log_sum(terms: Array) -> float:
 
 
 @njit
-def _before(opportunities: IntArray) -> int:
-    """How many opportunities were before the first detection."""
-    k = 0
-    while k < len(opportunities) and opportunities[k] == BEFORE:
-        k += 1
-    return k
-
-
-@njit
 def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Array) -> Array:
     """Log-likelihoods (3,) of the kinds: sums over the opportunities k before which a landmark may have left.
 
@@ -163,7 +171,7 @@ def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Arra
     """
     at_once, later, mean = p[1], p[2], p[3:6]
     own, chance, leaving = fixed[0], fixed[1], fixed[2]
-    before = _before(opportunities)
+    before = int(np.sum(opportunities == BEFORE))
     opportunities = opportunities[before:]
     n = len(opportunities)
     gone = np.zeros(n + 1)  # by chance alone from opportunity k on
@@ -199,62 +207,12 @@ def _likelihoods(opportunities: IntArray, p: Array, fixed: Array, expected: Arra
 
 
 @njit
-def _evidences(opportunities: IntArray, begin: IntArray, p: Array, fixed: Array) -> Array:
-    result, expected = np.empty(len(begin) - 1), np.empty(4)
-    for i in range(len(result)):
-        terms = _likelihoods(opportunities[begin[i] : begin[i + 1]], p, fixed, expected)
-        terms[:2] += log(p[0])
-        terms[2] += log(1.0 - p[0])
-        result[i] = _log_sum(terms)
-    return result
-
-
-@njit
-def _posterior(opportunities: IntArray, p: Array, fixed: Array, expected: Array) -> Array:
-    """Probabilities (3,) of the kinds of a landmark; `expected` as of `_likelihoods`."""
-    terms = _likelihoods(opportunities, p, fixed, expected)
-    terms[:2] += log(p[0])
-    terms[2] += log(1.0 - p[0])
-    weight: Array = np.exp(terms - terms.max())
-    weight /= weight.sum()
-    return weight
-
-
-@njit
-def _probabilities(opportunities: IntArray, begin: IntArray, p: Array, fixed: Array) -> Array:
-    result, expected = np.empty((3, len(begin) - 1)), np.empty(4)
-    for i in range(len(begin) - 1):
-        result[:, i] = _posterior(opportunities[begin[i] : begin[i + 1]], p, fixed, expected)
-    return result
-
-
-@njit
-def _fitted(opportunities: IntArray, begin: IntArray, prior: Array, fixed: Array, least: float, rounds: int) -> Array:
-    """`Persistence` as an array (8,); prior (2, 8): mean and weight of each."""
-    p: Array = prior[0].copy()
-    expected = np.empty(4)
-    for _ in range(rounds):
-        yes, every = prior[0] * prior[1], prior[1].copy()
-        for i in range(len(begin) - 1):
-            of = opportunities[begin[i] : begin[i + 1]]
-            transient = _posterior(of, p, fixed, expected)[2]
-            real = 1.0 - transient
-            yes[0] += real
-            every[0] += 1.0
-            yes[1] += transient * expected[0]
-            every[1] += transient * (expected[0] + expected[1])
-            yes[2] += transient * expected[2]
-            every[2] += transient * (expected[2] + expected[3])
-            before, last = _before(of), len(of)
-            yes[6] += real
-            every[6] += real * (before + 1)
-            yes[7] += transient
-            every[7] += transient * (before + 1)
-            while last > before and of[last - 1] % 2 == 0:
-                last -= 1
-            for k in range(before, last):
-                yes[3 + of[k] // 2] += real * (of[k] % 2)
-                every[3 + of[k] // 2] += real
-        p = yes / every
-        p[2] = max(p[2], least)
-    return p
+def _terms(opportunities: IntArray, begin: IntArray, p: Array, fixed: Array) -> tuple[Array, Array]:
+    """Log-likelihood (3, n) of each kind and landmark, with the share of the kind; `expected` (4, n) of each."""
+    n = len(begin) - 1
+    terms, expected = np.empty((n, 3)), np.empty((n, 4))
+    for i in range(n):
+        terms[i] = _likelihoods(opportunities[begin[i] : begin[i + 1]], p, fixed, expected[i])
+        terms[i, :2] += log(p[0])
+        terms[i, 2] += log(1.0 - p[0])
+    return terms.T, expected.T

@@ -40,10 +40,10 @@ from ekf.filter import FilterDivergedError
 from ekf.slam import EkfSlam
 from eval.replay.hindsight import constants, persistence
 from eval.replay.hindsight.final_association import Reassociation, nis_left, noise_share, reassociate, squares
+from eval.replay.hindsight.ledger import Record
 from eval.replay.hindsight.noise import Restated, with_shares
 from eval.replay.hindsight.opportunities import recounted
 from eval.replay.hindsight.persistence import Kept, kept_at_end
-from eval.replay.hindsight.record import Record
 from eval.replay.poses import PoseMeasurements, PoseRecords
 from eval.replay.settings import Given, Setup
 from graph.batch import Rejected, Start, smooth

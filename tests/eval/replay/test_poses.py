@@ -16,7 +16,7 @@ from data.worlds.mixed import Mixed, simulate
 from ekf.localizer import EkfLocalizer
 from eval.replay.estimators import OPTIONS
 from eval.replay.external.adapter import pose_updated_of
-from eval.replay.external.guard import ForeignError
+from eval.replay.external.load import ForeignError
 from eval.replay.frontend import FrontEnd
 from eval.replay.hindsight.localizing_frontend import HindsightLocalizer
 from eval.replay.run import compare, landmark_sigmas, step_by_step
