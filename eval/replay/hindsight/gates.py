@@ -244,8 +244,7 @@ def dense(e: Expectation, slam: EkfSlam, ledger: Ledger, setup: Setup) -> BoolAr
     """Candidates (n,) with so many landmarks in their gate by chance that a single observation is ambiguous."""
     sensor, threshold = slam.sensor, gate_threshold(setup.gate or constants.DENSE_GATE)
     area = np.sqrt(np.linalg.det(e.HPHt)) * (sensor.polar(e.z_hat)[:, 0] if sensor.kind == RANGE_BEARING else 1.0)
-    too_many: BoolArray = density(slam, ledger.range) * math.pi * threshold * area > constants.DENSE
-    return too_many
+    return np.asarray(density(slam, ledger.range) * math.pi * threshold * area > constants.DENSE)
 
 
 def density(slam: EkfSlam, reach: float) -> float:

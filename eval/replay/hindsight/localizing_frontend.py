@@ -244,7 +244,7 @@ class Stretches:
         self._first, self._frame, self._time = 0, 0, 0.0
         # first frame whose observations the present smoother has: those of its first frame are in its prior
         self._given = 0
-        self._done: list[Finished] = []
+        self._done: list[tuple[Finished, int]] = []  # ended ones, each with its number of frames
         self._last_use: dict[int, int] = {}
 
     def predict(self, increment: Increment) -> None:
@@ -314,14 +314,7 @@ class Stretches:
     def reset(self, mean: Array, covariance: Array) -> None:
         """Begin a new smoother at this frame, with pose (3,) and covariance (3, 3) as its prior."""
         if self._frame > self._first:
-            ended = self._now.finish()
-            assert ended.final is not None  # smoothers have one
-            kept = self._frame - self._first
-            path = Trajectory(ended.final.pose[:kept], ended.final.covariance[:kept])
-            errors = ended.systematic
-            if errors is not None:
-                errors = errors._replace(mean=errors.mean[:kept], sigma=errors.sigma[:kept])
-            self._done.append(ended._replace(final=path, systematic=errors))
+            self._done.append((self._now.finish(), self._frame - self._first))
         self._first, self._given = self._frame, self._frame + 1
         self._now = self._begin(Prior(mean, covariance))
         self._can = capabilities(self._now)
@@ -330,16 +323,17 @@ class Stretches:
 
     def finish(self) -> Finished:
         """Join the stretches; costs and degrees of freedom add up."""
-        parts = [*self._done, self._now.finish()]
-        paths = [p.final for p in parts if p.final is not None]
-        totals = [p.total_nis for p in parts if p.total_nis is not None]
-        errors = [p.systematic for p in parts if p.systematic is not None]
-        final = Trajectory(np.concatenate([p.pose for p in paths]), np.concatenate([p.covariance for p in paths]))
+        parts = [*self._done, (self._now.finish(), self._frame + 1 - self._first)]
+        totals = [p.total_nis for p, _ in parts if p.total_nis is not None]
+        paths = [
+            (p.final.pose[:n], p.final.covariance[:n]) for p, n in parts if p.final is not None
+        ]  # smoothers have one
+        errors = [(e.mean[:n], e.sigma[:n]) for p, n in parts if (e := p.systematic) is not None]
+        final = Trajectory(*map(np.concatenate, zip(*paths, strict=True)))
         total = (sum(t[0] for t in totals), sum(t[1] for t in totals)) if len(totals) == len(parts) else None
-        found = None
-        if errors:
-            mean, sigma = (np.concatenate(rows) for rows in zip(*(e[1:] for e in errors), strict=True))
-            found = Systematics(errors[0].names, mean, sigma)
+        found, last = None, parts[-1][0].systematic
+        if last is not None:
+            found = Systematics(last.names, *map(np.concatenate, zip(*errors, strict=True)))
         return Finished(final, None, total, systematic=found)
 
 

@@ -65,8 +65,7 @@ def behind_others(sensor: Sensor, z_hat: Array) -> BoolArray:
 
 def missing(e: Expectation, decisions: IntArray, sensor: Sensor) -> BoolArray:
     """Candidates (n,) with a missed detection: in sight and not paired."""
-    absent: BoolArray = in_sight(sensor, e.z_hat, e.HPHt, e.z) & ~np.isin(e.number, decisions)
-    return absent
+    return np.asarray(in_sight(sensor, e.z_hat, e.HPHt, e.z) & ~np.isin(e.number, decisions))
 
 
 def recounted(

@@ -35,7 +35,7 @@ def twice(seed, *, common=8, others=40, new=0, sigma=0.2, turn=0.1, shift=(3.0, 
 
 def found_in(new, old, cross):
     d2, _ = squared_distances(new, old, cross)
-    return recognize(new, old, cross, d2 < 13.8, DENSITY, FREE)
+    return recognize(new, old, cross, d2 < 13.8, DENSITY, FREE, 1.0)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -94,7 +94,7 @@ def test_a_place_that_the_joint_covariance_excludes_is_not_taken():
     new, old, cross, _ = twice(3)
     known = Landmarks(new.xy, block(len(new.xy), 0.2))  # the same shift, and a pose that is certain
     everything = np.ones((len(new.xy), len(old.xy)), bool)
-    assert recognize(new, old, cross, everything, DENSITY, FREE)
+    assert recognize(new, old, cross, everything, DENSITY, FREE, 1.0)
     assert recognize(known, old, cross, everything, DENSITY, FREE) == []
 
 
