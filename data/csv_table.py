@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,6 +22,15 @@ FIRST_ROW = 2
 """Line of the first row below a header."""
 
 
+class Columns(NamedTuple):
+    """Columns of a file: which it must have, which it may have, those with fields that may be blank, those of words."""
+
+    required: tuple[str, ...]
+    optional: tuple[str, ...] = ()
+    may_be_blank: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
+
+
 @dataclass(frozen=True)
 class Table:
     """Columns (K,) of a file by name, NaN where blank.
@@ -28,22 +38,33 @@ class Table:
     Attributes:
         path: the file's name in errors.
         columns: by name.
+        line: (K,) line of each row in the file.
         unknown: names of columns that were not requested.
-        line: (K,) line of each row in the file; None: the rows follow a one-line header.
         texts: columns of words, each (K,), empty where blank.
     """
 
     path: Path | str
     columns: dict[str, Array]
+    line: IntArray
     unknown: tuple[str, ...] = ()
-    line: IntArray | None = None
     texts: Mapping[str, Sequence[str]] = field(default_factory=dict)
 
     def __contains__(self, name: str) -> bool:
         return name in self.columns
 
     def __len__(self) -> int:
-        return len(next(iter(self.columns.values())))
+        return len(self.line)
+
+    def get(self, name: str) -> Array:
+        """A column (K,), NaN where the table has none."""
+        return self.columns[name] if name in self.columns else np.full(len(self), np.nan)
+
+    def require_names(self, name: str) -> None:
+        """Raise at the first word of a column that a field of a CSV cannot hold."""
+        for row, word in enumerate(self.texts.get(name, ())):
+            if word and not is_name(word):
+                what = "a comma or a quote" if "," in word else "a quote"
+                raise self.error(row, name, f"{word!r} holds {what}; a plain name is needed")
 
     def stack(self, names: Sequence[str]) -> Array:
         """Columns side by side, (K, len(names))."""
@@ -57,7 +78,7 @@ class Table:
         """Some of its rows, in this order."""
         columns = {name: values[rows] for name, values in self.columns.items()}
         texts = {name: np.asarray(words, object)[rows].tolist() for name, words in self.texts.items()}
-        return replace(self, columns=columns, line=None if self.line is None else self.line[rows], texts=texts)
+        return replace(self, columns=columns, line=self.line[rows], texts=texts)
 
     def symmetric(self, names: Sequence[str]) -> Array:
         """Symmetric matrices (K, d, d) from their upper triangles, row by row."""
@@ -73,8 +94,15 @@ class Table:
 
     def error(self, row: int, name: str | None, what: str) -> DataError:
         """The error of a row."""
-        line = row + FIRST_ROW if self.line is None else int(self.line[row])
-        return DataError.at(self.path, what, line=line, column=name)
+        return DataError.at(self.path, what, line=int(self.line[row]), column=name)
+
+    def together(self, names: Sequence[str]) -> bool:
+        """Whether it has these columns; DataError where it has some of them only."""
+        missing = [name for name in names if name not in self]
+        if missing and len(missing) < len(names):
+            what = f"no such column; {(' and ' if len(names) == 2 else ',').join(names)} come together"
+            raise DataError.at(self.path, what, line=1, column=missing[0])
+        return not missing
 
     def require_finite(self, names: Collection[str], *, blank: bool = False) -> None:
         """Raise unless every value is finite and at most `LARGEST`, or blank (NaN) where allowed."""
@@ -96,6 +124,12 @@ class Table:
             rule = "must increase" if strictly else "must not decrease"
             self.require(fine, name, f"{{}} follows {before!r}; {name} {rule} from row to row")
 
+    def require_distinct(self, name: str, values: IntArray, what: str) -> None:
+        """Raise at the first row whose value (K,) is that of one above; `{}` in `what` as of `require`."""
+        first = np.zeros(len(values), bool)
+        first[np.unique(values, return_index=True)[1]] = True
+        self.require(first, name, what)
+
     def integers(self, name: str, smallest: int, *, blank: int | None = None) -> IntArray:
         """A column of whole numbers >= `smallest`; blank fields become `blank`, or an error if that is None."""
         values = self.columns[name]
@@ -113,6 +147,11 @@ def symmetric(entries: Array, *, lower: bool = False) -> Array:
     matrices = np.empty((len(entries), d, d))
     matrices[:, i, j] = matrices[:, j, i] = entries
     return matrices
+
+
+def is_name(word: str) -> bool:
+    """Whether a field of a CSV can hold a word."""
+    return bool(word) and word == word.strip() and word.isprintable() and not set(word) & set(',"')
 
 
 def shown(field: bytes) -> str:
@@ -181,7 +220,6 @@ def read_table(
     path: Path,
     required: Sequence[str],
     optional: Sequence[str] = (),
-    *,
     may_be_blank: Collection[str] = (),
     words: Collection[str] = (),
 ) -> Table:
@@ -210,7 +248,8 @@ def read_table(
             columns[name] = np.array([float(f) if f.strip() or not blank else np.nan for f in column], float)
         except ValueError:
             raise _not_a_number(path, name, column, blank=blank) from None
-    return Table(path, columns, tuple(n for n in names if n not in known and n), texts=texts)
+    unknown = tuple(n for n in names if n not in known and n)
+    return Table(path, columns, np.arange(len(rows)) + FIRST_ROW, unknown, texts)
 
 
 def _ragged(path: Path, rows: list[bytes], commas: int) -> DataError:

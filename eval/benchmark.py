@@ -15,7 +15,7 @@ from data.terminal import ended
 from data.wing import of_all
 
 if TYPE_CHECKING:
-    from eval.benchmarks.timed import Timed
+    from eval.benchmarks.speed import Timed
 
 PROG = "python -m eval.benchmark"
 
@@ -45,7 +45,7 @@ def _benchmark(argv: Sequence[str] | None, prog: str) -> None:
     if args.large is not None:
         _large(args.large, quick)
         return
-    from eval.benchmarks.timed import table
+    from eval.benchmarks.speed import table
 
     for lines in _measured(quick):
         print(table(lines), flush=True)
@@ -67,8 +67,13 @@ def _large(out: Path, quick: bool) -> None:
 
 def _measured(quick: bool) -> Iterator[list[Timed]]:
     """The lines of each table, when it is done."""
-    from eval.benchmarks.association import association_lines, hindsight_lines
-    from eval.benchmarks.speed import localization_lines, study_lines, victoria_park_lines
+    from eval.benchmarks.speed import (
+        association_lines,
+        hindsight_lines,
+        localization_lines,
+        study_lines,
+        victoria_park_lines,
+    )
 
     frames = 700 if quick else 10**9
     yield localization_lines(2_000 if quick else 20_000)

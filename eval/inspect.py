@@ -63,7 +63,7 @@ def _inspect(log: str, plot: Path | None) -> None:
         lines += [("if so", command)] if command else []
     if opened.has_labels:
         from eval.replay.settings import Setup
-        from eval.report.answer import gate_sentence
+        from eval.report.log_sections import gate_sentence
 
         lines.append(("label gate", gate_sentence(Setup(), sensed=opened.labels_are_sensed)))
     width = max(len(key) for key, _ in lines)

@@ -22,8 +22,8 @@ from data.whole import whole_folder
 from eval.open_report import show
 from eval.plan import first_use
 from eval.plan.console import Console
-from eval.plan.flags.help import PROG
 from eval.plan.flags.options import read_options
+from eval.plan.flags.table import PROG
 
 MARK = "provenance.json"
 

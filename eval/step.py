@@ -134,7 +134,7 @@ def _step(wish: StepOptions) -> None:
     from eval.replay.external.make import lack
     from eval.replay.external.spec import is_foreign, name_of
     from eval.replay.run import step_by_step
-    from eval.report.answer import gate_sentence
+    from eval.report.log_sections import gate_sentence
     from eval.report.words import asked as question_line
     from eval.stepping.pictures import ImageWriter, open_windows
     from eval.stepping.stepper import StoppedError, Walk, end

@@ -223,9 +223,9 @@ def _tuned(log: Log, folder: Path | None, model: Model, theta: Array, origin: Fi
 
 def _truth_at(folder: Path, time: Array) -> Array:
     """Poses (N, 3) of truth.csv at other times (N,) [s]."""
-    from data.columns.fixes import POSE
+    from data.columns.parts import TRUTH
+    from data.columns.poses import POSE
     from data.csv_table import read_table
-    from data.formats.open_log.reader import TRUTH
     from data.timeline import truth_at
 
     table = read_table(folder / TRUTH, ("t", *POSE), may_be_blank=POSE)

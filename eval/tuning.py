@@ -22,9 +22,9 @@ import scipy
 from association.decide import known_decisions
 from data import se2
 from data.columns.header import HEADER, read_header
+from data.columns.parts import ODOMETRY
 from data.csv_table import read_table
 from data.errors import DataError, UsageError, unknown
-from data.formats.open_log.reader import ODOMETRY
 from data.inputs import Increments, Inputs, IntArray, LabelledObservations
 from data.motion.velocity import MAX_HOLD, WITH_ALPHAS, VelocityModel, VelocityNoise, floor_covariances, preintegrate
 from data.result import DISCARD

@@ -29,9 +29,9 @@ Formats 1 and 2. Keys, with their defaults where they may be left out:
               [rad] per frame, or prior = "constant_velocity" with velocity, velocity_sigma, lateral_sigma [m/s],
               turn_rate and turn_rate_sigma [rad/s]; frames.csv then has the column t alone (see
               data.motion.motion_prior)
-    [[fix]]   of each source of fixes.csv (see `fixes`), in format 2: name, lever = [0, 0] [m], rotation = 0 [rad],
+    [[fix]]   of each source of fixes.csv (see `poses`), in format 2: name, lever = [0, 0] [m], rotation = 0 [rad],
               sigma = [x, y, theta], [x, y] or [theta]
-    [[closure]] of each source of closures.csv (see `closures`), in format 2: name, sigma = [x, y, theta]
+    [[closure]] of each source of closures.csv (see `poses`), in format 2: name, sigma = [x, y, theta]
     [source]  anything: how the log was made
 
 In format 2 [sensor] may be left out where there is no observations.csv.
@@ -40,38 +40,34 @@ In format 2 [sensor] may be left out where there is no observations.csv.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from data.columns import closures, fixes, sensors
+from data.columns import poses, sensors
 from data.columns.scans import KEYS, read_scanner
 from data.errors import DataError
 from data.inputs import Prior, Scanner
 from data.motion.motion_prior import PRIORS, MotionPrior
 from data.motion.velocity import MODELS, NOISES, WITH_ALPHAS, VelocityModel, VelocityNoise
-from data.se2 import Array
 from data.sensors import RangeBearing
 from data.toml_table import Fault, TomlTable, finite, load_toml, not_negative
 
 HEADER = "log.toml"
 FORMAT, LATEST = 1, 2
 """A log without parts of format 2 is written as format 1."""
-LATER = (fixes.TABLE, closures.TABLE)
-"""Tables of format 2."""
 KNOWN = {
     "": (
         *("format", "name", "time_is_index", "covariance_floor", "floored", "labels_are_sensed", "notes"),
-        *("prior", "sensor", "scanner", "motion", "source", *LATER),
+        *("prior", "sensor", "scanner", "motion", "source", *poses.KEYS),
     ),
     "prior": ("mean", "sigma", "covariance"),
     "sensor": sensors.KEYS,
     "sensor.extrinsic": ("rotation", "translation"),
     "scanner": KEYS,
-    fixes.TABLE: fixes.KEYS,
-    closures.TABLE: closures.KEYS,
+    **poses.KEYS,
     "motion": (
         *("model", "noise", "sigma", "alphas"),
         *("prior", *dict.fromkeys(f.name for kind in PRIORS.values() for f in fields(kind))),
@@ -101,8 +97,8 @@ class Header:
     source: Mapping[str, object]
     motion_prior: MotionPrior | None = None
     scanner: Scanner | None = None
-    fixes: tuple[fixes.Stated, ...] = ()
-    closures: Mapping[str, Array | None] = field(default_factory=dict)
+    fixes: tuple[poses.Stated, ...] = ()
+    closures: tuple[poses.Stated, ...] = ()
 
 
 def _name(top: TomlTable) -> str:
@@ -180,7 +176,7 @@ def header_of(table: dict[str, Any], fault: Fault) -> Header:
     if isinstance(number, bool) or number not in (FORMAT, LATEST):
         what = "no format number" if number is None else f"format = {number!r}: unknown format number"
         raise fault(f"{what}; format = {FORMAT} or {LATEST} is needed")
-    for name in LATER:
+    for name in poses.KEYS:
         if name in table and number != LATEST:
             raise fault(f"[[{name}]] in format {number}; format = {LATEST} is needed")
     top = TomlTable(fault, table, KNOWN)
@@ -212,6 +208,6 @@ def header_of(table: dict[str, Any], fault: Fault) -> Header:
         source=source,
         motion_prior=_motion_prior(motion) if motion is not None and "prior" in motion else None,
         scanner=scanner,
-        fixes=fixes.stated(top.tables_of(fixes.TABLE)),
-        closures=closures.stated(top.tables_of(closures.TABLE)),
+        fixes=poses.stated(top, poses.FIX),
+        closures=poses.stated(top, poses.CLOSURE),
     )

@@ -1,31 +1,22 @@
-"""Named sources in `log.toml`, columns that name them, and covariances of measured poses: what fixes.csv and
-closures.csv of an open log folder have in common.
-"""
+"""Names in `log.toml` and the columns that hold them; covariances of poses in columns."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from data.csv_table import Table
+from data.csv_table import Table, is_name
 from data.errors import unknown
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from data.toml_table import TomlTable
 
-SOURCE, INLIER = "source", "true_inlier"
 COVARIANCE = ("c_xx", "c_xy", "c_xt", "c_yy", "c_yt", "c_tt")
-UNSTATED = -1
-"""Of an inlier that is blank."""
+ENTRIES = f"{COVARIANCE[0]} to {COVARIANCE[-1]}"
+UPPER = np.triu_indices(3)
 LEAST = 1e-12
 """Least eigenvalue of a correlation matrix."""
-
-
-def is_name(word: str) -> bool:
-    """Whether a field of a CSV can hold a word."""
-    return bool(word) and word == word.strip() and word.isprintable() and not set(word) & set(',"')
 
 
 def names_of(tables: Sequence[TomlTable]) -> list[str]:
@@ -41,32 +32,15 @@ def names_of(tables: Sequence[TomlTable]) -> list[str]:
     return names
 
 
-def source_rows(table: Table, names: Sequence[str], key: str, column: str = SOURCE) -> IntArray:
+def source_rows(table: Table, names: Sequence[str], key: str, column: str = "source") -> IntArray:
     """Row (K,) in `names` of the source of each row, 0 where blank; `key`: of the tables [[key]] that state them."""
-    given = table.texts.get(column)
-    if given is None:
-        return np.zeros(len(table), np.int64)
+    given = table.texts.get(column, [""] * len(table))
     row = {"": 0, **{name: k for k, name in enumerate(names)}}
     for k, name in enumerate(given):
         if name not in row:
             known = unknown(name, names) if any(names) else f"stated nowhere; a table [[{key}]] in log.toml is needed"
             raise table.error(k, column, f"{name!r} is {known}")
     return np.array([row[name] for name in given], np.int64)
-
-
-def inliers(table: Table) -> IntArray | None:
-    """Column true_inlier (K,): 1, 0, or `UNSTATED` where blank; None without it."""
-    if INLIER not in table:
-        return None
-    values = table.columns[INLIER]
-    blank = np.isnan(values)
-    table.require(blank | (values == 0.0) | (values == 1.0), INLIER, "{} is neither 0 nor 1 nor blank")
-    return np.where(blank, UNSTATED, np.where(blank, 0.0, values)).astype(np.int64)
-
-
-def column(table: Table, name: str) -> Array:
-    """A column (K,), blank where the table has none."""
-    return table.columns[name] if name in table else np.full(len(table), np.nan)
 
 
 def definite(P: Array) -> BoolArray:
@@ -85,9 +59,15 @@ def require_definite(table: Table, rows: IntArray, P: Array) -> None:
         k = int(np.argmin(fine))
         low = float(np.linalg.eigvalsh(P[k])[0])
         what = f"the covariance is not positive definite: smallest eigenvalue {low:.6g}"
-        raise table.error(int(rows[k]), f"{COVARIANCE[0]} to {COVARIANCE[-1]}", what)
+        raise table.error(int(rows[k]), ENTRIES, what)
 
 
-def shown_inliers(inlier: IntArray) -> list[Any]:
-    """A column true_inlier."""
-    return ["" if i == UNSTATED else i for i in inlier.tolist()]
+def require_semidefinite(table: Table, matrices: Array) -> None:
+    """Raise unless each covariance (K, 3, 3) is positive semidefinite, to 1e-12 of its trace."""
+    eigenvalues = np.linalg.eigvalsh(matrices)
+    fine = eigenvalues[:, 0] >= -1e-12 * eigenvalues.sum(axis=1)
+    if not fine.all():
+        row = int(np.argmin(fine))
+        low, trace = eigenvalues[row, 0], eigenvalues[row].sum()
+        what = f"the covariance is not positive semidefinite: smallest eigenvalue {low:.6g}, trace {trace:.6g}"
+        raise table.error(row, ENTRIES, what)

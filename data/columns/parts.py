@@ -1,231 +1,261 @@
-"""Tables of an open log as parts of its inputs and truth: motion, observations, fixes, closures, and their frames."""
+"""The tables of an open log, and its inputs and truth from them, whether they come from files or from arrays.
+
+    frames.csv          t,dx,dy,dtheta,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt        row 0: zero increment
+    or odometry.csv     t,v,omega                                           preintegrated on loading
+    observations.csv    frame,z1,z2[,r11,r12,r22][,true_id][,label]         with odometry.csv: t instead of frame;
+                        in format 2 also sensor, and blank fields (see `sensors`), and descriptor, class (see
+                        `appearance`)
+    truth.csv           x,y,theta per frame, blank or nan where unknown     with odometry.csv: t,x,y,theta; optional
+    landmarks.csv       id,x,y[,sx,sy][,true_x,true_y]                      in format 2 also kind, descriptor, class;
+                        optional
+    fixes.csv, closures.csv     see `poses`                                 format 2
+
+Columns may have any order; unknown ones are ignored. A motion prior in log.toml replaces increments and odometry.
+frames.csv of a log with relations may have a column stamp: the recorded stamps, which need not increase. true_id: -1
+false alarm, blank unknown. label: the sensor's, where it may differ from true_id. With odometry.csv the frames are the
+instants with observations, fixes or ends of closures, and keyframes where those are more than 1 s apart.
+
+sx, sy: standard deviations [m] of x and y, blank or 0 where exact. true_x, true_y: of a simulated log, blank where
+unknown; without these columns the map is the truth.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from data.appearance import Appearance
 from data.columns import appearance as looks
-from data.columns.closures import ClosureTable
-from data.columns.fixes import POSE, FixTable
-from data.columns.header import HEADER, Header
-from data.columns.named import COVARIANCE
-from data.columns.sensors import observed
-from data.csv_table import FIRST_ROW, Table
+from data.columns.header import HEADER, LATEST, Header
+from data.columns.named import COVARIANCE, require_semidefinite
+from data.columns.poses import ENDS, POSE, RELATIVE, closures_columns, closures_of, fixes_columns, fixes_of
+from data.columns.sensors import NOISE, SENSOR, may_be_blank, observed
+from data.csv_table import Columns, Table
 from data.errors import DataError
 from data.inputs import UNLABELLED, Increments, Inputs, IntArray, LandmarkMap, Observations
 from data.motion.motion_prior import MotionPrior
 from data.motion.velocity import VelocityModel, floor_covariances, preintegrate
 from data.se2 import Array
 from data.sensors import RangeBearing
-from data.timeline import frame_times, truth_at
-from data.truth import CLUTTER, UNKNOWN_ID
+from data.terminal import counted
+from data.timeline import MAX_GAP, frame_times, truth_at
+from data.truth import CLUTTER, UNKNOWN_ID, Truth
 
-MEAN = ("dx", "dy", "dtheta")
-STAMP = "stamp"
-IDS = ("true_id", "label")
+FRAMES, ODOMETRY, OBSERVATIONS, TRUTH = "frames.csv", "odometry.csv", "observations.csv", "truth.csv"
+LANDMARKS, FIXES, CLOSURES = "landmarks.csv", "fixes.csv", "closures.csv"
+STAMP, VELOCITIES = "stamp", ("v", "omega")
+IDS = {"true_id": UNKNOWN_ID, "label": UNLABELLED}
+"""Columns of ids, and the id of a blank field."""
+KIND, SIGMAS, TRUE_PLACE = "kind", ("sx", "sy"), ("true_x", "true_y")
 LONGEST = 1e6
 """s, longest odometry log; keyframes up to a broken stamp would fill the memory."""
 
 
-class Motion(NamedTuple):
-    """Time (N,), increments, and recorded stamps (N,) of the frames."""
+def columns_of(header: Header, key: str) -> dict[str, Columns]:
+    """The columns of each file; `key`: t with odometry.csv, else frame."""
+    latest, blank = header.format == LATEST, may_be_blank(header.sensors)
+    second = ("z2",) if any(s.sensor.locates for s in header.sensors) else ()
+    seen = (*looks.NUMBERS, looks.CLASS) if latest else ()
+    known = (KIND, looks.DESCRIPTOR, looks.CLASS) if latest else ()
+    motion, other = (*RELATIVE, *COVARIANCE), "t" if key == "frame" else "frame"
+    return {
+        FRAMES: Columns(("t", *(motion if header.motion_prior is None else ())), (*motion, STAMP)),
+        ODOMETRY: Columns(("t", *VELOCITIES)),
+        OBSERVATIONS: Columns(
+            (key, "z1", *second), (*NOISE, *IDS, other, *seen, *(("z2", SENSOR) if blank else ())),
+            (*IDS, other, *looks.NUMBERS, *blank), (SENSOR, looks.CLASS),
+        ),
+        TRUTH: Columns(POSE if key == "frame" else ("t", *POSE), (), POSE),
+        LANDMARKS: Columns(
+            ("id", "x", "y"), (*SIGMAS, *TRUE_PLACE, *known),
+            (*SIGMAS, *TRUE_PLACE, looks.DESCRIPTOR), (KIND, looks.CLASS),
+        ),
+        FIXES: fixes_columns(key),
+        CLOSURES: closures_columns(key),
+    }  # fmt: skip
 
-    time: Array
-    increments: Increments
-    stamp: Array | None = None
 
+class Parts(NamedTuple):
+    """Inputs, truth, labels (M,) or None, and notes of a log."""
 
-class PoseTables(NamedTuple):
-    """Fixes and closures without frames; None: there are none."""
-
-    fixes: FixTable | None = None
-    closures: ClosureTable | None = None
-
-    def __bool__(self) -> bool:
-        return self.fixes is not None or self.closures is not None
-
-
-class FrameTable(NamedTuple):
-    """Observations without frames: z (M, 2), R (M, 2, 2), row of the sensor, true_id, label and appearance (M,) or
-    None.
-    """
-
-    table: Table
-    z: Array
-    R: Array
-    sensor: IntArray | None
-    true_id: IntArray | None
+    recorded: Inputs
+    truth: Truth
     label: IntArray | None
-    appearance: Appearance | None = None
-
-    def by_sensor(self, sensor: IntArray, key: str) -> FrameTable:
-        """Sorted by sensor (M,) within each frame; DataError unless `key` ascends."""
-        self.table.require_ascending(key, strictly=False)
-        by = np.lexsort((sensor, self.table.columns[key]))
-        line = by + FIRST_ROW if self.table.line is None else self.table.line[by]
-        return FrameTable(
-            replace(self.table.part(by), line=line),
-            self.z[by],
-            self.R[by],
-            sensor[by],
-            None if self.true_id is None else self.true_id[by],
-            None if self.label is None else self.label[by],
-            None if self.appearance is None else self.appearance.only(by),
-        )
+    labels_are_sensed: bool
+    notes: tuple[str, ...]
 
 
-def frames_of(table: Table, prior: MotionPrior | None = None) -> Motion:
-    """Time (N,) and increments of a table with the columns of frames.csv, or those of a motion prior."""
-    path, motion = table.path, (*MEAN, *COVARIANCE)
-    columns = ("t", *motion) if prior is None else ("t",)
+def parts_of(header: Header, tables: Mapping[str, Table]) -> Parts:
+    """A log from its tables by file name, one of `FRAMES` and `ODOMETRY` among them; the covariance floor is applied.
+
+    DataError with file, line, column and value.
+    """
+    key, gaps = "frame" if FRAMES in tables else "t", 0
+    keyed = {OBSERVATIONS: (key,), FIXES: (key,), CLOSURES: ENDS[key]}
+    keyed = {name: columns for name, columns in keyed.items() if name in tables}
+    stamped = [(tables[name], column) for name, columns in keyed.items() for column in columns]
+    for table, column in stamped:
+        table.require_finite((column,))
+    if FRAMES in tables:
+        time, increments = _frames(tables[FRAMES], header.motion_prior)
+    else:
+        assert header.motion is not None  # the caller asked
+        time, increments, gaps = _odometry(tables[ODOMETRY], header.motion, stamped)
+    frames = {name: [_frames_in(tables[name], column, time) for column in columns] for name, columns in keyed.items()}
+    notes = [f"{name}: unknown column {column!r} ignored" for name in keyed for column in tables[name].unknown]
+    if gaps:
+        many = counted(gaps, "gap")
+        notes.append(f"{ODOMETRY}: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
+    observations, ids = _observations(tables.get(OBSERVATIONS), header, *frames.get(OBSERVATIONS, ()))
+    known, landmarks = landmarks_of(tables[LANDMARKS]) if LANDMARKS in tables else (None, None)
+    if known is not None and known.sigma is not None and not all(s.sensor.sees_points for s in header.sensors):
+        known = known.exact
+        notes.append(f"{LANDMARKS}: sigmas of walls are not used; estimators take the map as exact")
+    seen, looking = looks.together([observations.appearance, None if known is None else known.appearance])
+    if known is not None and looking is not None:
+        known = replace(known, appearance=looking)
+    fixes = closures = fix_inlier = closure_inlier = None
+    if FIXES in tables:
+        fixes, fix_inlier = fixes_of(tables[FIXES], header.fixes, frames[FIXES][0])
+    if CLOSURES in tables:
+        closures, closure_inlier = closures_of(tables[CLOSURES], header.closures, frames[CLOSURES], ENDS[key])
+    covariance, floored = floor_covariances(increments.covariance, header.covariance_floor)
+    inputs = Inputs(
+        prior=header.prior,
+        time=time,
+        increments=Increments(increments.mean, covariance),
+        observations=replace(observations, appearance=seen),
+        sensor=header.sensors[0].sensor if header.sensors else RangeBearing(),
+        sensors=tuple(s.sensor for s in header.sensors) if len(header.sensors) > 1 else (),
+        map=known,
+        time_is_index=header.time_is_index,
+        covariance_floor=header.covariance_floor,
+        floored=header.floored + floored,
+        fixes=fixes,
+        closures=closures,
+    )
+    truth = Truth(
+        None if TRUTH not in tables else _truth(tables[TRUTH], time, key),
+        known if landmarks is None else landmarks,
+        ids.get("true_id"),
+        fix_inlier=fix_inlier,
+        closure_inlier=closure_inlier,
+    )
+    return Parts(inputs, truth, ids.get("label"), header.labels_are_sensed, tuple(notes))
+
+
+def _frames(table: Table, prior: MotionPrior | None) -> tuple[Array, Increments]:
+    """Time (N,) and increments of frames.csv, or those of a motion prior."""
+    motion = (*RELATIVE, *COVARIANCE)
     if len(table) == 0:
-        raise DataError.at(path, "no rows; at least one frame is needed", line=1)
-    table.require_finite([name for name in (*columns, STAMP) if name in table])
-    stamp = table.columns.get(STAMP)
+        raise DataError.at(table.path, "no rows; at least one frame is needed", line=1)
+    table.require_finite([name for name in ("t", *(motion if prior is None else ()), STAMP) if name in table])
     table.require_ascending("t", strictly=True)
+    time = table.columns["t"]
     if prior is not None:
         for name in motion:
             if name in table:
                 what = f"[motion] prior in {HEADER} states the increments; remove one of them"
-                raise DataError.at(path, what, line=1, column=name)
-        return Motion(table.columns["t"], prior.increments(table.columns["t"]), stamp)
-    later = np.arange(len(table)) > 0
+                raise DataError.at(table.path, what, line=1, column=name)
+        return time, prior.increments(time)
     for name in motion:
         what = "{} in row 0; the first frame has no motion, so 0 is needed"
-        table.require((table.columns[name] == 0.0) | later, name, what)
+        table.require((table.columns[name] == 0.0) | (np.arange(len(table)) > 0), name, what)
     covariance = table.symmetric(COVARIANCE)
     require_semidefinite(table, covariance)
-    return Motion(table.columns["t"], Increments(table.stack(MEAN), covariance), stamp)
+    return time, Increments(table.stack(RELATIVE), covariance)
 
 
-def odometry_of(table: Table, model: VelocityModel, seen: Sequence[tuple[Table, str]]) -> tuple[Motion, int]:
-    """Odometry t, v, omega preintegrated between the frames, the stamps of other tables among them; number of gaps."""
+def _odometry(
+    table: Table, model: VelocityModel, stamped: Sequence[tuple[Table, str]]
+) -> tuple[Array, Increments, int]:
+    """Time (N,) of the frames, the odometry preintegrated between them, the number of its gaps.
+
+    `stamped`: tables and their columns of stamps, whose instants are frames.
+    """
     if len(table) == 0:
         raise DataError.at(table.path, "no rows; at least one sample is needed", line=1)
-    table.require_finite(("t", "v", "omega"))
+    table.require_finite(("t", *VELOCITIES))
     table.require_ascending("t", strictly=True)
-    for part, key in seen:
-        if key == "t":
-            part.require_ascending("t", strictly=False)
     stamps = table.columns["t"]
-    far = f"{{}} s is more than {LONGEST:g} s from the first odometry; stamps are in seconds"
-    for part, key in ((table, "t"), *seen):
-        part.require(np.abs(part.columns[key] - stamps[0]) <= LONGEST, key, far)
-    at = np.concatenate([part.columns[key] for part, key in seen])
+    for part, column in stamped:
+        if column == "t":
+            part.require_ascending("t", strictly=False)
+    for part, column in ((table, "t"), *stamped):
+        far = f"{{}} s is more than {LONGEST:g} s from the first odometry; stamps are in seconds"
+        part.require(np.abs(part.columns[column] - stamps[0]) <= LONGEST, column, far)
+    at = np.concatenate([np.empty(0), *(part.columns[column] for part, column in stamped)])
     both = np.concatenate([stamps, at])
     time = frame_times(at, both.min(), both.max())
-    increments, gaps = preintegrate(model, stamps, table.columns["v"], table.columns["omega"], time)
-    return Motion(time, increments), gaps
+    return time, *preintegrate(model, stamps, table.columns["v"], table.columns["omega"], time)
 
 
-def observations_of(table: Table, header: Header, key: str) -> FrameTable:
-    """Observations of a table with the columns of observations.csv, checked except for range and order of `key`."""
-    table.require_finite((key,))
-    table.require_finite([n for n in IDS if n in table], blank=True)
-    z, R, sensor = observed(table, header.sensors)
-    found = FrameTable(
-        table,
-        z,
-        R,
-        sensor,
-        table.integers("true_id", CLUTTER, blank=UNKNOWN_ID) if "true_id" in table else None,
-        table.integers("label", CLUTTER, blank=UNLABELLED) if "label" in table else None,
-        looks.of_observations(table, sensor, [(s.sensor.label, s.looks) for s in header.sensors]),
-    )
-    return found if sensor is None else found.by_sensor(sensor, key)
-
-
-def frames_in(table: Table, key: str, time: Array, *, by_stamp: bool | None = None) -> IntArray:
-    """The frame (K,) of each row by a column: frame numbers or, of t, stamps among `time` (N,).
-
-    `by_stamp`: that of an end of closures, which need not ascend.
-    """
-    if by_stamp or (by_stamp is None and key == "t"):
-        return np.searchsorted(time, table.columns[key]).astype(np.int64)
-    frame = table.integers(key, 0)
-    table.require(frame < len(time), key, f"{{}} is out of range; there are frames 0 to {len(time) - 1}")
-    if by_stamp is None:
-        table.require_ascending(key, strictly=False)
+def _frames_in(table: Table, column: str, time: Array) -> IntArray:
+    """The frame (K,) of each row by a column of stamps among `time` (N,), or of frame numbers."""
+    if column.startswith("t"):
+        return np.searchsorted(time, table.columns[column]).astype(np.int64)
+    frame = table.integers(column, 0)
+    table.require(frame < len(time), column, f"{{}} is out of range; there are frames 0 to {len(time) - 1}")
+    if column == "frame":
+        table.require_ascending(column, strictly=False)
     return frame
 
 
-def instants(observations: Table, measured: PoseTables) -> list[tuple[Table, str]]:
-    """Tables and their columns of stamps, whose instants are frames of a log with odometry.csv."""
-    found = [(observations, "t")]
-    if measured.fixes is not None:
-        found.append((measured.fixes.table, "t"))
-    if measured.closures is not None:
-        found += [(measured.closures.table, end) for end in measured.closures.ends]
-    return found
+def _observations(
+    table: Table | None, header: Header, frame: IntArray | None = None
+) -> tuple[Observations, dict[str, IntArray]]:
+    """Observations by frame (M,), then sensor, and their columns of ids."""
+    if table is None or frame is None:
+        sensor = np.zeros(0, np.int64) if len(header.sensors) > 1 else None
+        return Observations(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), sensor=sensor), {}
+    table.require_finite([n for n in IDS if n in table], blank=True)
+    z, R, sensor = observed(table, header.sensors)
+    ids = {name: table.integers(name, CLUTTER, blank=blank) for name, blank in IDS.items() if name in table}
+    seen = looks.of_observations(table, sensor, [(s.sensor.label, s.looks) for s in header.sensors])
+    if sensor is not None:
+        by = np.lexsort((sensor, frame))
+        frame, z, R, sensor, ids = frame[by], z[by], R[by], sensor[by], {name: ids[name][by] for name in ids}
+        seen = None if seen is None else seen.only(by)
+    return Observations(frame, z, R, sensor=sensor, appearance=seen), ids
 
 
-def inputs_of(
-    header: Header, motion: Motion, frame: IntArray, observations: FrameTable, landmarks: LandmarkMap | None
-) -> Inputs:
-    """What estimators get; the covariance floor is applied."""
-    seen, known = looks.together(observations.appearance, None if landmarks is None else landmarks.appearance)
-    if landmarks is not None and known is not None:
-        landmarks = replace(landmarks, appearance=known)
-    covariance, floored = floor_covariances(motion.increments.covariance, header.covariance_floor)
-    return Inputs(
-        prior=header.prior,
-        time=motion.time,
-        increments=Increments(motion.increments.mean, covariance),
-        observations=Observations(frame, observations.z, observations.R, sensor=observations.sensor, appearance=seen),
-        sensor=header.sensors[0].sensor if header.sensors else RangeBearing(),
-        sensors=tuple(s.sensor for s in header.sensors) if len(header.sensors) > 1 else (),
-        map=landmarks,
-        time_is_index=header.time_is_index,
-        covariance_floor=header.covariance_floor,
-        floored=header.floored + floored,
+def landmarks_of(table: Table) -> tuple[LandmarkMap, LandmarkMap | None]:
+    """The map, ascending by id, and the true landmarks; None: they are the map."""
+    table.require_finite(("x", "y"))
+    sigmas, placed = table.together(SIGMAS), table.together(TRUE_PLACE)
+    table.require_finite([n for n in (*SIGMAS, *TRUE_PLACE) if n in table], blank=True)
+    for name in SIGMAS if sigmas else ():
+        fine = ~(table.columns[name] < 0.0)
+        table.require(fine, name, "{} is a negative standard deviation; 0 or blank is an exact landmark")
+    table.require_distinct("id", table.integers("id", 0), "{} is the id of two landmarks")
+    table.require_names(KIND)
+    table = table.part(np.argsort(table.columns["id"], kind="stable"))
+    number, kind = table.integers("id", 0), table.texts.get(KIND)
+    sigma = np.nan_to_num(table.stack(SIGMAS)) if sigmas else np.zeros(0)
+    known = LandmarkMap(
+        number, table.stack(("x", "y")), None if kind is None else tuple(kind), looks.of_landmarks(table),
+        sigma if sigma.any() else None,
+    )  # fmt: skip
+    if not placed:
+        return known, None
+    place = table.stack(TRUE_PLACE)
+    there = np.flatnonzero(np.isfinite(place).all(axis=1))
+    return known, LandmarkMap(
+        number[there], place[there], None if kind is None else tuple(kind[k] for k in there.tolist())
     )
 
 
-def with_measured(
-    inputs: Inputs, measured: PoseTables, key: str
-) -> tuple[Inputs, tuple[IntArray | None, IntArray | None]]:
-    """The inputs with fixes and closures, and the true inliers of both."""
-    fixes, closures, time = measured.fixes, measured.closures, inputs.time
-    inlier = None
-    if fixes is not None:
-        inputs = replace(inputs, fixes=fixes.at(frames_in(fixes.table, key, time)))
-    if closures is not None:
-        end1, end2 = (frames_in(closures.table, end, time, by_stamp=key == "t") for end in closures.ends)
-        between, inlier = closures.between(end1, end2)
-        inputs = replace(inputs, closures=between)
-    return inputs, (None if fixes is None else fixes.inlier, inlier)
-
-
-def truth_per_frame(table: Table | None, frames: int) -> Array | None:
-    """True poses (N, 3) of each frame, NaN where unknown."""
-    if table is None:
-        return None
-    if len(table) != frames:
-        what = f"{len(table)} rows for {frames} frames; one row per frame is needed"
-        raise table.error(min(len(table), frames + 1) - 1, None, what)
+def _truth(table: Table, time: Array, key: str) -> Array:
+    """True poses (N, 3) at the frames, NaN where unknown: a row for each, or stamped and interpolated."""
+    table.require_finite(POSE, blank=True)
+    if key == "t":
+        table.require_finite(("t",))
+        table.require_ascending("t", strictly=True)
+        return truth_at(table.columns["t"], table.stack(POSE), time)
+    if len(table) != len(time):
+        what = f"{len(table)} rows for {len(time)} frames; one row per frame is needed"
+        last = int(table.line[min(len(table), len(time) + 1) - 1]) if len(table) else 1
+        raise DataError.at(table.path, what, line=last)
     return table.stack(POSE)
-
-
-def stamped_truth(table: Table | None, at: Array) -> Array | None:
-    """Stamped true poses interpolated at the frames; NaN where unknown."""
-    if table is None:
-        return None
-    table.require_finite(("t",))
-    table.require_ascending("t", strictly=True)
-    return truth_at(table.columns["t"], table.stack(POSE), at)
-
-
-def require_semidefinite(table: Table, matrices: Array) -> None:
-    """Raise unless each covariance (K, 3, 3) is positive semidefinite, to 1e-12 of its trace."""
-    eigenvalues = np.linalg.eigvalsh(matrices)
-    fine = eigenvalues[:, 0] >= -1e-12 * eigenvalues.sum(axis=1)
-    if not fine.all():
-        row = int(np.argmin(fine))
-        low, trace = eigenvalues[row, 0], eigenvalues[row].sum()
-        what = f"the covariance is not positive semidefinite: smallest eigenvalue {low:.6g}, trace {trace:.6g}"
-        raise table.error(row, f"{COVARIANCE[0]} to {COVARIANCE[-1]}", what)

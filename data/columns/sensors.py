@@ -23,16 +23,16 @@ import numpy as np
 
 from data.columns import appearance as looks
 from data.columns.appearance import Noise
-from data.columns.named import column, is_name, names_of, source_rows
+from data.columns.named import names_of, source_rows
 from data.columns.scans import mounting
-from data.csv_table import Table
+from data.csv_table import Table, is_name
 from data.errors import DataError
 from data.inputs import IntArray
 from data.se2 import Array, BoolArray
 from data.sensors import Bearing, Line, Range, RangeBearing, RelativePoint, Sensor
 from data.toml_table import TomlTable, finite, positive
 
-TABLE = "sensor"
+SENSOR = "sensor"
 KEYS = (
     *("kind", "sigma", "max_range", "min_angle", "max_angle", "field_of_view"),
     *("rotation", "translation", "extrinsic", "name", "sees", *looks.KEYS),
@@ -53,8 +53,8 @@ class Stated(NamedTuple):
 
 def stated(top: TomlTable, *, first_format: bool) -> tuple[Stated, ...]:
     """The sensors that `log.toml` states, none where there is no such table; `first_format`: as format 1 has them."""
-    several = isinstance(top.table.get(TABLE), list)
-    tables = top.tables_of(TABLE) if several else [found for found in [top.optional_table(TABLE)] if found is not None]
+    several, one = isinstance(top.table.get(SENSOR), list), SENSOR in top
+    tables = top.tables_of(SENSOR) if several else [top.table_of(SENSOR)] if one else []
     if first_format:
         for table in tables:
             for key in ("name", "sees", *looks.KEYS):
@@ -122,66 +122,52 @@ class Observed(NamedTuple):
 def may_be_blank(sensors: Sequence[Stated]) -> tuple[str, ...]:
     """Columns with fields that may be blank."""
     whole = len(sensors) == 1 and sensors[0].sensor.locates
-    return () if whole else ("z2", *NOISE, TABLE)
+    return () if whole else ("z2", *NOISE, SENSOR)
 
 
 def observed(table: Table, sensors: Sequence[Stated]) -> Observed:
     """Z and R of each row: its own noise, else the sensor's; `sensors`: at least one."""
-    number = source_rows(table, [s.sensor.label for s in sensors], TABLE, TABLE)
+    number = source_rows(table, [s.sensor.label for s in sensors], SENSOR, SENSOR)
     table.require_finite(("z1",))
     table.require_finite([n for n in ("z2", *NOISE) if n in table], blank=bool(may_be_blank(sensors)))
-    _require_noise(table)
+    table.together(NOISE)
     z, R = np.zeros((len(table), 2)), np.zeros((len(table), 2, 2))
     for i, one in enumerate(sensors):
         rows = np.flatnonzero(number == i)
-        part = table.part(rows)
-        if table.line is None:
-            part = Table(table.path, part.columns, line=rows + 2, texts=part.texts)
-        z[rows], R[rows] = _of_one(part, one)
+        z[rows], R[rows] = _of_one(table.part(rows), one)
     return Observed(z, R, number if len(sensors) > 1 else None)
 
 
 def _of_one(table: Table, stated: Stated) -> tuple[Array, Array]:
     """Z (m, 2) and R (m, 2, 2) of the rows of one sensor."""
-    sensor, (z1, z2) = stated.sensor, (column(table, name) for name in ("z1", "z2"))
+    sensor, z1 = stated.sensor, table.get("z1")
     if not isinstance(sensor, RelativePoint | Bearing):
         table.require(z1 >= 0.0, "z1", "{} is a negative range")
-    r11, r12, r22 = (column(table, name) for name in NOISE)
-    own: BoolArray = np.asarray(~np.isnan(np.stack([r11, r12, r22])).all(axis=0))
+    values = np.stack([table.get(name) for name in ("z2", *NOISE)], axis=-1)
+    given = ~np.isnan(values)
+    own: BoolArray = np.asarray(given[:, 1:].any(axis=1) if sensor.locates else given[:, 1])
     if not own.all() and stated.sigma is None:
         raise _no_noise(table, int(np.argmin(own)), sensor)
-    if sensor.locates:
-        for name, values, wanted in (("z2", z2, True), *zip(NOISE, (r11, r12, r22), (own,) * 3, strict=True)):
-            missing = np.isnan(values) & wanted
-            if missing.any():
-                what = f"blank, but {sensor.name} measures two numbers; a number is needed"
-                raise table.error(int(np.argmax(missing)), name, what)
-        sigma = np.ones(2) if stated.sigma is None else stated.sigma
-    else:
-        for name, values in (("z2", z2), ("r12", r12), ("r22", r22)):
-            if not np.isnan(values).all():
-                what = f"a value, but {sensor.name} measures one number, z1; leave the field blank"
-                raise table.error(int(np.argmin(np.isnan(values))), name, what)
-        sigma = np.ones(2)
-        if stated.sigma is not None:
-            sigma[0] = stated.sigma[0]
-        r12, r22 = np.zeros(len(table)), np.ones(len(table))
-        z2 = np.zeros(len(table))
+    both = own & sensor.locates
+    wrong = given != np.stack([np.full(len(table), sensor.locates), own, both, both], axis=-1)
+    if wrong.any():
+        row, k = np.argwhere(wrong)[0].tolist()
+        what = f"blank, but {sensor.name} measures two numbers; a number is needed"
+        if given[row, k]:
+            what = f"a value, but {sensor.name} measures one number, z1; leave the field blank"
+        raise table.error(row, ("z2", *NOISE)[k], what)
+    z2, r11, r12, r22 = np.nan_to_num(values).T
+    sigma = np.ones(2)
+    if stated.sigma is not None:
+        sigma[: len(stated.sigma)] = stated.sigma
     R = np.empty((len(table), 2, 2))
-    R[:, 0, 0], R[:, 1, 1] = np.where(own, r11, sigma[0] ** 2), np.where(own, r22, sigma[1] ** 2)
-    R[:, 0, 1] = R[:, 1, 0] = np.where(own, r12, 0.0)
+    R[:, 0, 0], R[:, 1, 1] = np.where(own, r11, sigma[0] ** 2), np.where(both, r22, sigma[1] ** 2)
+    R[:, 0, 1] = R[:, 1, 0] = np.where(both, r12, 0.0)
     _require_positive(table, R, own)
     z = np.stack([z1, z2], axis=-1)
     if sensor.measures == (1,):
         z, R = z[:, ::-1], R[:, ::-1, ::-1]
     return z, R
-
-
-def _require_noise(table: Table) -> None:
-    there = [n for n in NOISE if n in table]
-    for name in NOISE:
-        if there and name not in table:
-            raise DataError.at(table.path, f"no such column; {','.join(NOISE)} come together", line=1, column=name)
 
 
 def _no_noise(table: Table, row: int, sensor: Sensor) -> DataError:
@@ -211,24 +197,16 @@ def columns_of(sensors: Sequence[Sensor], z: Array, R: Array, number: IntArray |
     place = np.array([s.measures[0] for s in sensors])[which]
     both = np.array([s.locates for s in sensors])[which]
     rows = np.arange(len(z))
-    columns: dict[str, list[Any]] = {} if number is None else {TABLE: [sensors[i].label for i in which.tolist()]}
+    columns: dict[str, list[Any]] = {} if number is None else {SENSOR: [sensors[i].label for i in which.tolist()]}
     blank = (z[rows, place], z[:, 1], R[rows, place, place], R[:, 0, 1], R[:, 1, 1])
     for name, values in zip(("z1", "z2", *NOISE), blank, strict=True):
-        always = name in ("z1", "r11")
-        given = zip(values.tolist(), both.tolist(), strict=True)
-        columns[name] = [value if always or located else "" for value, located in given]
+        columns[name] = np.where(both | (name in ("z1", "r11")), values.astype(object), "").tolist()
     return columns
 
 
 def table_of(sensor: Sensor) -> dict[str, Any]:
     """The table [sensor], without noise."""
-    table = {
-        "kind": sensor.name,
-        "max_range": sensor.max_range,
-        "min_angle": sensor.min_angle,
-        "max_angle": sensor.max_angle,
-        "rotation": sensor.rotation,
-        "translation": sensor.translation,
-    }
-    named = {"name": sensor.label, "sees": sensor.sees}
-    return {**table, **{key: word for key, word in named.items() if word}}
+    keys = ("max_range", "min_angle", "max_angle", "rotation", "translation")
+    words = {"name": sensor.label, "sees": sensor.sees}
+    named = {key: word for key, word in words.items() if word}
+    return {"kind": sensor.name, **{key: getattr(sensor, key) for key in keys}, **named}

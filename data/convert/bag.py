@@ -61,7 +61,7 @@ def convert(args: argparse.Namespace) -> Log | str:
     from data.formats.bags.reading import collect
     from data.formats.bags.topics import chosen, listed, topics_of
     from data.formats.recordings.laser import TravelNoise
-    from data.formats.tables.values import POSE, TRAVEL, numbers, sigmas
+    from data.formats.tables.files import POSE, TRAVEL, number, numbers, sigmas
 
     topics = chosen(
         args.source, topics_of(args.source), odometry=args.odom, scans=args.scan, truth=args.truth,
@@ -76,7 +76,7 @@ def convert(args: argparse.Namespace) -> Log | str:
         text = getattr(args, flag.replace("-", "_"))
         if text is None:
             return None
-        value = float(numbers(text, (dimension,), flag, "a standard deviation")[0])
+        value = number(text, dimension, flag, "a standard deviation")
         if not value > 0.0:
             raise UsageError(f"--{flag} {text}: must be more than 0")
         return value

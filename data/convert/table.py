@@ -153,8 +153,8 @@ def add_parsers(add: Add, *, parameters: bool) -> None:
 
 def convert(args: argparse.Namespace) -> Recording:
     """The log of the files, with velocities as recorded."""
-    from data.formats.tables.flags import settle, with_mapping
-    from data.formats.tables.log import open_files, read_log
+    from data.formats.tables.log import read_log
+    from data.formats.tables.request import settle, with_mapping
 
     given: dict[str, object] = {key: value for key, value in vars(args).items() if key in (*FLAGS, SENSED)}
     if args.source.suffix == ".toml":
@@ -164,5 +164,4 @@ def convert(args: argparse.Namespace) -> Recording:
     # a log of odometry with fixes, closures or a second odometry needs no observations
     if not {"fixes", "closures", "sensor", "second-odometry"} & set(given):
         given.setdefault("observations", given.get("odometry"))
-    wanted = settle(given)
-    return read_log(args.out.absolute().name, wanted, open_files(wanted.files))
+    return read_log(args.out.absolute().name, settle(given))

@@ -18,8 +18,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from data.worlds.registry import named_log
-from eval.figures.paper import page_width
-from eval.figures.style import DOTTED, Style, drawing, style_of
+from eval.figures.style import DOTTED, Style, drawing, page_width, style_of
 
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 BARE = "bare isam2"

@@ -1,1 +1,14 @@
-"""Every figure a report can use: functions that take data and return a `Figure`; none is shown."""
+"""Every figure a report can use: functions that take data and return a `Figure`; none is shown.
+
+A figure of a log is a function with the decorator `eval.figures.kinds.figure`, and two macros in
+`templates/pictures.md.j2`: its caption, and what it shows for those who cannot see it.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+_CAPTIONS = Path(__file__).parent / "templates" / "pictures.md.j2"
+FIGURES = tuple(name.replace("_", "-") for name in re.findall(r"macro (\w+)_alt\(", _CAPTIONS.read_text("utf-8")))
+"""Names of the figures of a log, in the order of the report; flags name them before matplotlib is loaded."""

@@ -16,8 +16,13 @@ from data.inputs import IntArray
 from data.log import Log
 from data.result import Run
 from data.se2 import Array
-from eval.figures.paper import NARROW, page_width, points
-from eval.figures.style import TRUTH_COLOUR, drawing, settle, style_of
+from eval.figures.kinds import (
+    SECTION,
+    Facts,
+    Variants,
+    figure,
+)
+from eval.figures.style import NARROW, TRUTH_COLOUR, drawing, page_width, points, settle, style_of
 from eval.referee.confusion import Confusion
 from eval.referee.score import Trial, confusion_of
 
@@ -227,3 +232,18 @@ def _panel(
         ax.annotate(str(n), to, xytext=(3, 3), textcoords="offset points", color=colour, fontsize=points(6.5))
         shown.append(np.atleast_2d(to))
     return np.concatenate([s for s in shown if len(s)])
+
+
+def has_outcomes(trial: Trial, variants: Variants = ()) -> bool:
+    """Whether decisions were made (not only labels read) that can be scored."""
+    return any(
+        confusion_of(r, t.log, "online") is not None
+        for t in (trial, *variants)
+        for r in t.runs
+        if r.association != "known" and r.failure is None
+    )
+
+
+@figure("association", has_outcomes, SECTION, quick=True)
+def _association(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
+    return confusion_figure(f"{trial.log.name}, {trial.task}: decisions", bars(trial, variants)), {}

@@ -31,11 +31,39 @@ from eval.figures.error import (
     ticks,
     time_axis,
 )
-from eval.figures.paper import page_width
-from eval.figures.style import BAND, DASHED, LONG_HANDLE, SOLID, TRUTH_COLOUR, Line, Style, drawing, series, style_of
+from eval.figures.kinds import (
+    FRONT,
+    SECTION,
+    Facts,
+    Variants,
+    blind,
+    claiming,
+    figure,
+    finished,
+    for_panels,
+    left_out,
+    measured,
+    plausible,
+    unclaimed,
+)
+from eval.figures.style import (
+    BAND,
+    DASHED,
+    LONG_HANDLE,
+    SOLID,
+    TRUTH_COLOUR,
+    Line,
+    Style,
+    drawing,
+    page_width,
+    series,
+    style_of,
+)
 from eval.referee.consistency import anees_band, mean_or_nan, nees, nis_bounds
 from eval.referee.given.runs import log_of
-from eval.referee.truth_free import Difference, difference
+from eval.referee.score import Trial
+from eval.referee.truth_free import SHARE, Difference, difference
+from eval.replay.settings import associations
 
 WINDOWS = 40  # stretches that a log is cut into for its NIS; each has the same number of degrees of freedom, or nearly
 LEAST = 20  # degrees of freedom of a stretch: fewer have bounds so wide that nothing is ever outside
@@ -337,3 +365,54 @@ def anees_figure(
     handles += _handles(dof, f"95 % band {lower:.2f} to {upper:.2f}: 5 % outside by design")
     fig.legend(handles=handles, loc="outside lower center", ncols=2, handlelength=LONG_HANDLE)
     return fig
+
+
+@figure("nees", lambda trial, _: measured(trial) and bool(claiming(trial)), FRONT)
+def _nees(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    shown = for_panels(claiming(trial))
+    return nees_figure(trial.log, shown), {"others": left_out(trial, shown, unclaimed)}
+
+
+@figure("claims", lambda trial, _: blind(trial) and bool(claiming(trial)), FRONT)
+def _claims(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    shown = for_panels(claiming(trial))
+    return claims_figure(trial.log, shown), {"others": left_out(trial, shown, unclaimed)}
+
+
+def _compared(trial: Trial) -> tuple[list[Run], Run] | None:
+    """Online estimates and the batch smoother under the very same decisions, of the first association that has both."""
+    estimates = [] if trial.variant_of is not None else plausible(trial)
+    for name in associations(estimates):
+        alike = [r for r in estimates if r.association == name]
+        smoother = next((r for r in alike if r.estimator == "batch" and r.final is not None), None)
+        if smoother is None:
+            continue
+        same_made = [np.array_equal(r.final_decisions, smoother.final_decisions) for r in alike]
+        found = [r for r, made in zip(alike, same_made, strict=True) if made and r.online is not None]
+        if found:
+            return found, smoother
+    return None
+
+
+@figure("filter-smoother", lambda trial, _: _compared(trial) is not None, SECTION)
+def _filter_smoother(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    alike = _compared(trial)
+    assert alike is not None  # or there is no such figure
+    runs, smoother = alike
+    there = [r for r in plausible(trial) if r.online is not None and r.association == smoother.association]
+    others = [r.estimator for r in there if not any(r is shown for shown in runs)]
+    facts = {"smoother": smoother, "others": others, "share": SHARE}
+    return filter_smoother_figure(trial.log, runs, smoother), facts
+
+
+def _calibrated(trial: Trial) -> list[Run]:
+    """Runs that estimated systematic errors along, with the first association method that has some."""
+    there = [r for r in finished(trial) if r.errors is not None and r.association != "none"]
+    return [r for r in there if r.association == there[0].association and trial.variant_of is None]
+
+
+@figure("systematic", lambda trial, _: bool(_calibrated(trial)), SECTION, quick=True)
+def _systematic(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    runs, systematic = _calibrated(trial), trial.log.recorded.systematic
+    assert systematic is not None  # or nothing was estimated
+    return systematic_figure(trial.log, systematic, runs), {"runs": runs}

@@ -17,11 +17,22 @@ from data.inputs import Inputs, IntArray
 from data.log import Log
 from data.result import Run, Trajectory
 from data.se2 import Array, pose_error
-from eval.figures.paper import across, page_width, points
-from eval.figures.style import Series, drawing, series
+from eval.figures.kinds import (
+    FRONT,
+    MOST_PANELS,
+    Facts,
+    Variants,
+    blind,
+    figure,
+    finished,
+    for_panels,
+    left_out,
+    measured,
+)
+from eval.figures.style import Series, across, drawing, page_width, points, series
 from eval.referee.given.runs import log_of, match
+from eval.referee.score import Trial
 
-MOST_PANELS = 4
 MOST_BINS = 600  # stretches of time in a panel; more than paper or screen can show
 COORDINATES = (("x", "m", 1.0), ("y", "m", 1.0), ("heading", "deg", 180.0 / np.pi))
 """Name, unit, and factor from SI of each row of the error figure."""
@@ -207,3 +218,23 @@ def difference_figure(log: Log, runs: Sequence[Run], reference: Run) -> Figure:
     ]
     fig.legend(handles=handles, loc="outside lower center", ncols=2)
     return fig
+
+
+@figure("error", measured, FRONT, quick=True)
+def _error(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    shown = for_panels(finished(trial))
+    beside = panels(shown, across(MOST_PANELS))[0]
+    return error_figure(trial.log, shown), {"others": left_out(trial, [s.run for s in beside])}
+
+
+def _has_difference(trial: Trial, _: Variants) -> bool:
+    reference = trial.find("batch")
+    return blind(trial) and reference is not None and reference.flaw is None and len(finished(trial)) > 1
+
+
+@figure("difference", _has_difference, FRONT, quick=True)
+def _difference(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    reference = trial.find("batch")
+    assert reference is not None  # or there is no such figure
+    rows = for_panels([r for r in finished(trial) if r is not reference], complete=(reference.association,))
+    return difference_figure(trial.log, rows, reference), {"others": left_out(trial, [*rows, reference])}

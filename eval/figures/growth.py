@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,11 +17,30 @@ from data.result import Run
 from data.se2 import Array
 from data.words import number
 from eval.figures.error import longest_sigma, ticks, time_axis
-from eval.figures.paper import page_width, points
+from eval.figures.kinds import (
+    Facts,
+    Variants,
+    figure,
+    has_covariance,
+    left_out,
+    plausible,
+)
 from eval.figures.plane import SIGMAS, longest_axis
-from eval.figures.style import DASHDOT, DASHED, DOTTED, SOLID, Line, colour_of_method, drawing, style_of
+from eval.figures.style import (
+    DASHDOT,
+    DASHED,
+    DOTTED,
+    SOLID,
+    Line,
+    colour_of_method,
+    drawing,
+    page_width,
+    points,
+    style_of,
+)
 from eval.referee.score import Trial
 from eval.replay.run import landmark_sigmas
+from eval.replay.settings import ESTIMATORS, associations
 
 LOOP = 0.3  # a landmark seen again after this share of the run means that a loop was closed
 
@@ -137,3 +157,45 @@ def _draw_over_time(ax: Axes, log: Log, sigma: Array, closed: int | None) -> Non
     time_axis(ax, log.recorded)
     ax.yaxis.set_major_locator(ticks(6))
     ax.set_title("every landmark of the filter over time; dark: the first initialized, light: the last", loc="left")
+
+
+def growing(trial: Trial) -> list[Run]:
+    """A filter and an incremental smoother under one association, known if there is one: how uncertainty grew."""
+    estimates = [r for r in plausible(trial) if r.task == "slam" and r.online is not None and r.map is not None]
+    order = associations(estimates)
+    alike = [r for r in estimates if r.association == order[0]] if order else []
+    found = [next((r for r in alike if r.estimator == name), None) for name in ("ekf", "isam2")]
+    found += [r for r in alike if r.estimator not in ESTIMATORS and has_covariance(r)]
+    return [r for r in found if r is not None]
+
+
+def _in_numbers(trial: Trial, run: Run) -> dict[str, object]:
+    """Standard deviations [m] along the least certain direction: of the robot online, and of the last landmarks."""
+    closed, sigma = closing_frame(trial.log, run), longest_sigma(run.trajectory("online"))
+    made: dict[str, object] = {
+        "estimator": run.estimator,
+        "at_most": float(np.nanmax(sigma)),
+        "at_end": float(sigma[-1]),
+        "before_closing": float(sigma[closed - 1]) if closed is not None and closed > 0 else None,
+        "landmarks": None,  # of the first, the last, and the least certain one
+    }
+    if run.map is not None and len(run.map):
+        each = longest_axis(run.map.covariance) / SIGMAS
+        largest = int(each.argmax())
+        made["landmarks"] = (float(each[0]), float(each[-1]), float(each[largest]))
+        made["number"] = int(run.map.number[largest])
+    return made
+
+
+@figure("growth", lambda trial, _: trial.log.truth.known_poses > 0 and bool(growing(trial)))
+def _growth(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    runs = growing(trial)
+    grown = [_in_numbers(trial, r) for r in runs]
+    alike = replace(trial, runs=tuple(r for r in trial.runs if r.association == runs[0].association))
+    others = left_out(alike, runs, lambda run: "online" if run.online is None or run.map is None else "room")
+    return growth_figure(trial.log, runs), {"association": runs[0].association, "grown": grown, "others": others}
+
+
+@figure("state", state_is_informative)
+def _state(trial: Trial, variants: Variants) -> tuple[Figure, Facts]:
+    return state_figure(trial, variants), {}

@@ -15,9 +15,8 @@ from matplotlib.patheffects import withStroke
 from association.scans.constraints import Loops
 from association.scans.occupancy import Grid
 from data.se2 import Array, BoolArray
-from eval.figures.paper import page_width
 from eval.figures.plane import draw_start, plan_axes
-from eval.figures.style import DASHED, DOTTED, SOLID, Line, drawing, settle, style_of
+from eval.figures.style import DASHED, DOTTED, SOLID, Line, drawing, page_width, settle, style_of
 from eval.referee.laser import KEPT
 
 UNKNOWN_GREY, FREE_GREY = 0.85, 1.0

@@ -15,9 +15,20 @@ from data.log import Log
 from data.result import DISCARD, NEW, Run
 from data.se2 import Array, BoolArray, dead_reckoned
 from data.terminal import counted
-from eval.figures.paper import page_width
+from eval.figures.kinds import (
+    Facts,
+    Variants,
+    blind,
+    figure,
+    kind_of,
+    left_out,
+    plausible,
+)
 from eval.figures.plane import draw_start, draw_walls, feet
-from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing, settle, style_of
+from eval.figures.style import DOTTED, STYLES, TRUTH_COLOUR, drawing, page_width, settle, style_of
+from eval.referee.given.runs import log_of
+from eval.referee.score import Trial
+from eval.replay.settings import HINDSIGHT, associations
 
 SEEN_COLOUR = "#56B4E9"
 CLUTTER_COLOUR = "#D55E00"
@@ -149,3 +160,22 @@ def _scene(parts: Sequence[Array]) -> tuple[Array, Array]:
     low, high = np.quantile(points, [0.002, 0.998], axis=0)
     margin = EDGE * max(float((high - low).max()), 1.0)
     return low - margin, high + margin
+
+
+def _deciding(trial: Trial) -> list[Run]:
+    """For each association method the last smoother, else the filter: decisions in hindsight first, labels last."""
+    deciding = [
+        r
+        for r in plausible(trial)
+        if r.association != "none"
+        and len(r.decisions) == len(trial.log.recorded.observations.frame) > 0
+        and log_of(r, trial.log) is trial.log
+    ]
+    methods = sorted(associations(deciding), key=lambda a: (a == "known") - (a == HINDSIGHT))
+    return [max((r for r in deciding if r.association == method), key=kind_of) for method in methods]
+
+
+@figure("fate", lambda trial, _: blind(trial) and bool(_deciding(trial)))
+def _fate(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    shown = _deciding(trial)
+    return loop_state_figure(trial.log, shown), {"others": left_out(trial, shown, lambda run: "method")}

@@ -18,8 +18,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from data.se2 import Array
 from data.terminal import counted
 from eval.figures.error import ticks
-from eval.figures.paper import across, page_width, points
-from eval.figures.style import DASHED, LONG_HANDLE, drawing, style_of
+from eval.figures.style import DASHED, LONG_HANDLE, across, drawing, page_width, points, style_of
 from eval.referee.consistency import COVERAGE_LEVELS, coverage
 
 MOST_COLUMNS = 4

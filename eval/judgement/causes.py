@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from data.inputs import Inputs
 from data.notice import Code
 from data.sensors import RangeBearing
-from eval.judgement.runs import associations
 from eval.referee.attribution import ASSOCIATIONS, ESTIMATOR, LEAST_FACTOR, NOTHING, UNLISTED, UNTELLABLE, Finding
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
-from eval.replay.settings import ESTIMATORS, FILTERS
+from eval.replay.settings import ESTIMATORS, FILTERS, associations
 from eval.studies.diagnosis import Trust
 
 STANDS_OUT = 3.0  # standard errors from which a slope is named without bootstrap replicates

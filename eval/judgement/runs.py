@@ -10,7 +10,6 @@ from enum import StrEnum
 
 import numpy as np
 
-from data.result import Run
 from data.se2 import Array
 from eval.referee import battery
 from eval.referee.consistency import (
@@ -22,7 +21,7 @@ from eval.referee.consistency import (
     innovations_word,
 )
 from eval.referee.result_files import Row, is_blank, value_of
-from eval.replay.settings import ASSOCIATIONS, BATCH, ESTIMATORS, FILTERS, INCREMENTAL
+from eval.replay.settings import BATCH, ESTIMATORS, FILTERS, INCREMENTAL
 from eval.studies.diagnosis import Trust
 
 NEES_MARGIN = 1.25
@@ -33,7 +32,6 @@ WRONG_LIMIT = 0.05
 NIS_LIMIT = 4.6
 """NIS per degree of freedom over its expectation from which a path is not to be used: 9.21 / 2, the square at which a
 gate of 99 % refuses a position. A typical observation is refused then; stated sigmas of half the true ones give 4."""
-FIRST = ("known", "jcbb", "jcbb-first")  # association methods that come before all others
 
 
 class Objection(StrEnum):
@@ -337,11 +335,3 @@ def chosen_association(runs: Sequence[RunJudgement]) -> str | None:
     smoothers = {r.association for r in runs if r.estimator in smoothers_in(runs)}
     given = dict.fromkeys(r.association for r in runs if r.association != "none")
     return min(given, key=lambda a: (a != "known", a not in filters or a not in smoothers), default=None)
-
-
-def associations(runs: Sequence[Run]) -> list[str]:
-    """The association methods of some runs, those to be shown first in front: `known`, and those that are not ours."""
-    given = list(dict.fromkeys(r.association for r in runs if r.association != "none"))
-    theirs = tuple(a for a in given if a not in ASSOCIATIONS)
-    first = (FIRST[0], *theirs, *FIRST[1:])
-    return sorted(given, key=lambda a: first.index(a) if a in first else len(first))

@@ -12,11 +12,11 @@ from data.log import Log
 from data.notice import Notice
 from data.result import Run
 from eval.plan.calibrate import Calibration, examine, settle
+from eval.plan.console import say_kept
 from eval.plan.diagnoses import trusted
 from eval.plan.experiment import Experiment, Work
 from eval.plan.experiments import Plan
 from eval.plan.flags.table import Execution, Options
-from eval.plan.progress import say_kept
 from eval.plan.results import with_results
 from eval.plan.unfinished import MISSING_RUN, Unfinished, estimate, estimate_one, incomplete, wanted
 from eval.plan.work import Job, work

@@ -6,6 +6,9 @@ A job that runs out of memory, by `MemoryError` or because its process is killed
 from __future__ import annotations
 
 import math
+import os
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -16,8 +19,8 @@ from data.errors import SlamrefError, UsageError
 from data.notice import Code, Notice, notice
 from data.words import sentence
 from eval.figures.figure_style import FigureStyle, current, figure_style
+from eval.plan.console import say_kept
 from eval.plan.flags.table import Execution
-from eval.plan.progress import say_kept
 from eval.replay.external.spec import introduce, introduced
 from eval.replay.run import one_thread
 
@@ -120,7 +123,8 @@ def _together(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[int, 
             n_jobs=min(processes, len(waiting)),
             return_as="generator_unordered",
             idle_worker_timeout=NEVER,
-            initializer=_keep_workers,
+            initializer=_in_worker,
+            initargs=(os.getpid(),),
         )
         for i, result in pool(delayed(_numbered)(i, *call) for i, call in calls.items()):
             del waiting[i]
@@ -139,7 +143,9 @@ def _one_at_a_time(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[
 
     pool = None
     for i, (function, arguments) in calls.items():
-        pool = pool or ProcessPoolExecutor(max_workers=1, timeout=NEVER, initializer=_keep_workers)
+        pool = pool or ProcessPoolExecutor(
+            max_workers=1, timeout=NEVER, initializer=_in_worker, initargs=(os.getpid(),)
+        )
         try:
             yield i, pool.submit(function, *arguments).result()
         except BrokenProcessPool:
@@ -149,8 +155,10 @@ def _one_at_a_time(calls: Mapping[int, Call], processes: int) -> Iterator[tuple[
         pool.shutdown()
 
 
-def _keep_workers() -> None:
-    """In a worker: keep it until the end, however much memory its jobs took.
+def _in_worker(parent: int) -> None:
+    """Begin a worker that lives as long as the process that started it, however much memory its jobs took.
+
+    A parent that is killed, or ended by SIGTERM, tells nobody: a worker of ours would compute on, and then wait.
 
     Loky takes a worker that grew by 300 MB for one that leaks, and replaces it with a warning. Ours grow with the size
     of the logs; a new one would grow as much, after loading all kernels again. Without this check it collects garbage
@@ -160,6 +168,14 @@ def _keep_workers() -> None:
 
     process_executor._USE_PSUTIL = False
     process_executor._MEMORY_LEAK_CHECK_DELAY = math.inf
+    threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    """End this process, whatever it does, when its parent has ended."""
+    while os.getppid() == parent:
+        time.sleep(1.0)
+    os._exit(1)
 
 
 def on_cluster(address: str, calls: Sequence[Call]) -> Iterator[tuple[int, Any]]:

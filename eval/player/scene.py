@@ -194,15 +194,15 @@ def _add_decisions(pack: Pack, key: str, run: Run, trial: Trial) -> None:
 
 
 def _add_watched(pack: Pack, key: str, w: Watched, run: Run) -> None:
-    if len(w.change_frame):
-        shape = np.column_stack([w.change_sigma, w.change_rho])
-        add_changes(pack, key, w.change_frame, w.change_number, w.change_there, w.change_xy, shape, w.quantum)
-    pack.add(f"{key}seen_frame", w.seen_frame)
-    pack.add(f"{key}seen_number", w.seen_number)
-    add_points(pack, f"{key}seen_xy", w.seen_xy, np.column_stack([w.seen_sigma, w.seen_rho]), w.quantum)
-    pack.add(f"{key}pair_row", w.pair_row)
-    pack.add(f"{key}pair_number", w.pair_number)
-    pack.add_log(f"{key}pair_d2", w.pair_d2, 2.0e-4)
+    if len(w.changes):
+        frame, number, there = w.changes[:, :3].astype(np.int64).T
+        add_changes(pack, key, frame, number, there, w.changes[:, 3:5], w.changes[:, 5:], w.quantum)
+    pack.add(f"{key}seen_frame", w.seen[:, 0])
+    pack.add(f"{key}seen_number", w.seen[:, 1])
+    add_points(pack, f"{key}seen_xy", w.seen[:, 2:4], w.seen[:, 4:], w.quantum)
+    pack.add(f"{key}pair_row", w.pairs[:, 0])
+    pack.add(f"{key}pair_number", w.pairs[:, 1])
+    pack.add_log(f"{key}pair_d2", w.pairs[:, 2], 2.0e-4)
     pack.add_steps(f"{key}method_decision", w.method_decisions - run.decisions[:, None])
 
 
@@ -276,9 +276,9 @@ def _head_of(
         variant=trial.log.name.removeprefix(log.name).strip(":"),
         decides=f"{key}decision" in pack.names,
         scored=f"{key}final_outcome" in pack.names,
-        history=watched is not None and len(watched.change_frame) > 0,
+        history=watched is not None and len(watched.changes) > 0,
         every=0 if watched is None else watched.every,
-        candidates=watched is not None and len(watched.pair_row) > 0,
+        candidates=watched is not None and len(watched.pairs) > 0,
         nis=run.innovations is not None,
         nis_expected=run.gated[0],
         loops=loops,

@@ -46,25 +46,14 @@ def quantum_of(inputs: Inputs) -> float:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """The recording. Sigmas are (sigma_x, sigma_y), rho their correlation."""
+    """The recording; rho is the correlation of x and y."""
 
     quantum: float  # m; smaller changes are left out
     every: int  # landmarks were recorded after this many frames with observations; 0: never
     covariances: bool  # with their covariances; else their sigmas are zero
-    change_frame: IntArray  # (C,) changes of landmarks, ...
-    change_number: IntArray
-    change_there: IntArray  # ... 0: it left the map, ...
-    change_xy: Array  # (C, 2) ... in the world frame [m]
-    change_sigma: Array
-    change_rho: Array
-    seen_frame: IntArray  # (K,) candidates of some observation, ...
-    seen_number: IntArray
-    seen_xy: Array  # (K, 2) ... expected in the robot's frame [m]
-    seen_sigma: Array
-    seen_rho: Array
-    pair_row: IntArray  # (P,) observation (row of the log), candidate, ...
-    pair_number: IntArray
-    pair_d2: Array  # ... squared Mahalanobis distance
+    changes: Array  # (C, 8) of landmarks: frame, number, there (0: it left the map), x, y [m], sigmas, rho in the world
+    seen: Array  # (K, 7) candidates of some observation: frame, number, x, y [m], sigmas, rho expected by the robot
+    pairs: Array  # (P, 3) observation (row of the log), candidate, squared Mahalanobis distance
     methods: tuple[str, ...]  # W names
     method_decisions: IntArray  # (M, W) decisions from the same expectation
 
@@ -178,20 +167,11 @@ class Watch(Writing):
 
     def left(self) -> Watched:
         """The recording, after the last frame."""
-        changes, seen, pairs = _table(self._changes, 8), _table(self._seen, 7), _table(self._pairs, 3)
-        frame, number, there = changes[:, :3].astype(np.int64).T
-        seen_frame, seen_number = seen[:, :2].astype(np.int64).T
-        row, candidate = pairs[:, :2].astype(np.int64).T
-        return Watched(
-            self.quantum,
-            self._every,
-            self._covariances,
-            *(frame, number, there, changes[:, 3:5], changes[:, 5:7], changes[:, 7]),
-            *(seen_frame, seen_number, seen[:, 2:4], seen[:, 4:6], seen[:, 6]),
-            *(row, candidate, pairs[:, 2]),
-            methods=METHODS,
-            method_decisions=self._methods,
+        changes, seen, pairs = (
+            np.concatenate([np.empty((0, columns)), *parts])
+            for parts, columns in ((self._changes, 8), (self._seen, 7), (self._pairs, 3))
         )
+        return Watched(self.quantum, self._every, self._covariances, changes, seen, pairs, METHODS, self._methods)
 
 
 def spread(covariance: Array) -> Array:
@@ -208,7 +188,3 @@ def map_now(estimator: EkfSlam | Isam2Smoother) -> MapState:
         return estimator.landmarks()
     smoother, number = estimator, estimator.numbers
     return MapState(number, smoother.positions(number), np.zeros((len(number), 2, 2)))
-
-
-def _table(parts: list[Array], columns: int) -> Array:
-    return np.concatenate(parts) if parts else np.empty((0, columns))

@@ -6,6 +6,7 @@ heavy, so that `--help` answers at once.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol
 
@@ -16,6 +17,7 @@ from eval.replay.flag import positive, positive_or_none, probability, probabilit
 if TYPE_CHECKING:
     from data.inputs import LandmarkMap, Prior, Systematic
     from data.pose_measurements import Closures, Fixes
+    from data.result import Run
     from data.sensors import Sensor
 
 SENSED_GATE = 0.9999
@@ -197,3 +199,14 @@ class Beginning(NamedTuple):
     closures: Closures | None = None
     sensors: tuple[Sensor, ...] = ()
     looks: tuple[int, int] = (0, 0)
+
+
+FIRST = ("known", "jcbb", "jcbb-first")  # association methods that come before all others
+
+
+def associations(runs: Sequence[Run]) -> list[str]:
+    """The association methods of some runs, those to be shown first in front: `known`, and those that are not ours."""
+    given = list(dict.fromkeys(r.association for r in runs if r.association != "none"))
+    theirs = tuple(a for a in given if a not in ASSOCIATIONS)
+    first = (FIRST[0], *theirs, *FIRST[1:])
+    return sorted(given, key=lambda a: first.index(a) if a in first else len(first))

@@ -7,12 +7,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from data.inputs import ERRORS, Systematic
 from data.notice import Notice
+from data.result import Run, Systematics
 from data.se2 import Array
+from data.truth import Truth
 from eval.judgement.causes import (
     LATE,
     STANDS_OUT,
@@ -25,19 +29,18 @@ from eval.judgement.causes import (
     systematic,
     terms_of,
 )
-from eval.judgement.runs import associations
+from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee import battery
 from eval.referee.attribution import Finding
 from eval.referee.score import Trial
 from eval.referee.sources.residuals import source_in
-from eval.replay.settings import FILTERS, HINDSIGHT
-from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
-from eval.report.page.files import written_table
+from eval.replay.external.spec import name_of
+from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, associations
+from eval.report.page.blocks import Block, Picture, Section, folded
+from eval.report.page.files import SYSTEMATIC, stem, written_table
 from eval.report.page.tables import drop_blank_columns, number
-from eval.report.pictures import FILTER_SMOOTHER
-from eval.report.rows import stem
-from eval.report.words import plus_minus, say
+from eval.report.words import fine_print, plus_minus, say
 from eval.studies.diagnosis import Blame, Row, Trust
 
 MOST = 18  # rows of a table; trust.csv has all
@@ -51,11 +54,6 @@ SHARES = ("semidefinite", "inside_x", "inside_y", "inside_theta")
 """How statistics end that are shares of the frames, shown in percent."""
 OWN = "own_smoother"
 HEADING = "Diagnosis without ground truth"
-FINE = FinePrint(
-    "Consistency without ground truth",
-    "P_f and P_s are the covariances of the online and of the smoothed pose, d is their difference. All statistics:"
-    " trust.csv; definitions: docs/verdicts.md.",
-)
 MORE = "More of the diagnosis"
 
 
@@ -163,9 +161,10 @@ def trust_section(
         blocks += [front] if front else []
         if shown(trust):
             caption, name = say("diagnosis#caption", trust=trust), stem(trial, f"trust-{trust.association}")
-            blocks.append(written_table(trust_frame(trust, terms=terms), folder, name, caption, wanted, fine=FINE))
+            frame, fine = trust_frame(trust, terms=terms), fine_print("Consistency without ground truth")
+            blocks.append(written_table(frame, folder, name, caption, wanted, fine=fine))
         blocks += more
-    blocks += [p for p in pictures if p.stem == stem(trial, FILTER_SMOOTHER)]
+    blocks += [p for p in pictures if p.stem == stem(trial, "filter-smoother")]
     heading = f"{HEADING}: {trial.log.name}, {trial.task}"
     return [Section(heading, tuple(blocks), 3, tuple(facts), page=stem(trial))] if blocks else []
 
@@ -384,3 +383,82 @@ def advice(findings: Sequence[Finding], *, labels: bool, association: str = "", 
         tuple(step for step, wanted in steps.items() if wanted), groups, by_hand, off, labels, revised, ITERATED in off,
         tuple(dict.fromkeys(name for _, name in of_sources)),
     )  # fmt: skip
+
+
+UNTOLD = 0.9
+"""Share of the prior's sigma that is left of an error that the log cannot tell: data then have less to say of it than a
+quarter of what was known before (1/0.9² - 1)."""
+
+
+def determined(systematic: Systematic, errors: Systematics) -> tuple[bool, ...]:
+    """Of each error (p,), whether data say more of it than was known before; of the drift in the middle of the run."""
+    left = np.median(errors.sigma, axis=0) / systematic.sigma
+    return tuple((left <= UNTOLD).tolist())
+
+
+def best(runs: Sequence[Run]) -> Systematics | None:
+    """The estimate of the errors that counts: batch's, else that of another smoother, else the first filter's."""
+    there = [r for r in runs if r.errors is not None]
+    there.sort(key=lambda r: (r.estimator != "batch", r.errors_final is None, r.estimator not in BATCH))
+    return there[0].errors if there else None
+
+
+def errors_table(systematic: Systematic, runs: Sequence[Run], truth: Truth) -> pd.DataFrame:
+    """A row for each error at the last frame: prior and estimates ± sigma, true value, whether data determine it."""
+    estimates, rows = best(runs), []
+    for i, name in enumerate(systematic.names):
+        row: dict[str, object] = {
+            "error": name,
+            "unit": "" if ERRORS[name] == "1" else ERRORS[name],
+            "known before": f"0 ± {number(float(systematic.sigma[i]), 2)}",
+        }
+        for run in runs:
+            if run.errors is not None:
+                head = f"{run.estimator} ({'final' if run.errors_final is not None else 'online'})"
+                row[head] = plus_minus(float(run.errors.mean[-1, i]), float(run.errors.sigma[-1, i]))
+        if truth.errors is not None:
+            true = float(truth.errors.mean[-1, truth.errors.names.index(name)]) if name in truth.errors.names else 0.0
+            row["true"] = number(true).replace("-", "−")
+        if estimates is not None:
+            row["told"] = "yes" if determined(systematic, estimates)[i] else "the log cannot tell it"
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+CAPTION = "Systematic errors as estimated along by filter and smoother: estimate ± σ at the last frame."
+
+
+def systematic_section(
+    folder: Path, wanted: Output, trial: Trial, pictures: Sequence[Picture], calibrations: Sequence[Calibration]
+) -> list[Section]:
+    """Words, table and figure of a log and task; none where no errors were estimated."""
+    c = next((c for c in calibrations if (c.log, c.task) == (trial.log.name, trial.task)), None)
+    if c is None:
+        return []
+    own, where = name_of(c.association), f"{trial.log.name}, {trial.task}"  # that the battery is about
+    runs = [r for r in trial.runs if r.errors is not None and r.flaw is None and r.association == own]
+    facts = estimated(trial, c, runs)
+    blocks: list[Block] = [say("systematic", **facts)]
+    if runs:
+        caption = f"{where}, association {own}. {CAPTION}"
+        table, fine = errors_table(c.systematic, runs, trial.log.truth), fine_print("Systematic errors")
+        blocks.append(written_table(table, folder, stem(trial, SYSTEMATIC), caption, wanted, fine=fine))
+    blocks += [p for p in pictures if p.stem == stem(trial, SYSTEMATIC)]
+    return [Section(f"Systematic errors: {where}", tuple(blocks), 3, facts)]
+
+
+def estimated(trial: Trial, c: Calibration, runs: Sequence[Run]) -> dict[str, Any]:
+    """The errors of a log and task, why these, and those of which the log says nothing.
+
+    before, after: the battery with plain estimators and with these; None: not enough memory.
+    """
+    estimates, terms = best(runs), terms_of(trial.log.recorded)
+    told = [True] * len(c.systematic.names) if estimates is None else determined(c.systematic, estimates)
+    return {
+        "names": c.systematic.names,
+        "why": c.why,
+        "judged": estimates is not None,
+        "untold": tuple(n for n, known in zip(c.systematic.names, told, strict=True) if not known),
+        "before": None if c.before is None else facts_of(c.before, terms),
+        "after": None if c.after is None else facts_of(c.after, terms),
+    }

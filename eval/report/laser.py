@@ -20,18 +20,17 @@ from data.formats.g2o_out import written
 from data.log import Log, folder_name
 from data.result import Run
 from data.se2 import Array
+from eval.figures.kinds import Facts, Kind, Variants
 from eval.figures.laser import loop_picture, map_picture
 from eval.figures.style import save
 from eval.plan.flags.table import Output
-from eval.referee import laser
+from eval.referee import laser, result_files
 from eval.referee.errors import position_distance, rms
 from eval.referee.given.runs import GivenRun
-from eval.referee.result_files import LOOPS
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, FinePrint, Picture, Section, folded
-from eval.report.page.files import written_table
+from eval.report.page.files import stem, written_table
 from eval.report.page.tables import number
-from eval.report.rows import stem
 from eval.report.words import say
 
 FREE_PIXEL, OCCUPIED_PIXEL, UNKNOWN_PIXEL = 254, 0, 205  # as map_saver writes them
@@ -114,7 +113,7 @@ def write_laser_files(folder: Path, trial: Trial) -> None:
     write_map(grid, place)
     figure = map_picture(grid, run.last, name=trial.log.name, estimator=run.estimator, phase=phase_of(run))
     save(figure, place, "map", ("png",))
-    LOOPS.write(loops_table(run.loops, run.weight), place)
+    result_files.LOOPS.write(loops_table(run.loops, run.weight), place)
     (place / GRAPH).write_text(graph_of(run), encoding="utf-8")
 
 
@@ -137,38 +136,42 @@ def loops_table(loops: Loops, weight: Array | None) -> pd.DataFrame:
     loop_state = [laser.kept(loops, weight, phase).astype(int) for phase in ("online", "final")]
     covariance = loops.covariance[:, rows, columns].T
     values = [loops.key1, loops.key2, *loops.relative.T, *covariance, loops.score, *loop_state]
-    return pd.DataFrame(dict(zip(LOOPS.names, values, strict=True)))
+    return pd.DataFrame(dict(zip(result_files.LOOPS.names, values, strict=True)))
 
 
 GRID_PICTURE, LOOP_PICTURE = "grid", "loops"
 
 
-def laser_kinds(trial: Trial) -> tuple[str, ...]:
-    """Which of these pictures a trial gets."""
+def _grid_figure(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
     run = mapping_run(trial)
-    if run is None:
-        return ()
-    return (GRID_PICTURE, LOOP_PICTURE) if run.loops is not None and len(run.loops) else (GRID_PICTURE,)
-
-
-def laser_picture(trial: Trial, kind: str) -> tuple[Figure, str, str]:
-    """Figure, caption and what it shows in a sentence."""
-    run, name = mapping_run(trial), trial.log.name
     assert run is not None
     assert run.last is not None
-    phase = phase_of(run)
-    names = {"name": name, "estimator": run.estimator, "phase": phase}
-    if kind == GRID_PICTURE:
-        figure = map_picture(grid_of(trial, run), run.last, name=name, estimator=run.estimator, phase=phase)
-        return figure, say("laser#grid", **names), f"Occupancy grid of {name} with the path of {run.estimator}"
+    estimator, phase = run.estimator, phase_of(run)
+    figure = map_picture(grid_of(trial, run), run.last, name=trial.log.name, estimator=estimator, phase=phase)
+    return figure, {"estimator": estimator, "phase": phase}
+
+
+def _loop_figure(trial: Trial, _: Variants) -> tuple[Figure, Facts]:
+    run = mapping_run(trial)
+    assert run is not None
     assert run.loops is not None
     assert run.chain is not None
     assert run.key_pose is not None
     truth = trial.log.truth.pose
     false = None if truth is None else ~laser.right_closures(run.loops, truth[run.chain.frame])
     weight = np.ones(len(run.loops)) if run.weight is None else run.weight
+    name = trial.log.name
     figure = loop_picture(run.key_pose, run.loops, weight, name=name, false=false, estimator=run.estimator)
-    return figure, say("laser#loops", **names), f"Pose graph of {name} with its loop closures"
+    return figure, {"estimator": run.estimator, "phase": phase_of(run)}
+
+
+def _has_loops(trial: Trial) -> bool:
+    run = mapping_run(trial)
+    return run is not None and run.loops is not None and len(run.loops) > 0
+
+
+GRID = Kind(lambda trial, _: mapping_run(trial) is not None, _grid_figure, in_quick=True, macro="laser#grid")
+LOOPS = Kind(lambda trial, _: _has_loops(trial), _loop_figure, macro="laser#loops")
 
 
 RELATIONS_CAPTION = "errors against the reference relations, mean ± standard deviation."

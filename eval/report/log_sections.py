@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
+import math
+import re
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from data.notice import Code, Notice, Severity
+from data.result import DISCARD, NEW, Event, Run
 from data.wing import of_all
-from eval.judgement.judgement import Judgement
+from eval.figures.association import Example, revision_figure
+from eval.figures.kinds import DETAILS, FRONT, aligned_statement
+from eval.figures.style import save
+from eval.judgement.judgement import Comparison, Judgement
 from eval.plan.calibrate import Calibration
 from eval.plan.flags.table import Output
 from eval.referee.given.runs import is_truth_alone
 from eval.referee.metrics import heads
-from eval.referee.result_files import rows_of
+from eval.referee.plausibility import IMPLAUSIBLE
+from eval.referee.result_files import Row, is_blank, rows_of, value_of
 from eval.referee.score import Scores, Trial
-from eval.report.answer import answer
+from eval.replay.hindsight.ledger import MERGED, REASSOCIATED, UNREAD
+from eval.replay.settings import FILTERS, Setup
 from eval.report.comparison import (
     association_table,
     comparison_table,
@@ -25,26 +37,250 @@ from eval.report.comparison import (
     parts,
     summary_table,
 )
-from eval.report.diagnosis import first_page_words, trust_section
-from eval.report.laser import GRID_PICTURE, LOOP_PICTURE, against_relations
+from eval.report.diagnosis import first_page_words, systematic_section, trust_section
+from eval.report.laser import against_relations
 from eval.report.overview import gauge_statement, in_short
 from eval.report.page.blocks import Block, Folded, Picture, Section, Table
-from eval.report.page.files import written_table
-from eval.report.pictures import FILTER_SMOOTHER
+from eval.report.page.files import stem, variants, written_table
+from eval.report.page.tables import drop_blank_columns, interval
 from eval.report.publish import films_of
-from eval.report.results import aligned_statement, results_statement, space_tables
-from eval.report.rows import SYSTEMATIC, stem, variants
-from eval.report.sources import source_section
-from eval.report.systematic import systematic_section
-from eval.report.words import fine_print, of_runs, paragraph, say
+from eval.report.results import results_statement, space_tables
+from eval.report.words import fine_print, of_runs, one_line, paragraph, say
 from eval.studies.diagnosis import Trust
+
+LATE = ("uncertain", "put off until the end", REASSOCIATED, UNREAD)  # reasons that only say that the log was over
+COLUMNS = (
+    *("deciding for", "undone", "replaced", "deferred, then paired", "landmarks merged", "retracted"),
+    "final re-association",
+)
+
+
+def example(run: Run) -> Example | None:
+    """The revision that shows most: landmarks merged or pairings made anew before others, then the longest."""
+    shown: dict[tuple[int, str], list[Event]] = {}
+    for e in (e for e in run.events if e.why not in LATE):
+        shown.setdefault((e.frame, e.why), []).append(e)
+    if not shown:
+        return None
+
+    def weight(key: tuple[int, str]) -> tuple[bool, int, int]:
+        events = shown[key]
+        return key[1] == MERGED, sum(e.old >= 0 and e.new >= 0 for e in events), len(events)
+
+    frame, why = max(shown, key=lambda key: (*weight(key), -key[0]))
+    events = shown[frame, why]
+    rows, old, new = (np.array(x, np.int64) for x in zip(*[(e.observation, e.old, e.new) for e in events], strict=True))
+    # the observation that initialized a landmark is known by its number
+    old = np.where(old == NEW, run.created[rows], old)
+    if np.all(new == DISCARD):
+        most = old == np.argmax(np.bincount(old[old >= 0]))
+        rows, old, new = rows[most], old[most], new[most]
+    return Example(frame, why, rows, old, new)
+
+
+def tally(run: Run) -> dict[str, str]:
+    """A row of the table: counts, and the reasons why landmarks left the map."""
+    anew = {e.observation for e in run.events if e.why == REASSOCIATED}
+    on_the_way = [e for e in run.events if e.why != REASSOCIATED]
+    undone = [e for e in on_the_way if e.old >= 0]
+    initializing = [e for e in on_the_way if e.old == NEW]
+    why = Counter(e.why for e in initializing if e.new == DISCARD)
+    reasons = f" ({', '.join(f'{n} {w}' for w, n in sorted(why.items()))})" if why else ""
+    counts = (
+        len(undone),
+        sum(e.new >= 0 for e in undone),
+        sum(e.old == DISCARD and e.new >= 0 for e in on_the_way),
+        sum(e.new >= 0 for e in initializing),
+    )
+    cells = [*(str(c) for c in counts), f"{why.total()}{reasons}", str(len(anew))]
+    return dict(zip(COLUMNS[1:], cells, strict=True))
+
+
+def revising(trial: Trial) -> list[tuple[Run, str]]:
+    """A run for each set of revisions, with the names of all estimators that share it."""
+    found: list[tuple[Run, list[str]]] = []
+    for run in trial.runs:
+        if not run.events:
+            continue
+        same = [names for other, names in found if other.events == run.events]
+        if same:
+            same[0].append(run.estimator)
+        else:
+            found.append((run, [run.estimator]))
+    return [(run, ", ".join(names)) for run, names in found]
+
+
+def revision_section(folder: Path, wanted: Output, trials: Sequence[Trial]) -> list[Section]:
+    """What was taken back on all logs, and a picture of one example each; nothing where nothing was."""
+    rows, pictures = [], []
+    for trial in trials:
+        for run, names in revising(trial):
+            rows.append({"log": trial.log.name, "task": trial.task, COLUMNS[0]: names, **tally(run)})
+        picture = None if wanted.no_plots else _picture(folder, trial, quick=wanted.quick)
+        pictures += [] if picture is None else [picture]
+    if not rows:
+        return []
+    table = written_table(pd.DataFrame(rows), folder, "revisions", paragraph("deciding#revisions"), wanted)
+    return [Section("Revised decisions", (table, *pictures), facts=rows, page="revisions")]
+
+
+def _picture(folder: Path, trial: Trial, *, quick: bool) -> Picture | None:
+    """One example of a trial: of a run that knows its whole path in the end, if there is one."""
+    runs = [run for run, _ in revising(trial) if run.flaw is None]
+    known = [r for r in trial.runs if r.events and r.flaw is None and r.final is not None]
+    run = next(iter([*known, *runs]), None)
+    one = None if run is None else example(run)
+    if run is None or one is None:
+        return None
+    name, log = stem(trial, "revision"), trial.log.name
+    save(revision_figure(trial.log, run, one), folder / "figures", name)
+    about = {"log": log, "task": trial.task, "estimator": run.estimator, "frame": one.frame, "why": one.why}
+    landmarks = len(np.unique(one.old[one.old >= 0]))
+    caption = paragraph("deciding#revision", **about, observations=len(one.rows), landmarks=landmarks)
+    return Picture(name, caption, paragraph("deciding#revision_alt", log=log, frame=one.frame))
+
+
+HEADS = {
+    "estimator": "estimator",
+    "association": "association",
+    "phase": "phase",
+    "source": "source",
+    "kind": "measures",
+    "count": "in the log",
+    "used": "accepted",
+    "nis_mean": "NIS per dof",
+    "bounds": "95 % bounds of NIS",
+    "verdict": "verdict",
+    "tp": "TP",
+    "tn": "TN",
+    "fp": "FP",
+    "fn": "FN",
+}
+"""Columns of sources.csv (or made here) and their heads."""
+
+
+@dataclass(frozen=True)
+class SourceFacts:
+    """One source in one run: a row of sources.csv; NaN, None: unknown."""
+
+    estimator: str
+    association: str
+    phase: str
+    source: str
+    kind: str
+    count: int
+    used: int
+    nis: float
+    low: float
+    high: float
+    verdict: str
+    outcomes: tuple[int, int, int, int] | None  # TP, TN, FP, FN
+
+    @property
+    def wrong(self) -> int | None:
+        """Outliers accepted and inliers rejected; None: unknown."""
+        return None if self.outcomes is None else self.outcomes[2] + self.outcomes[3]
+
+
+def source_facts(scores: Scores, log: str, task: str) -> list[SourceFacts]:
+    """The rows of a log and task, as facts."""
+    own = [r for r in rows_of(scores.sources) if (r["log"], r["task"]) == (log, task)]
+    return [_facts(r) for r in own]
+
+
+def _facts(row: Row) -> SourceFacts:
+    estimator, association, phase, source, kind = (
+        str(row[c]) for c in ("estimator", "association", "phase", "source", "kind")
+    )
+    nis, low, high = (value_of(row, c) for c in ("nis_mean", "nis_low", "nis_high"))
+    outcomes = None
+    if not is_blank(row["tp"]):
+        tp, tn, fp, fn = (int(value_of(row, c)) for c in ("tp", "tn", "fp", "fn"))
+        outcomes = tp, tn, fp, fn
+    counts = int(value_of(row, "count")), int(value_of(row, "used"))
+    verdict = "" if is_blank(row["verdict"]) else str(row["verdict"])
+    return SourceFacts(
+        estimator, association, phase, source, kind, *counts, nis=nis, low=low, high=high, verdict=verdict,
+        outcomes=outcomes,
+    )  # fmt: skip
+
+
+def main_sources(found: Sequence[SourceFacts]) -> list[SourceFacts]:
+    """Each source once: as the first filter took it online, else as the first run that used it, else as not used."""
+    order = sorted(found, key=lambda s: (not s.used, s.phase != "online", s.estimator not in FILTERS))
+    first: dict[tuple[str, str], SourceFacts] = {}
+    for s in order:
+        first.setdefault((s.source, s.kind), s)
+    return [first[key] for key in dict.fromkeys((s.source, s.kind) for s in found)]
+
+
+def source_lines(found: Sequence[SourceFacts]) -> list[str]:
+    """The lines of the terminal, one for each source."""
+    return [paragraph("sources#line", s=s) for s in main_sources(found)]
+
+
+def source_section(
+    folder: Path, output: Output, trial: Trial, scores: Scores, found: Sequence[Notice]
+) -> list[Section]:
+    """Words and table on the sources of a log and task, with the notices about them; none where it has none."""
+    facts = source_facts(scores, trial.log.name, trial.task)
+    if not facts:
+        return []
+    where = f"{trial.log.name}, {trial.task}"
+    table = scores.sources[(scores.sources["log"] == trial.log.name) & (scores.sources["task"] == trial.task)]
+    bounds = [interval(s.low, s.high) if math.isfinite(s.low) else None for s in facts]
+    made = table.astype(object).assign(bounds=pd.Series(bounds, index=table.index, dtype=object))
+    shown = drop_blank_columns(made[list(HEADS)].rename(columns=HEADS))
+    asking = of_runs(n for n in found if "source" in n.named)
+    words = say("sources#about", sources=main_sources(facts), asking=asking)
+    caption = paragraph("sources#caption", where=where, truth=any(s.outcomes is not None for s in facts))
+    blocks = (words, written_table(shown.reset_index(drop=True), folder, stem(trial, "sources"), caption, output))
+    return [Section(f"Fixes and closures: {where}", blocks, 3, tuple(facts))]
+
+
+class Outcome(StrEnum):
+    """What came of a comparison; the first that applies."""
+
+    FAILED = "failed"
+    IMPLAUSIBLE = "implausible"
+    NONE_RAN = "none ran"
+    ONE_RAN = "one ran"
+    LOST = "lost"
+    NO_TRUTH = "no truth"
+    COMPARED = "compared"
+
+
+def outcome(compared: Comparison) -> Outcome:
+    """By status and errors of the two."""
+    there = compared.pair
+    if any(r.status not in ("ok", IMPLAUSIBLE) for r in there):
+        return Outcome.FAILED
+    if any(r.status == IMPLAUSIBLE for r in there):
+        return Outcome.IMPLAUSIBLE
+    if len(there) < 2:
+        return Outcome.ONE_RAN if there else Outcome.NONE_RAN
+    if any(r.lost_why for r in there):
+        return Outcome.LOST
+    return Outcome.COMPARED if all(math.isfinite(r.rmse) for r in there) else Outcome.NO_TRUTH
+
+
+def answer(j: Judgement, trust: str = "") -> str:
+    """The comparison in a few sentences; `trust`, the diagnosis, comes first without ground truth."""
+    about = {"outcome": outcome(j.compared), "verdict": j.verdict, "linearized": j.compared.lost_to_linearization}
+    words = say("answer", j.compared, **about, methods=j.methods, trust=trust)
+    return "\n".join(map(one_line, re.split(r"\n(?=\* )", words)))
+
+
+def gate_sentence(setup: Setup, *, sensed: bool) -> str:
+    """The gate of observations paired by label; `sensed`: a sensor read the labels of this log."""
+    gate, by_default = setup.settled(sensed).label_gate, setup.gate_known == "auto"
+    smoothers = setup.gate_smoothers
+    return paragraph("settings#gate", gate=gate, by_default=by_default, smoothers=smoothers, sensed=sensed)
+
 
 IN_FULL, WHY_MISSING = "The comparison in words", "Why intervals are missing"
 IN_SUMMARY = {"errors": "rmse_position_m", "nees": "nees_pose", "nis": "nis", "decided": "fp"}
 VARIANTS, NOTES = "Additional variants", "Notes on the log and its runs"  # what folded texts are called
-IN_FRONT = ("map", "space", "error", "nees", "difference", "claims")
-"""Pictures of the report itself; the others are on the log's page."""
-ELSEWHERE = ("association", FILTER_SMOOTHER, SYSTEMATIC, GRID_PICTURE, LOOP_PICTURE)  # pictures of other sections
 
 
 def of_trial(frame: pd.DataFrame, trial: Trial) -> pd.DataFrame:
@@ -78,20 +314,19 @@ def trial_sections(
             continue
         group = (trial, *variants(trial, trials))
         j = next(own)
-        kinds = {p: p.stem.removeprefix(f"{stem(trial)}-") for p in pictures}
         wide = _comparison(folder, output, trial, group, scores)
         about_log = [n for n in found if n.log == trial.log.name and n.task in ("", trial.task)]
         blocks = _front(trial, j, about_log, scores, first_page_words(trial, trust))
         blocks.append(_summary(trial, group, scores, wide))
         blocks += space_tables(folder, output, trial)
-        blocks += [p for p, kind in kinds.items() if kind in IN_FRONT]
+        blocks += [p for p in pictures if p.place == FRONT]
         blocks += [film for t in group for film in films_of(folder, t)] if output.animate else []
         blocks.append(paragraph("comparison#details", page=stem(trial)))
         sections.append(Section(_where(trial), tuple(blocks), facts=j))
         sections += source_section(folder, output, trial, scores, about_log)
         sections += systematic_section(folder, output, trial, pictures, calibrations)
         details: list[Block] = [*parts(wide), *_differences(folder, output, trial, of_trial(scores.differences, trial))]
-        details += [p for p, kind in kinds.items() if kind not in (*IN_FRONT, *ELSEWHERE)]
+        details += [p for p in pictures if p.place == DETAILS]
         about = tuple(paragraph("comparison#variant", name=t.log.name, about=t.about) for t in group[1:])
         details += [Folded(VARIANTS, about)] if about else []
         notes = of_runs(n for n in about_log if n.severity is Severity.INFO)

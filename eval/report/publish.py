@@ -16,6 +16,9 @@ from data.log import folder_name
 from data.notice import Notice
 from data.result import Run, Trajectory
 from data.se2 import Array
+from eval.figures import FIGURES
+from eval.figures.kinds import KINDS, Kind, Variants
+from eval.figures.style import save
 from eval.plan.flags.table import Execution, Output
 from eval.plan.unfinished import MISSING_RUN, Unfinished
 from eval.plan.work import Job, work
@@ -27,10 +30,9 @@ from eval.referee.errors import landmark_true_ids, named
 from eval.referee.given.runs import log_of
 from eval.referee.score import Trial, confusion_of
 from eval.replay.settings import Setup
-from eval.report.laser import write_laser_files
+from eval.report.laser import GRID, LOOPS, write_laser_files
 from eval.report.page.blocks import Film, Picture
-from eval.report.pictures import draw, kinds
-from eval.report.rows import stem, variants
+from eval.report.page.files import stem, variants
 from eval.report.words import paragraph
 from eval.stepping.text import lab_block, run_text
 
@@ -38,6 +40,22 @@ RUN_FILES, PLAYER = -1, -2  # places of jobs that are no pictures
 MISSING = {RUN_FILES: "files", PLAYER: "player"}  # what is missing without them; see `missing` in notices.j2
 DRAWING, WRITING = 0.5, 1e-3
 """s of processor time for a figure, and for a frame of a log's files or player; measured, rounded up."""
+
+
+def kinds(trial: Trial, variants: Variants = (), *, quick: bool = False) -> dict[str, Kind]:
+    """The figures that a trial gets, with its variants, in the order of the report."""
+    every = {FIGURES[0]: KINDS[FIGURES[0]], "grid": GRID, "loops": LOOPS, **{name: KINDS[name] for name in FIGURES[1:]}}
+    return {n: kind for n, kind in every.items() if (kind.in_quick or not quick) and kind.applies(trial, variants)}
+
+
+def draw(folder: Path, trial: Trial, name: str, variants: Variants = ()) -> Picture:
+    """Draw one figure of `kinds`, as files below the result folder."""
+    kind = kinds(trial, variants)[name]
+    figure, facts = kind.drawn(trial, variants)
+    macro = kind.macro or f"pictures#{name.replace('-', '_')}"
+    caption, alt = (paragraph(m, log=trial.log.name, task=trial.task, **facts) for m in (macro, f"{macro}_alt"))
+    save(figure, folder / "figures", stem(trial, name))
+    return Picture(stem(trial, name), caption, alt, place=kind.place)
 
 
 def publish(

@@ -17,7 +17,7 @@ from data.formats.results.space import ignored
 from data.formats.results.tables import Companions
 from data.log import Log
 from data.logs import Reading, is_world, open_scored, unknown_world
-from data.notice import Code, Severity, notice
+from data.notice import Severity
 from data.questions.asked import truth_windows
 from data.se2 import Array
 from data.words import sentence
@@ -25,7 +25,6 @@ from eval.plan.flags.table import Output, Scoring
 from eval.plan.results import TRUTH, Result, manner_of, offset_of, phase_of, runs_of, true_path, truth_of
 from eval.referee import consistency, errors, result_files
 from eval.referee.consistency import QUANTITIES
-from eval.referee.given.in_space import NONE
 from eval.referee.given.runs import GivenRun, TruePath, truth_log
 from eval.referee.metrics import OF_ESTIMATES
 from eval.referee.result_files import Row, is_blank, value_of
@@ -33,9 +32,8 @@ from eval.referee.score import Trial, metrics_row
 from eval.referee.space_scores import CONVENTIONS, columns_in_space
 from eval.referee.space_scores import ERRORS as NAMED
 from eval.report.page.blocks import Table
-from eval.report.page.files import written_table
+from eval.report.page.files import stem, written_table
 from eval.report.page.tables import drop_blank_columns
-from eval.report.rows import stem
 from eval.report.words import one_line, paragraph, say
 from eval.studies.montecarlo import Sample, verdicts
 
@@ -246,13 +244,3 @@ def phases_of(trial: Trial, rows: Sequence[Row]) -> list[Phase]:
 def results_statement(trial: Trial, rows: Sequence[Row]) -> str:
     """A sentence on each result of a trial, from its rows of metrics.csv; empty where none was handed in."""
     return one_line(say("results#statement", phases=phases_of(trial, rows)))
-
-
-def aligned_statement(trial: Trial) -> str:
-    """Which results were moved onto the truth, for captions; empty where none was."""
-    moved = [r for r in trial.runs if isinstance(r, GivenRun) and r.aligned != NONE]
-    if not moved:
-        return ""
-    names, how = dict.fromkeys(r.estimator for r in moved), moved[0].aligned
-    about = sentence(notice(Code.ALIGNED, how=how, in_space=bool(moved[0].space)))
-    return " " + say("results#aligned", names=list(names), about=about, how=how)

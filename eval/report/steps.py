@@ -16,18 +16,17 @@ from data.terminal import WRONG, counted
 from eval.figures.figure_style import FigureStyle, figure_style
 from eval.judgement.judgement import Judgement, Verdict
 from eval.judgement.judgement import judge as judge_trial
-from eval.plan.appearance import figure_style_of, require_latex
-from eval.plan.console import Console
+from eval.plan.console import Console, progress
 from eval.plan.execute import Outcome, execute
 from eval.plan.experiments import Plan, make_plan
+from eval.plan.flags.options import figure_style_of, require_latex
 from eval.plan.flags.table import Options
-from eval.plan.progress import progress
 from eval.plan.provenance import words_of
 from eval.plan.warming import compile_if_needed
 from eval.referee.diagnostics import notices, of_logs
 from eval.referee.score import Scores, Trial, score
 from eval.report.contents import flaws_of, write_results
-from eval.report.page.latex import check_columns
+from eval.report.page.files import check_columns
 from eval.report.studies import declared_lines, study_lines
 from eval.report.terminal import groups_of, lines, trust_line
 from eval.report.words import asked, described, status_of, together

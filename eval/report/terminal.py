@@ -10,8 +10,8 @@ from typing import NamedTuple
 from eval.judgement.judgement import Judgement
 from eval.judgement.runs import RunJudgement
 from eval.referee.score import Scores, Trial
+from eval.report.log_sections import source_facts, source_lines
 from eval.report.overview import trust_mark
-from eval.report.sources import source_facts, source_lines
 from eval.report.words import paragraph, say
 from eval.studies.montecarlo import EstimatorJudgement, Judged, Study, judge_estimators
 

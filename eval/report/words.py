@@ -7,6 +7,7 @@ import re
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import cache
+from importlib.resources import files
 from typing import Any
 
 from jinja2 import ChoiceLoader, Environment, FileSystemLoader
@@ -16,7 +17,7 @@ from data.notice import Notice, Severity
 from data.result import Failure
 from data.wing import template_folders
 from data.words import number, sentence, title
-from eval.figures.paper import tex_escape
+from eval.figures.style import tex_escape
 from eval.report.page.blocks import FinePrint
 from eval.report.page.tables import interval
 
@@ -28,7 +29,8 @@ def environment() -> Environment:
     """The templates of the report, with more filters than notices need."""
     env = words.environment("eval.report")
     assert env.loader is not None
-    env.loader = ChoiceLoader([env.loader, *(FileSystemLoader(folder) for folder in template_folders())])
+    folders = [files("eval.figures") / "templates", *template_folders()]
+    env.loader = ChoiceLoader([env.loader, *(FileSystemLoader(str(folder)) for folder in folders)])
     env.globals["zip"] = zip
     filters = (interval, as_sentence, one_line, listed, plus_minus, sized, distance, six, tex)
     env.filters |= {f.__name__: f for f in filters}

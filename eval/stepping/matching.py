@@ -18,9 +18,8 @@ from matplotlib.ticker import MaxNLocator
 from data.inputs import IntArray
 from data.result import NEW
 from data.se2 import Array, BoolArray
-from eval.figures.paper import page_width
-from eval.figures.style import drawing
-from eval.stepping.plane import (
+from eval.figures.style import drawing, page_width
+from eval.stepping.pictures import (
     BAD,
     DASHES,
     DULL,
@@ -32,11 +31,12 @@ from eval.stepping.plane import (
     Plane,
     background,
     called,
+    fit,
     legend,
     lines,
     make_panels,
+    mark_robot,
     name_landmarks,
-    outlines,
     plane_of,
     robot_axes,
     write_numbers,
@@ -88,23 +88,26 @@ def scene_of_wrong(p: Plane, decisions: IntArray, truth: TruthRow | None) -> Arr
     return min(found, key=lambda points: (-len(points), float(np.ptp(points, axis=0).max())), default=None)
 
 
+def enlarge(ax: Axes, p: Plane, scene: Array, least: float, size: float) -> tuple[Array, float]:
+    """The problem around some points (k, 2), its landmarks numbered; middle (2,) and half side [m] of what is shown."""
+    low, high = scene.min(axis=0), scene.max(axis=0)
+    middle, half = 0.5 * (low + high), max(0.8 * float((high - low).max()), least)
+    background(ax, p, size)
+    ax.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
+    ax.set_aspect("equal")
+    seen = np.all(np.abs(p.landmarks - middle) <= half, axis=1)
+    write_numbers(ax, p.landmarks[seen], p.number[seen], LANDMARK, size, (-3.0, -3.0), first=p.first)
+    return middle, half
+
+
 def inset_on_wrong(ax: Axes, p: Plane, decisions: IntArray, truth: TruthRow | None) -> Axes | None:
     """Enlarge one wrong decision in the emptiest corner of the panel; None if nothing is wrong."""
     scene = scene_of_wrong(p, decisions, truth)
     if scene is None:
         return None
-    low, high = scene.min(axis=0), scene.max(axis=0)
-    middle, half = 0.5 * (low + high), max(0.75 * float((high - low).max()), LEAST)
     inset = ax.inset_axes(_corner(ax, p), zorder=20)
-    outlines(inset, p.landmarks, p.Pl, DULL, 1.5, 0.08)
-    outlines(inset, p.xy, p.P, GOOD, 2.0, 0.08)
-    inset.plot(*p.landmarks.T, "+", color=DULL, markersize=6.0, markeredgewidth=0.9, zorder=3)
-    lines(inset, p, [(int(i), int(j)) for i, j in np.argwhere(p.near)], color=FAINT, linewidth=0.8, zorder=2.5)
+    enlarge(inset, p, scene, LEAST, 6.0)
     draw_decisions(inset, p, decisions, truth, all_numbers=True, size=6.0)
-    inset.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
-    inset.set_aspect("equal")
-    seen = np.all(np.abs(p.landmarks - middle) <= half, axis=1)
-    write_numbers(inset, p.landmarks[seen], p.number[seen], LANDMARK, 6.0, (-3.0, -3.0), first=p.first)
     inset.tick_params(labelleft=False, labelbottom=False, length=0.0)
     ax.indicate_inset_zoom(inset, edgecolor="#303030")
     for spine in inset.spines.values():
@@ -188,6 +191,8 @@ def _paint(
     panels, place = make_panels(fig, names)
     for at, (ax, name) in enumerate(zip(panels, names, strict=True)):
         background(ax, p)
+        mark_robot(ax, np.zeros(3), "black", "robot")
+        fit(ax, p.shown, 0.1)
         name_landmarks(ax, p)
         ax.set_title(f"{called(name, names)}{panel(ax, p, name, at == 0)}")
         robot_axes(ax, left=at % 3 == 0, bottom=at >= len(names) - 3)
@@ -264,95 +269,57 @@ def _counted(decisions: IntArray, truth: TruthRow | None) -> str:
 
 
 AROUND = 0.5  # m, smallest half side of the section: the corridor's points are 0.25 m apart
-TALL, FLAT = 4.4, 3.3  # in; heights of a figure with two panels, and with one per method
 SIZE = 7.0  # pt, of the numbers
 DISTANCE: dict[str, Any] = {"fontsize": 5.5, "color": "#303030", "path_effects": HALO, "ha": "center", "va": "center"}
 """Text style of the d² of a pair."""
 
 
-def closer_figure(m: Matching, method: str) -> Figure:
-    """Compatibility and matching of one method in a frame, enlarged at a wrong decision (or the most crowded spot).
+def enlarged_figure(m: Matching, panels: Sequence[str], *, compatibility: bool = False) -> Figure:
+    """Decisions of methods in a frame side by side, enlarged at a wrong decision of the first (or where it is crowded).
 
-    Each compatible pair in view is labelled with its squared Mahalanobis distance d².
+    `compatibility`: before them a panel of all compatible pairs, each in view with its squared Mahalanobis distance d².
     """
     with drawing():
-        p, decided = plane_of(m), m.decisions[method]
-        assert not isinstance(decided, str)  # this method updates
-        truth = m.truth.get(method)
-        middle, half = _region(p, decided, scene_of_wrong(p, decided, truth))
-        fig = Figure(figsize=(page_width(), TALL))
+        p, first = plane_of(m), m.decisions[panels[0]]
+        scene = None if isinstance(first, str) else scene_of_wrong(p, first, m.truth.get(panels[0]))
+        if scene is None:
+            scene = p.xy[[int(p.near.sum(axis=1).argmax()) if p.near.size else 0]]
+        names, by = (["", *panels], "matching by ") if compatibility else (list(panels), "")
+        wide = 0.925 / len(names)
+        high = (wide - 0.03) * page_width() + 1.5  # in
+        fig = Figure(figsize=(page_width(), high))
         fig.set_layout_engine("none")
-        left, right = (fig.add_axes((x, 0.215, 0.415, 0.415 * page_width() / TALL)) for x in (0.085, 0.575))
-        for ax in (left, right):
-            _scene(ax, p, middle, half, wrong_of(truth) if ax is left else None)
-        d2 = m.expectation.individual_distances()
-        for i, j in np.argwhere(p.near):
-            at = 0.5 * (p.xy[i] + p.landmarks[j])
-            if np.all(np.abs(at - middle) < 0.95 * half):
-                left.annotate(f"{d2[i, j]:.2g}", at, zorder=9, **DISTANCE)
-        draw_decisions(right, p, decided, truth, all_numbers=True, size=SIZE)
-        robot_axes(left)
-        robot_axes(right, left=False)
-        left.set_title("compatibility: pairs inside the gate, with their d²", loc="left")
-        right.set_title(f"matching by {called(method)}: {_tally(truth)}", loc="left")
-        seen = np.all(np.abs(p.xy - middle) <= half, axis=1)
-        fig.legend(handles=_handles(m, [method], seen), loc="lower center", ncols=4)
-        fig.suptitle(m.title, x=0.01, ha="left")
-        return fig
-
-
-def methods_figure(m: Matching, methods: Sequence[str]) -> Figure:
-    """Decisions of several methods in one frame, side by side, enlarged at a wrong decision of the first method."""
-    with drawing():
-        p, first = plane_of(m), m.decisions[methods[0]]
-        scene = None if isinstance(first, str) else scene_of_wrong(p, first, m.truth.get(methods[0]))
-        middle, half = _region(p, np.empty(0, np.int64) if isinstance(first, str) else first, scene)
-        fig = Figure(figsize=(page_width(), FLAT))
-        fig.set_layout_engine("none")
-        wide = 0.925 / len(methods)
-        for k, name in enumerate(methods):
-            ax = fig.add_axes((0.075 + k * wide, 0.27, wide - 0.03, (wide - 0.03) * page_width() / FLAT))
-            _scene(ax, p, middle, half, None)
+        for k, name in enumerate(names):
+            ax = fig.add_axes((0.075 + k * wide, 0.9 / high, wide - 0.03, (wide - 0.03) * page_width() / high))
+            middle, half = enlarge(ax, p, scene, AROUND, SIZE)
+            for axis in (ax.xaxis, ax.yaxis):
+                axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
             ax.tick_params(labelleft=k == 0)
             robot_axes(ax, left=k == 0)
-            made = m.decisions[name]
-            if isinstance(made, str):
-                ax.set_title(f"{called(name)}: {made}", loc="left")
+            if not name:
+                _distances(ax, m, p, middle, half, wrong_of(m.truth.get(panels[0])))
                 continue
-            truth = m.truth.get(name)
-            draw_decisions(ax, p, made, truth, all_numbers=True, size=SIZE - 0.5)
-            ax.set_title(f"{called(name)}: {_tally(truth)}", loc="left")
+            made, truth = m.decisions[name], m.truth.get(name)
+            if not isinstance(made, str):
+                draw_decisions(ax, p, made, truth, all_numbers=True, size=SIZE)
+            ax.set_title(f"{by}{called(name)}: {made if isinstance(made, str) else _tally(truth)}", loc="left")
         seen = np.all(np.abs(p.xy - middle) <= half, axis=1)
-        fig.legend(handles=_handles(m, methods, seen), loc="lower center", ncols=4)
+        fig.legend(handles=_handles(m, panels, seen), loc="lower center", ncols=4)
         fig.suptitle(m.title, x=0.01, ha="left")
         return fig
 
 
-def _region(p: Plane, decisions: IntArray, scene: Array | None) -> tuple[Array, float]:
-    """Centre (2,) and half side [m] of the section: a wrong decision, or else the spot with most compatible pairs."""
-    if scene is None:
-        crowded = int(p.near.sum(axis=1).argmax()) if p.near.size else 0
-        scene = p.xy[[crowded]]
-    low, high = scene.min(axis=0), scene.max(axis=0)
-    return 0.5 * (low + high), max(0.9 * float((high - low).max()), AROUND)
-
-
-def _scene(ax: Axes, p: Plane, middle: Array, half: float, wrong: IntArray | None) -> None:
-    """Landmarks with numbers and ellipses, observations (unless decisions are drawn), compatible pairs."""
-    ax.set(xlim=middle[0] + [-half, half], ylim=middle[1] + [-half, half])
-    ax.set_aspect("equal")
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
-    outlines(ax, p.landmarks, p.Pl, DULL, 1.5, 0.1)
-    outlines(ax, p.xy, p.P, GOOD, 2.0, 0.1)
-    ax.plot(*p.landmarks.T, "+", color=DULL, markersize=7.0, markeredgewidth=1.0, zorder=3)
-    lines(ax, p, [(int(i), int(j)) for i, j in np.argwhere(p.near)], color=FAINT, linewidth=0.9, zorder=2.5)
-    seen = np.all(np.abs(p.landmarks - middle) <= half, axis=1)
-    write_numbers(ax, p.landmarks[seen], p.number[seen], LANDMARK, SIZE, (-3.0, -3.0), first=p.first)
-    if wrong is not None:
-        ax.plot(*p.xy.T, "o", color=GOOD, markersize=3.5, zorder=5)
-        ax.plot(*p.xy[wrong].T, "o", color=BAD, markersize=3.5, zorder=5.1)
-        write_numbers(ax, p.xy, np.arange(len(p.xy)), "#202020", SIZE, first=p.first)
+def _distances(ax: Axes, m: Matching, p: Plane, middle: Array, half: float, wrong: IntArray) -> None:
+    """All observations, and the d² of the compatible pairs in view."""
+    ax.plot(*p.xy.T, "o", color=GOOD, markersize=3.5, zorder=5)
+    ax.plot(*p.xy[wrong].T, "o", color=BAD, markersize=3.5, zorder=5.1)
+    write_numbers(ax, p.xy, np.arange(len(p.xy)), "#202020", SIZE, first=p.first)
+    d2 = m.expectation.individual_distances()
+    for i, j in np.argwhere(p.near):
+        at = 0.5 * (p.xy[i] + p.landmarks[j])
+        if np.all(np.abs(at - middle) < 0.95 * half):
+            ax.annotate(f"{d2[i, j]:.2g}", at, zorder=9, **DISTANCE)
+    ax.set_title("compatibility: pairs inside the gate, with their d²", loc="left")
 
 
 def _handles(m: Matching, methods: Sequence[str], seen: BoolArray) -> list[Line2D | Patch]:

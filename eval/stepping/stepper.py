@@ -18,7 +18,6 @@ from eval.replay.frontend import FrontEnd, Pairing
 from eval.replay.recorder import Observer
 from eval.stepping.matching import paint_compatibility, paint_matching
 from eval.stepping.pictures import ImageWriter, paint_ground_truth, paint_map, paint_observations
-from eval.stepping.poses import of_frame
 from eval.stepping.problem import FrameSoFar, pose_problem, removed_so_far
 from eval.stepping.text import (
     Block,
@@ -26,6 +25,7 @@ from eval.stepping.text import (
     closing,
     compatibility_text,
     moved_text,
+    of_frame,
     poses_block,
     run_text,
     statistics,

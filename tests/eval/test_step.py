@@ -19,8 +19,7 @@ from eval.referee.plausibility import with_plausibility
 from eval.replay.run import step_by_step
 from eval.step import main
 from eval.stepping import pictures
-from eval.stepping.pictures import ImageWriter
-from eval.stepping.plane import LANDMARK
+from eval.stepping.pictures import LANDMARK, ImageWriter
 from eval.stepping.stepper import Walk
 from eval.stepping.text import lab_block, run_text, step_block
 

@@ -1,4 +1,4 @@
-"""A wing of somebody else, as the page on extending has it, adds a command, a world, a kind of log; a broken one is named."""
+"""A wing of others, as the page on extending has it, adds a command, a world, a kind of log; a broken one is named."""
 
 from __future__ import annotations
 

@@ -16,9 +16,8 @@ from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.replay.laser.backends import key_inputs
 from eval.report.page.blocks import Block, FinePrint, Section
-from eval.report.page.files import written_table
+from eval.report.page.files import stem, written_table
 from eval.report.page.tables import number
-from eval.report.rows import stem
 from eval.report.words import say
 from graph.batch import Rejected, Start
 from wings.audit.audit import FAMILY

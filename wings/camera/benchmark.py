@@ -5,7 +5,7 @@ from __future__ import annotations
 import statistics
 import time
 
-from eval.benchmarks.timed import Timed
+from eval.benchmarks.speed import Timed
 from wings.camera.detector import Detector
 from wings.camera.gallery import Gallery
 from wings.camera.rendering.render import Rendered

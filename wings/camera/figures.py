@@ -19,8 +19,7 @@ from data.pictures import Detection
 from data.result import Run
 from data.se2 import Array
 from eval.figures.map import map_figure
-from eval.figures.paper import across, page_width
-from eval.figures.style import SINGLE, drawing
+from eval.figures.style import SINGLE, across, drawing, page_width
 
 MOST_TILES = 12
 OUTLINE = "#F0E442"

@@ -21,15 +21,14 @@ from data.inputs import IntArray
 from data.log import Log, folder_name
 from data.pictures import COMMAND_SIGMA, Detection, Evidence, Found, InView, true_pictures
 from data.terminal import counted
+from eval.figures.kinds import for_map, left_out
 from eval.figures.map import enlarged
 from eval.figures.style import save
 from eval.plan.flags.table import Output
 from eval.referee.score import Trial
 from eval.report.page.blocks import Block, Formula, Picture, Section
-from eval.report.page.files import written_table
+from eval.report.page.files import stem, written_table
 from eval.report.page.tables import drop_blank_columns
-from eval.report.rows import stem
-from eval.report.shown_runs import for_map, left_out
 from eval.report.words import one_line, say, template_text
 from wings.camera.figures import Tile, contact_sheet, plan_figure
 

@@ -21,9 +21,8 @@ from data.result import Run
 from data.se2 import Array
 from data.words import number
 from eval.figures.error import error_figure, ticks, time_label
-from eval.figures.paper import page_width
 from eval.figures.plane import true_landmarks
-from eval.figures.style import DASHED, SOLID, Line, colour_of_method, drawing, save
+from eval.figures.style import DASHED, SOLID, Line, colour_of_method, drawing, page_width, save
 from eval.referee.errors import landmark_true_ids, named, position_distance, rms
 from eval.referee.score import Trial
 from eval.replay.frontend import FrontEnd
@@ -31,8 +30,8 @@ from eval.replay.run import front_end
 from eval.replay.settings import Setup
 from eval.report.page.blocks import Picture
 from eval.report.page.files import write_table
-from eval.stepping.matching import closer_figure, methods_figure, wrong_of
-from eval.stepping.plane import BAD, FAINT
+from eval.stepping.matching import enlarged_figure, wrong_of
+from eval.stepping.pictures import BAD, FAINT
 from eval.stepping.problem import Matching, problems_of
 from wings.labs.corridor import (
     BLIND,
@@ -297,7 +296,7 @@ def _first_wrong(lab: Lab, setup: Setup) -> Drawn:
     m = problems_of(s.log, "slam", s.run.estimator, s.run.association, setup, [frame], ("nn",), title)[frame]
     what = "the last frame; NN pairs nothing wrongly" if first is None else "the first frame in which NN pairs wrongly"
     return (
-        closer_figure(m, "nn"),
+        enlarged_figure(m, ["nn"], compatibility=True),
         f"`{s.log.name}`, {what}, zoomed, seen from the robot: what is compatible, with d²; what NN makes of it.",
         f"Compatibility and matching of NN in frame {frame} of {s.log.name}, observations and landmarks numbered",
     )
@@ -336,7 +335,7 @@ def _methods(lab: Lab, setup: Setup) -> Drawn:
 
     frame = max(found, key=lambda k: (gained(found[k]), -k))
     return (
-        methods_figure(found[frame], names),
+        enlarged_figure(found[frame], names),
         f"`{s.log.name}`, the frame in which JCBB gains most over NN, zoomed: what each makes of the same map.",
         f"Decisions of NN, SINGLES and JCBB in frame {frame} of {s.log.name}, side by side",
     )

@@ -17,9 +17,8 @@ from data.inputs import CLUTTER
 from data.log import Log
 from data.logs import Reading, as_scored, find_logs, open_scored
 from eval.plan.experiment import Experiment, Work
-from eval.plan.experiments import VISUAL
+from eval.plan.experiments import VISUAL, maintained
 from eval.plan.flags.table import DEFAULT_ESTIMATORS
-from eval.plan.variants import maintained
 from eval.replay.settings import HINDSIGHT, Setup
 
 CONDITIONS = {

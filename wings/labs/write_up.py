@@ -11,12 +11,11 @@ from jinja2 import Template
 from markdown_it import MarkdownIt
 from markdown_it.token import Token
 
-from eval.figures.paper import tex_escape
+from eval.figures.style import tex_escape
 from eval.referee.result_files import rows_of, value_of
 from eval.referee.score import Scores, Trial
 from eval.report.page.blocks import Picture, Section, Table
-from eval.report.page.latex import notes_of
-from eval.report.rows import stem
+from eval.report.page.files import notes_of, stem
 from eval.report.words import environment
 
 OTHERS = (r"$\omega$", r"$\varphi$", r"$\psi$", r"$\Delta$", r"$\pi$", r"$\to$", "'", "``", "''")

@@ -25,7 +25,7 @@ import numpy as np
 from data.columns.scans import open_archive
 from data.csv_table import Table, bytes_of, cut_off, lines_of, number_rows
 from data.errors import DataError
-from data.inputs import IntArray, LandmarkMap
+from data.inputs import LandmarkMap
 from data.se2 import Array
 
 BARCODES, LANDMARKS = "Barcodes.dat", "Landmark_Groundtruth.dat"
@@ -186,8 +186,8 @@ def read_barcodes(files: Files) -> dict[int, int]:
     """Subject by barcode."""
     table = parse(files.path(BARCODES), files.content(BARCODES), ("subject", "barcode"))
     subject, barcode = (table.integers(name, 0) for name in ("subject", "barcode"))
-    _require_distinct(table, "subject", subject)
-    _require_distinct(table, "barcode", barcode)
+    table.require_distinct("subject", subject, "{} is in two rows")
+    table.require_distinct("barcode", barcode, "{} is in two rows")
     return dict(zip(barcode.tolist(), subject.tolist(), strict=True))
 
 
@@ -202,18 +202,12 @@ def read_landmarks(files: Files, replacement: Path | None = None) -> LandmarkMap
     table = parse(path, content, ("subject", "x", "y", "x std-dev", "y std-dev"))
     subject = table.integers("subject", 0)
     table.require(~np.isin(subject, ROBOTS), "subject", "{} is a robot's number (1 to 5), not a landmark's")
-    _require_distinct(table, "subject", subject)
+    table.require_distinct("subject", subject, "{} is in two rows")
     for column in ("x std-dev", "y std-dev"):
         table.require(table.columns[column] >= 0.0, column, "{} is a negative standard deviation")
     order = np.argsort(subject)
     sigma = table.stack(("x std-dev", "y std-dev"))[order]
     return LandmarkMap(subject[order], table.stack(("x", "y"))[order], sigma=sigma if sigma.any() else None)
-
-
-def _require_distinct(table: Table, column: str, values: IntArray) -> None:
-    first = np.zeros(len(values), bool)
-    first[np.unique(values, return_index=True)[1]] = True
-    table.require(first, column, "{} is in two rows")
 
 
 def read_truth(files: Files, robot: int) -> Array | None:

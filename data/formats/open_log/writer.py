@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
@@ -14,38 +14,37 @@ import numpy as np
 import tomli_w
 
 from data.columns import appearance as looks
-from data.columns import closures as closures_file
-from data.columns import fixes as fixes_file
+from data.columns import poses
 from data.columns import sensors as sensors_file
-from data.columns.fixes import POSE
 from data.columns.header import FORMAT, HEADER, LATEST
-from data.columns.landmarks import SIGMAS, TRUE_PLACE
-from data.columns.named import COVARIANCE
-from data.columns.parts import MEAN, STAMP
-from data.columns.scans import scans_content
-from data.errors import DataError
-from data.formats.open_log.reader import (
+from data.columns.named import COVARIANCE, UPPER
+from data.columns.parts import (
     CLOSURES,
-    FILES,
     FIXES,
     FRAMES,
+    IDS,
+    KIND,
     LANDMARKS,
     OBSERVATIONS,
     ODOMETRY,
-    RELATIONS,
-    SCANS,
+    SIGMAS,
+    STAMP,
+    TRUE_PLACE,
     TRUTH,
-    load_folder,
-    relations_columns,
+    VELOCITIES,
 )
-from data.inputs import UNLABELLED, IntArray, LandmarkMap
+from data.columns.poses import ENDS, POSE, RELATIVE, by_name
+from data.columns.scans import scans_content
+from data.errors import DataError
+from data.formats.open_log.reader import FILES, RELATIONS, SCANS, load_folder, relations_to_write
+from data.inputs import LandmarkMap
 from data.log import Log
 from data.motion.velocity import WITH_ALPHAS, VelocityModel
 from data.se2 import Array
-from data.truth import UNKNOWN_ID
 from data.whole import whole_folder
 
-VELOCITIES = ("v", "omega")
+Table = dict[str, Sequence[Any]]
+"""Columns by name."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,68 +109,53 @@ def _require_replaceable(target: Path) -> None:
 def contents(log: Log, name: str, samples: Samples | None = None) -> dict[str, str]:
     """Contents by file name, except scans, of a log under a name."""
     inputs, truth = log.recorded, log.truth
-    observations = inputs.observations
-    files = {HEADER: tomli_w.dumps(_header(log, name, samples))}
+    observations, fixes, closures = inputs.observations, inputs.fixes, inputs.closures
+    tables: dict[str, Table] = {}
     if truth.relations is not None:
-        files[RELATIONS] = _csv(*relations_columns(truth.relations))
+        tables[RELATIONS] = relations_to_write(truth.relations)
+    at: list[Any]
     if samples is None:
-        files[FRAMES] = _frames(log)
-        columns: dict[str, Sequence[object]] = {"frame": observations.frame.tolist()}
+        key, at = "frame", list(range(len(inputs)))
+        tables[FRAMES] = {"t": inputs.time.tolist(), **by_name(RELATIVE, inputs.increments.mean)}
+        tables[FRAMES] |= by_name(COVARIANCE, inputs.increments.covariance[:, *UPPER])
+        if truth.relations is not None and truth.relations.frame_stamp is not None:
+            tables[FRAMES][STAMP] = truth.relations.frame_stamp.tolist()
     else:
-        files[ODOMETRY] = _csv(("t", *VELOCITIES), np.column_stack([samples.time, samples.velocity]).tolist())
-        columns = {"t": inputs.time[observations.frame].tolist()}
-    sensors = inputs.sensors or (inputs.sensor,)
-    columns |= sensors_file.columns_of(sensors, observations.z, observations.R, observations.sensor)
-    if observations.appearance is not None:
-        columns |= looks.columns_of(observations.appearance)
-    if truth.landmark_of is not None:
-        columns["true_id"] = _or_blank(truth.landmark_of, UNKNOWN_ID)
-    if log.label is not None:
-        columns["label"] = _or_blank(log.label, UNLABELLED)
-    nothing_else = inputs.scans is None and inputs.fixes is None and inputs.closures is None
-    if nothing_else or len(observations.frame) or truth.landmark_of is not None or log.label is not None:
-        files[OBSERVATIONS] = _csv(columns, zip(*columns.values(), strict=True))
-    key = "frame" if samples is None else "t"
-    at = np.arange(len(inputs)) if samples is None else inputs.time
-    if inputs.fixes is not None:
-        when = at[inputs.fixes.frame].tolist()
-        fixes = fixes_file.fixes_columns(inputs.fixes, truth.fix_inlier, key, when)
-        files[FIXES] = _csv(fixes, zip(*fixes.values(), strict=True))
-    if inputs.closures is not None:
-        ends = at[inputs.closures.frame1].tolist(), at[inputs.closures.frame2].tolist()
-        closures = closures_file.closures_columns(inputs.closures, truth.closure_inlier, key, ends)
-        files[CLOSURES] = _csv(closures, zip(*closures.values(), strict=True))
+        key, at = "t", inputs.time.tolist()
+        tables[ODOMETRY] = {"t": samples.time.tolist(), **by_name(VELOCITIES, samples.velocity)}
+    ids = {"true_id": truth.landmark_of, "label": log.label}
+    given = [values for values in ids.values() if values is not None]
+    if given or len(observations.frame) or (inputs.scans is None and fixes is None and closures is None):
+        sensors = inputs.sensors or (inputs.sensor,)
+        seen: Table = {key: [at[k] for k in observations.frame.tolist()]}
+        seen |= sensors_file.columns_of(sensors, observations.z, observations.R, observations.sensor)
+        seen |= {} if observations.appearance is None else looks.columns_of(observations.appearance)
+        for column, values in ids.items():
+            if values is not None:
+                seen[column] = ["" if i == IDS[column] else i for i in values.tolist()]
+        tables[OBSERVATIONS] = seen
+    if fixes is not None:
+        tables[FIXES] = {key: [at[k] for k in fixes.frame.tolist()], **poses.fixes_to_write(fixes, truth.fix_inlier)}
+    if closures is not None:
+        ends = ([at[k] for k in frame.tolist()] for frame in (closures.frame1, closures.frame2))
+        measured = poses.closures_to_write(closures, truth.closure_inlier)
+        tables[CLOSURES] = {**dict(zip(ENDS[key], ends, strict=True)), **measured}
     if samples is not None and samples.truth is not None:
-        files[TRUTH] = _csv(("t", *POSE), np.column_stack(samples.truth).tolist())
+        tables[TRUTH] = {"t": samples.truth[0].tolist(), **by_name(POSE, samples.truth[1])}
     elif truth.pose is not None:
-        files[TRUTH] = _csv(POSE, truth.pose.tolist())
+        tables[TRUTH] = by_name(POSE, truth.pose)
     landmarks = _landmarks(log)
     if landmarks is not None:
-        x, y = landmarks.xy.reshape(-1, 2).T.tolist()
-        places: dict[str, Sequence[object]] = {"id": landmarks.id.tolist(), "x": x, "y": y}
-        if landmarks.sigma is not None:
-            places |= dict(zip(SIGMAS, landmarks.sigma.T.tolist(), strict=True))
+        places: Table = {"id": landmarks.id.tolist(), **by_name(("x", "y"), landmarks.xy.reshape(-1, 2))}
+        places |= {} if landmarks.sigma is None else by_name(SIGMAS, landmarks.sigma)
         if (true := truth.landmarks) is not None and not _same(landmarks, true):
-            at = true.positions(landmarks.id).T.tolist()
-            places |= {n: ["" if math.isnan(v) else v for v in c] for n, c in zip(TRUE_PLACE, at, strict=True)}
-        if landmarks.kind is not None:
-            places["kind"] = landmarks.kind
-        if landmarks.appearance is not None:
-            places |= looks.columns_of(landmarks.appearance, known=True)
-        files[LANDMARKS] = _csv(places, zip(*places.values(), strict=True))
-    return files
-
-
-def _frames(log: Log) -> str:
-    """frames.csv."""
-    increments, relations = log.recorded.increments, log.truth.relations
-    upper = np.triu_indices(3)
-    frames = np.column_stack([log.recorded.time, increments.mean, increments.covariance[:, upper[0], upper[1]]])
-    frame_names = ["t", *MEAN, *COVARIANCE]
-    if relations is not None and relations.frame_stamp is not None:
-        frame_names.append(STAMP)
-        frames = np.column_stack([frames, relations.frame_stamp])
-    return _csv(frame_names, frames.tolist())
+            there = by_name(TRUE_PLACE, true.positions(landmarks.id))
+            places |= {name: ["" if math.isnan(v) else v for v in column] for name, column in there.items()}
+        places |= {} if landmarks.kind is None else {KIND: landmarks.kind}
+        places |= {} if landmarks.appearance is None else looks.columns_of(landmarks.appearance, known=True)
+        tables[LANDMARKS] = places
+    files = {HEADER: tomli_w.dumps(_header(log, name, samples))}
+    return files | {file: _csv(table) for file, table in tables.items()}
 
 
 def _landmarks(log: Log) -> LandmarkMap | None:
@@ -215,10 +199,7 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
     }
     if inputs.scans is not None:
         plain["scanner"] = asdict(inputs.scans.scanner)
-    if inputs.fixes is not None:
-        plain[fixes_file.TABLE] = fixes_file.tables_to_write(inputs.fixes)
-    if inputs.closures is not None:
-        plain[closures_file.TABLE] = closures_file.tables_to_write(inputs.closures)
+    plain |= poses.tables_to_write(inputs.fixes, inputs.closures)
     if samples is not None:
         noise = samples.model.noise
         numbers = {"alphas": noise.alphas} if noise.kind in WITH_ALPHAS else {"sigma": noise.sigma}
@@ -227,14 +208,10 @@ def _header(log: Log, name: str, samples: Samples | None) -> dict[str, Any]:
     return {key: _plain(value) for key, value in plain.items()}
 
 
-def _or_blank(ids: IntArray, blank: int) -> list[object]:
-    return ["" if i == blank else i for i in ids.tolist()]
-
-
-def _csv(names: Iterable[str], rows: Iterable[Iterable[object]]) -> str:
+def _csv(table: Table) -> str:
     """Header and rows; floats by `repr`, the shortest text that reads back as the same bits."""
-    lines = [",".join(names)]
-    lines += [",".join([v if isinstance(v, str) else repr(v) for v in row]) for row in rows]
+    rows = zip(*table.values(), strict=True)
+    lines = [",".join(table), *(",".join([v if isinstance(v, str) else repr(v) for v in row]) for row in rows)]
     return "\n".join(lines) + "\n"
 
 

@@ -70,10 +70,6 @@ class TextTable:
         """The fields of a column in the rows to keep (K,)."""
         return [row[column] for row, wanted in zip(self.rows, keep.tolist(), strict=True) if wanted]
 
-    def number(self, field: str) -> float:
-        """A field as a number; ValueError if it is none."""
-        return _decimal(field) if self.decimal_comma else _number(field)
-
     def numbers(self, column: int, keep: BoolArray, *, stamps: bool) -> Array:
         """A column as numbers, NaN where blank; `stamps`: dates as 2024-05-01T12:00:00.5 in s since 1970. DataError if
         invalid.
@@ -362,11 +358,11 @@ class Columns:
         optional: Sequence[str] = (),
         texts: Sequence[str] = (),
         may_be_blank: Collection[str] = (),
-    ) -> tuple[Table, dict[str, list[str]], int]:
-        """Quantities of a file in SI units, some optional, and `texts` unconverted; and the number of skipped rows.
+    ) -> tuple[Table, int]:
+        """Quantities of a file in SI units, some optional, and `texts` as words; and the number of skipped rows.
 
-        Rows whose required quantities except t are all blank are skipped. DataError for a missing column, or an invalid
-        or blank field.
+        Rows whose required quantities except t are all blank are skipped, unless these may be blank. DataError for a
+        missing column, or an invalid or blank field.
         """
         columns = dict(zip(quantities, self.require(file, role, quantities), strict=True))
         columns |= {q: c for q in optional if (c := self.find(file, role, q)) is not None}
@@ -374,7 +370,8 @@ class Columns:
         for q in quantities:
             if q != "t":
                 empty &= np.array([row[columns[q]].lower() in ("", "nan") for row in file.rows], bool)
-        keep = ~empty if not may_be_blank else np.ones(len(file), bool)
+        empty &= not set(quantities) & set(may_be_blank)
+        keep = ~empty
         values: dict[str, Array] = {}
         for q, c in columns.items():
             dates = q in STAMPS and self.units.is_date(role)
@@ -384,15 +381,15 @@ class Columns:
                 given = f"--time-offset {role}={self.offsets[role]:g}"
                 raise UsageError(f"{given}: {file.path.name} is read without stamps")
             values |= {q: values[q] + self.offsets[role] for q in STAMPS if q in values}
-        table = Table(file.path, values, line=file.line[keep])
+        words = {q: file.text(c, keep) for q in texts if (c := self.find(file, role, q)) is not None}
+        table = Table(file.path, values, line=file.line[keep], texts=words)
         for q, c in columns.items():
             fine = np.isfinite(values[q])
             if q not in may_be_blank and not fine.all():
                 row = int(np.argmin(fine))
                 field = file.text(c, keep)[row]
                 raise table.error(row, file.names[c], f"{repr(field) if field else 'blank'}; a number is needed")
-        found = {q: file.text(c, keep) for q in texts if (c := self.find(file, role, q)) is not None}
-        return table, found, int(empty.sum()) if not may_be_blank else 0
+        return table, int(empty.sum())
 
 
 def _why(key: str, name: str, files: Sequence[TextTable]) -> str:
@@ -414,3 +411,66 @@ def headings(values: Mapping[str, Array]) -> Array:
 def shared(paths: Mapping[str, Path]) -> set[str]:
     """Roles whose file has another role."""
     return {r for r, p in paths.items() if list(paths.values()).count(p) > 1}
+
+
+# Values of flags, as text.
+
+Given = Mapping[str, object]
+"""Texts by flag (without leading dashes); flags of pairs as text or as a table of texts."""
+POSE = ("length", "length", "angle")
+TRAVEL = ("length", "length", "angle", "angle")
+STAMPED = ("odometry", "observations", "truth", "fixes", "closures", SECOND)
+"""Roles of files with stamps, beside the names of sensors."""
+
+
+def pairs(value: object, flag: str) -> dict[str, str]:
+    """`a=b,c=d` (or several such texts, or a table) as a dict."""
+    if isinstance(value, Mapping):
+        return {str(k): str(v) for k, v in value.items()}
+    texts = value if isinstance(value, list) else [str(value)]
+    found: dict[str, str] = {}
+    for part in [p.strip() for text in texts for p in str(text).split(",") if p.strip()]:
+        key, equals, name = part.partition("=")
+        if not (key.strip() and equals and name.strip()):
+            right = "KEY=NAME is needed, as in t=stamp (names with commas: in a mapping file)"
+            if flag == "time-offset":
+                right = f"PART=SECONDS is needed, as in truth=-0.5, of {', '.join(STAMPED)}"
+            raise UsageError(f"--{flag} {part}: {right}")
+        if key.strip() in found:
+            raise UsageError(f"--{flag}: {key.strip()} is named twice")
+        found[key.strip()] = name.strip()
+    return found
+
+
+def numbers(text: object, dimensions: Sequence[str], flag: str, what: str) -> Array:
+    """Numbers with or without units, one for each dimension; `what` describes them in a message."""
+    parts = words(text)
+    if len(parts) != len(dimensions):
+        raise UsageError(f"--{flag} {text}: {len(dimensions)} numbers are needed: {what}")
+    return np.array([quantity_with_unit(p, d, f"--{flag}") for p, d in zip(parts, dimensions, strict=True)])
+
+
+def number(text: object, dimension: str, flag: str, what: str) -> float:
+    """One number with or without a unit."""
+    return float(numbers(text, (dimension,), flag, what)[0])
+
+
+def sigmas(text: object, dimensions: Sequence[str], flag: str, what: str, *, zero: bool = True) -> Array:
+    """Numbers that are standard deviations; `zero`: may be 0."""
+    found = numbers(text, dimensions, flag, what)
+    if (found < 0.0).any() or (not zero and (found == 0.0).any()):
+        raise UsageError(f"--{flag} {text}: must be {'0 or more' if zero else 'more than 0'}")
+    return found
+
+
+def one_of(given: Given, flag: str, known: Sequence[str]) -> str:
+    """The word of a flag, by default the first that is known."""
+    value = str(given.get(flag, known[0]))
+    if value not in known:
+        raise UsageError(f"--{flag} {value}: {unknown(value, known)}")
+    return value
+
+
+def words(text: object) -> list[str]:
+    """The parts of a list with commas or spaces."""
+    return str(text).replace(",", " ").split()

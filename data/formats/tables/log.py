@@ -1,124 +1,124 @@
-"""A log from the tables of another program: frames, increments, observations, map, truth and prior in SI units."""
+"""A log from the tables of another program: frames, increments, observations, fixes, closures, map, truth and prior."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from data import se2
-from data.columns.appearance import of_landmarks, together
-from data.columns.named import is_name
-from data.csv_table import Table
+from data.columns import appearance
+from data.columns.appearance import of_observations
+from data.columns.parts import landmarks_of
+from data.csv_table import Table, is_name
 from data.digest import file_sha256
 from data.errors import DataError, UsageError, unknown
 from data.formats.open_log.writer import Recording, Samples
 from data.formats.recordings.laser import FLOOR
-from data.formats.second_odometry import together as together_closures
-from data.formats.tables.files import SECOND, TextTable, headings, read_text
-from data.formats.tables.flags import Wanted
-from data.formats.tables.motion import Odometry, kind_of, pose_columns, read_odometry, suspicious
-from data.formats.tables.observations import (
-    FrameObservations,
-    joined,
-    read_observations,
-    sensor_of,
-    whole,
-    with_looks,
-)
-from data.formats.tables.second import read_second, second_closures
-from data.formats.tables.sensors import SENSOR, TableSensor
-from data.inputs import Inputs, IntArray, LandmarkMap, Prior
+from data.formats.second_odometry import together
+from data.formats.tables.files import SECOND, TextTable, headings, shared
+from data.formats.tables.motion import Odometry, pose_columns, read_odometry, read_second, second_closures, suspicious
+from data.formats.tables.request import LOOKS, OBSERVATIONS, SENSOR, TableSensor, Wanted
+from data.inputs import CLUTTER, UNLABELLED, Inputs, IntArray, LandmarkMap, Observations, Prior
 from data.log import INTEGRATION, ODOMETRY_KIND, ODOMETRY_PERIOD, TRUTH_POSE, Log
 from data.motion.velocity import VelocityModel, VelocityNoise, floor_covariances
 from data.pose_measurements import Closures, Fixes, FixKind, FixSource
 from data.se2 import Array, BoolArray
-from data.sensors import RangeBearing
+from data.sensors import Bearing, Range, RangeBearing, RelativePoint, Sensor
 from data.terminal import counted
 from data.timeline import MAX_GAP, frame_times, truth_at
-from data.truth import Truth
-
-# Fixes and closures in tables of another program, in SI units: what they measure is in the fields that are filled.
+from data.truth import UNKNOWN_ID, Truth
 
 SIGMAS = ("sx", "sy", "stheta")
 RELATIVE = ("dx", "dy", "dtheta")
-FORBIDDEN = set(',"')
-"""Characters that a field of fixes.csv cannot hold."""
+KIND = "kind"
+"""Column of the map."""
+IDS = {"true_id": UNKNOWN_ID, "label": UNLABELLED}
+"""Columns of ids, and the id of a blank field."""
+SEEN: dict[tuple[str, ...], type[Sensor]] = {
+    ("range",): Range, ("bearing",): Bearing, ("range", "bearing"): RangeBearing, ("x", "y"): RelativePoint,
+}  # fmt: skip
+"""Sensors by what they measure."""
+LONGEST = 1e6
+"""s, longest log; stamps in another unit would fill the memory with keyframes."""
 
 
 @dataclass(frozen=True, eq=False)
-class PoseRows:
-    """Fixes or closures in the order of their (later) stamps.
+class Rows:
+    """Observations of a sensor, fixes or closures in the order of their (later) instants.
 
     Attributes:
-        what: "fixes" or "closures".
-        table: their rows, for messages.
-        at: (F,) s, as the odometry's; of closures (F, 2).
+        what, one: all, and one of them, in a message.
+        table: what they measure.
+        at: (K, 1) s, as the odometry's; of closures (K, 2).
         stamped: at their own stamps, not at rows of the odometry.
-        z, sigma: (F, 3), NaN where not measured.
-        source: (F,) row in `names`.
+        z, sigma: (K, 3) of fixes and closures, NaN where not measured; (K, 2) of observations.
+        source: (K,) row in `names` of fixes and closures.
     """
 
     what: str
+    one: str
     table: Table
     at: Array
     stamped: bool
     z: Array
     sigma: Array
     source: IntArray
-    names: tuple[str, ...]
+    names: tuple[str, ...] = ()
 
-    @property
-    def one(self) -> str:
-        """One of them, in a message."""
-        return "fix" if self.what == "fixes" else "closure"
-
-    def part(self, rows: IntArray) -> PoseRows:
+    def part(self, rows: IntArray) -> Rows:
         """Some of them, in this order."""
         return replace(
             self, table=self.table.part(rows), at=self.at[rows], z=self.z[rows], sigma=self.sigma[rows],
             source=self.source[rows],
         )  # fmt: skip
 
+    def frames(self, time: Array) -> IntArray:
+        """Their frames, of shape of `at`, among `time` (N,)."""
+        return np.searchsorted(time, self.at).astype(np.int64)
+
     @property
     def covariance(self) -> Array:
-        """Of z (F, 3, 3), zero where not measured."""
+        """Of z (K, 3, 3), zero where not measured."""
         variance = np.where(np.isnan(self.z), 0.0, self.sigma**2)
         return np.asarray(variance[:, :, None] * np.eye(3))
 
-    def fixes(self, time: Array, lever: tuple[float, float], rotation: float) -> Fixes:
-        """As fixes of a log with frames at `time` (N,)."""
-        there = ~np.isnan(self.z)
-        kind = np.where(there[:, 2], np.where(there[:, 0], FixKind.POSE, FixKind.HEADING), FixKind.POSITION)
-        sources = tuple(FixSource(name, lever, rotation) for name in self.names)
-        frame = np.searchsorted(time, self.at).astype(np.int64)
-        return Fixes(frame, kind, self.source, np.where(there, self.z, 0.0), self.covariance, sources)
 
-    def closures(self, time: Array) -> Closures:
-        """As closures of a log with frames at `time` (N,)."""
-        frame = np.searchsorted(time, self.at).astype(np.int64)
-        return Closures(frame[:, 0], frame[:, 1], self.z, self.covariance, self.source, self.names)
+def _instants(
+    file: TextTable, wanted: Wanted, role: str, odometry: Odometry, stamps: Sequence[str], rows: Sequence[str]
+) -> tuple[Sequence[str], bool]:
+    """The columns of instants, stamps or rows of the odometry, and whether they are stamps."""
+    stamped = odometry.stamped and wanted.columns.find(file, role, stamps[0]) is not None
+    if not stamped and wanted.columns.find(file, role, rows[0]) is None:
+        wanted.columns.require(file, role, (stamps if odometry.stamped else rows)[:1])
+    return (stamps, True) if stamped else (rows, False)
 
 
-def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[str]) -> PoseRows:
+def _at(table: Table, keys: Sequence[str], stamped: bool, odometry: Odometry) -> Array:
+    """Instants (K, keys) [s], as the odometry's."""
+    if stamped:
+        return table.stack(keys)
+    last, found = len(odometry.time) - 1, []
+    for key in keys:
+        rows = table.integers(key, 0)
+        table.require(rows <= last, key, f"{{}} is out of range; the odometry has rows 0 to {last}")
+        found.append(odometry.time[rows])
+    return np.stack(found, axis=-1)
+
+
+def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[str]) -> Rows:
     """The fixes of a file: of each row the position (x, y), the heading, or both."""
     columns, role = wanted.columns, "fixes"
-    key = "t" if odometry.stamped and columns.find(file, role, "t") is not None else "frame"
-    if key == "frame" and columns.find(file, role, "frame") is None:
-        columns.require(file, role, ("t" if odometry.stamped else "frame",))
-    pose = pose_columns(file, columns, role)
+    keys, stamped = _instants(file, wanted, role, odometry, ("t",), ("frame",))
     position = [q for q in ("x", "y") if columns.find(file, role, q) is not None]
-    heading = [q for q in pose[2:] if columns.find(file, role, q) is not None]
+    heading = [q for q in pose_columns(file, columns, role)[2:] if columns.find(file, role, q) is not None]
     if len(position) == 1 or not (position or heading):
         what = f"no fixes: {file.described()}; x and y, or a heading theta, or both are needed"
         raise DataError.at(file.path, f"{what}; name them as in --columns fixes.x=EAST,fixes.y=NORTH")
-    sigmas = [q for q in SIGMAS if columns.find(file, role, q) is not None]
-    values = (*position, *heading)
-    table, texts, _ = columns.table(
-        file, role, (key, *values), optional=sigmas, texts=("source",), may_be_blank=(*values, *sigmas)
-    )
+    values, blank = (*position, *heading), (*position, *heading, *SIGMAS)
+    table, _ = columns.table(file, role, (*keys, *values), optional=SIGMAS, texts=("source",), may_be_blank=blank)
     z = np.full((len(table), 3), np.nan)
     z[:, :2] = table.stack(position) if position else np.nan
     if heading:
@@ -127,87 +127,128 @@ def read_fixes(file: TextTable, wanted: Wanted, odometry: Odometry, notes: list[
     if half.any():
         row = int(np.argmax(half))
         raise table.error(row, "y" if np.isnan(z[row, 1]) else "x", "blank; both x and y, or neither, are needed")
-    at = table.columns["t"] if key == "t" else odometry.time[_rows(table, key, odometry)]
-    found = _measured(role, table, texts.get("source"), file.path, at, key == "t", z, wanted.fix_sigma)
+    found = _measured(role, table, file.path, _at(table, keys, stamped, odometry), stamped, z, wanted.fix_sigma)
     filled = ~np.isnan(z).all(axis=1)
     if not filled.all():
         notes.append(f"{file.path.name}: {counted(int((~filled).sum()), 'row')} without a fix")
-    order = np.argsort(at, kind="stable")
-    return found.part(order[filled[order]].astype(np.int64))
+    return found.part(np.flatnonzero(filled)[np.argsort(found.at[filled, 0], kind="stable")])
 
 
-def read_closures(file: TextTable, wanted: Wanted, odometry: Odometry) -> PoseRows:
+def read_closures(file: TextTable, wanted: Wanted, odometry: Odometry) -> Rows:
     """The closures of a file, by their later end."""
-    columns, role = wanted.columns, "closures"
-    stamped = odometry.stamped and columns.find(file, role, "t1") is not None
-    ends = ("t1", "t2") if stamped else ("frame1", "frame2")
-    if odometry.stamped and not stamped and columns.find(file, role, "frame1") is None:
-        columns.require(file, role, ("t1",))
-    sigmas = [q for q in SIGMAS if columns.find(file, role, q) is not None]
-    table, texts, _ = columns.table(
-        file, role, (*ends, *RELATIVE), optional=sigmas, texts=("source",), may_be_blank=sigmas
+    role = "closures"
+    keys, stamped = _instants(file, wanted, role, odometry, ("t1", "t2"), ("frame1", "frame2"))
+    table, _ = wanted.columns.table(
+        file, role, (*keys, *RELATIVE), optional=SIGMAS, texts=("source",), may_be_blank=SIGMAS
     )
-    at = np.stack([table.columns[e] if stamped else odometry.time[_rows(table, e, odometry)] for e in ends], axis=-1)
-    table.require(at[:, 0] != at[:, 1], ends[1], f"{{}} is {ends[0]}, too; two frames are needed")
-    z = table.stack(RELATIVE)
-    found = _measured(role, table, texts.get("source"), file.path, at, stamped, z, wanted.closure_sigma)
-    return found.part(np.argsort(at.max(axis=1), kind="stable").astype(np.int64))
+    at = _at(table, keys, stamped, odometry)
+    table.require(at[:, 0] != at[:, 1], keys[1], f"{{}} is {keys[0]}, too; two frames are needed")
+    found = _measured(role, table, file.path, at, stamped, table.stack(RELATIVE), wanted.closure_sigma)
+    return found.part(np.argsort(at.max(axis=1), kind="stable"))
 
 
-def _rows(table: Table, key: str, odometry: Odometry) -> IntArray:
-    """Rows of the odometry."""
-    rows, last = table.integers(key, 0), len(odometry.time) - 1
-    table.require(rows <= last, key, f"{{}} is out of range; the odometry has rows 0 to {last}")
-    return rows
-
-
-def _measured(
-    role: str, table: Table, source: Sequence[str] | None, path: Path, at: Array, stamped: bool, z: Array,
-    default: Array | None,
-) -> PoseRows:  # fmt: skip
+def _measured(role: str, table: Table, path: Path, at: Array, stamped: bool, z: Array, default: Array | None) -> Rows:
     """With the sigma of each row, else the stated one, and the sources by name: that of the column, else the file."""
     sigma = np.tile(np.full(3, np.nan) if default is None else default, (len(z), 1))
     for k, name in enumerate(SIGMAS):
-        if name in table:
-            own = table.columns[name]
-            table.require(np.isnan(own) | (own > 0.0), name, "{} is no standard deviation > 0")
-            sigma[:, k] = np.where(np.isnan(own), sigma[:, k], own)
+        own = table.get(name)
+        table.require(np.isnan(own) | (own > 0.0), name, "{} is no standard deviation > 0")
+        sigma[:, k] = np.where(np.isnan(own), sigma[:, k], own)
     lacking: BoolArray = np.asarray((np.isnan(sigma) & ~np.isnan(z)).any(axis=1))
+    one, needed = ("fix", "SX,SY (m), STHETA (rad), or all three") if role == "fixes" else ("closure", "SX,SY,STHETA")
     if lacking.any():
-        flag, what = (
-            ("fix", "SX,SY (m), STHETA (rad), or all three") if role == "fixes" else ("closure", "SX,SY,STHETA")
-        )
-        first = table.error(int(np.argmax(lacking)), None, f"unknown noise of this {flag}")
-        raise UsageError(f"{first}; --{flag}-sigma {what}, or columns {', '.join(SIGMAS)} are needed")
-    stem = path.stem if path.stem and path.stem.isprintable() and not FORBIDDEN & set(path.stem) else role
-    given = [name or stem for name in source] if source is not None else [stem] * len(z)
+        first = table.error(int(np.argmax(lacking)), None, f"unknown noise of this {one}")
+        raise UsageError(f"{first}; --{one}-sigma {needed}, or columns {', '.join(SIGMAS)} are needed")
+    table.require_names("source")
+    stem = path.stem if is_name(path.stem) else role
+    given = [name or stem for name in table.texts.get("source", [""] * len(z))]
     names = tuple(dict.fromkeys(given)) or (stem,)
-    for row, name in enumerate(given):
-        if FORBIDDEN & set(name) or not name.isprintable():
-            raise table.error(row, "source", f"{name!r} holds a comma or a quote; a plain name is needed")
     number = {name: k for k, name in enumerate(names)}
-    return PoseRows(role, table, at, stamped, z, sigma, np.array([number[n] for n in given], np.int64), names)
+    source = np.array([number[n] for n in given], np.int64)
+    return Rows(role, one, table, at, stamped, z, sigma, source, names)
 
 
-Part = FrameObservations | PoseRows
-KIND = "kind"
-"""Column of the map."""
+def read_observations(file: TextTable, of: TableSensor, wanted: Wanted, odometry: Odometry, notes: list[str]) -> Rows:
+    """The observations of a sensor's file: range and bearing, one of them alone, or x and y in the sensor's frame."""
+    columns, role, own = wanted.columns, of.role, f"{of.name}." if of.name else ""
+    polar = of.alone is not None or columns.find(file, role, "range") is not None
+    if not polar and columns.find(file, role, "bearing") is not None:
+        what = f"bearings without a range: {file.described()}; name its column, as in --columns {own}range=DIST"
+        raise DataError.at(file.path, f"{what}; if there are only bearings, --observation-sigma has one number")
+    if not polar and not columns.has(file, role, ("x", "y")):
+        what = f"no observations: {file.described()}; range and bearing, or x and y in the sensor's frame, are needed"
+        raise DataError.at(file.path, f"{what}; name them as in --columns {own}range=DIST,{own}bearing=ANGLE")
+    keys, stamped = _instants(file, wanted, role, odometry, ("t",), ("frame",))
+    values = (of.alone,) if of.alone is not None else ("range", "bearing") if polar else ("x", "y")
+    numbers = (*IDS, *(q for q in of.looked if q == appearance.DESCRIPTOR))
+    table, skipped = columns.table(
+        file, role, (*values, *keys), optional=numbers, texts=of.looked, may_be_blank=numbers
+    )
+    if skipped and role not in shared(wanted.files):
+        notes.append(f"{file.path.name}: {skipped} rows without an observation")
+    for quantity, flag in LOOKS.items():
+        if quantity not in of.looked and columns.find(file, role, quantity) is not None:
+            notes.append(f"{file.path.name}: column {quantity} is not used; --{flag} uses it")
+    z = np.zeros((len(table), 2))
+    z[:, [1] if of.alone == "bearing" else list(range(len(values)))] = table.stack(values)
+    if "range" in values:
+        table.require(z[:, 0] >= 0.0, "range", "{} is a negative range")
+    at = _at(table, keys, stamped, odometry)
+    what = f"{OBSERVATIONS} of {of.name}" if of.name else OBSERVATIONS
+    nothing = np.zeros(len(z), np.int64)
+    found = Rows(what, "observation", table, at, stamped, z, np.tile(of.sigma, (len(z), 1)), nothing, values)
+    if back := int((np.diff(at[:, 0]) < 0.0).sum()):
+        notes.append(f"{file.path.name}: {back} observations were stamped before the one above; sorted")
+        found = found.part(np.argsort(at[:, 0], kind="stable"))
+    return found
 
-LONGEST = 1e6
-"""s, longest log; stamps in another unit would fill the memory with keyframes."""
+
+def joined(
+    parts: Sequence[Rows], sensors: Sequence[TableSensor], time: Array
+) -> tuple[Observations, dict[str, IntArray]]:
+    """Observations of all sensors by frame, then sensor, and their ids by column; frames are at `time` (N,)."""
+    frame = np.concatenate([np.empty(0, np.int64), *(p.frames(time)[:, 0] for p in parts)])
+    number = np.repeat(np.arange(len(parts)), [len(p.at) for p in parts])
+    by = np.lexsort((number, frame))
+    z = np.concatenate([np.empty((0, 2)), *(p.z for p in parts)])[by]
+    sigma = np.concatenate([np.empty((0, 2)), *(p.sigma for p in parts)])[by]
+    ids: dict[str, IntArray] = {}
+    for name, blank in IDS.items():
+        if any(name in p.table for p in parts):
+            every = [
+                p.table.integers(name, CLUTTER, blank=blank) if name in p.table else np.full(len(p.at), blank)
+                for p in parts
+            ]
+            ids[name] = np.concatenate(every)[by]
+    each = [of_observations(p.table, None, [(of.name, of.looks)]) for p, of in zip(parts, sensors, strict=True)]
+    looks = appearance.every(each, [len(p.at) for p in parts])
+    sensor = number[by] if len(parts) > 1 else None
+    R, seen = (sigma**2)[:, :, None] * np.eye(2), None if looks is None else looks.only(by)
+    return Observations(frame[by], z, R, sensor=sensor, appearance=seen), ids
 
 
-def open_files(files: Mapping[str, Path]) -> dict[str, TextTable]:
-    """The text of each file, by role; a file with several roles is read once."""
-    read = {path: read_text(path) for path in dict.fromkeys(files.values())}
-    return {role: read[path] for role, path in files.items()}
+def sensor_of(seen: Rows, of: TableSensor, notes: list[str]) -> Sensor:
+    """The sensor, with the stated or observed field of view."""
+    kind = SEEN[seen.names]
+    reach = of.max_range
+    if reach is None and kind is Bearing:
+        reach = np.inf
+    elif reach is None:
+        # a little more, so that the farthest observation is inside whatever the rounding
+        reach = 1.001 * float(kind().polar(seen.z)[:, 0].max(initial=0.0)) or np.inf
+        whose = f" of {of.name}" if of.name else ""
+        notes.append(
+            f"max_range{whose} is {reach:.4g} m, the farthest observation; --max-range states the sensor's own"
+        )
+    low, high = of.view or (-np.pi, np.pi)
+    back = se2.inverse(of.pose)
+    return kind(reach, low, high, float(back[2]), (float(back[0]), float(back[1])), of.name, of.sees)
 
 
 @dataclass(frozen=True, eq=False)
 class TruePoses:
     """True poses (K, 3) in the world frame, NaN where unknown, at stamps (K,) [s]; None: one for each frame."""
 
-    path: Path
     time: Array | None
     pose: Array
 
@@ -218,22 +259,20 @@ class TruePoses:
         return None if self.time is None or not known.any() else float(self.time[np.argmax(known)])
 
 
-def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recording:
+def read_log(name: str, wanted: Wanted) -> Recording:
     """The log of the tables, with velocities as recorded; DataError or UsageError for invalid parts, stamps without
     overlap, or a missing prior.
     """
-    columns = wanted.columns
-    kind = kind_of(texts["odometry"], columns, wanted.kind)
-    odometry = read_odometry(texts["odometry"], columns, kind, wanted.wheels)
+    columns, texts, notes = wanted.columns, wanted.texts, list[str]()
+    odometry = read_odometry(texts["odometry"], columns, wanted.kind, wanted.wheels)
     if wanted.backward:
         odometry = odometry.held_backward()
-    seen = [read_observations(texts[sensor.role], sensor, wanted, odometry) for sensor in wanted.sensors]
-    notes = [*odometry.notes, *(note for part in seen for note in part.notes)]
-    if odometry.velocity is not None:
+    notes += odometry.notes
+    parts = [read_observations(texts[sensor.role], sensor, wanted, odometry, notes) for sensor in wanted.sensors]
+    if odometry.velocities:
         way = "since the row before" if wanted.backward else "until the next row"
         other = "forward: until the next row" if wanted.backward else "backward: since the row before"
         notes.append(f"v and omega are taken to hold {way} (--hold {other})")
-    parts: list[Part] = [*seen]
     if "fixes" in texts:
         parts.append(read_fixes(texts["fixes"], wanted, odometry, notes))
     if "closures" in texts:
@@ -245,31 +284,39 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
     if isinstance(wanted.prior, str) and true is not None:
         odometry, parts = _from_truth_on(odometry, parts, true, notes)
     time, parts = _frames(odometry, parts, wanted, notes)
-    seen = [part for part in parts if isinstance(part, FrameObservations)]
-    found = {part.what: part for part in parts if isinstance(part, PoseRows)}
-    measured = [found["closures"].closures(time)] if "closures" in found else []
+    seen, found = parts[: len(wanted.sensors)], {part.what: part for part in parts[len(wanted.sensors) :]}
+    measured, fixes = [], None
+    if (f := found.get("fixes")) is not None:
+        there = ~np.isnan(f.z)
+        kind = np.where(there[:, 2], np.where(there[:, 0], FixKind.POSE, FixKind.HEADING), FixKind.POSITION)
+        sources = tuple(FixSource(name, wanted.fix_lever, wanted.fix_rotation) for name in f.names)
+        fixes = Fixes(f.frames(time)[:, 0], kind, f.source, np.nan_to_num(f.z), f.covariance, sources)
+    if (c := found.get("closures")) is not None:
+        first, last = c.frames(time).T
+        measured.append(Closures(first, last, c.z, c.covariance, c.source, c.names))
     if second is not None and wanted.second is not None:
         taken = [name for closures in measured for name in closures.sources]
         measured.append(second_closures(texts[SECOND], second, wanted.second, time, taken, notes))
     increments, gaps = odometry.increments(time, wanted.noise, wanted.model)
     covariance, floored = floor_covariances(increments.covariance, FLOOR)
-    if odometry.velocity is None:
+    if not odometry.velocities:
         floored += gaps  # of poses it counts floored covariances
-    as_recorded = odometry.velocity is not None and all(p.stamped for p in parts) and not wanted.every_row
-    if odometry.velocity is not None and gaps and not as_recorded:  # of odometry.csv loading says it
+    as_recorded = odometry.velocities and all(p.stamped for p in parts) and not wanted.every_row
+    if odometry.velocities and gaps and not as_recorded:  # of odometry.csv loading says it
         many = counted(gaps, "gap")
         notes.append(f"odometry: {many} longer than {MAX_GAP:g} s, where the robot may have moved unseen")
     known = _map(texts["map"], wanted) if "map" in texts else None
     pose = None if true is None else _at_frames(true, texts["truth"], wanted, time)
     columns.check_used(list(dict.fromkeys(texts.values())))
-    observed, labels = joined(seen, time)
-    looks, known_looks = together(observed.appearance, None if known is None else known.appearance)
+    observed, labels = joined(seen, wanted.sensors, time)
+    looks, known_looks = appearance.together([observed.appearance, None if known is None else known.appearance])
     observed = replace(observed, appearance=looks)
     known = None if known is None else replace(known, appearance=known_looks)
-    sensors = tuple(sensor_of(part, notes) for part in seen) or (RangeBearing(),)
+    sensors = tuple(sensor_of(part, of, notes) for part, of in zip(seen, wanted.sensors, strict=True))
+    sensors = sensors or (RangeBearing(),)
     _check_kinds(wanted.sensors, known)
     inputs = Inputs(
-        prior=_prior(wanted, pose, known, absolute="fixes" in found),
+        prior=_prior(wanted, pose, known, absolute=fixes is not None),
         time=time,
         increments=replace(increments, covariance=covariance),
         observations=observed,
@@ -279,17 +326,17 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
         time_is_index=not odometry.stamped,
         covariance_floor=FLOOR,
         floored=floored,
-        fixes=found["fixes"].fixes(time, wanted.fix_lever, wanted.fix_rotation) if "fixes" in found else None,
-        closures=together_closures(measured),
+        fixes=fixes,
+        closures=together(measured),
     )
     several = [sensor.name for sensor in wanted.sensors if sensor.name]
     files = {role: path.name for role, path in wanted.files.items() if role not in several}
     files |= {f"{role}_sha256": file_sha256(path) for role, path in wanted.files.items() if role not in several}
-    more: dict[str, object] = {ODOMETRY_KIND: kind}
+    more: dict[str, object] = {ODOMETRY_KIND: wanted.kind}
     if several:
         of = {name: wanted.files[name] for name in several}
         more[SENSOR] = {name: {"file": path.name, "sha256": file_sha256(path)} for name, path in of.items()}
-    if kind == "velocities" and len(odometry.time) > 1:
+    if odometry.velocities and len(odometry.time) > 1:
         more |= {ODOMETRY_PERIOD: float(np.median(np.diff(odometry.time))), INTEGRATION: wanted.model}
     more |= {"hold": "backward"} if wanted.backward else {}
     more |= {TRUTH_POSE: wanted.truth_pose.tolist()} if wanted.truth_pose.any() else {}
@@ -303,24 +350,24 @@ def read_log(name: str, wanted: Wanted, texts: Mapping[str, TextTable]) -> Recor
         source={"kind": "table", **files, **more, "columns": dict(columns.given), "unit": dict(columns.units.given)},
         notes=tuple(notes),
     )
-    if not as_recorded or odometry.velocity is None or not isinstance(wanted.noise, VelocityNoise):
+    if not as_recorded or not isinstance(wanted.noise, VelocityNoise):
         return Recording(log)
     stamped = None
     if true is not None:
         stamped = (time if true.time is None else true.time, true.pose)
-    return Recording(log, Samples(odometry.time, odometry.velocity, VelocityModel(wanted.noise, wanted.model), stamped))
+    return Recording(log, Samples(odometry.time, odometry.motion, VelocityModel(wanted.noise, wanted.model), stamped))
 
 
 def _from_truth_on(
-    odometry: Odometry, parts: list[Part], true: TruePoses, notes: list[str]
-) -> tuple[Odometry, list[Part]]:
+    odometry: Odometry, parts: list[Rows], true: TruePoses, notes: list[str]
+) -> tuple[Odometry, list[Rows]]:
     """Odometry and the rest since the first true pose, where a log with that prior begins."""
     begin = true.begin
     if begin is None or not odometry.time[0] < begin < odometry.time[-1]:
         return odometry, parts
     if not all(part.stamped for part in parts):
         begin = float(odometry.time[np.searchsorted(odometry.time, begin)])
-    later: list[BoolArray] = [np.asarray((_ends(part) >= begin).all(axis=1)) for part in parts]
+    later: list[BoolArray] = [np.asarray((part.at >= begin).all(axis=1)) for part in parts]
     left = [counted(int((~kept).sum()), part.one, part.what) for kept, part in zip(later, parts, strict=True)]
     late = f"{begin - odometry.time[0]:.6g} s after the odometry"
     notes.append(f"the truth begins {late}; so does the log, without {' and '.join(left)} before")
@@ -328,28 +375,23 @@ def _from_truth_on(
     return odometry.since(begin), kept
 
 
-def _ends(part: Part) -> Array:
-    """Stamps (M, 1), or of both ends (M, 2)."""
-    return part.at if part.at.ndim == 2 else part.at[:, None]
-
-
-def _frames(odometry: Odometry, parts: Sequence[Part], wanted: Wanted, notes: list[str]) -> tuple[Array, list[Part]]:
+def _frames(odometry: Odometry, parts: Sequence[Rows], wanted: Wanted, notes: list[str]) -> tuple[Array, list[Rows]]:
     """Time (N,) of the frames, and the parts that have odometry."""
     if not any(part.stamped for part in parts):
         return odometry.time, list(parts)
     first, last = float(odometry.time[0]), float(odometry.time[-1])
-    kept: list[Part] = []
+    kept: list[Rows] = []
     for part in parts:
-        inside: BoolArray = np.asarray(((_ends(part) >= first) & (_ends(part) <= last)).all(axis=1))
+        inside: BoolArray = np.asarray(((part.at >= first) & (part.at <= last)).all(axis=1))
         if len(inside) and not inside.any():
             apart = f"{part.what} from {_span(np.sort(part.at.ravel()))} s, odometry from {_span(odometry.time)} s"
             raise DataError.at(part.table.path, f"{apart} do not overlap; state the units as in --unit odometry.t=ms")
-        if odometry.velocity is None and not inside.all():
+        if not odometry.velocities and not inside.all():
             some = f"{(~inside).sum()} of {len(inside)} {part.what}"
             notes.append(f"{some} before or after all odometry, {_span(odometry.time)} s, dropped")
-        kept.append(part if odometry.velocity is not None else part.part(np.flatnonzero(inside)))
+        kept.append(part if odometry.velocities else part.part(np.flatnonzero(inside)))
     at = np.concatenate([part.at.ravel() for part in kept])
-    if odometry.velocity is not None:  # without samples the covariance grows, as on loading
+    if odometry.velocities:  # without samples the covariance grows, as on loading
         first, last = min(first, at.min(initial=first)), max(last, at.max(initial=last))
     if last - first > LONGEST:
         span = f"the stamps span {last - first:.6g} s, {(last - first) / 86400.0:.3g} days"
@@ -372,52 +414,29 @@ def _map(file: TextTable, wanted: Wanted) -> LandmarkMap:
     # a column of that name is something else where no sensor sees a kind
     kind = (KIND,) * (any(sensor.sees for sensor in wanted.sensors) or columns.stated("map", (KIND,)))
     looked = dict.fromkeys(q for sensor in wanted.sensors for q in sensor.looked)
-    stated = [q for q in ("sx", "sy") if columns.find(file, "map", q) is not None]
-    words = ("id", *kind, *looked)
-    table, texts, _ = columns.table(file, "map", ("x", "y"), optional=stated, texts=words, may_be_blank=stated)
-    table = with_looks(file, table, texts)
-    for row, word in enumerate(texts.get(KIND, ())):
-        if word and not is_name(word):
-            raise table.error(row, KIND, f"{word!r} holds a comma or a quote; a plain name is needed")
-    ids = whole(table, texts["id"], "id") if "id" in texts else np.arange(len(table), dtype=np.int64)
-    order = np.argsort(ids, kind="stable")
-    twice = np.flatnonzero(ids[order][1:] == ids[order][:-1])
-    if len(twice):
-        row = int(order[twice[0] + 1])
-        raise table.error(row, "id", f"{ids[row]} is repeated; each landmark needs an id of its own")
-    if len(ids) and ids.min() < 0:
-        raise table.error(int(np.argmin(ids)), "id", f"{ids.min()} is negative; ids are whole numbers from 0 up")
-    kinds = None if KIND not in texts else tuple(texts[KIND][row] for row in order.tolist())
-    sigma = _map_sigmas(table, stated, float(wanted.map_pose[2]))
-    xy, looks = se2.transform_points(wanted.map_pose, table.stack(("x", "y"))), of_landmarks(table)
-    return LandmarkMap(
-        ids[order], xy[order], kinds, appearance=None if looks is None else looks.only(order),
-        sigma=None if sigma is None else sigma[order],
-    )  # fmt: skip
-
-
-def _map_sigmas(table: Table, stated: Sequence[str], turn: float) -> Array | None:
-    """Standard deviations (L, 2) of the turned map, or None where there are none."""
-    if not stated:
-        return None
-    if len(stated) == 1:
-        raise table.error(-1, stated[0], "sx and sy come together")
-    sigma = np.nan_to_num(table.stack(stated))
-    for k, q in enumerate(stated):
-        table.require(sigma[:, k] >= 0.0, q, "{} is a negative standard deviation; 0 or blank is an exact landmark")
-    quarters = turn / (0.5 * np.pi)
-    if abs(quarters - round(quarters)) > 1e-9:
-        different = "{} differs from sy; a map turned by --map-transform needs both equal"
-        table.require(sigma[:, 0] == sigma[:, 1], stated[0], different)
-    return (sigma[:, ::-1] if round(quarters) % 2 else sigma) if sigma.any() else None
+    numbers = ("id", "sx", "sy", *(q for q in looked if q == appearance.DESCRIPTOR))
+    table, _ = columns.table(
+        file, "map", ("x", "y"), optional=numbers, texts=(*kind, *looked), may_be_blank=numbers[1:]
+    )
+    x, y = se2.transform_points(wanted.map_pose, table.stack(("x", "y"))).T
+    placed = {"id": np.arange(len(table), dtype=float), **table.columns, "x": x, "y": y}
+    quarters = float(wanted.map_pose[2]) / (0.5 * np.pi)
+    if table.together(SIGMAS[:2]):
+        sx, sy = (np.nan_to_num(table.columns[q]) for q in SIGMAS[:2])
+        if abs(quarters - round(quarters)) > 1e-9:
+            different = "{} differs from sy; a map turned by --map-transform needs both equal"
+            table.require(sx == sy, SIGMAS[0], different)
+        elif round(quarters) % 2:
+            placed |= {"sx": sy, "sy": sx}
+    return landmarks_of(replace(table, columns=placed))[0]
 
 
 def _check_kinds(sensors: Sequence[TableSensor], known: LandmarkMap | None) -> None:
     """UsageError for a sensor of landmarks that the map has none of."""
+    kinds = set((known.kind or ()) if known is not None else ()) - {""}
     for sensor in sensors if known is not None else ():
-        kinds = set(known.kind or ()) if known is not None else set()
         if sensor.sees and sensor.sees not in kinds:
-            have = unknown(sensor.sees, sorted(kinds - {""})) if kinds - {""} else "not in the map, which has no kinds"
+            have = unknown(sensor.sees, sorted(kinds)) if kinds else "not in the map, which has no kinds"
             text = f"{sensor.name}={sensor.sees}" if sensor.name else sensor.sees
             raise UsageError(f"--sees {text}: {have}; column {KIND} of the map names them (--columns map.{KIND}=NAME)")
 
@@ -428,7 +447,7 @@ def _true_poses(file: TextTable, wanted: Wanted, notes: list[str], *, stamped: b
     pose = pose_columns(file, columns, "truth")
     by_stamp = stamped and columns.find(file, "truth", "t") is not None
     wants = (*(("t",) if by_stamp else ()), *pose)
-    table, _, _ = columns.table(file, "truth", wants, may_be_blank=pose)
+    table, _ = columns.table(file, "truth", wants, may_be_blank=pose)
     values = table.columns
     read = np.stack([values["x"], values["y"], headings(values)], axis=-1)
     notes += suspicious(file, columns, read[:, 2], values["t"] if by_stamp else None, "truth")
@@ -436,7 +455,7 @@ def _true_poses(file: TextTable, wanted: Wanted, notes: list[str], *, stamped: b
     world = se2.compose(wanted.truth_pose, read) if wanted.truth_pose.any() else read
     if by_stamp:
         table.require_ascending("t", strictly=True)
-    return TruePoses(file.path, values["t"] if by_stamp else None, world)
+    return TruePoses(values["t"] if by_stamp else None, world)
 
 
 def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) -> Array:
@@ -448,7 +467,7 @@ def _at_frames(true: TruePoses, file: TextTable, wanted: Wanted, time: Array) ->
     result = truth_at(true.time, true.pose, time)
     if true.begin is not None and not np.isfinite(result).any():
         apart = f"truth from {_span(true.time)} s, frames from {_span(time)} s: no frame has one within {MAX_GAP:g} s"
-        raise DataError.at(true.path, f"{apart}; state the unit as in --unit truth.t=ms")
+        raise DataError.at(file.path, f"{apart}; state the unit as in --unit truth.t=ms")
     return result
 
 

@@ -1,21 +1,27 @@
-"""Odometry of another program's table as increments between frames: velocities, poses, steps or wheel ticks."""
+"""Odometry of another program's table as increments between frames: velocities, poses, steps or wheel ticks.
+
+A second one becomes closures between successive frames (`--second-odometry FILE`).
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from data import se2
-from data.csv_table import Table
+from data.csv_table import Table, is_name
 from data.errors import DataError, UsageError
 from data.formats.recordings.laser import TravelNoise, increments_of
-from data.formats.tables.files import QUATERNION, Columns, TextTable, headings
+from data.formats.second_odometry import closures_between, covered, own_name
+from data.formats.tables.files import QUATERNION, SECOND, Columns, TextTable, headings
 from data.inputs import Increments
 from data.motion.velocity import MAX_HOLD, VelocityModel, VelocityNoise, preintegrate
+from data.pose_measurements import Closures
 from data.questions.asked import FASTEST, SHARE
 from data.se2 import Array
+from data.terminal import counted
 
 KINDS = {
     "velocities": ("v", "omega"),
@@ -50,41 +56,39 @@ class Odometry:
         table: its rows, for messages.
         time: (K,) s, strictly increasing; row numbers without stamps.
         stamped: whether there are stamps.
-        pose: (K, 3) composed or recorded; None for velocities.
-        velocity: (K, 2) m/s and rad/s; None for the others.
+        motion: (K, 2) velocities [m/s, rad/s], or (K, 3) poses, composed or recorded.
         notes: about ignored rows.
     """
 
     table: Table
     time: Array
     stamped: bool
-    pose: Array | None
-    velocity: Array | None
+    motion: Array
     notes: tuple[str, ...] = ()
+
+    @property
+    def velocities(self) -> bool:
+        """Whether it is velocities, not poses."""
+        return bool(self.motion.shape[1] == 2)
 
     def held_backward(self) -> Odometry:
         """Velocities as samples that hold until the next one, from rows that held since the row before.
 
         The last one holds on; the first row's precede the log.
         """
-        if self.velocity is None:
-            raise AssertionError("only velocities hold")
-        return replace(self, velocity=np.concatenate([self.velocity[1:], self.velocity[-1:]]))
+        return replace(self, motion=np.concatenate([self.motion[1:], self.motion[-1:]]))
 
     def since(self, begin: float) -> Odometry:
         """The odometry from an instant between its stamps on, the first stamp."""
-        later = self.time > begin
-        i = int(np.argmax(later)) - 1
-        rows = np.flatnonzero(later)
-        if self.pose is not None:
-            first = se2.interpolate(self.time, self.pose, np.array([begin]))
-            return replace(self, time=np.append(begin, self.time[rows]), pose=np.concatenate([first, self.pose[rows]]))
-        if self.velocity is None:
-            raise AssertionError("odometry is poses or velocities")
-        if begin - self.time[i] > MAX_HOLD:  # in a gap
-            return replace(self, time=self.time[rows], velocity=self.velocity[rows])
-        velocity = np.concatenate([self.velocity[i : i + 1], self.velocity[rows]])
-        return replace(self, time=np.append(begin, self.time[rows]), velocity=velocity)
+        rows = np.flatnonzero(self.time > begin)
+        before = rows[0] - 1
+        time, motion = self.time[rows], self.motion[rows]
+        if self.velocities and begin - self.time[before] > MAX_HOLD:  # in a gap
+            return replace(self, time=time, motion=motion)
+        first = self.motion[before : rows[0]]
+        if not self.velocities:
+            first = se2.interpolate(self.time, self.motion, np.array([begin]))
+        return replace(self, time=np.append(begin, time), motion=np.concatenate([first, motion]))
 
     def increments(
         self, at: Array, noise: VelocityNoise | TravelNoise, model: str = "unicycle"
@@ -93,21 +97,16 @@ class Odometry:
 
         Velocities are preintegrated by a motion `model` (zero-order hold); poses are interpolated, then differenced.
         """
-        if self.velocity is not None:
-            if not isinstance(noise, VelocityNoise):
-                raise AssertionError("velocities have noise of velocities")
-            return preintegrate(VelocityModel(noise, model), self.time, self.velocity[:, 0], self.velocity[:, 1], at)
-        if self.pose is None or not isinstance(noise, TravelNoise):
-            raise AssertionError("poses have noise that grows with the way")
-        same = len(at) == len(self.time) and bool((at == self.time).all())
-        return increments_of(self.pose if same else se2.interpolate(self.time, self.pose, at), noise)
+        if isinstance(noise, VelocityNoise):
+            return preintegrate(VelocityModel(noise, model), self.time, self.motion[:, 0], self.motion[:, 1], at)
+        same = np.array_equal(at, self.time)
+        return increments_of(self.motion if same else se2.interpolate(self.time, self.motion, at), noise)
 
 
-def kind_of(file: TextTable, columns: Columns, asked: str | None, role: str = "odometry") -> str:
-    """The requested kind of odometry, else the only one whose columns a file has; DataError for none or several."""
-    if asked is not None:
-        return asked
-    found = [k for k, qs in KINDS.items() if columns.has(file, role, _alternative(file, columns, qs, role))]
+def kind_of(file: TextTable, columns: Columns, role: str) -> str:
+    """The only kind of odometry whose columns a file has; DataError for none or several."""
+    pose = {"poses": pose_columns(file, columns, role)}
+    found = [k for k, qs in KINDS.items() if columns.has(file, role, pose.get(k, qs))]
     named = [k for k in found if columns.stated(role, KINDS[k])]
     if len(named or found) == 1:
         return (named or found)[0]
@@ -117,13 +116,6 @@ def kind_of(file: TextTable, columns: Columns, asked: str | None, role: str = "o
         own = "" if role == "odometry" else f"{role}."
         raise DataError.at(file.path, f"{what}; name them as in --columns {own}v=SPEED,{own}omega=TURN_RATE")
     raise DataError.at(file.path, f"holds {' and '.join(named or found)}; choose one with --{role}-kind {found[0]}")
-
-
-def _alternative(file: TextTable, columns: Columns, quantities: Sequence[str], role: str) -> Sequence[str]:
-    """The quantities, with a quaternion instead of a missing theta."""
-    if "theta" in quantities and columns.find(file, role, "theta") is None:
-        return (*[q for q in quantities if q != "theta"], *QUATERNION)
-    return quantities
 
 
 def pose_columns(file: TextTable, columns: Columns, role: str) -> tuple[str, ...]:
@@ -140,7 +132,7 @@ def read_odometry(
     stamped = columns.find(file, role, "t") is not None
     if not stamped and kind in STAMPED:
         columns.require(file, role, ("t",))
-    table, _, skipped = columns.table(file, role, (*(("t",) if stamped else ()), *quantities))
+    table, skipped = columns.table(file, role, (*(("t",) if stamped else ()), *quantities))
     if len(table) == 0:
         raise DataError.at(file.path, f"no row has {', '.join(quantities)}")
     notes = []
@@ -159,7 +151,7 @@ def read_odometry(
         notes.append(f"{file.path.name}: {skipped} rows without odometry")
     values = table.columns
     if kind == "velocities":
-        return Odometry(table, time, stamped, None, table.stack(("v", "omega")), tuple(notes))
+        return Odometry(table, time, stamped, table.stack(("v", "omega")), tuple(notes))
     if kind == "poses":
         notes += suspicious(file, columns, headings(values), time if stamped else None, role)
         pose = np.stack([values["x"], values["y"], se2.wrap_angle(headings(values))], axis=-1)
@@ -172,7 +164,7 @@ def read_odometry(
         if wheels is None:
             raise UsageError("wheel ticks: --track-width M and --metres-per-tick M are needed")
         pose = _rolled(table.stack(KINDS["ticks"]), wheels)
-    return Odometry(table, time, stamped, pose, None, tuple(notes))
+    return Odometry(table, time, stamped, pose, tuple(notes))
 
 
 def suspicious(file: TextTable, columns: Columns, heading: Array, time: Array | None, role: str) -> list[str]:
@@ -203,3 +195,56 @@ def _rolled(ticks: Array, wheels: Wheels) -> Array:
     half = 0.5 * turn
     chord = distance * np.sinc(half / np.pi)
     return se2.dead_reckoned(np.zeros(3), np.stack([chord * np.cos(half), chord * np.sin(half), turn], axis=-1))
+
+
+@dataclass(frozen=True)
+class Second:
+    """What is stated of a second odometry: its kind, and noise as of the first."""
+
+    kind: str
+    noise: VelocityNoise | TravelNoise
+
+
+def read_second(file: TextTable, second: Second, columns: Columns, first: Odometry) -> Odometry:
+    """The second odometry of a file.
+
+    Raises:
+        DataError: no stamps where the first has some, another number of rows where it has none, or the same motion:
+            one measurement would count twice.
+    """
+    found = read_odometry(file, columns, second.kind, None, SECOND)
+    if found.stamped != first.stamped:
+        columns.require(file, SECOND if first.stamped else "odometry", ("t",))
+    if not found.stamped and len(found.time) != len(first.time):
+        what = f"{counted(len(found.time), 'row')}, the odometry has {len(first.time)}"
+        raise DataError.at(file.path, f"{what}; without stamps each row of one needs a row of the other")
+    if np.array_equal(found.time, first.time) and np.array_equal(found.motion, first.motion):
+        raise DataError.at(file.path, "the motion of the odometry once more; another one is needed")
+    return found
+
+
+def second_closures(
+    file: TextTable, odometry: Odometry, second: Second, time: Array, taken: Collection[str], notes: list[str]
+) -> Closures:
+    """Closures between successive frames at `time` (N,) that it covers; `taken`: names of other sources.
+
+    Velocities with a gap of more than `MAX_HOLD` between two frames tell nothing of these; poses do.
+    """
+    stem = file.path.stem
+    name = own_name(stem if is_name(stem) else SECOND, taken)
+    frames = np.flatnonzero(covered(odometry.time, time))
+    if len(frames) < 2:
+        span = f"{odometry.time[0]:.15g} to {odometry.time[-1]:.15g}"
+        what = f"{SECOND} from {span} s covers {counted(len(frames), 'frame')} of {time[0]:.15g} to {time[-1]:.15g} s"
+        raise DataError.at(file.path, f"{what}; two are needed; state the unit as in --unit {SECOND}.t=ms")
+    motion, _ = odometry.increments(time[frames], second.noise)
+    gaps = None
+    if odometry.velocities:
+        broken = np.cumsum(np.diff(odometry.time, prepend=odometry.time[0]) > MAX_HOLD + 1e-6)
+        row = np.searchsorted(odometry.time, time[frames])
+        gaps = broken[row[1:]] != broken[row[:-1]]
+    found = closures_between(frames, motion, name, gaps)
+    notes += odometry.notes
+    pairs = f"{len(found)} of {len(time) - 1} pairs of successive frames"
+    notes.append(f"{file.path.name}: a second odometry, as closures between {pairs}, source {name}")
+    return found

@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
@@ -17,7 +18,7 @@ from typing import Any
 
 from data.command import Command
 from data.errors import UsageError
-from eval.plan.flags.help import ABOUT, EXAMPLES, GROUPS, PROG, show_everyday
+from eval.figures import FIGURES
 from eval.replay.external.spec import FORM, own_or_foreign
 from eval.replay.flag import (
     Flag,
@@ -40,11 +41,7 @@ from eval.studies.shipped import scenarios
 FORMATS = ("csv", "md", "tex")
 KNOWN_FORMATS = (*FORMATS, "pdf")
 FACTORS = ("1", "2", "5", "10", "20", "50", "auto")
-FIGURES = (
-    *("map", "grid", "loops", "error", "nees", "difference", "claims", "fate", "filter-smoother", "systematic"),
-    *("growth", "state", "association"),
-)
-"""Kinds of figures of a log."""
+KINDS = (FIGURES[0], "grid", "loops", *FIGURES[1:])  # of figures of a log
 DEFAULT_ESTIMATORS = ("dead-reckoning", "ekf", "isam2", "batch")
 QUICK_RUNS = 2
 TWINS = 99  # replicates of a log: a share of the level of 5 % still leaves ranks to those statistics that need them
@@ -287,7 +284,7 @@ class Output:
         free_row,
     )
     figures: tuple[str, ...] = free_row(
-        (), names(FIGURES), "LIST", f"only these figures of logs, of {', '.join(FIGURES)} (default: all that apply)"
+        (), names(KINDS), "LIST", f"only these figures of logs, of {', '.join(KINDS)} (default: all that apply)"
     )
     show: tuple[str, ...] = free_row(
         (), names(), "LIST", "draw only these estimators, as in ekf,batch; tables have all (default: all that fit)"
@@ -372,19 +369,51 @@ class Options:
     config: tuple[str, ...] = several("FILE", "TOML file of flags (repeatable)", numbers=False)
 
 
+ABOUT = {
+    "log": "Run filters and smoothers on identical inputs, score them with one referee,\nand write a report.",
+    "lab": "Do a whole lab and answer its questions at the top of the report.",
+    "scenario": "Simulate a world many times and judge the consistency of each estimator.",
+}
+GROUPS = {
+    "selection": "input, estimators and association",
+    "results": "results of other programs",
+    "setup": "association gates, SLAM and calibration",
+    "opening": "ground truth, camera and laser logs",
+    "study": "Monte Carlo studies and bootstrap replicates",
+    "output": "output",
+    "drawing": "figures for a paper",
+    "execution": "execution",
+    "": "configuration",
+}
+"""Titles of `--help-all`, by the part of `Options` that holds the flag."""
+PROG = "python -m eval.run_all"
+
+
+def help_text(name: str) -> str:
+    """Help of everyday use, by the flag whose values words without a flag are, or the examples of `all` flags.
+
+    The command stands there as `PROG`.
+    """
+    return (Path(__file__).parent / "texts" / f"{name}.txt").read_text(encoding="utf-8")
+
+
 def parser(prog: str = PROG, positional: str = "log") -> Command:
     """The parser of the given flags only; positional words, under `words`, are values of the flag `positional`."""
     usage = f"{prog} [{positional.upper()} ...] [flags]"
-    p = Command(prog, PROG, ABOUT[positional], EXAMPLES, usage=usage, add_help=False)
+    p = Command(prog, "PROG", ABOUT[positional], help_text("all").strip(), usage=usage, add_help=False)
     groups = {part: p.add_argument_group(title) for part, title in GROUPS.items()}
     words = groups["selection"].add_argument("words", nargs="*", metavar=positional.upper())
     words.help = f"the same as --{positional}"
     for each in rows(Options).values():
         add_flags(groups[each.part], [each])
-    show = show_everyday(positional)
-    groups[""].add_argument(
-        "-h", "--help", nargs=0, dest=argparse.SUPPRESS, action=show, help="show the flags of everyday use"
-    )
+
+    class Show(argparse.Action):
+        def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+            sys.stdout.write(help_text(positional).replace("PROG", parser.prog))
+            parser.exit(0)
+
+    about = "show the flags of everyday use"
+    groups[""].add_argument("-h", "--help", nargs=0, dest=argparse.SUPPRESS, action=Show, help=about)
     groups[""].add_argument("--help-all", action="help", help="show all flags")
     return p
 

@@ -58,7 +58,7 @@ class Picture:
     stem: str
     caption: str
     alt: str
-    fine: FinePrint | None = None
+    place: str = ""  # where it stands, of a figure of a log: see `eval.figures.kinds`
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ def fine_print(report: Report) -> tuple[FinePrint, ...]:
     """What the captions of a report leave out, each text once, in reading order."""
     sections = (*report.first, *report.sections)
     blocks = [*report.introduction, *(b for s in sections for b in s.blocks)]
-    found = (b.fine for b in every_block(blocks) if isinstance(b, Table | Picture))
+    found = (b.fine for b in every_block(blocks) if isinstance(b, Table))
     return tuple(dict.fromkeys(f for f in found if f is not None))
 
 

@@ -2,18 +2,42 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import difflib
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import pandas as pd
+from matplotlib.font_manager import FontProperties, findfont
+from matplotlib.ft2font import FT2Font, LoadFlags
 
+from data.errors import UsageError
+from data.log import folder_name
+from eval.figures.style import style_of, tex_escape
 from eval.plan.flags.table import Output
+from eval.referee.metrics import OF_DECISIONS, OF_ESTIMATES
 from eval.referee.result_files import is_blank
-from eval.report.page import latex
+from eval.referee.score import Trial
 from eval.report.page.blocks import FinePrint, Table
-from eval.report.page.latex import add_note, sheet
-from eval.report.page.tables import markdown
+from eval.report.page.tables import column_text, is_numeric, markdown
+
+SYSTEMATIC = "systematic"  # picture and table of the systematic errors that were estimated along
+
+
+def stem(trial: Trial, what: str = "") -> str:
+    """Name of a trial's file, without suffix; without `what` that of its page in `details/`."""
+    return "-".join(filter(None, (folder_name(trial.log.name), trial.task, what)))
+
+
+def variants(trial: Trial, trials: Sequence[Trial]) -> tuple[Trial, ...]:
+    """The variants of a trial: the same log with another setup or other knowledge."""
+    if trial.variant_of is not None:
+        return ()
+    return tuple(t for t in trials if t.variant_of == trial.log.name and t.task == trial.task)
+
 
 FORMATS = ("csv", "md", "tex")
 TITLES = {
@@ -41,7 +65,7 @@ def short_caption(stem: str, caption: str) -> str:
     if "-trust-" in stem:
         title = TITLES["trust"]
     first = caption.partition(". ")[0].partition(": ")[0].rstrip(".").replace("`", "")
-    parts = [latex.place(p) for p in first.split(", ")]
+    parts = [place(p) for p in first.split(", ")]
     where = ", ".join(parts) if len(first) <= LONGEST else ""
     return ": ".join(t for t in (title, where) if t) or stem
 
@@ -113,3 +137,372 @@ def written_table(
         frame, folder / "tables", stem, caption, [f for f in wanted.formats if f in FORMATS], paper, for_paper, text
     )
     return Table(frame, caption, stem if "csv" in wanted.formats else None, fine, apart)
+
+
+@dataclass(frozen=True)
+class Known:
+    """A column: its key, its head in a paper, and its rank (the larger, the sooner it is left out)."""
+
+    key: str
+    short: str
+    rank: float
+
+
+SHORT = {
+    "rmse_position_m": "RMSE [m]", "nees_pose": "NEES", "nis": "NIS", "rmse_heading_deg": "heading [deg]",
+    "rmse_landmark_m": "landmarks [m]", "rms_from_batch_m": "from batch [m]", "inside_3sigma": "inside 3σ [%]",
+    "max_position_m": "largest [m]", "rmse_time_m": "in time [m]", "innovation_lag1": "lag-1",
+    "accepted": "used", "rejected": "left out", "tp": "TP", "fp": "FP", "fn": "FN", "tn": "TN",
+    "precision": "precision [%]", "recall": "recall [%]", "wrong": "wrong", "spurious": "spurious",
+    "duplicate": "duplicate", "missed": "missed", "deferred": "deferred",
+}  # fmt: skip
+"""Heads in a paper, most wanted first; the fine print says what they mean."""
+OTHERS = {
+    "95 % bounds of NIS": Known("bounds", "95 % of NIS", 5.5),
+    "95 % interval of the mean": Known("interval", "95 % interval", 1.0),
+    "power against 0.8 P [%]": Known("power", "power [%]", 5.0),
+    "mean": Known("mean", "mean", 0.0),
+    "expected": Known("dof", "expected", 2.0),
+    "verdict": Known("verdict", "verdict", 1.5),
+    "runs": Known("runs", "runs", 3.0),
+    "diverged": Known("diverged", "diverged", 6.0),
+    "± SE": Known("se_ours", "± SE", 1.0),
+    "± SE of it": Known("se_published", "± SE", 3.0),
+}  # by the head of the report's tables
+
+
+def _ranked() -> dict[str, Known]:
+    order = {key: float(i) for i, key in enumerate(SHORT)}
+    made = {}
+    for m in (*OF_ESTIMATES, *OF_DECISIONS):
+        unit = f" [{m.unit}]" if m.unit else ""
+        made[m.head] = Known(
+            m.column, SHORT.get(m.column, f"{m.heading}{unit}"), order.get(m.column, float(len(order)))
+        )
+    return made | OTHERS
+
+
+KNOWN: Mapping[str, Known] = _ranked()  # by the head of the report's tables
+KEYS = tuple(dict.fromkeys(k.key for k in KNOWN.values()))
+
+
+def known(head: str, place: int) -> Known:
+    """The column with this head; one that nobody ranked keeps its head, later ones are left out first."""
+    return KNOWN.get(head, Known(head, head, 3.0 + 0.01 * place))
+
+
+def check_columns(columns: Sequence[str]) -> None:
+    """Raise UsageError for a column that no table has."""
+    for name in columns:
+        if name not in KEYS:
+            near = difflib.get_close_matches(name, KEYS, 3)
+            hint = f"; do you mean {' or '.join(near)}?" if near else ""
+            raise UsageError(f"--columns {name}: no column of metrics.csv, association.csv or consistency.csv{hint}")
+
+
+METHODS = {
+    "known": "known", "none": "", "nn": "NN", "ml": "ML", "ml-ratio": "ML ratio", "singles": "SINGLES", "gnn": "GNN",
+    "jcbb": "JCBB", "jcbb-first": "first JCBB", "jcbb-hindsight": "JCBB, hindsight", "scan": "scan matching",
+}  # fmt: skip
+TASKS = {"slam": "SLAM", "localization": "localization"}
+WORLDS = {
+    "arena": "arena", "corridor": "corridor", "circle": "circle", "linear": "linear world", "park": "park",
+    "visual": "visual lab", "floorplan": "floor plan", "walls": "walls",
+}  # fmt: skip
+LOGS = {"victoria-park": "Victoria Park"}
+
+
+def estimators(text: str) -> str:
+    """One estimator, or several separated by commas."""
+    return ", ".join(style_of(name.strip()).label for name in text.split(","))
+
+
+def place(name: str) -> str:
+    """A log, a task, or `association NAME`."""
+    method = name.removeprefix("association ")
+    if method != name:
+        return f"association {METHODS.get(method, method)}"
+    return TASKS.get(name, log(name))
+
+
+def log(name: str) -> str:
+    """A log: `corridor:0:people+range=8` is corridor 0 (people, range 8); a name that somebody gave stays as it is."""
+    parts = re.fullmatch(r"([a-z]+):(\d+)(?::(.*))?", name)
+    if parts is None or parts[1] not in WORLDS:
+        return LOGS.get(name, name)
+    more = (parts[3] or "").replace("+", ", ").replace("=", " ").replace("-", " ").replace("_", " ")
+    return f"{WORLDS[parts[1]]} {parts[2]}" + (f" ({more})" if more else "")
+
+
+HEAD = "% What the tables mean; a paragraph can stand below its table or in the text.\n"
+
+
+def add_note(
+    folder: Path, stem: str, text: str, left_out: Sequence[str] = (), heads: Sequence[tuple[str, str]] = ()
+) -> None:
+    """Say what a table means; tables with the same fine print share its paragraph."""
+    path = folder / "notes.tex"
+    before = path.read_text(encoding="utf-8") if path.exists() else HEAD
+    note = tex_escape(text)
+    if heads:
+        note += tex_escape(f" Columns: {'; '.join(f'{short}: {full}' for short, full in heads)}.")
+    if left_out:
+        note += tex_escape(f" Not shown for want of room: {', '.join(left_out)}.")
+    paragraphs = [p for p in before.removeprefix(HEAD).split("\n\n") if p.strip()]
+    reference = rf"\ref{{tab:{stem}}}"
+    for i, paragraph in enumerate(paragraphs):
+        first, _, rest = paragraph.strip().partition("\n")
+        if rest == note:
+            paragraphs[i] = f"{first.removesuffix('.}').replace('Table~', 'Tables~')}, {reference}.}}\n{rest}"
+            break
+    else:
+        paragraphs.append(rf"\textbf{{Table~{reference}.}}" + f"\n{note}")
+    path.write_text(HEAD + "\n" + "\n\n".join(p.strip() for p in paragraphs) + "\n", encoding="utf-8", newline="\n")
+
+
+def notes_of(folder: Path, stems: Sequence[str]) -> str:
+    """The notes of these tables only, so that no reference is left without its table."""
+    path = folder / "notes.tex"
+    paragraphs = path.read_text(encoding="utf-8").removeprefix(HEAD).split("\n\n") if path.exists() else []
+    found = []
+    for paragraph in filter(str.strip, paragraphs):
+        first, _, note = paragraph.strip().partition("\n")
+        there = [rf"\ref{{tab:{s}}}" for s in re.findall(r"\\ref\{tab:([^}]*)\}", first) if s in stems]
+        if there:
+            found.append(rf"\textbf{{Table{'s' * (len(there) > 1)}~{', '.join(there)}.}}" + f"\n{note}")
+    return "\n\n".join(found)
+
+
+WIDTHS = {"column": 252.0, "page": 516.0}  # pt (1/72.27 in). A column and both of an IEEE journal: 21 and 43 picas
+EM = {"footnotesize": 8.0, "scriptsize": 7.0}  # pt. Type sizes where the text is 10 pt
+SMALL_FACE = 17.0 / 16.0  # of small faces against cmr10 scaled down, at 8 pt; at 7 pt they are 9/8 as wide
+SMALLER_FACE = 9.0 / 8.0
+GAP = 6.0  # pt between columns: twice the \tabcolsep that the tables set
+SPECIAL = {
+    " ": 0.334, "−": 0.778, "–": 0.5, "—": 1.0, "±": 0.778, "×": 0.778, "σ": 0.572, "χ": 0.626, "²": 0.45, "°": 0.45,
+    "≤": 0.778, "≥": 0.778, "<": 0.778, ">": 0.778, "|": 0.278, "_": 0.45, "…": 0.5, "\u00a0": 0.334,
+}  # fmt: skip
+"""em of cmr10, cmmi10 and cmsy10 (superscripts: of the 7 pt face), of what is not in the text font, or elsewhere."""
+WIDEST = 1.028  # em. Letters that nobody thought of are taken for a W
+
+
+@cache
+def _face() -> FT2Font:
+    font = FT2Font(findfont(FontProperties(family="cmr10")))
+    font.set_size(1000.0, 72.0)
+    return font
+
+
+@cache
+def _letter(c: str) -> float:
+    if c in SPECIAL:
+        return SPECIAL[c]
+    if not " " < c < "\x7f":
+        return WIDEST
+    return _face().load_char(ord(c), flags=LoadFlags.NO_HINTING).linearHoriAdvance / 65536.0 / 1000.0
+
+
+def text_width(text: str, size: str = "footnotesize") -> float:
+    """Width [pt] of a text that is not broken, at most (kerning and ligatures make it narrower)."""
+    return EM[size] * (SMALL_FACE if size == "footnotesize" else SMALLER_FACE) * sum(_letter(c) for c in text)
+
+
+NAMES = ("log", "task", "scenario", "estimator", "association", "phase")
+"""Columns that say what a row is about; they are never left out, only stated once where they are all the same."""
+READ: dict[str, Callable[[str], str]] = {
+    "log": log,
+    "task": lambda t: TASKS.get(t, t),
+    "association": lambda a: METHODS.get(a, a),
+}
+ESTIMATORS = ("filter", "smoother", "deciding for")  # heads of other columns that name estimators
+NARROWEST, NARROWEST_NAMES = 60.0, 100.0  # pt. A column of text, or of names, is not broken into narrower lines
+FIGURES = re.compile(r"[−-]?[\d.]+(?:e[+-]?\d+)?(?: ± [\d.]+|–[\d.]+)?")
+"""Numbers, with a standard error or as an interval, that were made text."""
+SLACK = 1.0  # pt. The widths were within 0.5 pt of those that pdflatex found for 26 tables
+SIZES = ("footnotesize", "scriptsize")
+
+
+@dataclass(frozen=True)
+class Cells:
+    """One column: its key, rank (None: never left out), lines of its head, cells, and whether they are numbers."""
+
+    key: str
+    rank: float | None
+    head: str
+    body: tuple[str, ...]
+    numeric: bool
+    # width: of a column of text that is broken into lines [pt]; None: it is as wide as it has to be
+    width: float | None = None
+    full: str = ""  # the head as the report has it
+
+    @property
+    def narrowest(self) -> float:
+        """Least width [pt] of its lines."""
+        return NARROWEST_NAMES if self.rank is None else NARROWEST
+
+    def natural(self, size: str) -> float:
+        """Width [pt] without breaking cells; the head is broken between any two words."""
+        if self.width is not None:
+            return self.width
+        words = (text_width(w, size) for w in _words(self.head))
+        return max(*words, *(text_width(t, size) for t in self.body), 0.0)
+
+    def lines(self, size: str) -> list[str]:
+        """The head broken into lines that make the column no wider."""
+        room, made = self.natural(size), list[str]()
+        for word in _words(self.head):
+            if made and text_width(f"{made[-1]} {word}", size) <= room:
+                made[-1] += f" {word}"
+            else:
+                made.append(word)
+        return made
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table for a paper, and what its notes have to say."""
+
+    tex: str
+    width: float
+    left_out: tuple[str, ...]
+    common: tuple[str, ...]
+    heads: tuple[tuple[str, str], ...]
+
+
+def sheet(frame: pd.DataFrame, stem: str, caption: str, width: str = "page", columns: Sequence[str] = ()) -> Sheet:
+    """The table as a float with label `tab:<stem>`; `width`: `column` or `page`.
+
+    `columns`: keys of those wanted, in order; none: as many as there is room for, the most wanted first.
+    """
+    cells, common = _named(frame)
+    chosen = [c for key in columns for c in cells if c.key == key]
+    if chosen:
+        cells = [c for c in cells if c.rank is None] + chosen
+    room, left_out, size = WIDTHS[width], list[str](), SIZES[0]
+    while total(cells, size) > room - SLACK:
+        narrowed = _narrowed(cells, size, room)
+        spare = [c for c in cells if c.rank is not None]
+        if narrowed is not None:
+            cells = narrowed
+        elif chosen and size != SIZES[-1]:
+            size = SIZES[-1]
+        elif chosen or len(spare) < 2:
+            break
+        else:
+            last = max(spare, key=lambda c: c.rank or 0.0)
+            cells = [c for c in cells if c is not last]
+            left_out.append(last.head)
+    whole = caption + (f" ({', '.join(common)})" if common else "")
+    tex = _render(cells, stem, whole, size, wide=width == "page", total=total(cells, size), room=room)
+    heads = tuple((c.head, c.full) for c in cells if c.full and c.full != c.head)
+    return Sheet(tex, total(cells, size), tuple(reversed(left_out)), tuple(common), heads)
+
+
+def total(cells: Sequence[Cells], size: str) -> float:
+    """Width of the table [pt]."""
+    return sum(c.natural(size) for c in cells) + GAP * (len(cells) - 1)
+
+
+def _narrowed(cells: Sequence[Cells], size: str, room: float) -> list[Cells] | None:
+    """The widest column of text broken into lines, as narrow as it must be; None where that does not help."""
+    texts = [c for c in cells if not c.numeric and c.width is None and c.natural(size) > c.narrowest]
+    if not texts:
+        return None
+    widest = max(texts, key=lambda c: c.natural(size))
+    word = max(text_width(w, size) for t in (widest.head, *widest.body) for w in t.split() or [""])
+    width = max(widest.natural(size) - (total(cells, size) - room + SLACK), widest.narrowest, word)
+    if width >= widest.natural(size):
+        return None
+    return [replace(c, width=width) if c is widest else c for c in cells]
+
+
+def _named(frame: pd.DataFrame) -> tuple[list[Cells], list[str]]:
+    """The columns with names to read, those of a run as one; and what is the same in every row."""
+    common: list[str] = []
+    cells: list[Cells] = []
+    for head in [h for h in NAMES if h in frame.columns and h not in ("estimator", "phase")]:
+        values = ["" if is_blank(v) else str(v) for v in frame[head].tolist()]
+        read: list[str] = [READ[head](v) if head in READ else v for v in values]
+        if len(set(read)) == 1 and read[0] and len(frame) > 1:
+            common.append(f"association {read[0]}" if head == "association" else read[0])
+        elif head != "association" or "estimator" not in frame.columns:
+            cells.append(Cells(head, None, head, tuple(read), numeric=False))
+    if "estimator" in frame.columns:
+        cells.append(Cells("estimator", None, "estimator", tuple(_rows(frame)), numeric=False))
+    elif "phase" in frame.columns:
+        cells.append(Cells("phase", None, "phase", tuple(map(str, frame["phase"].tolist())), numeric=False))
+    for place, head in enumerate(str(c) for c in frame.columns):
+        if head not in NAMES:
+            values, what = frame.iloc[:, place].tolist(), known(head, place)
+            body = column_text(values)
+            if head in ESTIMATORS:
+                body = [estimators(t) for t in body]
+            numeric = is_numeric(values) or all(FIGURES.fullmatch(t) for t in body if t)
+            cells.append(Cells(what.key, what.rank, what.short, tuple(body), numeric, full=head))
+    return cells, common
+
+
+def _rows(frame: pd.DataFrame) -> list[str]:
+    """Estimator, with association and phase where rows differ in them."""
+    who = [estimators(str(v)) for v in frame["estimator"].tolist()]
+    how = (
+        [METHODS.get(v, v) for v in map(str, frame["association"].tolist())]
+        if "association" in frame
+        else [""] * len(who)
+    )
+    when = [str(v) for v in frame["phase"].tolist()] if "phase" in frame else [""] * len(who)
+    several = len({h for h in how if h}) > 1
+    phases: dict[tuple[str, str], set[str]] = {}
+    for w, h, p in zip(who, how, when, strict=True):
+        phases.setdefault((w, h), set()).add(p)
+    made = []
+    for w, h, p in zip(who, how, when, strict=True):
+        text = f"{w}, {h}" if several and h else w
+        made.append(f"{text} ({p})" if len(phases[w, h]) > 1 and p else text)
+    return made
+
+
+def _words(head: str) -> list[str]:
+    return re.findall(r"\[[^]]*\]|\d+ %|\S+", head) or [""]
+
+
+def _head(c: Cells, size: str) -> str:
+    # {} keeps LaTeX from taking a unit in brackets for the optional argument of a line break
+    lines = r"\\{}".join(tex_escape(line) for line in c.lines(size))
+    return rf"\shortstack[{'r' if c.numeric else 'l'}]{{{lines}}}"
+
+
+def _render(
+    cells: Sequence[Cells], stem: str, caption: str, size: str, *, wide: bool, total: float, room: float
+) -> str:
+    spec = "".join("r" if c.numeric else "l" if c.width is None else rf"p{{{c.width:.1f}pt}}" for c in cells)
+    ragged = [r"\raggedright\arraybackslash " if c.width is not None else "" for c in cells]
+    rows = [
+        [f"{r}{tex_escape(t)}" for t, r in zip(row, ragged, strict=True)]
+        for row in zip(*(c.body for c in cells), strict=True)
+    ]
+    # {} again: a row that begins with a bracket would be an option of the line break before it
+    body = ["{}" * row[0].startswith("[") + " & ".join(row) for row in rows]
+    environment = "table*" if wide else "table"
+    packages = "booktabs,array" if any(ragged) else "booktabs"
+    fits = "fits" if total <= room else "IS WIDER THAN"
+    lines = [
+        rf"% \usepackage{{{packages}}}",
+        f"% about {total:.0f} pt wide, {fits} {room:.0f} pt, an IEEE {'page' if wide else 'column'}, with 10 pt type;"
+        " see notes.tex",
+        rf"\begin{{{environment}}}",
+        r"  \centering",
+        rf"  \caption{{{tex_escape(caption)}}}",
+        rf"  \label{{tab:{stem}}}",
+        rf"  \{size}",
+        rf"  \setlength{{\tabcolsep}}{{{GAP / 2:g}pt}}",
+        rf"  \begin{{tabular}}{{@{{}}{spec}@{{}}}}",
+        r"    \toprule",
+        rf"    {' & '.join(_head(c, size) for c in cells)} \\",
+        r"    \midrule",
+        *(rf"    {row} \\" for row in body),
+        r"    \bottomrule",
+        r"  \end{tabular}",
+        rf"\end{{{environment}}}",
+    ]
+    return "\n".join(lines) + "\n"

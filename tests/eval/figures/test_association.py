@@ -14,7 +14,7 @@ from eval.figures.association import OUTCOME_COLOURS, PARTS, bars, confusion_fig
 from eval.figures.error import longest_sigma
 from eval.figures.growth import closing_frame, growth_figure, state_figure, state_is_informative
 from eval.referee.score import Trial
-from eval.report.pictures import draw, kinds
+from eval.report.publish import draw, kinds
 from tests.eval.figures.looks import SEEN_BY, lab, within
 from tests.eval.handmade import circle_log, run_with_error
 from tests.eval.handmade_lab import DISCARD, FOOLED, NEW, lab_log, lab_run
@@ -171,11 +171,11 @@ def test_growth_shows_the_online_sigma_of_the_robot_and_the_last_one_of_each_lan
 
 
 def test_a_trial_gets_the_pictures_that_tell_something():
-    assert kinds(trial(KNOWN)) == ("map", "error", "nees", "growth")
-    assert kinds(trial(KNOWN), BESIDE) == ("map", "error", "nees", "growth", "state", "association")
-    assert kinds(trial(KNOWN, FOOL))[-2:] == ("state", "association")
+    assert list(kinds(trial(KNOWN))) == ["map", "error", "nees", "growth"]
+    assert list(kinds(trial(KNOWN), BESIDE)) == ["map", "error", "nees", "growth", "state", "association"]
+    assert list(kinds(trial(KNOWN, FOOL)))[-2:] == ["state", "association"]
     localized = Trial(circle_log(known_map=True), "localization", (run_with_error(np.zeros(3), task="localization"),))
-    assert kinds(localized) == ("map", "error", "nees")
+    assert list(kinds(localized)) == ["map", "error", "nees"]
 
 
 @pytest.mark.slow

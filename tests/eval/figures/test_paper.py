@@ -15,9 +15,8 @@ from eval.figures.claims import nees_figure
 from eval.figures.error import error_figure
 from eval.figures.figure_style import FigureStyle, figure_style
 from eval.figures.map import map_figure
-from eval.figures.paper import across, page_width, translate
-from eval.figures.style import drawing, save
-from eval.plan import appearance
+from eval.figures.style import across, drawing, page_width, save, translate
+from eval.plan.flags import options as appearance
 from eval.plan.flags.options import read_options
 from eval.plan.flags.table import Output, inches
 

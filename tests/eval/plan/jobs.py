@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
+import time
 
 
 def squared(x):
@@ -26,3 +28,19 @@ def stays():
     from joblib.externals.loky import process_executor
 
     return process_executor._USE_PSUTIL, process_executor._MEMORY_LEAK_CHECK_DELAY
+
+
+def computes_on(x):
+    """A job that says that it has begun, and takes minutes."""
+    print("begun", file=sys.__stdout__, flush=True)
+    end = time.monotonic() + 300.0
+    while time.monotonic() < end:
+        sum(range(10_000))
+
+
+def two_compute_on():
+    """In a process of its own: two workers that compute on."""
+    from eval.plan.flags.table import Execution
+    from eval.plan.work import Job, work
+
+    list(work([Job(i, computes_on, (i,)) for i in range(2)], Execution(jobs=2)))

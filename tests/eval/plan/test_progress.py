@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from eval.plan import progress as told
-from eval.plan.progress import first_line, next_line, progress, say_kept
+from eval.plan import console as told
+from eval.plan.console import first_line, next_line, progress, say_kept
 from eval.run_all import main
 
 

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from data.notice import Code
@@ -55,3 +60,14 @@ def test_a_far_job_without_enough_memory_is_lost_alone(cluster):
     }
     with pytest.raises(OutOfMemoryError, match=r"728\. TiB\); fewer processes \(--jobs 1\) or a shorter log"):
         list(work(jobs, options("--scheduler", ADDRESS), far=True))
+
+
+@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
+def test_workers_end_with_the_process_that_started_them_however_it_ends(how):
+    """Seen: two held their memory for 50 minutes, two computed on. They hold the pipe, so its end is theirs."""
+    code = "from tests.eval.plan.jobs import two_compute_on; two_compute_on()"
+    root = Path(__file__).parents[3]
+    with subprocess.Popen([sys.executable, "-c", code], cwd=root, stdout=subprocess.PIPE, text=True) as parent:
+        assert [parent.stdout.readline() for _ in range(2)] == ["begun\n"] * 2
+        parent.send_signal(how)
+        assert parent.communicate(timeout=20.0) == ("", None)

@@ -55,10 +55,10 @@ def watched(corridor):
 def landmarks_at(w, frame):
     """By number, from the changes up to a frame: x, y, sigma_x, sigma_y, rho."""
     now = {}
-    for i in np.flatnonzero(w.change_frame <= frame):
-        number = int(w.change_number[i])
-        now[number] = np.array([*w.change_xy[i], *w.change_sigma[i], w.change_rho[i]])
-        if not w.change_there[i]:
+    for i in np.flatnonzero(w.changes[:, 0] <= frame):
+        number = int(w.changes[:, 1][i])
+        now[number] = np.array([*w.changes[:, 3:5][i], *w.changes[:, 5:7][i], w.changes[:, 7][i]])
+        if not w.changes[:, 2][i]:
             del now[number]
     return now
 
@@ -80,24 +80,24 @@ def test_landmarks_are_those_of_each_instant_to_half_a_quantum(watched):
 def test_only_what_can_be_seen_is_written_down(watched):
     memory, run = watched
     w = run.watched
-    assert len(w.change_frame) < sum(len(state.number) for state in memory.maps.values())
-    values = np.column_stack([w.change_xy, 3 * w.change_sigma, 3 * w.change_rho * w.change_sigma.max()])
+    assert len(w.changes[:, 0]) < sum(len(state.number) for state in memory.maps.values())
+    values = np.column_stack([w.changes[:, 3:5], 3 * w.changes[:, 5:7], 3 * w.changes[:, 7] * w.changes[:, 5:7].max()])
     for number in range(len(run.created[run.created >= 0])):
-        own = values[w.change_number == number]
+        own = values[w.changes[:, 1] == number]
         assert (np.abs(np.diff(own, axis=0)).max(axis=1) > 0.49 * w.quantum).all()
 
 
 def test_distances_are_those_of_the_expectation_and_the_nearest_is_always_there(watched, corridor):
     memory, run = watched
     w = run.watched
-    for row, number, d2 in zip(w.pair_row.tolist(), w.pair_number.tolist(), w.pair_d2, strict=True):
+    for row, number, d2 in zip(w.pairs[:, 0].tolist(), w.pairs[:, 1].tolist(), w.pairs[:, 2], strict=True):
         assert d2 == pytest.approx(memory.d2[row, number], rel=1e-9)
     for row in {row for row, _ in memory.d2}:
         nearest = min((n for r, n in memory.d2 if r == row), key=lambda n: memory.d2[row, n])
-        assert nearest in w.pair_number[w.pair_row == row]
+        assert nearest in w.pairs[:, 1][w.pairs[:, 0] == row]
     paired = np.flatnonzero(run.decisions >= 0)
     assert set(zip(paired.tolist(), run.decisions[paired].tolist(), strict=True)) <= set(
-        zip(w.pair_row.tolist(), w.pair_number.tolist(), strict=True)
+        zip(w.pairs[:, 0].tolist(), w.pairs[:, 1].tolist(), strict=True)
     )
 
 
@@ -120,7 +120,7 @@ def test_watching_changes_no_number(corridor, estimator, association):
     assert plain.decisions.tolist() == seen.decisions.tolist()
     assert np.array_equal(plain.map.covariance, seen.map.covariance)
     assert plain.watched is None
-    assert len(seen.watched.change_frame)
+    assert len(seen.watched.changes[:, 0])
     assert seen.watched.covariances == (estimator == "ekf")
 
 
@@ -132,14 +132,14 @@ def test_a_landmark_that_leaves_the_map_leaves_the_picture(corridor):
     last = len(corridor.recorded) - 1
     assert sorted(landmarks_at(w, last)) == run.map.number.tolist()
     assert not set(gone.tolist()) & set(landmarks_at(w, last))
-    assert sorted(w.change_number[w.change_there == 0]) == gone.tolist()  # each once
+    assert sorted(w.changes[:, 1][w.changes[:, 2] == 0]) == gone.tolist()  # each once
 
 
 def test_a_known_map_has_candidates_and_no_history():
     log = simulate(Arena(frames=20, landmarks=8), 3)
     run = compare(log.inputs(labels=True), "localization", ["ekf"], "known", watch=Watch)[0]
-    assert not len(run.watched.change_frame)
-    assert len(run.watched.pair_row)
+    assert not len(run.watched.changes[:, 0])
+    assert len(run.watched.pairs[:, 0])
     assert NEW not in run.watched.method_decisions
 
 
@@ -169,14 +169,14 @@ def test_kept_are_the_nearest_twelve_in_the_gate_and_who_was_paired_however_far(
     assert run.decisions.tolist() == [31, 7, 1]
     kept = {0: [*range(12), 15], 1: [3, 15], 2: [0]}
     pairs = [(row, int(number[j])) for row, each in kept.items() for j in each]
-    assert list(zip(w.pair_row.tolist(), w.pair_number.tolist(), strict=True)) == pairs
+    assert list(zip(w.pairs[:, 0].tolist(), w.pairs[:, 1].tolist(), strict=True)) == pairs
     d2 = [(x[j] - z[row, 0]) ** 2 + z[row, 1] ** 2 for row, each in kept.items() for j in each]
-    assert w.pair_d2 == pytest.approx(d2, abs=1e-9)
+    assert w.pairs[:, 2] == pytest.approx(d2, abs=1e-9)
     seen = [*range(12), 15]
-    assert w.seen_frame.tolist() == [0] * 13
-    assert w.seen_number.tolist() == number[seen].tolist()
-    assert w.seen_xy == pytest.approx(np.column_stack([x[seen], np.zeros(13)]), abs=1e-12)
-    assert w.seen_sigma == pytest.approx(np.zeros((13, 2)), abs=1e-12)
+    assert w.seen[:, 0].tolist() == [0] * 13
+    assert w.seen[:, 1].tolist() == number[seen].tolist()
+    assert w.seen[:, 2:4] == pytest.approx(np.column_stack([x[seen], np.zeros(13)]), abs=1e-12)
+    assert w.seen[:, 4:6] == pytest.approx(np.zeros((13, 2)), abs=1e-12)
     nearest = w.method_decisions[:, METHODS.index("nn")]
     assert nearest[0] == 1
     assert (nearest[1:] < 0).all()  # more than 9 sigma from all

@@ -16,7 +16,7 @@ from eval.plan.experiments import make_plan
 from eval.plan.flags.options import read_options
 from eval.replay.run import compare, step_by_step
 from eval.replay.settings import SENSED_GATE, Setup
-from eval.report.answer import gate_sentence
+from eval.report.log_sections import gate_sentence
 from eval.studies.twins import inputs_of, source_of, twin
 from eval.tune import main as tune
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from eval.report.answer import answer
+from eval.report.log_sections import answer
 from tests.eval.judged import judgement
 
 FILTER = {

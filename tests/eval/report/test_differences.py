@@ -5,8 +5,8 @@ from __future__ import annotations
 from eval.judgement.judgement import difference_of
 from eval.referee import result_files
 from eval.referee.score import frame_of
-from eval.report.answer import answer
 from eval.report.comparison import differences_table, missing_intervals
+from eval.report.log_sections import answer
 from eval.report.words import paragraph, say
 from tests.eval.judged import judgement, run_of
 from tests.eval.report.test_answer import FILTER, SMOOTHER

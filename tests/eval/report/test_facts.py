@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 import pytest
 
-from eval.report.facts import as_json, write_facts
+from eval.report.contents import as_json, write_facts
 from eval.report.page.blocks import Section
 
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from eval.figures.growth import growing as for_growth
+from eval.figures.kinds import for_map, for_panels
 from eval.judgement.judgement import judge
-from eval.judgement.runs import associations, filters_in, judged_runs, smoothers_in
+from eval.judgement.runs import filters_in, judged_runs, smoothers_in
 from eval.referee.result_files import rows_of
 from eval.referee.score import Trial, score
-from eval.report.shown_runs import for_growth, for_map, for_panels
+from eval.replay.settings import associations
 from tests.eval.handmade import circle_log, run_with_error
 
 LOG = circle_log()

@@ -12,11 +12,11 @@ from data.logs import open_log
 from data.truth import Truth
 from eval.figures.claims import nees_figure
 from eval.figures.error import difference_figure, error_figure
+from eval.figures.kinds import for_map, for_panels, worst
 from eval.figures.map import map_figure
 from eval.referee.given.runs import TruePath, given_run
 from eval.referee.score import Trial, score
 from eval.replay.run import compare
-from eval.report.shown_runs import for_map, for_panels, worst
 
 LOG = open_log("arena:0")
 KNOWN = TruePath(LOG.recorded.time, LOG.truth.pose)
@@ -85,9 +85,9 @@ def test_results_without_covariance_alone_end_in_no_empty_words(tmp_path, capsys
 
 def test_results_in_space_have_a_table_a_file_and_two_projections(tmp_path):
     from data.formats.results.reading import read_path
-    from eval.figures.space import space_figure
+    from eval.figures.map import space_figure
     from eval.referee.given.runs import TruePath, truth_log
-    from eval.report.pictures import kinds
+    from eval.report.publish import kinds
     from eval.report.results import space_rows
     from tests.oracle.evo_space import files
 

@@ -13,7 +13,7 @@ from eval.figures.style import save
 from eval.referee.score import Trial
 from eval.replay.hindsight.ledger import MERGED, REASSOCIATED
 from eval.replay.run import compare
-from eval.report.revisions import example, revising, tally
+from eval.report.log_sections import example, revising, tally
 from tests.eval.handmade import LANDMARKS, circle_log, run_with_error, true_path
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from eval.judgement.runs import judged_runs
 from eval.referee.truth_free import Statistic
-from eval.report.answer import answer
+from eval.report.log_sections import answer
 from eval.report.terminal import Group, MainNumbers, lines
 from eval.studies.diagnosis import Trust
 from eval.studies.sampled import Sample

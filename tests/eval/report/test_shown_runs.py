@@ -9,9 +9,11 @@ import numpy as np
 from data.notice import stopped
 from data.result import Failure
 from eval.figures.figure_style import FigureStyle, figure_style
+from eval.figures.growth import growing as for_growth
+from eval.figures.kinds import for_map, for_panels, left_out, worst
 from eval.referee.score import Trial
-from eval.report.pictures import KINDS
-from eval.report.shown_runs import associations, for_growth, for_map, for_panels, left_out, worst
+from eval.replay.settings import associations
+from eval.report.publish import KINDS
 from tests.eval.handmade import circle_log, run_with_error
 
 PHASES = {"ekf": ("online",), "isam2": ("online", "final"), "batch": ("final",), "dead-reckoning": ("online",)}

@@ -19,8 +19,7 @@ from data.worlds.arena import Arena, simulate
 from eval.figures.style import drawing
 from eval.referee.confusion import OUTCOMES
 from eval.stepping.matching import evidence, paint_compatibility, paint_matching
-from eval.stepping.pictures import field_of_view, paint_ground_truth, paint_map, paint_observations
-from eval.stepping.plane import BAD, LANDMARK
+from eval.stepping.pictures import BAD, LANDMARK, field_of_view, paint_ground_truth, paint_map, paint_observations
 from eval.stepping.problem import Matching, TruthRow
 
 PLAIN = RelativePoint(max_range=5.0)

@@ -11,8 +11,7 @@ from data.pose_measurements import MEASURED, FixKind, expected_fix
 from eval.replay.run import step_by_step
 from eval.replay.settings import Setup
 from eval.step import main
-from eval.stepping.poses import of_run, rows_of
-from eval.stepping.text import poses_block, run_text
+from eval.stepping.text import of_run, poses_block, rows_of, run_text
 
 WORLD = "mixed:7:jumps=true+closure_gap=2+closure_period=1"
 

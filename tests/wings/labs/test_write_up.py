@@ -11,7 +11,7 @@ import pytest
 
 from eval.referee.score import Trial, score
 from eval.report.page.blocks import Folded, Formula, Picture, Section, Table
-from eval.report.page.latex import add_note
+from eval.report.page.files import add_note
 from tests.eval.handmade import circle_log, run_with_error
 from wings.labs.write_up import log_page, tex, write_up
 

@@ -216,8 +216,8 @@ def test_a_survey_tells_what_landmarks_look_like(convert):
         (TREES, (*SEEN, "--descriptor-sigma", "0"), "--descriptor-sigma 0: must be more than 0"),
         (TREES, (*SEEN, "--class-error", "0.5"), "--class-error 0.5: a probability above 0 and below 0.5 is needed"),
         (TREES.replace("class", "kind"), LOOKS, "--class-error 0.05: the observations have no column class"),
-        (TREES.replace("31", "x"), LOOKS, "trees.csv:2: column descriptor: 'x' is not a number"),
-        (TREES.replace("31", "inf"), LOOKS, "trees.csv:2: column descriptor: "),
+        (TREES.replace("31", "x"), LOOKS, "trees.csv:2: column dm: 'x' is not a number"),
+        (TREES.replace("31", "inf"), LOOKS, "trees.csv:2: column dm: "),
         (TREES.replace("oak", '"o""k"'), LOOKS, "trees.csv:2: column class: "),
     ],
 )

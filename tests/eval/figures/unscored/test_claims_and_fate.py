@@ -12,7 +12,7 @@ from data.result import DISCARD, NEW, Innovations
 from eval.figures.claims import claims_figure, stretches_of
 from eval.figures.log import loop_state_figure, loop_states
 from eval.referee.score import Trial
-from eval.report.pictures import draw, kinds
+from eval.report.publish import draw, kinds
 from tests.eval.figures.looks import within
 from tests.eval.handmade import FRAMES, SIGMA, circle_log, run_with_error
 from tests.quick import slow

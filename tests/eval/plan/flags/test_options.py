@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 
 from data.errors import UsageError
-from eval.plan.flags.help import everyday
 from eval.plan.flags.options import read_options
-from eval.plan.flags.table import Options, parser
+from eval.plan.flags.table import Options, help_text, parser
 from eval.replay.flag import rows
 
 ROOT = Path(__file__).parents[4]
@@ -128,7 +127,7 @@ def test_help_shows_the_flags_of_everyday_use_and_answers_at_once():
 def test_every_example_of_everyday_use_is_a_command_that_can_be_read(monkeypatch, tmp_path, command, positional):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my_run.toml").write_text("quick = true\n")
-    examples = re.findall(rf"^ +slamref {command} (.+)$", everyday(f"slamref {command}", positional), re.M)
+    examples = re.findall(r"^ +PROG (.+)$", help_text(positional), re.M)
     assert len(examples) >= 7
     for example in examples:
         read_options([w for w in example.split() if w != "--help-all"], f"slamref {command}", positional)

@@ -14,7 +14,7 @@ from eval.referee.score import Trial
 from eval.referee.truth_free import Statistic
 from eval.report.diagnosis import MOST, Terms, first_page_words, of_trial, statistic_words, trust_frame, trust_section
 from eval.report.page.blocks import Folded, Table
-from eval.report.pictures import FILTER_SMOOTHER, draw, kinds
+from eval.report.publish import draw, kinds
 from tests.eval.handmade import SIGMA, circle_log, run_with_error
 from tests.eval.report.diagnosis.said_by_hand import MEASURED, TURN, blamed, said
 
@@ -78,7 +78,7 @@ def test_every_statistic_has_a_name_that_is_none_of_the_codes():
 
 def test_a_section_has_words_table_and_figure(tmp_path):
     trust = blamed(TURN, cause=NOISE, objected=2)
-    picture = draw(tmp_path, TRIAL, FILTER_SMOOTHER)
+    picture = draw(tmp_path, TRIAL, "filter-smoother")
     (section,) = trust_section(tmp_path, Output(), TRIAL, [picture], [trust])
     words, table, more, shown = section.blocks
     assert section.heading == "Diagnosis without ground truth: home, slam"
@@ -108,12 +108,12 @@ def test_a_log_with_truth_is_told_on_the_first_page_only_what_twins_say():
 
 
 def test_the_figure_is_drawn_where_the_smoother_made_the_same_decisions():
-    assert FILTER_SMOOTHER in kinds(TRIAL)
-    assert FILTER_SMOOTHER not in kinds(TRIAL, quick=True)
+    assert "filter-smoother" in kinds(TRIAL)
+    assert "filter-smoother" not in kinds(TRIAL, quick=True)
     other = smoother()
     other = replace(other, final_decisions=other.final_decisions + 1)
-    assert FILTER_SMOOTHER not in kinds(replace(TRIAL, runs=(FILTER, other)))
-    assert FILTER_SMOOTHER not in kinds(replace(TRIAL, runs=(FILTER,)))
+    assert "filter-smoother" not in kinds(replace(TRIAL, runs=(FILTER, other)))
+    assert "filter-smoother" not in kinds(replace(TRIAL, runs=(FILTER,)))
 
 
 @pytest.mark.parametrize("also", [(), ("isam2", "ekf-iterated")])
@@ -121,5 +121,5 @@ def test_the_figure_is_drawn_where_the_smoother_made_the_same_decisions():
 def test_who_decided_otherwise_is_named_in_the_caption(tmp_path, also):
     runs = [run_with_error(SIGMA, estimator=name) for name in also]
     runs = [replace(r, final_decisions=r.final_decisions + 1) for r in runs]
-    caption = draw(tmp_path, replace(TRIAL, runs=(*TRIAL.runs, *runs)), FILTER_SMOOTHER).caption
+    caption = draw(tmp_path, replace(TRIAL, runs=(*TRIAL.runs, *runs)), "filter-smoother").caption
     assert ("other decisions: isam2, ekf-iterated" in caption) == bool(also)

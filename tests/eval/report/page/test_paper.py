@@ -12,10 +12,9 @@ import pandas as pd
 import pytest
 
 from data.errors import UsageError
-from eval.figures.paper import tex_escape
-from eval.report.page import latex
-from eval.report.page.files import Paper, short_caption, write_table
-from eval.report.page.latex import EM, WIDTHS, check_columns, sheet, text_width
+from eval.figures.style import tex_escape
+from eval.report.page import files as latex
+from eval.report.page.files import EM, WIDTHS, Paper, check_columns, sheet, short_caption, text_width, write_table
 
 AFM = Path(matplotlib.get_data_path()) / "fonts" / "afm"
 RUNS = [("dead-reckoning", "none", "online"), ("ekf", "jcbb", "online"), ("isam2", "jcbb-hindsight", "online"),

@@ -16,8 +16,8 @@ from eval.plan.calibrate import ALL, NAMED, Calibration, with_systematic
 from eval.referee.attribution import NOISE
 from eval.referee.score import Trial
 from eval.replay.run import compare
+from eval.report.diagnosis import best, determined, errors_table, estimated
 from eval.report.publish import write_run
-from eval.report.systematic import best, determined, errors_table, estimated
 from eval.report.words import plus_minus, say
 from tests.eval.report.diagnosis.said_by_hand import TURN, blamed, said
 
@@ -54,8 +54,8 @@ def test_the_table_shows_prior_estimates_truth_and_what_the_log_cannot_tell(tria
 
 
 def test_batch_has_the_last_word(trial):
-    assert best(trial.runs).estimator == "batch"
-    assert best(trial.runs[:1]).estimator == "ekf"
+    assert best(trial.runs) is trial.runs[1].errors_final
+    assert best(trial.runs[:1]) is trial.runs[0].errors_online
     assert best([replace(trial.runs[0], errors_online=None)]) is None
 
 
@@ -77,10 +77,10 @@ def test_facts_say_why_these_which_are_not_told_and_what_the_battery_says(trial)
         trial.log.name, trial.task, "known", ERRORS, NAMED, before=blamed(TURN, cause=NOISE, objected=2)
     )
     facts = estimated(trial, named, trial.runs)
-    assert (facts.names, facts.why, facts.judged, facts.untold) == (ERRORS.names, NAMED, True, ("curvature",))
-    assert facts.before.judged["objected"] == 2
-    assert facts.after is None
-    text = say("systematic", facts)
+    assert [facts[of] for of in ("names", "why", "judged", "untold")] == [ERRORS.names, NAMED, True, ("curvature",)]
+    assert facts["before"].judged["objected"] == 2
+    assert facts["after"] is None
+    text = say("systematic", **facts)
     assert text.startswith(
         "* Estimated by filter and smoother jointly with the poses: `scale`, `curvature`. A score test"
     )
@@ -92,9 +92,10 @@ def test_facts_say_why_these_which_are_not_told_and_what_the_battery_says(trial)
 
 def test_without_a_run_nothing_is_said_of_the_errors(trial):
     facts = estimated(trial, Calibration("", "", "known", ERRORS, ALL, after=said()), [])
-    assert (facts.judged, facts.untold) == (False, ())
-    assert "No run reached its end" in say("systematic", facts)
-    assert say("systematic", facts).endswith("too few bootstrap replicates.")
+    assert (facts["judged"], facts["untold"]) == (False, ())
+    text = say("systematic", **facts)
+    assert "No run reached its end" in text
+    assert text.endswith("too few bootstrap replicates.")
 
 
 def test_the_figure_has_a_panel_for_each_error_with_truth_prior_and_estimates(trial):

@@ -1,0 +1,217 @@
+"""Measured poses of an open log folder: `fixes.csv` and `closures.csv`.
+
+    fixes.csv     frame,kind[,source][,x][,y][,theta][,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt][,true_inlier]   ascending by frame
+    closures.csv  frame1,frame2,dx,dy,dtheta[,c_xx,c_xy,c_xt,c_yy,c_yt,c_tt][,source][,true_inlier]   in any order
+
+With odometry.csv: t, t1, t2 [s] instead of frame, frame1, frame2; these instants are frames, too. source: the name of a
+[[fix]] or [[closure]] in log.toml, blank for the first. true_inlier: 1, or 0 for an outlier, blank unknown (for scoring
+alone). Without a covariance: the sigma of the source.
+
+A fix is an absolute measurement of the pose, such as GPS, a compass, or motion capture. kind: position (x, y), heading
+(theta) or pose (x, y, theta), in the world frame [m, rad]. Its fields that it does not measure are blank.
+
+    [[fix]]
+    name = "gps"            a source measures p + R(theta) lever and theta + rotation
+    lever = [0.3, 0.0]      m, its place in the body frame
+    rotation = 0.0          rad, its direction in the body frame
+    sigma = [0.5, 0.5]      of x, y [m]; one number: of theta [rad]; three: of x, y, theta
+
+A closure is the pose of frame2 in the frame of frame1 [m, m, rad], such as a loop closure, a scan match, an edge of a
+pose graph, or a second odometry, with the covariance of its additive error there.
+
+    [[closure]]
+    name = "laser"
+    sigma = [0.05, 0.05, 0.01]      of dx, dy [m], dtheta [rad]; optional
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from data.columns.named import COVARIANCE, UPPER, names_of, require_definite, source_rows
+from data.csv_table import Columns, Table, symmetric
+from data.errors import unknown
+from data.inputs import IntArray
+from data.pose_measurements import MEASURED, Closures, Fixes, FixKind, FixSource
+from data.se2 import Array, BoolArray
+from data.toml_table import TomlTable, finite, positive
+
+FIX, CLOSURE = "fix", "closure"
+KEYS = {FIX: ("name", "lever", "rotation", "sigma"), CLOSURE: ("name", "sigma")}
+"""Tables of log.toml, and their keys."""
+SOURCE, INLIER, KIND = "source", "true_inlier", "kind"
+POSE, RELATIVE = ("x", "y", "theta"), ("dx", "dy", "dtheta")
+ENDS = {"frame": ("frame1", "frame2"), "t": ("t1", "t2")}
+"""Names of the two ends of closures by the key of observations.csv."""
+KINDS = {kind.name.lower(): kind for kind in FixKind}
+OF_SIGMA = {1: (2,), 2: (0, 1), 3: (0, 1, 2)}
+"""Entries of (x, y, theta) that a sigma of so many numbers is of."""
+MEASURES: BoolArray = np.array([[entry in MEASURED[kind] for entry in range(3)] for kind in FixKind])
+"""Whether a kind (3,) measures x, y, theta (3,)."""
+UNSTATED = -1
+"""Of an inlier that is blank."""
+
+
+def fixes_columns(key: str) -> Columns:
+    """Columns of fixes.csv; `key`: frame or t."""
+    numbers = (*POSE, *COVARIANCE, INLIER)
+    return Columns((key, KIND), (SOURCE, *numbers), (SOURCE, *numbers), (KIND, SOURCE))
+
+
+def closures_columns(key: str) -> Columns:
+    """Columns of closures.csv; `key`: frame or t."""
+    return Columns((*ENDS[key], *RELATIVE), (*COVARIANCE, SOURCE, INLIER), (SOURCE, INLIER), (SOURCE,))
+
+
+class Stated(NamedTuple):
+    """A [[fix]] or [[closure]]: source, of which a closure has the name, and sigma (3,), NaN where not stated."""
+
+    source: FixSource
+    sigma: Array
+
+
+def stated(top: TomlTable, key: str) -> tuple[Stated, ...]:
+    """The sources that the tables [[key]] of log.toml state."""
+    tables = top.tables_of(key)
+    return tuple(_source(name, table, key) for name, table in zip(names_of(tables), tables, strict=True))
+
+
+def _source(name: str, table: TomlTable, key: str) -> Stated:
+    x, y = table.numbers("lever", 2, "two numbers x, y [m] are", finite).tolist() if "lever" in table else (0.0, 0.0)
+    rotation = table.number("rotation", 0.0, "a finite angle (radians)", finite)
+    sigma = np.full(3, np.nan)
+    if "sigma" in table:
+        what = "numbers > 0 (x, y [m], theta [rad]) are" if key == FIX else "three numbers > 0 [m, m, rad] are"
+        given = table.numbers("sigma", None if key == FIX else 3, what, positive)
+        if len(given) not in OF_SIGMA:
+            raise table.error("sigma", "one number (theta), two (x, y) or three (x, y, theta) are needed")
+        sigma[list(OF_SIGMA[len(given)])] = given
+    return Stated(FixSource(name, (x, y), rotation), sigma)
+
+
+def fixes_of(table: Table, sources: Sequence[Stated], frame: IntArray) -> tuple[Fixes, IntArray | None]:
+    """The fixes of frames (F,), ascending, by the rows of fixes.csv, and which are true inliers."""
+    table.require_finite([n for n in (*POSE, *COVARIANCE) if n in table], blank=True)
+    for row, name in enumerate(table.texts[KIND]):
+        if name not in KINDS:
+            raise table.error(row, KIND, f"{name!r} is {unknown(name, KINDS)}")
+    kind = np.array([KINDS[name] for name in table.texts[KIND]], np.int64)
+    z, measured = np.stack([table.get(name) for name in POSE], axis=-1), MEASURES[kind]
+    _require(table, POSE, z, measured)
+    source = source_rows(table, [s.source.name for s in sources], FIX)
+    sources = sources or (Stated(FixSource(FIX), np.full(3, np.nan)),)
+    P = _covariances(table, measured, source, sources, FIX)
+    fixes = Fixes(frame, kind, source, np.nan_to_num(z), P, tuple(s.source for s in sources))
+    return fixes, _inliers(table)
+
+
+def closures_of(
+    table: Table, sources: Sequence[Stated], frames: Sequence[IntArray], ends: tuple[str, str]
+) -> tuple[Closures, IntArray | None]:
+    """The closures between frames (K,) of both ends, by their later one, and which are true inliers."""
+    table.require_finite(RELATIVE)
+    if table.together(COVARIANCE):
+        table.require_finite(COVARIANCE)
+    source = source_rows(table, [s.source.name for s in sources], CLOSURE)
+    sources = sources or (Stated(FixSource(CLOSURE), np.full(3, np.nan)),)
+    P = _covariances(table, np.ones((len(table), 3), bool), source, sources, CLOSURE)
+    table.require(frames[0] != frames[1], ends[1], f"{{}} is {ends[0]}, too; two frames are needed")
+    by, inlier = np.argsort(np.maximum(*frames), kind="stable"), _inliers(table)
+    names = tuple(s.source.name for s in sources)
+    closures = Closures(frames[0][by], frames[1][by], table.stack(RELATIVE)[by], P[by], source[by], names)
+    return closures, None if inlier is None else inlier[by]
+
+
+def _covariances(table: Table, measured: BoolArray, source: IntArray, sources: Sequence[Stated], key: str) -> Array:
+    """Covariances (K, 3, 3) of the `measured` entries (K, 3), zero elsewhere: the row's own, else by its source."""
+    entries = np.stack([table.get(name) for name in COVARIANCE], axis=-1)
+    own: BoolArray = np.asarray(~np.isnan(entries).all(axis=1))
+    _require(table, COVARIANCE, entries, measured[:, UPPER[0]] & measured[:, UPPER[1]], own)
+    sigma = np.where(measured, np.array([s.sigma for s in sources])[source], 0.0)
+    lacking = np.isnan(sigma).any(axis=1) & ~own
+    if lacking.any():
+        row = int(np.argmax(lacking))
+        what, name = "no covariance, and no sigma of it", POSE[int(np.argmax(measured[row]))]
+        if COVARIANCE[0] not in table:
+            what, name = "no such column, and no sigma", COVARIANCE[0]
+        label = sources[source[row]].source.name
+        raise table.error(row, name, f"{what} in [[{key}]] {label!r} of log.toml; one of them is needed")
+    P = symmetric(np.nan_to_num(entries))
+    P[~own] = (sigma**2)[~own, :, None] * np.eye(3)
+    for of in np.unique(measured, axis=0):
+        rows, axes = np.flatnonzero((measured == of).all(axis=1)), np.flatnonzero(of)
+        require_definite(table, rows, P[np.ix_(rows, axes, axes)])
+    return P
+
+
+def _require(
+    table: Table, names: Sequence[str], values: Array, wanted: BoolArray, rows: BoolArray | None = None
+) -> None:
+    """Raise unless exactly the `wanted` fields (K, n) of columns are given; `rows` (K,): only there."""
+    given = ~np.isnan(values)
+    wrong = (given != wanted) if rows is None else (given != wanted) & rows[:, None]
+    if wrong.any():
+        row, k = np.argwhere(wrong)[0].tolist()
+        kind = table.texts[KIND][row]
+        what = f"blank, but {kind} measures it; a number is needed"
+        if given[row, k]:
+            what = f"a value, but {kind} does not measure it; leave the field blank"
+        raise table.error(row, names[k], what)
+
+
+def _inliers(table: Table) -> IntArray | None:
+    """Column true_inlier (K,): 1, 0, or `UNSTATED` where blank; None without it."""
+    if INLIER not in table:
+        return None
+    values = table.columns[INLIER]
+    fine = np.isnan(values) | (values == 0.0) | (values == 1.0)
+    table.require(fine, INLIER, "{} is neither 0 nor 1 nor blank")
+    return np.nan_to_num(values, nan=UNSTATED).astype(np.int64)
+
+
+# What is read, as columns to write.
+
+
+def fixes_to_write(fixes: Fixes, inlier: IntArray | None) -> dict[str, Sequence[Any]]:
+    """Columns by name, but for that of the frame."""
+    measured = MEASURES[fixes.kind]
+    columns: dict[str, Sequence[Any]] = {KIND: [FixKind(k).name.lower() for k in fixes.kind.tolist()]}
+    if len(fixes.sources) > 1:
+        columns[SOURCE] = [fixes.sources[k].name for k in fixes.source.tolist()]
+    columns |= _or_blank(POSE, fixes.z, measured)
+    columns |= _or_blank(COVARIANCE, fixes.covariance[:, *UPPER], measured[:, UPPER[0]] & measured[:, UPPER[1]])
+    return columns | _inliers_to_write(inlier)
+
+
+def closures_to_write(closures: Closures, inlier: IntArray | None) -> dict[str, Sequence[Any]]:
+    """Columns by name, but for those of both ends."""
+    columns = by_name(RELATIVE, closures.relative) | by_name(COVARIANCE, closures.covariance[:, *UPPER])
+    if len(closures.sources) > 1:
+        columns[SOURCE] = [closures.sources[k] for k in closures.source.tolist()]
+    return columns | _inliers_to_write(inlier)
+
+
+def by_name(names: Sequence[str], values: Array) -> dict[str, Sequence[Any]]:
+    """Columns of an array (K, n) under n names."""
+    return dict(zip(names, values.T.tolist(), strict=True))
+
+
+def _or_blank(names: Sequence[str], values: Array, there: BoolArray) -> dict[str, Sequence[Any]]:
+    return by_name(names, np.where(there, values.astype(object), ""))
+
+
+def _inliers_to_write(inlier: IntArray | None) -> dict[str, Sequence[Any]]:
+    return {} if inlier is None else {INLIER: ["" if i == UNSTATED else i for i in inlier.tolist()]}
+
+
+def tables_to_write(fixes: Fixes | None, closures: Closures | None) -> Mapping[str, list[dict[str, Any]]]:
+    """The tables [[fix]] and [[closure]]; covariances are in the files."""
+    tables = {}
+    if fixes is not None:
+        tables[FIX] = [{"name": s.name, "lever": s.lever, "rotation": s.rotation} for s in fixes.sources]
+    if closures is not None:
+        tables[CLOSURE] = [{"name": name} for name in closures.sources]
+    return tables

@@ -1,0 +1,475 @@
+"""The request of `python -m data.convert table`: flags or a mapping file, as values in SI units.
+
+Without `--sensor` there is one sensor, whose observations are in the file of `--observations` or of the odometry. With
+`--sensor NAME=FILE` each has a file; flags of `OF_SENSORS` then are of one sensor (`--view camera=-30deg,30deg`) or of
+all (`--view -30deg,30deg`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from data.columns.appearance import Noise
+from data.csv_table import is_name
+from data.errors import DataError, UsageError, did_you_mean, unknown
+from data.formats.recordings.laser import TravelNoise
+from data.formats.tables.files import (
+    POSE,
+    ROLES,
+    SECOND,
+    STAMPED,
+    TRAVEL,
+    Columns,
+    Given,
+    TextTable,
+    Units,
+    number,
+    numbers,
+    one_of,
+    pairs,
+    quantity_with_unit,
+    read_text,
+    sigmas,
+    words,
+)
+from data.formats.tables.motion import KINDS, Second, Wheels, kind_of
+from data.motion.velocity import WITH_ALPHAS, VelocityNoise
+from data.se2 import Array
+from data.toml_table import load_toml
+
+SENSOR, OBSERVATIONS = "sensor", "observations"
+LOOKS = {"descriptor": "descriptor-sigma", "class": "class-error"}
+"""Columns of appearance, and the flag that states the noise of each; without it the column is not read."""
+OF_SENSORS = ("observation-sigma", "sensor-pose", "max-range", "view", "sees", *LOOKS.values())
+"""Flags with a value for each sensor."""
+FILE = "file"
+"""Key of a table [sensor.NAME] of a mapping file, beside those flags."""
+TUNED = "`slamref tune LOG OUT` fits it afterwards where the log has labels"
+
+
+@dataclass(frozen=True, eq=False)
+class TableSensor:
+    """A sensor of tables, in SI units.
+
+    Attributes:
+        role: of its file, among the files and in keys of columns: the name, or "observations" of the only one.
+        name: blank: the only one.
+        sigma: (2,) of an observation; alone: "range" or "bearing", where nothing else is measured.
+        pose: (3,) in the body frame.
+        max_range: m, view: rad, least and largest bearing; None: as observed.
+        sees: kind of landmark; blank: all.
+        looks: noise of descriptors and classes; what is None is not read.
+    """
+
+    role: str
+    name: str
+    sigma: Array
+    alone: str | None
+    pose: Array
+    max_range: float | None
+    view: tuple[float, float] | None
+    sees: str
+    looks: Noise
+
+    @property
+    def looked(self) -> tuple[str, ...]:
+        """Columns of appearance to read."""
+        return tuple(q for q, noise in zip(LOOKS, self.looks, strict=True) if noise is not None)
+
+
+def by_sensor(value: object, flag: str) -> dict[str, str]:
+    """Text by sensor, "" of all, of a flag that is a text, or several, or a table by sensor."""
+    if isinstance(value, Mapping):
+        return {str(k): str(v) for k, v in value.items()}
+    found: dict[str, str] = {}
+    for text in map(str, value if isinstance(value, list) else [value]):
+        name, equals, rest = text.partition("=")
+        name, rest = (name.strip(), rest.strip()) if equals else ("", text)
+        if name and name in found:
+            raise UsageError(f"--{flag}: {name} is named twice")
+        found[name] = rest
+    return found
+
+
+def files_of(given: Given) -> dict[str, Path]:
+    """The file of each sensor by name; none without `--sensor`. UsageError for a name that cannot be one."""
+    found: dict[str, Path] = {}
+    for name, text in by_sensor(given.get(SENSOR, {}), SENSOR).items():
+        if not name or not text:
+            raise UsageError(f"--{SENSOR} {text or name}: NAME=FILE is needed, as in lidar=cones.csv")
+        if not is_name(name) or "." in name or name in ROLES:
+            what = f"other than {', '.join(ROLES)}" if name in ROLES else "without dots, commas and quotes"
+            raise UsageError(f"--{SENSOR} {name}={text}: a name {what} is needed")
+        found[name] = Path(text)
+    if found and OBSERVATIONS in given:
+        raise UsageError(f"--{OBSERVATIONS} beside --{SENSOR}: name this one, too, as in --{SENSOR} lidar=FILE")
+    return found
+
+
+def from_tables(path: Path, tables: object) -> dict[str, dict[str, str]]:
+    """The tables [sensor.NAME] of a mapping file as flags, by sensor; DataError for an unknown key."""
+    found: dict[str, dict[str, str]] = {SENSOR: {}}
+    if not isinstance(tables, Mapping):
+        raise DataError.at(path, f'{SENSOR}: tables are needed, as [{SENSOR}.lidar] with file = "cones.csv"')
+    for name, table in tables.items():
+        where = f"[{SENSOR}.{name}]"
+        if not isinstance(table, Mapping):
+            raise DataError.at(path, f'{SENSOR}.{name}: a table is needed, as {where} with file = "cones.csv"')
+        if FILE not in table:
+            raise DataError.at(path, f'{where}: no {FILE}; as in {FILE} = "cones.csv"')
+        for key, value in table.items():
+            flag = key.replace("_", "-")
+            if flag != FILE and flag not in OF_SENSORS:
+                raise DataError.at(path, f"{where}: key {key!r}: {unknown(flag, (FILE, *OF_SENSORS))}")
+            if isinstance(value, bool) or not isinstance(value, str | int | float | list):
+                raise DataError.at(path, f"{where} {key} = {value}: a text, a number or a list is needed")
+            text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+            if flag == FILE:
+                found[SENSOR][name] = str(path.parent / text)
+            else:
+                found.setdefault(flag, {})[name] = text
+    return found
+
+
+def sensors_of(given: Given, files: Mapping[str, TextTable], columns: Columns) -> tuple[TableSensor, ...]:
+    """The sensors with a file among `files`, in their order. UsageError for missing or invalid values."""
+    names = list(files_of(given))
+    texts = {flag: by_sensor(given[flag], flag) for flag in OF_SENSORS if flag in given}
+    for flag, found in texts.items():
+        for name in found:
+            if name and name not in names:
+                known = unknown(name, names) if names else f"no sensor; --{SENSOR} {name}=FILE names one"
+                raise UsageError(f"--{flag} {name}={found[name]}: {name!r} is {known}")
+    roles = names or [role for role in (OBSERVATIONS,) if role in files]
+    return tuple(_sensor(role, role if names else "", texts, files[role], columns) for role in roles)
+
+
+def _sensor(
+    role: str, name: str, texts: Mapping[str, Mapping[str, str]], file: TextTable, columns: Columns
+) -> TableSensor:
+    """One of them, by what is stated of it, or else of all."""
+    of = {flag: found.get(name, found.get("")) for flag, found in texts.items()}
+    found = [q for q in ("range", "bearing") if columns.find(file, role, q) is not None]
+    sigma = of.get("observation-sigma")
+    alone = found[0] if len(found) == 1 and len(words(sigma or "")) == 1 else None
+    sees = of.get("sees") or ""
+    if "sees" in of and not is_name(sees):
+        raise UsageError(f"--sees {sees}: a kind of landmark is needed, as in tree")
+    reach, view = of.get("max-range"), of.get("view")
+    farthest = None if reach is None else number(reach, "length", "max-range", "metres")
+    if farthest is not None and farthest <= 0.0:
+        raise UsageError(f"--max-range {reach}: must be more than 0")
+    low, high = math.nan, math.nan
+    if view is not None:
+        low, high = numbers(view, ("angle",) * 2, "view", "least and largest bearing, as in -60deg,60deg").tolist()
+        if not low < high:
+            raise UsageError(f"--view {view}: the smaller bearing first")
+    return TableSensor(
+        role, name, _observation_sigma(sigma, alone, name, polar=bool(found)), alone, _pose(of, "sensor-pose"),
+        farthest, None if view is None else (low, high), sees, _looks(of, role, file, columns),
+    )  # fmt: skip
+
+
+def _looks(of: Mapping[str, str | None], role: str, file: TextTable, columns: Columns) -> Noise:
+    """The noise of descriptors and classes."""
+    found: list[float | None] = []
+    for (quantity, flag), high in zip(LOOKS.items(), (math.inf, 0.5), strict=True):
+        given = of.get(flag)
+        value = None if given is None else number(given, "", flag, "one number")
+        if value is not None and not 0.0 < value < high:
+            right = "must be more than 0" if high == math.inf else "a probability above 0 and below 0.5 is needed"
+            raise UsageError(f"--{flag} {given}: {right}")
+        if value is not None and columns.find(file, role, quantity) is None:
+            what = f"the {OBSERVATIONS} have no column {quantity}"
+            raise UsageError(f"--{flag} {given}: {what}; --columns {role}.{quantity}=NAME names it")
+        found.append(value)
+    return Noise(*found)
+
+
+def _observation_sigma(given: str | None, alone: str | None, name: str, *, polar: bool) -> Array:
+    """Standard deviations (2,), 1 in the place of what is not measured."""
+    flag, of = "observation-sigma", f" of {name}" if name else ""
+    if alone is not None:
+        dimension, what = ("length", "of a range alone [m]") if alone == "range" else ("angle", "of a bearing [rad]")
+        one = sigmas(given, (dimension,), flag, what, zero=False)
+        return np.concatenate([one, [1.0]] if alone == "range" else [[1.0], one])
+    what = "of a range [m] and a bearing [rad], as in 0.1,2deg" if polar else "of x and y [m], as in 0.1,0.1"
+    if given is None:
+        form = f" {name}=S1,S2" if name else ""
+        raise UsageError(f"unknown observation noise{of}; --{flag}{form} is needed: {what}; {TUNED}")
+    return sigmas(given, ("length", "angle" if polar else "length"), flag, what, zero=False)
+
+
+FROM_TRUTH = "truth"
+"""The prior's mean is the first true pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class Wanted:
+    """The request, in SI units.
+
+    Attributes:
+        files: path by role (odometry, observations or the name of a sensor, map, truth, fixes, closures); texts: of it.
+        columns: columns and units.
+        kind: of odometry.
+        wheels: of wheel ticks.
+        noise: of the odometry; model: how velocities become increments.
+        sensors: of observations; none where there are none.
+        prior: mean (3,), "truth", or None: the frame of the log starts at the robot; prior_sigma (3,) or None.
+        map_pose: (3,) pose of the map's frame in the world; truth_pose: of the truth's.
+        every_row: every odometry row is a frame, not only those with observations.
+        sensed: a sensor read the labels.
+        backward: a row's velocities held since the row before; else until the next one.
+        fix_sigma, closure_sigma: (3,) of x, y, theta where a row states none, NaN unknown; None: not stated.
+        fix_lever, fix_rotation: place [m] and direction [rad] in the body frame of what measures the fixes.
+        second: a second odometry; None: there is none.
+    """
+
+    files: Mapping[str, Path]
+    texts: Mapping[str, TextTable]
+    columns: Columns
+    kind: str
+    wheels: Wheels | None
+    noise: VelocityNoise | TravelNoise
+    model: str
+    sensors: tuple[TableSensor, ...]
+    prior: Array | str | None
+    prior_sigma: Array | None
+    map_pose: Array
+    truth_pose: Array
+    every_row: bool
+    sensed: bool
+    backward: bool = False
+    fix_sigma: Array | None = None
+    closure_sigma: Array | None = None
+    fix_lever: tuple[float, float] = (0.0, 0.0)
+    fix_rotation: float = 0.0
+    second: Second | None = None
+
+
+TABLES = ("columns", "unit", "time-offset")
+"""Flags of pairs KEY=VALUE, tables of a mapping file."""
+
+
+def with_mapping(path: Path, given: Given, keys: Sequence[str]) -> dict[str, object]:
+    """The flags and the keys of a mapping file, whose paths are relative to it; flags win. DataError for an invalid
+    file.
+    """
+    merged: dict[str, object] = {}
+    for key, value in load_toml(path, lambda what: DataError.at(path, what)).items():
+        flag = key.replace("_", "-")
+        if flag not in keys:
+            raise DataError.at(path, f"key {key!r}: {unknown(flag, keys)}")
+        if flag == SENSOR:
+            for name, texts in from_tables(path, value).items():
+                merged[name] = {**by_sensor(merged.get(name, {}), name), **texts}
+        elif flag in TABLES:
+            if not isinstance(value, dict):
+                line = "truth = 0.5" if flag == "time-offset" else 't = "stamp"'
+                raise DataError.at(path, f"{key}: a table is needed, as [{key}] with lines such as {line}")
+            merged[flag] = dict(_flat(value))
+        elif flag in OF_SENSORS and isinstance(value, str | int | float | list) and not isinstance(value, bool):
+            text = ",".join(map(str, value)) if isinstance(value, list) else str(value)
+            merged[flag] = {"": text, **by_sensor(merged.get(flag, {}), flag)}
+        elif isinstance(value, list):
+            merged[flag] = ",".join(str(v) for v in value)
+        elif isinstance(value, str | int | float) and not isinstance(value, bool):
+            merged[flag] = str(path.parent / str(value)) if flag in ROLES else str(value)
+        elif isinstance(value, bool) and flag == "labels-sensed":
+            merged[flag] = value
+        else:
+            raise DataError.at(path, f"{key} = {value}: a text, a number or a list is needed")
+    for key, value in given.items():
+        read = pairs if key in TABLES else by_sensor if key in (SENSOR, *OF_SENSORS) else None
+        merged[key] = value if read is None or key not in merged else {**read(merged[key], key), **read(value, key)}
+    return merged
+
+
+def _flat(table: Mapping[str, object], above: str = "") -> list[tuple[str, str]]:
+    """Dotted keys of nested tables."""
+    flat: list[tuple[str, str]] = []
+    for key, value in table.items():
+        flat += _flat(value, f"{above}{key}.") if isinstance(value, dict) else [(f"{above}{key}", str(value))]
+    return flat
+
+
+def settle(given: Given) -> Wanted:
+    """The request in SI units; UsageError for missing, unknown or invalid values."""
+    files = {role: Path(str(given[role])) for role in ROLES if given.get(role) is not None}
+    if "odometry" not in files:
+        raise UsageError('a mapping file names the file with the odometry: odometry = "FILE"')
+    files |= (several := files_of(given))
+    units = Units(pairs(given.get("unit", {}), "unit"))
+    columns = Columns(
+        pairs(given.get("columns", {}), "columns"), units, _offsets(given, files, several), roles=(*ROLES, *several)
+    )
+    read = {path: read_text(path) for path in dict.fromkeys(files.values())}  # a file with several roles once
+    texts = {role: read[path] for role, path in files.items()}
+    kind = _kind(given, texts["odometry"], columns, "odometry", tuple(KINDS))
+    second, spread = _second(given, texts, columns), given.get("prior-sigma")
+    return Wanted(
+        files=files,
+        texts=texts,
+        columns=columns,
+        kind=kind,
+        wheels=_wheels(given, kind),
+        noise=_noise(given, kind),
+        model=_model(given, kind),
+        sensors=sensors_of(given, texts, columns),
+        prior=_prior(given),
+        prior_sigma=None if spread is None else sigmas(spread, POSE, "prior-sigma", "x and y [m], heading [rad]"),
+        map_pose=_pose(given, "map-transform"),
+        truth_pose=_pose(given, "truth-transform"),
+        every_row=one_of(given, "frames", ("observations", "odometry")) == "odometry",
+        sensed=bool(given.get("labels-sensed", False)),
+        backward=_backward(given, kind),
+        second=second,
+        **_of_fixes(given, files),
+    )
+
+
+def _kind(given: Given, file: TextTable, columns: Columns, role: str, known: Sequence[str]) -> str:
+    """The kind of an odometry: the stated one, else by its columns."""
+    kind = given.get(f"{role}-kind")
+    if kind is None:
+        return kind_of(file, columns, role)
+    if kind not in known:
+        raise UsageError(f"--{role}-kind {kind}: {unknown(str(kind), known)}")
+    return str(kind)
+
+
+def _of_fixes(given: Given, files: Mapping[str, Path]) -> dict[str, Any]:
+    """What is stated of fixes and closures."""
+    for role, flags in (("fixes", ("fix-sigma", "fix-lever", "fix-rotation")), ("closures", ("closure-sigma",))):
+        for flag in flags:
+            if flag in given and role not in files:
+                raise UsageError(f"--{flag} {given[flag]}: there are none; --{role} FILE names them")
+    found: dict[str, Any] = {}
+    if "fix-sigma" in given:
+        text = given["fix-sigma"]
+        entries = {1: [2], 2: [0, 1]}.get(len(words(text)), [0, 1, 2])
+        sigma = np.full(3, np.nan)
+        what = "of x and y [m], of the heading [rad], or of all three, as in 0.5,0.5,2deg"
+        sigma[entries] = sigmas(text, [POSE[k] for k in entries], "fix-sigma", what, zero=False)
+        found["fix_sigma"] = sigma
+    if "closure-sigma" in given:
+        what = "of dx and dy [m] and of the turn [rad], as in 0.1,0.1,1deg"
+        found["closure_sigma"] = sigmas(given["closure-sigma"], POSE, "closure-sigma", what, zero=False)
+    if "fix-lever" in given:
+        x, y = numbers(given["fix-lever"], ("length",) * 2, "fix-lever", "x and y [m] in the body frame").tolist()
+        found["fix_lever"] = (x, y)
+    if "fix-rotation" in given:
+        what = "an angle [rad, or as in 90deg]"
+        found["fix_rotation"] = number(given["fix-rotation"], "angle", "fix-rotation", what)
+    return found
+
+
+def _offsets(given: Given, files: Mapping[str, Path], sensors: Collection[str]) -> dict[str, float]:
+    """Seconds to add to the stamps, by role; sensors have one each."""
+    found, known = {}, (*STAMPED, *sensors)
+    for role, text in pairs(given.get("time-offset", {}), "time-offset").items():
+        if role not in known:
+            raise UsageError(f"--time-offset {role}={text}: {unknown(role, known)}")
+        if role not in files:
+            raise UsageError(f"--time-offset {role}={text}: there is no file of it; --{role} FILE names one")
+        found[role] = quantity_with_unit(text, "time", f"--time-offset {role}")
+    return found
+
+
+def _backward(given: Given, kind: str) -> bool:
+    if "hold" in given and kind != "velocities":
+        raise UsageError(f"--hold {given['hold']}: the odometry has {kind}; velocities hold, between rows")
+    return one_of(given, "hold", ("forward", "backward")) == "backward"
+
+
+def _wheels(given: Given, kind: str) -> Wheels | None:
+    if kind != "ticks":
+        for flag in ("track-width", "metres-per-tick", "tick-wrap", "ticks"):
+            if flag in given:
+                raise UsageError(f"--{flag} {given[flag]}: of wheel ticks; the odometry has {kind}")
+        return None
+    if "track-width" not in given or "metres-per-tick" not in given:
+        raise UsageError("wheel ticks: --track-width M and --metres-per-tick M (or LEFT,RIGHT) are needed")
+    width = number(given["track-width"], "length", "track-width", "the distance between the wheels")
+    text = given["metres-per-tick"]
+    metres = numbers(text, ("length",) * (2 if len(words(text)) == 2 else 1), "metres-per-tick", "metres a tick")
+    if width <= 0.0 or (metres == 0.0).any():
+        raise UsageError(f"--track-width {width:g} --metres-per-tick {text}: wheels apart, that move, are needed")
+    wrap = str(given.get("tick-wrap", "0"))
+    if not wrap.isdecimal():
+        raise UsageError(f"--tick-wrap {wrap}: a whole number of ticks is needed, as in 65536")
+    each = one_of(given, "ticks", ("total", "each")) == "each"
+    return Wheels(width, (float(metres[0]), float(metres[-1])), each, int(wrap))
+
+
+def _second(given: Given, texts: Mapping[str, TextTable], columns: Columns) -> Second | None:
+    """What is stated of a second odometry; None: there is none."""
+    if SECOND not in texts:
+        for flag in (f"{SECOND}-sigma", f"{SECOND}-kind", f"{SECOND}-noise"):
+            if flag in given:
+                raise UsageError(f"--{flag} {given[flag]}: there is none; --{SECOND} FILE names it")
+        return None
+    known = [kind for kind in KINDS if kind != "ticks"]
+    kind = _kind(given, texts[SECOND], columns, SECOND, known)
+    if kind == "ticks":
+        what = f"wheel ticks; {', '.join(known)} are needed, or make it the first"
+        raise UsageError(f"--{SECOND} {given[SECOND]}: {what}")
+    return Second(kind, _noise(given, kind, SECOND))
+
+
+def _noise(given: Given, kind: str, of: str = "odometry") -> VelocityNoise | TravelNoise:
+    """Odometry noise, by the kind of odometry, in flags that begin with `of`."""
+    stated = f"{of}-sigma"
+    velocities = kind == "velocities"
+    default = "density" if velocities else "travel"
+    known = ("density", "velocity", "displacement", "textbook") if velocities else ("travel",)
+    model = str(given.get(f"{of}-noise", default))
+    if model not in known:
+        raise UsageError(f"--{of}-noise {model}: for {kind}{did_you_mean(model, known)}: {', '.join(known)}")
+    what = {
+        "density": "of v [m] and omega [rad], per square root of a second, as in 0.05,2deg",
+        "velocity": "of v [m/s] and omega [rad/s], of each sample, as in 0.1,5deg",
+        "displacement": "A1,A2,A3,A4: sigma_v = A1 |v| + A2 |omega|, sigma_omega = A3 |v| + A4 |omega|",
+        "textbook": "A1,A2,A3,A4[,A5,A6]: sigma_v^2 = A1 v^2 + A2 omega^2, sigma_omega^2 = A3 v^2 + A4 omega^2, "
+        "A5 v^2 + A6 omega^2 of a final rotation",
+        "travel": "of travel [m] per sqrt(m) and per sqrt(rad), of the heading [rad] per sqrt(m) and per sqrt(rad); "
+        f"{','.join(f'{n:g}' for n in TravelNoise())} was measured on a robot with wheels in an office",
+    }[model]
+    if stated not in given:
+        hint = f"; {TUNED}" if of == "odometry" else ""
+        raise UsageError(f"unknown {of.replace('-', ' ')} noise; --{stated} is needed: {what}{hint}")
+    text = given[stated]
+    if model == "travel":
+        return TravelNoise(*sigmas(text, TRAVEL, stated, what).tolist())
+    if model in WITH_ALPHAS:
+        count = 6 if model == "textbook" and len(words(text)) == 6 else 4
+        return VelocityNoise(model, alphas=tuple(sigmas(text, ("",) * count, stated, what).tolist()))
+    sigma_v, sigma_omega = sigmas(text, ("length", "angle"), stated, what).tolist()
+    return VelocityNoise(model, sigma=(sigma_v, sigma_omega))
+
+
+INTEGRATED = {"arc": "unicycle", "midpoint": "half_angle", "turn-first": "turn_first", "drive-first": "drive_first"}
+"""Motion model by the order of turning and driving within a step."""
+
+
+def _model(given: Given, kind: str) -> str:
+    """The motion model of velocities."""
+    if "integrate" in given and kind != "velocities":
+        raise UsageError(f"--integrate {given['integrate']}: for velocities; {kind} are integrated already")
+    return INTEGRATED[one_of(given, "integrate", tuple(INTEGRATED))]
+
+
+def _prior(given: Given) -> Array | str | None:
+    if "prior" not in given or given["prior"] == FROM_TRUTH:
+        return FROM_TRUTH if "prior" in given else None
+    return numbers(given["prior"], POSE, "prior", "x, y [m], heading [rad], or the word truth")
+
+
+def _pose(given: Given, flag: str) -> Array:
+    return numbers(given.get(flag) or "0,0,0", POSE, flag, "x, y [m], angle [rad or as in 90deg]")
