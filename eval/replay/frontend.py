@@ -172,10 +172,7 @@ class FrontEnd:
         """
         if association == HINDSIGHT and not given.sensor.sees_points:
             raise UsageError(NO_HINDSIGHT_OF_WALLS)
-        self.given = Beginning(
-            given.prior, given.sensor, given.map, given.systematic, given.fixes, given.closures, given.sensors,
-            given.looks,
-        )  # fmt: skip
+        self.given = Beginning(*(getattr(given, name) for name in Beginning._fields))
         self.setup = setup
         self.sensor = given.sensor  # that of the observations at hand
         self.association = name_of(association)  # `known` (labels decide) or a method's name
@@ -183,12 +180,9 @@ class FrontEnd:
         self.use(make_estimator(estimator, given, options, lag=setup.lag))
         self.slam = given.map is None
         self.k, self.incomplete = -1, 0  # frame; frames in which the search ran out of its budget
-        # labels and hindsight use no distance, and the reach of a foreign method is unknown
-        far = association in ("known", HINDSIGHT) or is_foreign(association)
-        known = not self.slam
-        within = (
-            math.inf if far else horizon(association, setup.gate, setup.new_gate, known_map=known, looks=given.looks)
-        )
+        within = math.inf  # labels and hindsight use no distance, and the reach of a foreign method is unknown
+        if association not in ("known", HINDSIGHT) and not is_foreign(association):
+            within = horizon(association, setup.gate, setup.new_gate, known_map=not self.slam, looks=given.looks)
         if isinstance(self.estimator, EkfLocalizer):
             self.estimator.within = within
         # a graph need not park, and leaving it is no forgetting: the landmark was never seen
@@ -308,12 +302,9 @@ class FrontEnd:
         elif pairing.expectation is not None and self.estimator.smooths:
             formed = pairing.expectation.innovation_statistics(*pairing.expectation.paired(pairing.decisions))
         done = self.estimator.update(
-            frame.observations,
-            pairing.decisions,
-            threshold=self._threshold,
-            at=pairing.at,
+            frame.observations, pairing.decisions, threshold=self._threshold, at=pairing.at,
             innovations=self.asks_for_innovations,
-        )
+        )  # fmt: skip
         if self.known is not None and self.slam:
             self.known.initialized(frame, done.created)
         if frame.appearance is not None:

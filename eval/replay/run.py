@@ -8,7 +8,7 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from threadpoolctl import ThreadpoolController
@@ -37,7 +37,7 @@ from eval.replay.hindsight.mapper import MappingFrontEnd
 from eval.replay.laser.comparison import compare_laser
 from eval.replay.laser.landmarks import at_all_frames, corner_log
 from eval.replay.poses import PoseMeasurements
-from eval.replay.recorder import Apart, Observer, ObserverError, Recorder, Writing, missing_run
+from eval.replay.recorder import Observer, ObserverError, Recorder, Writing, missing_run, observing
 from eval.replay.settings import BATCH, FILTERS, HINDSIGHT, TASKS, Given, Setup
 from graph.factors import UnderConstrained
 
@@ -160,14 +160,14 @@ def driven(
     counts = len(inputs), len(inputs.observations.frame)
     record = Recorder(*counts, inputs.systematic, inputs.fixes, inputs.closures)
     failure, finished = None, Finished(None, None)
-    observer = observer if observer is NULL_OBSERVER else Apart(observer)
     try:
         for k in range(len(inputs)):
             frame = inputs.frame(k)
             through(front, frame, record.update, each=each, observer=observer)
             record.poses.enter(frame, front.poses)
             record.begin(front)
-            observer.updated(front, record.decisions, record.created)
+            with observing():
+                observer.updated(front, record.decisions, record.created)
             record.estimate(front)
         if finish:
             front.close()
@@ -192,12 +192,14 @@ def through(
     `used` gets (each part of) the frame with its decisions and the result of the update.
     """
     front.move(frame)  # predict
-    observer.moved(front)
+    with observing():
+        observer.moved(front)
     front.use_poses(frame)  # update with fixes and closures
     for part in _parts(frame, each):
         front.look(part)  # through its sensor
         pairing = front.associate(part)  # expect and decide
-        observer.decided(front, part, pairing)
+        with observing():
+            observer.decided(front, part, pairing)
         done = front.update(part, pairing)  # with all pairings, then new landmarks
         used(part, pairing.decisions, done)
     front.tidy()  # landmarks leave the map
@@ -295,21 +297,17 @@ def _check_granted(inputs: Inputs, association: str) -> None:
         raise ValueError("known association was not granted to these inputs")
 
 
+@dataclass(eq=False)
 class _Comparison:
     """The runs of one comparison; each front end runs once."""
 
-    def __init__(
-        self,
-        inputs: Inputs,
-        task: str,
-        estimators: Sequence[str],
-        association: str,
-        setup: Setup,
-        watch: Callable[[Inputs], Writing] | None,
-    ) -> None:
-        self.inputs, self.task, self.estimators, self.association = inputs, task, estimators, association
-        self.setup, self.watch = setup, watch
-        self._done: dict[str, Run] = {}
+    inputs: Inputs
+    task: str
+    estimators: Sequence[str]
+    association: str
+    setup: Setup
+    watch: Callable[[Inputs], Writing] | None
+    _done: dict[str, Run] = field(default_factory=dict)
 
     def run(self, name: str) -> Run:
         """The run of an estimator by name."""
@@ -345,16 +343,16 @@ class _Comparison:
         return replace(quick or replace(slow, seconds=slow.seconds - observer.seconds), watched=observer.left())
 
     def _compiled(self, name: str) -> Run | None:
-        managed = self.setup.manages_map and self.task == "slam"
+        inputs, managed = self.inputs, self.setup.manages_map and self.task == "slam"
         if name not in FILTERS or self.association != "known" or managed:
             return None
-        if self.inputs.observations.sensor is not None or not self.inputs.sensor.locates:
+        if inputs.observations.sensor is not None or not inputs.sensor.locates:
             return None
-        if self.inputs.fixes is not None or self.inputs.closures is not None:
+        if inputs.fixes is not None or inputs.closures is not None:
             return None
-        if lack_with_sensor(name, self.task, self.association, self.inputs) is not None:
+        if lack_with_sensor(name, self.task, self.association, inputs) is not None:
             return None
-        return filter_known(self.inputs, self.task, name=name, threshold=gate_threshold(self.setup.label_gate))
+        return filter_known(inputs, self.task, name=name, threshold=gate_threshold(self.setup.label_gate))
 
     def _batch(self, name: str) -> Run:
         if self.inputs.closures is not None and not len(self.inputs.observations.frame):

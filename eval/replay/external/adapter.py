@@ -22,13 +22,7 @@ from association.faces import aligned_with_observations
 from data.blocks import diagonal_blocks
 from data.inputs import FrameObservations, Increment, IntArray, LandmarkMap
 from data.notice import Code, Notice, notice
-from data.pose_measurements import (
-    Closures,
-    Fixes,
-    FixSource,
-    PoseUpdated,
-    not_used,
-)
+from data.pose_measurements import Closures, Fixes, FixSource, PoseUpdated, not_used
 from data.result import NEW, Finished, MapState, PoseEstimate, Trajectory, Updated
 from data.se2 import Array, BoolArray, wrap_angle
 from data.sensors import Sensor
@@ -151,26 +145,33 @@ def expectation_of(who: str, given: Any, observations: FrameObservations) -> Exp
     )
 
 
+def _stated(who: str, given: Any, kind: type[Updated] | type[PoseUpdated]) -> dict[str, Any]:
+    """The fields of a result that are stated: those of a `kind`, of a mapping, or none."""
+    stated = given._asdict() if isinstance(given, kind) else {} if given is None else given
+    if not isinstance(stated, Mapping) or set(stated) - set(kind._fields):
+        raise ForeignError(
+            f"{who} returned {kind_of(given)}; None, a {kind.__module__}.{kind.__name__}, or a dict with some of its "
+            f"fields ({', '.join(kind._fields)}) is needed"
+        )
+    return {name: value for name, value in stated.items() if value is not None}
+
+
+def _used(who: str, stated: dict[str, Any], count: int) -> BoolArray:
+    """Which of so many (f,) were used; all where it is not stated."""
+    found = np.asarray(stated.get("used", np.ones(count, np.bool_)))
+    if found.shape != (count,) or found.dtype != np.bool_:
+        raise ForeignError(f"{who}: used is {found.dtype} {found.shape}; bool {(count,)} is needed")
+    return found
+
+
 def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, created: int) -> Updated:
     """The result of an update with decisions (m,), `new` (m,) of them for landmarks, after `created` landmarks.
 
-    None, or a mapping of some of the fields of `Updated`: everything decided was done. `who` names it in errors.
+    What is not stated of it was done as decided. `who` names it in errors.
     """
-    m = len(decisions)
-    numbers = np.where(new, created + np.cumsum(new) - 1, -1)
-    stated = given._asdict() if isinstance(given, Updated) else {} if given is None else given
-    if not isinstance(stated, Mapping) or set(stated) - set(Updated._fields):
-        raise ForeignError(
-            f"{who} returned {kind_of(given)}; None, a data.result.Updated, or a dict with some of its fields "
-            f"({', '.join(Updated._fields)}) is needed"
-        )
-    used = decisions >= 0
-    if stated.get("used") is not None:
-        found = np.asarray(stated["used"])
-        if found.shape != (m,) or found.dtype != np.bool_:
-            raise ForeignError(f"{who}: used is {found.dtype} {found.shape}; bool {(m,)} is needed")
-        used = found & used
-    if stated.get("created") is not None:
+    stated, m = _stated(who, given, Updated), len(decisions)
+    numbers, used = np.where(new, created + np.cumsum(new) - 1, -1), _used(who, stated, m) & (decisions >= 0)
+    if "created" in stated:
         made = whole(who, stated["created"], m, "created")
         wanted = np.where(made >= 0, created + np.cumsum(made >= 0) - 1, -1)
         if (made != wanted).any() or (made >= 0)[~new].any():
@@ -179,37 +180,20 @@ def updated_of(who: str, given: Any, decisions: IntArray, new: BoolArray, create
                 f"would be {numbers.tolist()}"
             )
         numbers = made
-    white = stated.get("white")
-    return Updated(
-        used,
-        numbers.astype(np.int64),
-        float(stated.get("nis", math.nan)),
-        int(stated.get("dof", 2 * int(used.sum()))),
-        float(stated.get("log_likelihood", math.nan)),
-        None if white is None else array(who, white, (m, 2), "white", finite=False),
-    )
+    nis, dof = float(stated.get("nis", math.nan)), int(stated.get("dof", 2 * int(used.sum())))
+    white = array(who, stated["white"], (m, 2), "white", finite=False) if "white" in stated else None
+    return Updated(used, numbers.astype(np.int64), nis, dof, float(stated.get("log_likelihood", math.nan)), white)
 
 
 def pose_updated_of(who: str, given: Any, dof: IntArray) -> PoseUpdated:
     """The result of an update with fixes or closures (f,) of these degrees of freedom.
 
-    None, or a mapping of some of the fields of `PoseUpdated`: all were used, innovations are not known.
+    What is not stated: all were used, innovations are not known.
     """
-    stated = given._asdict() if isinstance(given, PoseUpdated) else {} if given is None else given
-    if not isinstance(stated, Mapping) or set(stated) - set(PoseUpdated._fields):
-        raise ForeignError(
-            f"{who} returned {kind_of(given)}; None, a data.pose_measurements.PoseUpdated, or a dict with some of its "
-            f"fields ({', '.join(PoseUpdated._fields)}) is needed"
-        )
-    done = not_used(dof)
-    done.used[:] = True
-    if stated.get("used") is not None:
-        found = np.asarray(stated["used"])
-        if found.shape != done.used.shape or found.dtype != np.bool_:
-            raise ForeignError(f"{who}: used is {found.dtype} {found.shape}; bool {done.used.shape} is needed")
-        done.used[:] = found
+    stated, done = _stated(who, given, PoseUpdated), not_used(dof)
+    done.used[:] = _used(who, stated, len(done.used))
     for name, field in (("nis", done.nis), ("white", done.white), ("S", done.S)):
-        if stated.get(name) is not None:
+        if name in stated:
             field[:] = array(who, stated[name], field.shape, name, finite=False)
     return done
 
@@ -303,9 +287,8 @@ class Adapter:
         """Positions (b, 2) of the parked landmarks."""
         if not len(self.parked):
             return np.empty((0, 2))
-        who = f"{self.name}.parked_xy"
-        found: Array = array(who, self._call("parked_xy"), (len(self.parked), 2), "what it returned")
-        return found
+        given, who = self._call("parked_xy"), f"{self.name}.parked_xy"
+        return np.asarray(array(who, given, (len(self.parked), 2), "what it returned"))
 
     def __getattr__(self, verb: str) -> Callable[..., None]:
         """An optional method of `inner`, called with copies of arrays."""
