@@ -128,11 +128,10 @@ class KnownAssociation:
         """Note landmarks (m,) that the frame's observations initialized, -1 for none."""
         assert frame.label is not None  # or `decide` raised
         for i in (created >= 0).nonzero()[0].tolist():
-            label, number = int(frame.label[i]), int(created[i])
-            self._number_of[label], self._label_of[number] = number, label
+            self.begun(int(frame.label[i]), int(created[i]))
 
     def begun(self, label: int, number: int) -> None:
-        """A landmark began by observations of several frames."""
+        """A landmark began by an observation with this label, or by several."""
         self._number_of[label], self._label_of[number] = number, label
 
     def removed(self, numbers: IntArray) -> None:

@@ -82,7 +82,7 @@ def outcome(seed):
     front, pose, covariance, *_ = replay(inputs)
     back = back_after(inputs, truth, pose, covariance)
     enough = (np.diff(inputs.start)[AT:] >= 3).sum() >= 3
-    false = sum(k < AT for k in front.localizer.alarms)
+    false = sum(k < AT for k in front.alarms)
     return bool(back is not None and back <= 3) if enough or back is not None else None, false
 
 
@@ -112,7 +112,7 @@ def test_a_textbook_filter_does_not_come_back():
         seen = inputs.frame_observations(k)
         plain.update(seen, decide("jcbb", plain.expect(seen), 0.99, None, known_map=True).decisions)
     assert np.hypot(*(plain.estimate().mean - truth[-1])[:2]) > 2.0
-    assert front.localizer.found
+    assert front.found
 
 
 @pytest.mark.slow
@@ -131,7 +131,7 @@ def test_decisions_made_while_it_was_lost_are_revised():
 def test_without_a_kidnapping_labels_are_not_missed():
     inputs, truth = (log := simulate(Arena(frames=100), 3)).recorded, log.truth
     front, pose, _, online, _ = replay(inputs)
-    assert not front.localizer.alarms
+    assert not front.alarms
     assert (online == truth.landmark_of).mean() > 0.995
     labelled = EkfLocalizer(inputs.prior, inputs.sensor, inputs.map, DEFAULT)
     for k in range(len(inputs)):
@@ -148,7 +148,7 @@ def test_a_smoother_is_begun_anew_where_the_robot_is_found():
     assert np.hypot(*(pose[-1] - truth[-1])[:2]) < 0.2
     path = front.estimator.finish().final
     assert path.pose.shape == (55, 3)
-    found = front.localizer.found[0]
+    found = front.found[0]
     away = np.hypot(*(path.pose - truth)[:, :2].T)
     assert away[: AT - 1].max() < 0.2
     assert away[found:].max() < 0.2

@@ -97,33 +97,6 @@ class Step(NamedTuple):
     chance: Array
 
 
-class Differences:
-    """Collects steps between frames; fits the shares at the 1st, 2nd, 4th, 8th, ... step."""
-
-    def __init__(self, sensor: Sensor) -> None:
-        self._sensor, self._shares = sensor, AS_STATED
-        self._before: FrameObservations | None = None
-        self._steps: list[Step] = []
-        self._farthest = MIN_RANGE
-
-    def see(self, increment: Increment | None, observations: FrameObservations) -> Shares:
-        """Add the next frame; returns the shares known by now."""
-        if len(self._steps) >= constants.DIFFERENCES_MOST:
-            return self._shares
-        before, self._before = self._before, observations if len(observations.z) else None
-        if not len(observations.z):
-            return self._shares
-        self._farthest = max(self._farthest, float(self._sensor.polar(observations.z)[:, 0].max()))
-        if before is not None and increment is not None:
-            step = paired(self._sensor, before, increment, observations, self._farthest)
-            exact = min(np.linalg.det(step.covariance), *np.linalg.det(step.by_range + step.by_bearing)) <= 0.0
-            if not exact:  # what is stated to be without noise has no share of it
-                self._steps.append(step)
-                if len(self._steps).bit_count() == 1:
-                    self._shares = fitted(self._steps)
-        return self._shares
-
-
 def axes(sensor: Sensor, z: Array) -> Array:
     """Directions of range and bearing (m, 2, 2), as columns, in the space of measurements (m, 2)."""
     if sensor.kind == RANGE_BEARING:
@@ -233,17 +206,40 @@ def _normal(x: Array, S: Array) -> Array:
 
 
 class Restated:
-    """Estimates the noise from a log's frames and restates the covariances of later ones."""
+    """Estimates the noise from a log's frames, and restates the covariances of later ones.
+
+    It collects steps between frames, and fits the shares at the 1st, 2nd, 4th, 8th, ... step.
+    """
 
     def __init__(self, sensor: Sensor) -> None:
         self.shares = AS_STATED  # variances of range, bearing and motion over the stated ones; none is below 1
         self._sensor = self._view = sensor
-        self._differences = Differences(sensor)
+        self._fitted = AS_STATED
+        self._before: FrameObservations | None = None
+        self._steps: list[Step] = []
+        self._farthest = MIN_RANGE
+
+    def fit(self, increment: Increment | None, observations: FrameObservations) -> Shares:
+        """Add the next frame; returns the shares as they are fitted by now."""
+        if len(self._steps) >= constants.DIFFERENCES_MOST:
+            return self._fitted
+        before, self._before = self._before, observations if len(observations.z) else None
+        if not len(observations.z):
+            return self._fitted
+        self._farthest = max(self._farthest, float(self._sensor.polar(observations.z)[:, 0].max()))
+        if before is not None and increment is not None:
+            step = paired(self._sensor, before, increment, observations, self._farthest)
+            exact = min(np.linalg.det(step.covariance), *np.linalg.det(step.by_range + step.by_bearing)) <= 0.0
+            if not exact:  # what is stated to be without noise has no share of it
+                self._steps.append(step)
+                if len(self._steps).bit_count() == 1:
+                    self._fitted = fitted(self._steps)
+        return self._fitted
 
     def see(self, frame: Frame) -> Frame:
         """Add the next frame; returns it with the noise known by now."""
         self._view = holding(self._view, self._sensor.polar(frame.observations.z))
-        found = self._differences.see(frame.increment, frame.observations)
+        found = self.fit(frame.increment, frame.observations)
         self.shares = Shares(*(s if s > constants.UNDERSTATED**2 else 1.0 for s in found))
         return self.restated(frame)
 
