@@ -59,7 +59,7 @@ SHADOW = math.radians(0.5)  # rad; something nearer within this angle may occlud
 VIEW_RING, VIEW_SIDES = 1.35, 8  # cells of viewpoints: rings whose radii grow by this factor, and sides
 SHADOW_WIDTH = 0.15  # m; half the width of a landmark that may occlude another
 
-# --- Persistent or transient landmarks (persistence.py) -------------------------------------------------------------
+# --- Persistent or transient landmarks (opportunities.py) -----------------------------------------------------------
 
 PERSISTENCE_MEANS = (0.5, 0.5, 0.4, 0.5, 0.8, 0.5, 0.5, 0.5)  # prior means of the fields of `Persistence`, ...
 PERSISTENCE_WORTH = (2.0, 2.0, 5.0, 4.0, 5.0, 4.0, 10.0, 10.0)  # ... and their weights, in landmarks or opportunities

@@ -29,8 +29,16 @@ from data.se2 import Array
 from data.sensors import Sensor
 from eval.replay.hindsight import constants
 from eval.replay.hindsight.final_association import Reassociation, beginnings
-from eval.replay.hindsight.opportunities import DETECTED, FAMILIAR, MISSED, behind_others, beside, cell, missing
-from eval.replay.hindsight.persistence import kept_at_end
+from eval.replay.hindsight.opportunities import (
+    DETECTED,
+    FAMILIAR,
+    MISSED,
+    behind_others,
+    beside,
+    cell,
+    kept_at_end,
+    missing,
+)
 
 
 class Evidence(NamedTuple):

@@ -37,12 +37,11 @@ from data.se2 import Array
 from data.sensors import RELATIVE_POINT, Sensor
 from ekf.filter import FilterDivergedError
 from eval.replay.frontend import FrontEnd
-from eval.replay.hindsight import constants, persistence
+from eval.replay.hindsight import constants, opportunities
 from eval.replay.hindsight.final_association import Reassociation, distances, nis_left, noise_share, reassociate
 from eval.replay.hindsight.ledger import Record
 from eval.replay.hindsight.noise import Restated, with_shares
-from eval.replay.hindsight.opportunities import recounted
-from eval.replay.hindsight.persistence import Kept, kept_at_end
+from eval.replay.hindsight.opportunities import Kept, kept_at_end, recounted
 from eval.replay.poses import PoseRecords
 from eval.replay.settings import Beginning, Given, Setup
 from graph.batch import Rejected, Start, smooth
@@ -140,7 +139,7 @@ def log_likelihood(s: Smoothed, share: float, view: Sensor) -> float:
     # over clutter, and never far below: an outlier is one
     gain = -0.5 * (nu * np.linalg.solve(R, nu[..., None])[..., 0]).sum(axis=1) - size - clutter
     numbers, of, times = np.unique(number[rows], return_inverse=True, return_counts=True)
-    seen = persistence.evidence([s.opportunities[n] for n in numbers.tolist()])
+    seen = opportunities.evidence([s.opportunities[n] for n in numbers.tolist()])
     place = np.bincount(of, size, minlength=len(times)) / times + clutter - np.log(times)
     landmarks = np.bincount(of, np.maximum(gain, 0.0), minlength=len(times)) + place + seen
     return float(np.maximum(landmarks, 0.0).sum()) - 0.5 * s.motion
