@@ -310,22 +310,13 @@ class _Comparison:
     _done: dict[str, Run] = field(default_factory=dict)
 
     def run(self, name: str) -> Run:
-        """The run of an estimator by name."""
-        if name in BATCH:
-            return self._guarded(name, self._batch)
-        return self._ahead(name)
-
-    def _ahead(self, name: str) -> Run:
+        """The run of an estimator by name; if anything crashes, a blank one that says what."""
         if name not in self._done:
-            self._done[name] = self._guarded(name, self._stepping)
+            try:
+                self._done[name] = self._batch(name) if name in BATCH else self._stepping(name)
+            except Exception as fault:  # noqa: BLE001 - `crashed` raises again what concerns the log
+                self._done[name] = missing_run(name, self.association, self.task, self.inputs, crashed(fault, 0))
         return self._done[name]
-
-    def _guarded(self, name: str, make: Callable[[str], Run]) -> Run:
-        """A run, or a blank one that says what crashed."""
-        try:
-            return make(name)
-        except Exception as fault:  # noqa: BLE001 - as there
-            return missing_run(name, self.association, self.task, self.inputs, crashed(fault, 0))
 
     def _stepping(self, name: str) -> Run:
         """In one compiled loop where possible; an observer needs the same steps once more."""
@@ -335,9 +326,8 @@ class _Comparison:
         if quick is not None and self.watch is None:
             return quick
         observer = None if self.watch is None else self.watch(self.inputs)
-        slow = step_by_step(
-            name, self.inputs, self.task, self.association, self.setup, observer=observer or NULL_OBSERVER
-        )
+        given = self.inputs, self.task, self.association, self.setup
+        slow = step_by_step(name, *given, observer=observer or NULL_OBSERVER)
         if observer is None:
             return slow
         return replace(quick or replace(slow, seconds=slow.seconds - observer.seconds), watched=observer.left())
@@ -356,22 +346,20 @@ class _Comparison:
 
     def _batch(self, name: str) -> Run:
         if self.inputs.closures is not None and not len(self.inputs.observations.frame):
-            return batch(name, self.inputs, replace(self._ahead("dead-reckoning"), association=self.association))
+            return batch(name, self.inputs, replace(self.run("dead-reckoning"), association=self.association))
         if self.association != "known":
-            first = batch(name, self.inputs, self._ahead("isam2" if "isam2" in self.estimators else "ekf"))
+            first = batch(name, self.inputs, self.run("isam2" if "isam2" in self.estimators else "ekf"))
             if first.failure is None or "isam2" not in self.estimators:
                 return first
-            second = batch(name, self.inputs, self._ahead("ekf"))
+            second = batch(name, self.inputs, self.run("ekf"))
             return second if second.failure is None else first
         # also where isam2 was asked for; the iterated filter's path is better where the plain one gets lost
-        fronts = (self._ahead(front) for front in ("ekf", "ekf-iterated", "isam2"))
-        front = next((run for run in fronts if run.failure is None), self._ahead("ekf"))
+        fronts = (self.run(front) for front in ("ekf", "ekf-iterated", "isam2"))
+        front = next((run for run in fronts if run.failure is None), self.run("ekf"))
         if not self.setup.gate_smoothers:
             decisions, created = known_decisions(self.inputs)
             front = replace(front, decisions=decisions, final_decisions=decisions, created=created, begun=None)
-        return batch(
-            name, self.inputs, front, lambda: self._ahead("ekf-iterated"), lambda: self._ahead("dead-reckoning")
-        )
+        return batch(name, self.inputs, front, lambda: self.run("ekf-iterated"), lambda: self.run("dead-reckoning"))
 
 
 MOST_WORK = 3e7

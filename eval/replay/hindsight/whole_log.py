@@ -132,12 +132,9 @@ def log_likelihood(s: Smoothed, share: float, view: Sensor) -> float:
     clutter, kept = math.log(_clutter_density(view)), s.times[0][s.kept.stays]
     number = observed_again(np.where(np.isin(s.found.number, kept), s.found.number, DISCARD))
     rows = np.flatnonzero(number >= 0)
-    R = share * s.seen.R[rows]
-    z_hat = s.sensor.predict(s.pose[s.seen.frame[rows]], s.known.positions(number[rows]))
-    nu = s.sensor.residual(s.seen.z[rows], z_hat)
-    size = math.log(2.0 * math.pi) + 0.5 * np.linalg.slogdet(R)[1]
+    size = math.log(2.0 * math.pi) + 0.5 * np.linalg.slogdet(share * s.seen.R[rows])[1]
     # over clutter, and never far below: an outlier is one
-    gain = -0.5 * (nu * np.linalg.solve(R, nu[..., None])[..., 0]).sum(axis=1) - size - clutter
+    gain = -0.5 * distances(s.sensor, s.pose, s.known, s.seen, number) / share - size - clutter
     numbers, of, times = np.unique(number[rows], return_inverse=True, return_counts=True)
     seen = opportunities.evidence([s.opportunities[n] for n in numbers.tolist()])
     place = np.bincount(of, size, minlength=len(times)) / times + clutter - np.log(times)
@@ -159,14 +156,10 @@ def renumbered(found: Reassociation, held: IntArray) -> Reassociation:
     both = np.flatnonzero((found.number >= 0) & (held >= 0))
     pairs, times = np.unique(np.stack([found.number[both], held[both]], axis=1), axis=0, return_counts=True)
     other: dict[int, int] = {}
-    taken: set[int] = set()
     for here, there in pairs[np.argsort(-times, kind="stable")].tolist():
-        if here not in other and there not in taken:
+        if here not in other and there not in other.values():
             other[here] = there
-            taken.add(there)
-    to = np.full(int(found.number.max(initial=-1)) + 1, -1, np.int64)
-    to[list(other)] = list(other.values())
-    number = np.where(found.number >= 0, to[np.maximum(found.number, 0)] if len(to) else -1, -1)
+    number = np.array([other.get(n, -1) for n in found.number.tolist()], np.int64)
     return Reassociation(number, found.alone & (number >= 0))
 
 
